@@ -1,0 +1,54 @@
+"""Model-based control and trajectory optimisation of continuum robots made of pneumatic muscles with embedded tendons.
+
+    from tepm_opt import circle, compile_model, solve_gain, solve_ik, solve_statics
+
+    model = compile_model("kang2017")
+    found = solve_ik(model, [0.15, 0.0, 0.35])
+    held = solve_statics(model, found.allocation.inputs)
+    G = solve_gain(held).matrix
+"""
+
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.model import Model, read_model, write_model
+from tepm_opt.models.robot import Robot, load_robot
+from tepm_opt.runs import run_gain, run_ik, run_statics
+from tepm_opt.solvers.allocation import Mode, allocate
+from tepm_opt.solvers.gain import Gain, input_curve, solve_gain, workspace_map
+from tepm_opt.solvers.kinematics import Configuration, solve_ik, solve_trajectory
+from tepm_opt.solvers.modes import poles, rk4_step_limit, state_matrix
+from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.trajectories import Trajectory, circle, line, lissajous, read_trajectory
+
+__all__ = [
+    "CompiledModel",
+    "Configuration",
+    "Equilibrium",
+    "Gain",
+    "InputError",
+    "Mode",
+    "Model",
+    "Robot",
+    "Trajectory",
+    "allocate",
+    "circle",
+    "compile_model",
+    "input_curve",
+    "line",
+    "lissajous",
+    "load_robot",
+    "poles",
+    "read_model",
+    "read_trajectory",
+    "rk4_step_limit",
+    "run_gain",
+    "run_ik",
+    "run_statics",
+    "solve_gain",
+    "solve_ik",
+    "solve_statics",
+    "solve_trajectory",
+    "state_matrix",
+    "workspace_map",
+    "write_model",
+]

@@ -1,0 +1,75 @@
+"""Set-point files (`inputs.csv`) and the other tables whose columns SPEC section 4 names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tepm_opt.data.tables import read_table, write_table
+
+AXES = ("x", "y", "z")
+FORCE_COLUMNS = tuple(f"tip_force_{axis}_N" for axis in AXES)
+
+
+def input_columns(actuators: Sequence[str]) -> list[str]:
+    """Columns of u: pressures, then tensions, of the named actuators ("11", "12", …)."""
+    return [f"pressure_{name}_Pa" for name in actuators] + [f"tension_{name}_N" for name in actuators]
+
+
+def point_columns(points: Sequence[str]) -> list[str]:
+    """Columns of the reference points ("s1", …) in G."""
+    return [f"{name}_{axis}_m" for name in points for axis in AXES]
+
+
+def length_columns(actuators: Sequence[str]) -> list[str]:
+    """Columns of the actuator lengths."""
+    return [f"length_{name}_m" for name in actuators]
+
+
+def gain_columns(inputs: int) -> list[str]:
+    """Columns of G, row by row: g_1_1 … g_3_12."""
+    return [f"g_{row + 1}_{number + 1}" for row in range(3) for number in range(inputs)]
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoints:
+    """Inputs over time.
+
+    Attributes:
+        time: (rows,) in s, increasing.
+        inputs: (rows, 2 · modules · actuators) in Pa and N.
+        tip_force: known force on the tip in G, (rows, 3) in N.
+    """
+
+    time: np.ndarray
+    inputs: np.ndarray
+    tip_force: np.ndarray
+
+
+def read_setpoints(path: str | Path, actuators: Sequence[str], limits: np.ndarray) -> SetPoints:
+    """A set-point file: `time_s`, the inputs of the named actuators and, where there is one, the tip force.
+
+    Raises:
+        InputError: unreadable file, missing column, value that is no number or outside 0 … limit, time that does not increase.
+    """
+    table = read_table(path)
+    time = table.increasing("time_s")
+    names = input_columns(actuators)
+    inputs = np.stack([table.column(name) for name in names], axis=1)
+    for name, values, limit in zip(names, inputs.T, limits, strict=True):
+        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, f"0 … {limit:g}")
+    forces = [table.column(name) if name in table else np.zeros(len(time)) for name in FORCE_COLUMNS]
+    return SetPoints(time, inputs, np.stack(forces, axis=1))
+
+
+def write_setpoints(path: str | Path, setpoints: SetPoints, actuators: Sequence[str]) -> None:
+    """Write a set-point file; the tip force's columns only where there is one."""
+    columns = [setpoints.time[:, None], setpoints.inputs]
+    names = ["time_s", *input_columns(actuators)]
+    if setpoints.tip_force.any():
+        columns.append(setpoints.tip_force)
+        names += FORCE_COLUMNS
+    write_table(path, names, np.hstack(columns))

@@ -1,0 +1,111 @@
+"""CSV tables with named columns: read with errors that say file, line and column; written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tepm_opt.data.files import write_atomically
+from tepm_opt.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of a CSV file; an empty field is NaN.
+
+    Attributes:
+        path: of the file.
+        columns: values by name, in file order, (rows,) each.
+        lines: line number in the file of each row.
+    """
+
+    path: Path
+    columns: Mapping[str, np.ndarray]
+    lines: tuple[int, ...]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def column(self, name: str) -> np.ndarray:
+        """One column, all values finite.
+
+        Raises:
+            InputError: it is missing, or a value is empty, NaN or infinite.
+        """
+        if name not in self.columns:
+            raise InputError(f"{self.path}: column {name!r} is missing; found: {', '.join(self.columns)}")
+        values = self.columns[name]
+        self.refuse(~np.isfinite(values), name, "a finite number")
+        return values
+
+    def refuse(self, wrong: np.ndarray, name: str, valid: str) -> None:
+        """Raise for the first row where `wrong` (rows,) is true.
+
+        Raises:
+            InputError: naming file, line, column, value and what is valid.
+        """
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(f"{self.path}: line {self.lines[row]}: {name} = {self.columns[name][row]:g}; valid: {valid}")
+
+    def increasing(self, name: str) -> np.ndarray:
+        """A column of finite values, each larger than the one before.
+
+        Raises:
+            InputError: as for `column`, or a value that does not increase.
+        """
+        values = self.column(name)
+        self.refuse(np.diff(values, prepend=-np.inf) <= 0, name, "larger than in the row before")
+        return values
+
+
+def read_table(path: str | Path) -> Table:
+    """Read a CSV file with a header.
+
+    Raises:
+        InputError: unreadable file, no header, no rows, a row of another length, text where a number belongs.
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            rows = [(reader.line_num, row) for row in reader if row]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: is not a CSV text file: {error}") from error
+    if not rows:
+        raise InputError(f"{path}: is empty; valid: a header line and at least one row")
+    names = [name.strip() for name in rows[0][1]]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(f"{path}: line {rows[0][0]}: column {twice[0]!r} stands twice")
+    if len(rows) == 1:
+        raise InputError(f"{path}: has no rows; valid: at least one row under the header")
+    values = np.array([_numbers(path, line, names, row) for line, row in rows[1:]])
+    return Table(path, dict(zip(names, values.T, strict=True)), tuple(line for line, _ in rows[1:]))
+
+
+def _numbers(path: Path, line: int, names: Sequence[str], row: Sequence[str]) -> list[float]:
+    if len(row) != len(names):
+        raise InputError(f"{path}: line {line}: {len(row)} fields, the header has {len(names)}")
+    numbers = []
+    for name, field in zip(names, row, strict=True):
+        try:
+            numbers.append(float(field) if field.strip() else np.nan)
+        except ValueError as error:
+            raise InputError(f"{path}: line {line}: {name} = {field!r} is not a number") from error
+    return numbers
+
+
+def write_table(path: str | Path, names: Sequence[str], rows: np.ndarray) -> None:
+    """Write rows (rows, columns) under the names; numbers in the shortest form that reads back equal, NaN as an empty field.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    lines = [",".join(names), *(",".join("" if np.isnan(value) else repr(float(value)) for value in row) for row in np.atleast_2d(rows))]
+    write_atomically(path, "\n".join(lines) + "\n")

@@ -1,0 +1,303 @@
+/* Loops over the chain of segments, around the kernels that CasADi generates above this text in the same unit:
+   assembly, block-tridiagonal Cholesky, Newton for statics, adjoint sensitivities. chain.py is the reference twin.
+
+   Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NU inputs, NEXT external force components,
+   NTHETA parameters, NPOINT point coordinates, NLEN lengths, SZ_W, SZ_IW work of the kernels. Level 0 is fixed. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define LD ((2 * NB + 3) / 4 * 4)  /* rows of a panel column, padded to whole vectors */
+#define FAR 1e-6                   /* N: residual below which plain Newton steps are taken */
+#define NOISE 1e-14                /* relative rounding noise of the energy */
+enum { SOLVED = 0, UNSTABLE = 1, STALLED = 2, EXHAUSTED = 3, INDEFINITE = 4 };
+
+typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
+
+typedef struct {
+  double x[NLEV + 1][NB], trial[NLEV + 1][NB];   /* levels */
+  double P[NLEV][NPROP];                         /* properties, one row a segment */
+  double force[NLEV + 1][NB], step[NLEV + 2][NB];
+  double panel[NLEV + 1][NB][LD];                /* column c of level l: its diagonal block, then its coupling to l + 1 */
+  double first[2 * NB * NB], second[NB * NB];
+  double a[NU], level_0[NB], kernel_work[SZ_W + 1];
+  casadi_int kernel_iwork[SZ_IW + 1];
+  const double *theta;
+} work;
+
+static void run(kernel *f, work *w, const double **arg, double **res) { f(arg, res, w->kernel_iwork, w->kernel_work, 0); }
+
+static double energy(work *w, double x[][NB]) {
+  double total = 0, part;
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {x[s], x[s + 1], w->P[s], w->theta};
+    double *res[] = {&part};
+    run(segment_energy, w, arg, res);
+    total += part;
+  }
+  return total;
+}
+
+/* Energy (returned), its gradient (w->force) and stiffness panels at w->x. */
+static double assemble(work *w, double convex) {
+  double total = 0, part, force[2 * NB];
+  memset(w->force, 0, sizeof w->force);
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta, &convex};
+    double *res[] = {&part, force, w->first, w->second};
+    run(segment_stiffness, w, arg, res);
+    total += part;
+    for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
+    for (int c = 0; c < NB; c++) {
+      double *lower = w->panel[s][c], *upper = w->panel[s + 1][c];
+      const double *first = w->first + 2 * NB * c, *second = w->second + NB * c;
+      if (s) for (int r = 0; r < NB; r++) lower[r] += first[r];
+      for (int r = NB; r < 2 * NB; r++) lower[r] = first[r];
+      for (int r = 0; r < NB; r++) upper[r] = second[r];
+      for (int r = NB; r < LD; r++) upper[r] = 0;
+    }
+  }
+  return total;
+}
+
+static double residual(work *w) {
+  double largest = 0;
+  for (int l = 1; l <= NLEV; l++)
+    for (int i = 0; i < NB; i++) { double f = fabs(w->force[l][i]); if (!(f <= largest)) largest = f; }
+  return largest;
+}
+
+/* Cholesky in place; a column's diagonal entry becomes the inverse of the factor's. Returns 0, or 1 where not positive definite. */
+static int factor(work *w) {
+  for (int l = 1; l <= NLEV; l++) {
+    double (*p)[LD] = w->panel[l];
+    for (int j = 0; j < NB; j++) {
+      if (!(p[j][j] > 0)) return 1;
+      double inverse = 1 / sqrt(p[j][j]);
+      for (int r = 0; r < LD; r++) p[j][r] *= inverse;
+      for (int k = j + 1; k < NB; k++) {
+        double scale = p[j][k];
+        for (int r = 0; r < LD; r++) p[k][r] -= scale * p[j][r];
+      }
+      p[j][j] = inverse;
+    }
+    if (l == NLEV) break;
+    for (int k = 0; k < NB; k++)
+      for (int j = 0; j < NB; j++) {
+        double scale = p[j][NB + k];
+        for (int r = 0; r < NB; r++) w->panel[l + 1][k][r] -= scale * p[j][NB + r];
+      }
+  }
+  return 0;
+}
+
+/* Solve with the factor; b has levels 1 … NLEV and one spare. */
+static void solve(work *w, double (*b)[NB]) {
+  double t[LD] = {0};
+  for (int l = 1; l <= NLEV; l++) {
+    double (*p)[LD] = w->panel[l];
+    for (int r = 0; r < NB; r++) { t[r] = t[NB + r] + b[l][r]; }
+    for (int r = NB; r < LD; r++) t[r] = 0;
+    for (int j = 0; j < NB; j++) {
+      double y = b[l][j] = t[j] * p[j][j];
+      for (int r = 0; r < LD; r++) t[r] -= y * p[j][r];
+    }
+  }
+  for (int r = 0; r < NB; r++) b[NLEV + 1][r] = 0;
+  for (int l = NLEV; l >= 1; l--) {
+    double (*p)[LD] = w->panel[l];
+    for (int j = NB - 1; j >= 0; j--) {
+      double sum = b[l][j];
+      for (int r = 0; r < NB; r++) sum -= p[j][NB + r] * b[l + 1][r];
+      for (int r = j + 1; r < NB; r++) sum -= p[j][r] * b[l][r];
+      b[l][j] = sum * p[j][j];
+    }
+  }
+}
+
+static void cross(const double *a, const double *b, double *c) {
+  c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* target += a vector v rotated by the rotation vector, after its linear change dv less what the rotation accounts for. */
+static void add_rotated(double *target, const double *rotation, const double *v, const double *dv) {
+  double turned[3], e[3], once[3], twice[3], angle = sqrt(rotation[0] * rotation[0] + rotation[1] * rotation[1] + rotation[2] * rotation[2]);
+  double s = angle < 1e-4 ? 1 - angle * angle / 6 : sin(angle) / angle;
+  double c = angle < 1e-4 ? 0.5 - angle * angle / 24 : (1 - cos(angle)) / (angle * angle);
+  cross(rotation, v, turned);
+  for (int k = 0; k < 3; k++) e[k] = v[k] + dv[k] - turned[k];
+  cross(rotation, e, once);
+  cross(rotation, once, twice);
+  for (int k = 0; k < 3; k++) target[k] += e[k] + s * once[k] + c * twice[k];
+}
+
+/* Rotation vector that fits the changes d of the points r best, both about their centres. */
+static void fit_rotation(double r[][3], double d[][3], double *rotation) {
+  double I[3][3] = {{0}}, m[3] = {0}, part[3], cofactor[3][3], determinant;
+  for (int i = 0; i < NB / 3; i++) {
+    double square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
+    cross(r[i], d[i], part);
+    for (int p = 0; p < 3; p++) {
+      m[p] += part[p];
+      I[p][p] += square;
+      for (int q = 0; q < 3; q++) I[p][q] -= r[i][p] * r[i][q];
+    }
+  }
+  for (int p = 0; p < 3; p++) cross(I[(p + 1) % 3], I[(p + 2) % 3], cofactor[p]);
+  determinant = I[0][0] * cofactor[0][0] + I[0][1] * cofactor[0][1] + I[0][2] * cofactor[0][2];
+  for (int p = 0; p < 3; p++) rotation[p] = (cofactor[0][p] * m[0] + cofactor[1][p] * m[1] + cofactor[2][p] * m[2]) / determinant;
+}
+
+/* trial = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
+static void move(work *w, double t) {
+  double before[3] = {0}, d_before[3] = {0}, turn_before[3] = {0}, centre[3] = {0};
+  for (int k = 0; k < 3; k++) {
+    for (int i = 0; i < NB / 3; i++) before[k] += w->x[0][3 * i + k] / (NB / 3);
+    centre[k] = before[k];
+  }
+  memcpy(w->trial[0], w->x[0], sizeof w->x[0]);
+  for (int l = 1; l <= NLEV; l++) {
+    double here[3] = {0}, d_here[3] = {0}, turn[3], middle[3], r[NB / 3][3], d[NB / 3][3], link[3], d_link[3];
+    for (int k = 0; k < 3; k++) {
+      for (int i = 0; i < NB / 3; i++) { here[k] += w->x[l][3 * i + k] / (NB / 3); d_here[k] += t * w->step[l][3 * i + k] / (NB / 3); }
+      for (int i = 0; i < NB / 3; i++) { r[i][k] = w->x[l][3 * i + k] - here[k]; d[i][k] = t * w->step[l][3 * i + k] - d_here[k]; }
+    }
+    fit_rotation(r, d, turn);
+    for (int k = 0; k < 3; k++) {
+      middle[k] = (turn[k] + turn_before[k]) / 2;
+      link[k] = here[k] - before[k];
+      d_link[k] = d_here[k] - d_before[k];
+    }
+    add_rotated(centre, middle, link, d_link);
+    for (int i = 0; i < NB / 3; i++) {
+      for (int k = 0; k < 3; k++) w->trial[l][3 * i + k] = centre[k];
+      add_rotated(w->trial[l] + 3 * i, turn, r[i], d[i]);
+    }
+    memcpy(before, here, sizeof before); memcpy(d_before, d_here, sizeof before); memcpy(turn_before, turn, sizeof before);
+  }
+}
+
+/* Factor the stiffness at w->x, or a positive definite stand-in where it is indefinite (returns 1 then). */
+static int factor_safely(work *w) {
+  if (!factor(w)) return 0;
+  for (double shift = 1e-6;; shift *= 100) {
+    assemble(w, 1);
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->panel[l][i][i] += shift;
+    if (!factor(w) || shift > 1e12) return 1;
+  }
+}
+
+static work *prepare(const double *u, int mapped, const double *external, const double *theta) {
+  work *w = aligned_alloc(64, (sizeof(work) + 63) / 64 * 64);
+  if (!w) return 0;
+  w->theta = theta;
+  if (mapped) memcpy(w->a, u, sizeof w->a);
+  else {
+    const double *arg[] = {u, theta};
+    double *res[] = {w->a};
+    run(input_map, w, arg, res);
+  }
+  const double *arg[] = {w->a, external, theta};
+  double *res[] = {w->P[0], w->level_0};
+  run(properties, w, arg, res);
+  return w;
+}
+
+/* Effective actuation a under the commanded u. */
+void actuation(const double *u, const double *theta, double *a) {
+  double kernel_work[SZ_W + 1];
+  casadi_int kernel_iwork[SZ_IW + 1];
+  const double *arg[] = {u, theta};
+  double *res[] = {a};
+  input_map(arg, res, kernel_iwork, kernel_work, 0);
+}
+
+/* Equilibrium from the start x, levels 0 … NLEV, in place; `mapped`: u is the effective actuation.
+   observed: points in G, lengths. info: iterations, residual in N, energy in J. Returns a status. */
+int statics(double *x, const double *u, int mapped, const double *external, const double *theta, double tolerance, int most,
+            double *observed, double *info) {
+  work *w = prepare(u, mapped, external, theta);
+  if (!w) return STALLED;
+  int status = EXHAUSTED, iteration;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  for (iteration = 0; iteration <= most; iteration++) {
+    double here = assemble(w, 0), far = residual(w), slope = 0, t = 1;
+    info[1] = far; info[2] = here;
+    int indefinite = factor_safely(w), found = 0;
+    if (far < tolerance) { status = indefinite ? UNSTABLE : SOLVED; break; }
+    if (!(far < 1e300)) { status = STALLED; break; }
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->step[l][i] = -w->force[l][i];
+    solve(w, w->step);
+    if (!indefinite && far < FAR) {
+      for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->x[l][i] += w->step[l][i];
+      continue;
+    }
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) slope += w->force[l][i] * w->step[l][i];
+    for (int halving = 0; halving < 40; halving++) {
+      move(w, t);
+      double there = energy(w, w->trial);
+      if (there <= here + 1e-4 * t * slope + NOISE * (1 + fabs(here))) { found = 1; break; }
+      double shorter = -slope * t * t / 2 / (there - here - slope * t);
+      t = shorter > 0.1 * t ? (shorter < 0.5 * t ? shorter : 0.5 * t) : 0.1 * t;
+    }
+    if (!found) { status = STALLED; break; }
+    memcpy(w->x, w->trial, sizeof w->x);
+  }
+  info[0] = iteration;
+  memcpy(x, w->x, sizeof w->x);
+  const double *arg[] = {x, theta};
+  double *res[] = {observed, observed + NPOINT};
+  run(observe, w, arg, res);
+  free(w);
+  return status;
+}
+
+/* Gradients of `rows` weighted sums of the observations (points in G, then lengths) at an equilibrium x, with respect to
+   u (the effective actuation if `mapped`), external forces and, unless by_theta is null, parameters. Returns a status. */
+int sensitivity(const double *x, const double *u, int mapped, const double *external, const double *theta, int rows,
+                const double *weights, double *by_u, double *by_external, double *by_theta) {
+  work *w = prepare(u, mapped, external, theta);
+  if (!w) return STALLED;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  assemble(w, 0);
+  if (factor(w)) { free(w); return INDEFINITE; }
+  for (int row = 0; row < rows; row++) {
+    double by_P[NLEV][NPROP], by_level_0[NB], by_a[NU], spare[NTHETA], sum[NTHETA] = {0};
+    const double *weight = weights + row * (NPOINT + NLEN);
+    {
+      const double *arg[] = {w->x[0], theta, weight, weight + NPOINT};
+      double *res[] = {w->step[0], spare};
+      run(observe_adjoint, w, arg, res);
+    }
+    memcpy(by_level_0, w->step[0], sizeof by_level_0);
+    for (int k = 0; k < NTHETA; k++) sum[k] += spare[k];
+    solve(w, w->step);
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->step[l][i] = -w->step[l][i];
+    for (int c = 0; c < NB; c++) for (int r = 0; r < NB; r++) by_level_0[c] += w->panel[0][c][NB + r] * w->step[1][r];
+    memset(w->step[0], 0, sizeof w->step[0]);
+    for (int s = 0; s < NLEV; s++) {
+      const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], theta, w->step[s]};
+      double *res[] = {by_P[s], spare};
+      run(segment_adjoint, w, arg, res);
+      for (int k = 0; k < NTHETA; k++) sum[k] += spare[k];
+    }
+    const double *arg[] = {w->a, external, theta, by_P[0], by_level_0};
+    double *res[] = {by_a, by_external + row * NEXT};
+    run(properties_adjoint, w, arg, res);
+    if (mapped) memcpy(by_u + row * NU, by_a, sizeof by_a);
+    else {
+      const double *arg[] = {u, theta, by_a};
+      double *res[] = {by_u + row * NU, spare};
+      run(input_map_adjoint, w, arg, res);
+      for (int k = 0; k < NTHETA; k++) sum[k] += spare[k];
+    }
+    if (!by_theta) continue;
+    double *res_theta[] = {spare};
+    run(properties_theta_adjoint, w, arg, res_theta);
+    for (int k = 0; k < NTHETA; k++) by_theta[row * NTHETA + k] = sum[k] + spare[k];
+  }
+  free(w);
+  return SOLVED;
+}

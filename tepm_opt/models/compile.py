@@ -1,0 +1,142 @@
+"""A model compiled once into fast functions; what every solver takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from tepm_opt.errors import InputError
+from tepm_opt.models import ccode
+from tepm_opt.models.chain import Chain, PythonChain
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.model import Model
+from tepm_opt.models.network import Network, write_network
+from tepm_opt.models.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledModel:
+    """Functions of a model. Arrays are SI; inputs u are in SPEC's order: pressures in Pa, then tensions in N.
+
+    Attributes:
+        model: what was compiled.
+        network: its CasADi functions.
+        theta: values of its parameters, in the order of `network.parameter_names`.
+        chain: statics and sensitivities, compiled C or Python.
+        reference: the Python backend, which also serves what need not be fast.
+    """
+
+    model: Model
+    network: Network
+    theta: np.ndarray
+    chain: Chain
+    reference: PythonChain
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.model.robot
+
+    @property
+    def layout(self) -> Layout:
+        """The network's geometry."""
+        return self.network.layout
+
+    @property
+    def is_c(self) -> bool:
+        """Whether compiled C is in use."""
+        return self.chain is not self.reference
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Values of the parameters by full name, SI."""
+        return self.model.values
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """Undeformed levels in the base frame, (n + 1, block) in m: where cold solves start."""
+        value = self.values
+        return self.layout.rest_positions(value["r"], value["L_0"]).reshape(self.layout.levels + 1, -1)
+
+    @cached_property
+    def input_max(self) -> np.ndarray:
+        """Upper limits of u (the lower ones are 0), (2 · modules · actuators,) in Pa and N."""
+        return self.robot.input_max
+
+    @cached_property
+    def input_step(self) -> np.ndarray:
+        """Resolutions of u, 0 where continuous, (2 · modules · actuators,) in Pa and N."""
+        return self.robot.input_step
+
+    def check_inputs(self, inputs: Sequence[float] | np.ndarray, where: str = "inputs") -> np.ndarray:
+        """Inputs as a float array of shape (2 · modules · actuators,).
+
+        Raises:
+            InputError: wrong length, NaN or outside the robot's limits.
+        """
+        array = finite_array(inputs, (self.layout.inputs,), where)
+        limit = self.input_max
+        low, high = array < -1e-9 * limit, array > limit * (1 + 1e-9)
+        if low.any() or high.any():
+            at = int(np.argmax(low | high))
+            kind, unit = ("pressure", "Pa") if at < self.layout.inputs // 2 else ("tension", "N")
+            name = self.layout.actuator_names[at % (self.layout.inputs // 2)]
+            raise InputError(f"{where}: {kind}_{name} = {array[at]:g} {unit}; valid: 0 … {limit[at]:g} {unit}")
+        return array
+
+    def check_loads(self, loads: Sequence[float] | np.ndarray | None, where: str = "loads") -> np.ndarray:
+        """Known external forces in G on all reference points, (points, 3) in N, from that, a tip force (3,) or None.
+
+        Raises:
+            InputError: wrong shape or NaN.
+        """
+        full = np.zeros((self.layout.points, 3))
+        if loads is None:
+            return full
+        array = np.asarray(loads, dtype=float)
+        if array.shape == (3,):
+            full[-1] = finite_array(array, (3,), where)
+            return full
+        return finite_array(array, full.shape, where)
+
+
+def finite_array(values: Sequence[float] | np.ndarray, shape: tuple[int, ...], where: str) -> np.ndarray:
+    """Values as a contiguous float array of this shape, all finite.
+
+    Raises:
+        InputError: not numbers, wrong shape, NaN or infinite.
+    """
+    try:
+        array = np.ascontiguousarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: not numbers: {error}") from error
+    if array.shape != shape:
+        raise InputError(f"{where}: shape {array.shape}; valid: {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{where}: value {int(np.argmin(np.isfinite(array.ravel())))} is not finite; valid: numbers")
+    return array
+
+
+def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c", "python"] = "auto") -> CompiledModel:
+    """Write a model's network and compile it.
+
+    Args:
+        model: a model, or a robot by value, built-in name or path.
+        backend: "auto" uses C where a compiler is found; "c" insists on it; "python" runs on CasADi's virtual machine.
+
+    Raises:
+        InputError: no such robot, or `backend="c"` where no compiler works.
+    """
+    model = model if isinstance(model, Model) else Model.of(model)
+    network = write_network(model)
+    reference = PythonChain(network)
+    library = None if backend == "python" else ccode.build(network)
+    if backend == "c" and library is None:
+        raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")
+    chain = ccode.CompiledChain(network, library) if library else reference
+    return CompiledModel(model, network, np.array(list(model.values.values())), chain, reference)

@@ -1,0 +1,27 @@
+"""Muscles that give no force until a threshold pressure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from tepm_opt.models.effects.base import Context, Effect, Parameter
+
+ROUNDING = 0.2  # half-width of the rounded corner over the threshold
+SMALLEST_WIDTH = 1e-3  # Pa; keeps the corner's formula finite at the null value
+
+
+class PressureDeadZone(Effect):
+    """Effective pressure max(p - threshold, 0), its corner rounded by a parabola so that the gain is continuous."""
+
+    name = "pressure_dead_zone"
+    explains = "no force until a threshold pressure"
+    reference = "Tao and Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, 1996, ch. 2"
+    parameters = (Parameter("threshold", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),)
+
+    def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
+        above = pressure - parameters["threshold"]
+        width = ROUNDING * parameters["threshold"]
+        corner = (above + width) ** 2 / (4 * ca.fmax(width, SMALLEST_WIDTH))
+        return ca.if_else(above >= width, above, ca.if_else(above <= -width, 0, corner)), tension

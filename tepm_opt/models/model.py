@@ -1,0 +1,164 @@
+"""A model: a robot, what differs from its file, and effects. Plain frozen data that compares, prints, pickles and is stored."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from tepm_opt.data.files import write_atomically
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.effects import ActiveEffect, find_effect
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.robot import UNITS, Parameters, Robot, builtin_robots, load_robot, parse_toml, read_text, validated
+
+
+@dataclass(frozen=True)
+class Model:
+    """A robot with changed parameters and additional effects.
+
+    Attributes:
+        robot: from the robot file.
+        parameters: what differs from the robot file, by name, SI.
+        effects: additional effects, in the order they act.
+        source: name or path by which a model file refers to the robot.
+    """
+
+    robot: Robot
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[ActiveEffect, ...] = ()
+    source: str = "kang2017"
+
+    @staticmethod
+    def of(robot: str | Path | Robot) -> Model:
+        """The nominal model of a robot given by built-in name, path or value."""
+        if isinstance(robot, Robot):
+            return Model(robot, source=robot.name)
+        return Model(load_robot(robot), source=str(robot))
+
+    def __post_init__(self) -> None:
+        check_parameters(self.robot, self.parameters, "model")
+        seen = set()
+        for effect in self.effects:
+            check_effect(effect, Layout.of(self.robot), "model")
+            if (effect.name, effect.detail) in seen:
+                raise InputError(f"model: effect {label(effect)} stands twice")
+            seen.add((effect.name, effect.detail))
+
+    def with_parameters(self, **values: float) -> Model:
+        """This model with other values of robot parameters."""
+        return replace(self, parameters={**self.parameters, **values})
+
+    def with_effect(self, name: str, detail: str | None = None, **parameters: float) -> Model:
+        """This model with one more effect; parameters not given have their probe values."""
+        values = {parameter.name: parameter.probe for parameter in find_effect(name).parameters}
+        return replace(self, effects=(*self.effects, ActiveEffect(name, detail, {**values, **parameters})))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by full name ("K_a", "payload.mass", "actuator_gain[13].loss"), SI, robot's first."""
+        values = {**self.robot.parameters.model_dump(), **self.parameters}
+        for effect in self.effects:
+            values |= {f"{label(effect)}.{name}": value for name, value in sorted(effect.parameters.items())}
+        return values
+
+
+def label(effect: ActiveEffect) -> str:
+    """Name of an effect with its detail: "actuator_gain[13]"."""
+    return f"{effect.name}[{effect.detail}]" if effect.detail else effect.name
+
+
+def check_parameters(robot: Robot, values: Mapping[str, float], where: str) -> None:
+    """Refuse unknown robot parameters and values outside the robot file's ranges.
+
+    Raises:
+        InputError: with name, value and what is valid.
+    """
+    for name in values:
+        if name not in UNITS:
+            raise unknown_name("parameter", name, UNITS, where)
+    validated(Parameters, {**robot.parameters.model_dump(), **values}, f"{where}: parameters")
+
+
+def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
+    """Refuse unknown effects, details and parameters, missing parameters and values out of range.
+
+    Raises:
+        InputError: with name, value and what is valid.
+    """
+    kind = find_effect(effect.name, where)
+    details = {"actuator": layout.actuator_names, "point": layout.point_names, None: ()}[kind.detail]
+    if kind.detail is None and effect.detail is not None:
+        raise InputError(f"{where}: effect {effect.name!r} has no detail, found detail = {effect.detail!r}")
+    if kind.detail is not None and effect.detail not in details:
+        raise unknown_name(f"{kind.detail} in the detail of effect {effect.name!r}", str(effect.detail), details, where)
+    known = {parameter.name: parameter for parameter in kind.parameters}
+    for name, value in effect.parameters.items():
+        if name not in known:
+            raise unknown_name(f"parameter of effect {effect.name!r}", name, known, where)
+        low, high, unit = known[name].low, known[name].high, known[name].unit
+        if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
+            raise InputError(f"{where}: effect {effect.name!r}: {name} = {value!r}; valid: {low:g} … {high:g} {unit}")
+    if missing := sorted(known.keys() - effect.parameters.keys()):
+        raise InputError(f"{where}: effect {effect.name!r}: parameter {missing[0]!r} is missing; it needs: {', '.join(sorted(known))}")
+
+
+class _EffectTable(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    detail: str | None = None
+    parameters: dict[str, Any] = Field(default_factory=dict)
+
+
+class _ModelFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    robot: str
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    effects: list[_EffectTable] = Field(default_factory=list)
+
+
+def read_model(path: str | Path) -> Model:
+    """A model file (SPEC section 4); a robot path in it is relative to the file.
+
+    Raises:
+        InputError: unreadable file, unknown key, robot, parameter or effect, value out of range.
+    """
+    path = Path(path)
+    where = str(path)
+    table = validated(_ModelFile, parse_toml(read_text(path), where), where)
+    source = table.robot if table.robot in builtin_robots() else str(path.parent / table.robot)
+    robot = load_robot(source)
+    check_parameters(robot, table.parameters, where)
+    effects = tuple(ActiveEffect(entry.name, entry.detail, entry.parameters) for entry in table.effects)
+    for effect in effects:
+        check_effect(effect, Layout.of(robot), where)
+    return Model(robot, {name: float(value) for name, value in table.parameters.items()}, effects, source)
+
+
+def write_model(model: Model, path: str | Path) -> None:
+    """Write a model file that reads back equal.
+
+    Raises:
+        InputError: the model's robot is not what its `source` names, or the file cannot be written.
+    """
+    path = Path(path)
+    if load_robot(model.source) != model.robot:
+        raise InputError(f"{path}: the model's robot differs from {model.source!r}; save the robot as a file and set `source` to it")
+    source = model.source if model.source in builtin_robots() else os.path.relpath(model.source, path.parent or ".")
+    lines = [f"robot = {_toml(source)}"]
+    if model.parameters:
+        lines += ["", "[parameters]", *(f"{name} = {value!r}  # {UNITS[name]}" for name, value in model.parameters.items())]
+    for effect in model.effects:
+        lines += ["", "[[effects]]", f"name = {_toml(effect.name)}"]
+        lines += [f"detail = {_toml(effect.detail)}"] if effect.detail else []
+        lines += [f"parameters = {{{', '.join(f'{name} = {float(value)!r}' for name, value in effect.parameters.items())}}}"]
+    write_atomically(path, "\n".join(lines) + "\n")
+
+
+def _toml(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
