@@ -1,0 +1,170 @@
+"""The open-loop gain matrix G of Eq. (6): how a reference point moves with every pressure and tension."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tepm_opt.errors import unknown_name
+from tepm_opt.models.chain import SOLVED
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.kinematics import Configuration, Mode, each_configuration
+from tepm_opt.solvers.statics import Equilibrium, solve_statics
+
+Actuation = Literal["pressure", "tension", "both"]
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """G at an operating point.
+
+    Attributes:
+        matrix: d(point)/du, (3, 2 · modules · actuators) in m/Pa and m/N.
+        by_load: d(point)/d(force on a reference point), the compliance, (3, points, 3) in m/N.
+        by_parameter: d(point)/d(parameter), (3, parameters) in m per the parameter's unit, in `network.parameter_names`' order.
+        equilibrium: the operating point.
+        point: index of the reference point; the last is the tip.
+    """
+
+    matrix: np.ndarray
+    by_load: np.ndarray
+    by_parameter: np.ndarray | None
+    equilibrium: Equilibrium
+    point: int
+
+    def normalised(self, actuation: Actuation = "both") -> np.ndarray:
+        """Columns times their input's range (Fig. 11's dimensionless inputs), in m; all columns or one actuation's."""
+        scaled = self.matrix * self.equilibrium.model.input_max
+        half = scaled.shape[1] // 2
+        return {"pressure": scaled[:, :half], "tension": scaled[:, half:], "both": scaled}[actuation]
+
+    def singular_values(self, actuation: Actuation = "both") -> np.ndarray:
+        """Singular values (3,) of the normalised gain in m, largest first."""
+        return np.linalg.svd(self.normalised(actuation), compute_uv=False)
+
+    def condition(self, actuation: Actuation = "both") -> float:
+        """Largest over smallest singular value; infinite where a direction cannot be driven."""
+        values = self.singular_values(actuation)
+        return float(values[0] / values[-1]) if values[-1] > 1e-12 * values[0] else np.inf
+
+    def manipulability(self, actuation: Actuation = "both") -> float:
+        """Product of the singular values in m³ (Yoshikawa, IJRR 4, 1985): 0 where a direction cannot be driven."""
+        return float(np.prod(self.singular_values(actuation)))
+
+
+def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = False) -> Gain:
+    """G at a stable equilibrium by the implicit function theorem: three adjoint solves with the factor of the stiffness.
+
+    Args:
+        equilibrium: a stable one.
+        point: index of the reference point; the tip where absent.
+        parameters: whether to differentiate by the model's parameters, too.
+
+    Raises:
+        ValueError: the equilibrium is not stable (its displacements have no derivative worth the name), or no such point.
+    """
+    model, points = equilibrium.model, equilibrium.model.layout.points
+    if not -points <= point < points:
+        raise ValueError(f"point {point}; valid: 0 … {points - 1}")
+    if not equilibrium.solved:
+        raise ValueError(f"no gain at this operating point: {equilibrium.message}")
+    point %= points
+    weights = np.zeros((3, 3 * points + model.layout.inputs // 2))
+    weights[:, 3 * point : 3 * point + 3] = np.eye(3)
+    status, by_u, by_load, by_theta = model.chain.sensitivity(
+        equilibrium.x, equilibrium.inputs, equilibrium.mapped, equilibrium.loads.ravel(), model.theta, weights, parameters
+    )
+    if status != SOLVED:
+        raise ValueError("no gain at this operating point: its stiffness is not positive definite")
+    return Gain(by_u, by_load.reshape(3, points, 3), by_theta, equilibrium, point)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """How the tip moves while one input runs over part of its range, all others zero (Fig. 11).
+
+    Attributes:
+        part: input over its range, (count,).
+        tip: (count, 3) in m in G.
+        slope: of the tip by the part, (count, 3) in m, from G.
+    """
+
+    part: np.ndarray
+    tip: np.ndarray
+    slope: np.ndarray
+
+
+def input_curve(
+    model: CompiledModel, actuation: Literal["pressure", "tension"], actuator: str, low: float = 0.10, high: float = 0.20, count: int = 21
+) -> Curve:
+    """Tip against one input over [low, high] of its range, as in Fig. 11.
+
+    Raises:
+        InputError: no such actuator.
+        ValueError: an operating point is not stable.
+    """
+    names = model.layout.actuator_names
+    if actuator not in names:
+        raise unknown_name("actuator", actuator, names)
+    at = names.index(actuator) + (len(names) if actuation == "tension" else 0)
+    parts, tips, slopes, last = np.linspace(low, high, count), [], [], None
+    for part in parts:
+        inputs = np.zeros(model.layout.inputs)
+        inputs[at] = part * model.input_max[at]
+        last = solve_statics(model, inputs, start=last)
+        tips.append(last.tip)
+        slopes.append(solve_gain(last).normalised()[:, at])
+    return Curve(parts, np.array(tips), np.array(slopes))
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """G over equal-curvature configurations in a vertical half-plane through the base axis.
+
+    Attributes:
+        across, height: grid of tip positions in G relative to the base axis, (columns,) and (rows,) in m.
+        reached: whether a grid point is within reach, (rows, columns).
+        gains: Gain by grid point; None out of reach.
+    """
+
+    across: np.ndarray
+    height: np.ndarray
+    reached: np.ndarray
+    gains: list[list[Gain | None]]
+
+    def values(self, of: Callable[[Gain], float]) -> np.ndarray:
+        """A number of every gain, (rows, columns); NaN out of reach."""
+        return np.array([[np.nan if gain is None else of(gain) for gain in row] for row in self.gains])
+
+
+def workspace_map(
+    model: CompiledModel,
+    across: Sequence[float] | np.ndarray,
+    height: Sequence[float] | np.ndarray,
+    direction: float = 0.0,
+    mode: Mode = Mode.HYBRID,
+    track: Callable[[Iterable[Configuration]], Iterable[Configuration]] = iter,
+) -> Map:
+    """G on a grid of tip positions: `across` m from the base axis in the direction (rad about z), `height` m above G's origin.
+
+    `track` wraps the configurations, for progress.
+    """
+    across, height = np.asarray(across, dtype=float), np.asarray(height, dtype=float)
+    base = np.array(model.robot.mount.base_position_m)
+    targets = [[[base[0] + a * np.cos(direction), base[1] + a * np.sin(direction), z] for a in across] for z in height]
+    found = each_configuration(model, np.array(targets).reshape(-1, 3), mode)
+    gains = [gain_at(configuration) for configuration in track(found)]
+    rows = [gains[k * len(across) : (k + 1) * len(across)] for k in range(len(height))]
+    return Map(across, height, np.array([[gain is not None for gain in row] for row in rows]), rows)
+
+
+def gain_at(configuration: Configuration) -> Gain | None:
+    """G at the set points of a configuration; None where its target is out of reach or its equilibrium not stable."""
+    if not configuration.solved:
+        return None
+    at = configuration.equilibrium
+    held = solve_statics(at.model, configuration.allocation.inputs, at.loads, start=at)
+    return solve_gain(held) if held.solved else None

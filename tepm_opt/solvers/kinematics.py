@@ -1,0 +1,325 @@
+"""Equal-curvature inverse kinematics: tip positions to axial forces to set points.
+
+All modules have the same actuator lengths, L_1j = L_2j = … (same curvature, bending plane and length, IV.E), which makes the
+configuration unique for three actuators; with more, the axial forces are those of minimum norm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import lru_cache
+
+import numpy as np
+from scipy.optimize import minimize
+
+from tepm_opt.models.compile import CompiledModel, finite_array
+from tepm_opt.solvers.allocation import Allocation, Mode, allocate, force_range
+from tepm_opt.solvers.constant_curvature import lengths_from_tip
+from tepm_opt.solvers.statics import Equilibrium, equilibrium
+
+
+class Reach(Enum):
+    """How the solve of a target ended."""
+
+    SOLVED = "solved"
+    OUT_OF_REACH = "out of reach"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of the inverse kinematics.
+
+    Attributes:
+        tolerance: largest error of tip and length differences, m.
+        iterations: most Gauss-Newton steps from one start.
+        largest_step: largest change of an axial force in one step, N.
+        homotopy: steps from rest to a target that no seed solves.
+        beyond: how far the search may leave the limits of the forces, in parts of their range.
+    """
+
+    tolerance: float = 1e-9
+    iterations: int = 30
+    largest_step: float = 8.0
+    homotopy: int = 12
+    beyond: float = 0.5
+
+
+DEFAULT = Settings()
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """The configuration found for a target.
+
+    Attributes:
+        target: tip position in G, (3,) in m.
+        equilibrium: of the axial forces, before any allocation or rounding.
+        forces: axial forces F_a, (modules · actuators,) in N.
+        allocation: set points.
+        reach: SOLVED, OUT_OF_REACH (this is the nearest reachable point) or FAILED.
+        miss: distance of the tip from the target in m.
+        limits: which limits bind, as "pressure_13 at its maximum".
+        message: explains every reach but SOLVED.
+        steps: Gauss-Newton steps taken.
+    """
+
+    target: np.ndarray
+    equilibrium: Equilibrium
+    forces: np.ndarray
+    allocation: Allocation
+    reach: Reach
+    miss: float
+    limits: tuple[str, ...] = ()
+    message: str = ""
+    steps: int = 0
+
+    @property
+    def solved(self) -> bool:
+        """Whether the tip is at the target."""
+        return self.reach is Reach.SOLVED
+
+
+class _Problem:
+    """Tip error and length differences as functions of the axial forces, with derivatives."""
+
+    def __init__(self, model: CompiledModel, loads: np.ndarray, mode: Mode) -> None:
+        layout = model.layout
+        self.model, self.loads = model, loads
+        self.low, self.high = force_range(model, mode)
+        self.area, self.half = model.values["A"], layout.inputs // 2
+        tip = np.zeros((3, 3 * layout.points + self.half))
+        tip[:, 3 * layout.points - 3 : 3 * layout.points] = np.eye(3)
+        differences = np.zeros(((layout.modules - 1) * layout.actuators, tip.shape[1]))
+        lengths = differences[:, 3 * layout.points :]
+        for row in range(len(lengths)):
+            lengths[row, row + layout.actuators], lengths[row, row % layout.actuators] = 1.0, -1.0
+        self.weights = np.concatenate([tip, differences])
+
+    def at(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
+        """Equilibrium of axial forces."""
+        effective = np.concatenate([forces / self.area, np.zeros(self.half)])
+        return equilibrium(self.model, effective, self.loads, start, mapped=True, explain=False)
+
+    def errors(self, at: Equilibrium, target: np.ndarray) -> np.ndarray:
+        """Tip error, then length differences to the first module, in m."""
+        return np.concatenate([at.tip - target, (at.lengths[1:] - at.lengths[:1]).ravel()])
+
+    def jacobian(self, at: Equilibrium) -> np.ndarray:
+        """Derivatives of `errors` by the axial forces in m/N."""
+        _, by_u, _, _ = self.model.chain.sensitivity(
+            at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False
+        )  # fmt: skip
+        return by_u[:, : self.half] / self.area
+
+
+def solve_ik(
+    model: CompiledModel,
+    target: Sequence[float] | np.ndarray,
+    mode: Mode = Mode.HYBRID,
+    loads: Sequence[float] | np.ndarray | None = None,
+    start: Configuration | None = None,
+    mid_tension: float | None = None,
+    settings: Settings = DEFAULT,
+) -> Configuration:
+    """The equal-curvature configuration whose tip is at the target, and the set points that hold it.
+
+    Gauss-Newton on the axial forces with exact derivatives of the statics; where the result needs forces beyond the mode's limits,
+    the nearest point within them (sequential quadratic programming, Kraft 1988, through SciPy).
+
+    Args:
+        model: compiled model.
+        target: tip position in G, (3,) in m.
+        mode: how the forces are made.
+        loads: known forces on the reference points (points, 3) or the tip (3,) in G, N.
+        start: a configuration nearby, such as the trajectory's previous one.
+        mid_tension: see `allocate`.
+        settings: tolerances.
+
+    Raises:
+        InputError: target or loads of a wrong shape or not finite.
+    """
+    problem = _Problem(model, model.check_loads(loads), mode)
+    return _solve(problem, finite_array(target, (3,), "target"), mode, start, mid_tension, settings)
+
+
+def each_configuration(
+    model: CompiledModel,
+    targets: np.ndarray,
+    mode: Mode = Mode.HYBRID,
+    loads: Sequence[float] | np.ndarray | None = None,
+    mid_tension: float | None = None,
+    settings: Settings = DEFAULT,
+) -> Iterator[Configuration]:
+    """`solve_ik` for targets (points, 3), one after the other, each started from the last one solved.
+
+    Raises:
+        InputError: targets or loads of a wrong shape or not finite.
+    """
+    problem = _Problem(model, model.check_loads(loads), mode)
+    last = None
+    for target in finite_array(targets, (len(targets), 3), "targets"):
+        found = _solve(problem, target, mode, last, mid_tension, settings)
+        last = found if found.solved else last
+        yield found
+
+
+def solve_trajectory(
+    model: CompiledModel,
+    targets: np.ndarray,
+    mode: Mode = Mode.HYBRID,
+    loads: Sequence[float] | np.ndarray | None = None,
+    mid_tension: float | None = None,
+    settings: Settings = DEFAULT,
+) -> list[Configuration]:
+    """All of `each_configuration`; targets out of reach do not end it."""
+    return list(each_configuration(model, targets, mode, loads, mid_tension, settings))
+
+
+def _solve(
+    problem: _Problem, target: np.ndarray, mode: Mode, start: Configuration | None, mid_tension: float | None, settings: Settings
+) -> Configuration:
+    free = _free(problem, target, start, settings)
+    slack = 1e-9 * (problem.high - problem.low)
+    within = free is not None and bool(((free.forces >= problem.low - slack) & (free.forces <= problem.high + slack)).all())
+    found = free if free is not None and within else _nearest(problem, target, free, settings)
+    allocation = allocate(problem.model, found.forces, mode, mid_tension)
+    limits = _limits(problem, found.forces, mode)
+    miss = float(np.linalg.norm(found.equilibrium.tip - target))
+    found = replace(found, allocation=allocation, miss=miss, limits=limits)
+    if not found.solved and not found.message:
+        return replace(found, message=f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm; {', '.join(limits) or 'no limit'}")
+    if allocation.error > 1e-6:
+        message = f"the set points miss an axial force by {allocation.error:.3g} N: no inputs within the limits make it"
+        return replace(found, reach=Reach.OUT_OF_REACH, message=message)
+    return found
+
+
+def _configuration(
+    target: np.ndarray, at: Equilibrium, forces: np.ndarray, reach: Reach, message: str = "", steps: int = 0
+) -> Configuration:
+    """A configuration whose set points are still to be allocated."""
+    empty = Allocation(np.zeros(0), np.zeros(0), 0.0)
+    return Configuration(target, at, forces, empty, reach, 0.0, (), message, steps)
+
+
+def _seed(problem: _Problem, target: np.ndarray) -> np.ndarray:
+    """Axial forces by the constant-curvature lengths and the actuators' stiffness."""
+    model = problem.model
+    robot, value = model.robot, model.values
+    local = robot.mount.rotation.T @ (target - np.array(robot.mount.base_position_m))
+    rest = problem.at(np.zeros(problem.half), None)
+    try:
+        lengths = lengths_from_tip(local, robot.modules, value["r"], robot.angles)
+    except ValueError:
+        return np.zeros(problem.half)
+    return np.clip((lengths - rest.lengths).ravel() * value["K_a"], problem.low, problem.high)
+
+
+def _free(problem: _Problem, target: np.ndarray, start: Configuration | None, settings: Settings) -> Configuration | None:
+    """The configuration at the target without limits on the forces, or None."""
+    if start is not None and (found := _gauss_newton(problem, target, start.forces, start.equilibrium, settings)):
+        return found
+    if found := _gauss_newton(problem, target, _seed(problem, target), None, settings):
+        return found
+    at, forces, found = problem.at(np.zeros(problem.half), None), np.zeros(problem.half), None
+    origin = at.tip
+    for part in np.linspace(0, 1, settings.homotopy + 1)[1:]:
+        found = _gauss_newton(problem, origin + part * (target - origin), forces, at, settings)
+        if found is None:
+            return None
+        forces, at = found.forces, found.equilibrium
+    return replace(found, target=target) if found else None
+
+
+def _gauss_newton(
+    problem: _Problem, target: np.ndarray, forces: np.ndarray, start: Equilibrium | None, settings: Settings
+) -> Configuration | None:
+    """Minimum-norm Gauss-Newton from given forces; None where it leaves the limits far behind or does not converge."""
+    at = problem.at(forces, start)
+    if not at.solved:
+        return None
+    errors = problem.errors(at, target)
+    for step in range(settings.iterations):
+        if np.abs(errors).max() < settings.tolerance:
+            return _configuration(target, at, forces, Reach.SOLVED, steps=step)
+        jacobian = problem.jacobian(at)
+        full = _minimum_norm(jacobian, jacobian @ forces - errors) - forces
+        part = min(1.0, settings.largest_step / np.abs(full).max())
+        for _ in range(8):
+            trial = problem.at(forces + part * full, at)
+            changed = problem.errors(trial, target)
+            if trial.solved and np.linalg.norm(changed) < max(np.linalg.norm(errors), settings.tolerance):
+                break
+            part /= 2
+        else:
+            return None
+        forces, at, errors = forces + part * full, trial, changed
+        if (np.maximum(problem.low - forces, forces - problem.high) > settings.beyond * (problem.high - problem.low)).any():
+            return None
+    return None
+
+
+def _minimum_norm(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution of least norm; the only one where the matrix is square and regular."""
+    if matrix.shape[0] == matrix.shape[1]:
+        try:
+            return np.linalg.solve(matrix, right)
+        except np.linalg.LinAlgError:
+            pass
+    return np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
+
+
+def _nearest(problem: _Problem, target: np.ndarray, free: Configuration | None, settings: Settings) -> Configuration:
+    """The configuration within the limits whose tip is nearest to the target."""
+    middle = (problem.low + problem.high) / 2  # of all starts tried, the one from which no target ended in a local minimum
+    for forces in (middle, free.forces if free is not None else _seed(problem, target)):
+        if found := _constrained(problem, target, np.clip(forces, problem.low, problem.high), settings):
+            return found
+    return _configuration(
+        target, problem.at(middle, None), middle, Reach.FAILED, "no equal-curvature configuration within the limits was found"
+    )
+
+
+def _constrained(problem: _Problem, target: np.ndarray, forces: np.ndarray, settings: Settings) -> Configuration | None:
+    scale, span = 1e-2, problem.high - problem.low  # errors in cm, forces in parts of their range
+    last = problem.at(forces, None)
+
+    @lru_cache(maxsize=4)  # SLSQP asks for value and derivatives at the same point, one after the other
+    def evaluate(part: bytes) -> tuple[Equilibrium, np.ndarray, np.ndarray]:
+        nonlocal last
+        last = problem.at(problem.low + np.frombuffer(part) * span, last)
+        return last, problem.errors(last, target) / scale, problem.jacobian(last) * span / scale
+
+    def errors(part: np.ndarray) -> np.ndarray:
+        return evaluate(part.tobytes())[1]
+
+    def jacobian(part: np.ndarray) -> np.ndarray:
+        return evaluate(part.tobytes())[2]
+
+    result = minimize(
+        lambda part: 0.5 * float(errors(part)[:3] @ errors(part)[:3]),
+        (forces - problem.low) / span,
+        jac=lambda part: jacobian(part)[:3].T @ errors(part)[:3],
+        bounds=[(0.0, 1.0)] * len(forces),
+        constraints={"type": "eq", "fun": lambda part: errors(part)[3:], "jac": lambda part: jacobian(part)[3:]},
+        method="SLSQP",
+        options={"maxiter": 200, "ftol": 1e-12},
+    )
+    part = np.clip(result.x, 0.0, 1.0)
+    at, missed, _ = evaluate(part.tobytes())
+    if not at.solved or scale * np.abs(missed[3:]).max(initial=0.0) > 1e-7:
+        return None
+    reach = Reach.SOLVED if scale * np.abs(missed[:3]).max() < 100 * settings.tolerance else Reach.OUT_OF_REACH
+    return _configuration(target, at, problem.low + part * span, reach, steps=int(result.nit))
+
+
+def _limits(problem: _Problem, forces: np.ndarray, mode: Mode) -> tuple[str, ...]:
+    close = 1e-6 * (problem.high - problem.low)
+    lower = "pressure_{} at 0" if mode is Mode.PRESSURE else "tension_{} at its maximum"
+    names = problem.model.layout.actuator_names
+    found = [lower.format(name) for name, hit in zip(names, forces <= problem.low + close, strict=True) if hit]
+    found += [f"pressure_{name} at its maximum" for name, hit in zip(names, forces >= problem.high - close, strict=True) if hit]
+    return tuple(found)

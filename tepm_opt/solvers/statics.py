@@ -1,0 +1,203 @@
+"""Equilibrium of the network under inputs and known external forces: a stationary point of the potential Π (SPEC section 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as sla
+
+from tepm_opt.models.chain import SOLVED, UNSTABLE
+from tepm_opt.models.compile import CompiledModel
+
+
+class Status(Enum):
+    """How a solve ended."""
+
+    SOLVED = "solved"
+    UNSTABLE = "unstable"
+    COLLAPSED = "collapsed"
+    NOT_CONVERGED = "not converged"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of the statics solver.
+
+    Attributes:
+        tolerance: largest residual force on a node's coordinate, N.
+        iterations: most Newton steps of one solve.
+        shortest: an actuator's edge shorter than this part of its rest length counts as collapsed.
+    """
+
+    tolerance: float = 1e-9
+    iterations: int = 100
+    shortest: float = 0.25
+
+
+DEFAULT = Settings()
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A solved (or explained) equilibrium.
+
+    Attributes:
+        model: of which.
+        inputs: u, (2 · modules · actuators,) in Pa and N.
+        loads: known forces on the reference points in G, (points, 3) in N.
+        x: levels 0 … n in the base frame, (n + 1, 3 · actuators) in m.
+        points: reference points in G, (points, 3) in m; the last is the tip.
+        lengths: actuator lengths L_hj, (modules, actuators) in m.
+        status, message: how the solve ended; the message explains every status but SOLVED.
+        iterations, residual: Newton steps; largest residual force in N.
+        reached: part of the inputs and loads, scaled together from rest, that has a stable equilibrium on the branch from rest.
+        mapped: whether `inputs` are effective actuations (behind the effects' input maps).
+    """
+
+    model: CompiledModel
+    inputs: np.ndarray
+    loads: np.ndarray
+    x: np.ndarray
+    points: np.ndarray
+    lengths: np.ndarray
+    status: Status
+    message: str
+    iterations: int
+    residual: float
+    reached: float = 1.0
+    mapped: bool = False
+
+    @property
+    def solved(self) -> bool:
+        """Whether this is a stable equilibrium."""
+        return self.status is Status.SOLVED
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Tip in G, (3,) in m."""
+        return self.points[-1]
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """All nodes in the base frame, (n + 1, actuators, 3) in m."""
+        return self.x.reshape(len(self.x), -1, 3)
+
+    @cached_property
+    def properties(self) -> np.ndarray:
+        """Properties P of the segments, (n, rows); see `network.PROPERTY_ROWS`."""
+        external = self.loads.ravel()
+        return self.model.reference.prepare(self.inputs, self.mapped, external, self.model.theta)[1]
+
+    @cached_property
+    def smallest_eigenvalue(self) -> float:
+        """Smallest eigenvalue of the stiffness matrix in N/m: positive where the equilibrium is stable."""
+        band = self.model.reference.assemble(self.x, self.properties, self.model.theta).band
+        return float(sla.eig_banded(band, lower=True, eigvals_only=True, select="i", select_range=(0, 0))[0])
+
+    @cached_property
+    def edge_forces(self) -> np.ndarray:
+        """Axial force of every edge, pulling positive and including the actuators' push, (n, edges) in N; see `Layout.edges`."""
+        return self.model.reference.edges(self.x, self.properties, self.model.theta)[0]
+
+    @property
+    def tip_tilt(self) -> float:
+        """Angle between the normals of the tip plate and the base plate in rad."""
+        base, tip = (self._normal(level) for level in (0, -1))
+        return float(np.arccos(np.clip(base @ tip, -1.0, 1.0)))
+
+    def _normal(self, level: int) -> np.ndarray:
+        ring = self.nodes[level] - self.nodes[level].mean(axis=0)
+        turning = np.argsort(np.mod(self.model.layout.angles, 2 * np.pi))
+        normal = np.cross(ring[turning], np.roll(ring[turning], -1, axis=0)).sum(axis=0)
+        return normal / np.linalg.norm(normal)
+
+
+def solve_statics(
+    model: CompiledModel,
+    inputs: Sequence[float] | np.ndarray,
+    loads: Sequence[float] | np.ndarray | None = None,
+    start: Equilibrium | None = None,
+    settings: Settings = DEFAULT,
+) -> Equilibrium:
+    """Equilibrium under inputs u and known external forces.
+
+    Newton on the potential with the exact block-tridiagonal stiffness, a positive definite stand-in where it is indefinite, steps
+    taken as rotations of the levels, and a line search on the energy (Nocedal and Wright, Numerical Optimization, 2006, ch. 3; the
+    rotations are those of co-rotational beams, Crisfield 1990). A solve that fails is followed from rest by load continuation.
+
+    Args:
+        model: compiled model.
+        inputs: pressures in Pa then tensions in N, (2 · modules · actuators,), within the robot's limits.
+        loads: forces in G on the reference points (points, 3) or on the tip (3,), in N.
+        start: an equilibrium to start from; rest where absent.
+        settings: tolerances.
+
+    Raises:
+        InputError: inputs or loads of a wrong shape, not finite or outside the robot's limits.
+    """
+    return equilibrium(model, model.check_inputs(inputs), model.check_loads(loads), start, settings)
+
+
+def equilibrium(
+    model: CompiledModel,
+    u: np.ndarray,
+    loads: np.ndarray,
+    start: Equilibrium | None = None,
+    settings: Settings = DEFAULT,
+    mapped: bool = False,
+    explain: bool = True,
+) -> Equilibrium:
+    """`solve_statics` for checked arrays.
+
+    With `mapped`, u are effective actuations (pressures may be negative); without `explain`, a failure is not followed by
+    continuation (for trial points of an iteration).
+    """
+    found = _newton(model, u, loads, model.rest if start is None else start.x, settings, mapped)
+    if not found.solved and start is not None:
+        found = _newton(model, u, loads, model.rest, settings, mapped)
+    return found if found.solved or not explain else _continued(model, u, loads, found, settings, mapped)
+
+
+def _newton(
+    model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: Settings, mapped: bool, reached: float = 1.0
+) -> Equilibrium:
+    """One Newton solve from x."""
+    solution = model.chain.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.iterations)
+    layout, split = model.layout, 3 * model.layout.points
+    points, lengths = solution.observed[:split].reshape(-1, 3), solution.observed[split:].reshape(layout.modules, layout.actuators)
+    status, message = Status.SOLVED, ""
+    if solution.status == UNSTABLE:
+        status, message = Status.UNSTABLE, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue"
+    elif solution.status != SOLVED:
+        status = Status.NOT_CONVERGED
+        message = f"not converged after {solution.iterations:.0f} iterations: residual {solution.residual:.3g} N"
+    elif lengths.min() < settings.shortest * model.values["L_0"]:
+        status = Status.COLLAPSED
+        message = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.shortest:g} of its rest length"
+    return Equilibrium(
+        model, u, loads, solution.x, points, lengths, status, message, int(solution.iterations), solution.residual, reached, mapped
+    )  # fmt: skip
+
+
+def _continued(
+    model: CompiledModel, u: np.ndarray, loads: np.ndarray, failed: Equilibrium, settings: Settings, mapped: bool
+) -> Equilibrium:
+    """Follow the branch from rest by scaling inputs and loads from 0 to 1; how far it goes where it does not reach 1."""
+    last = _newton(model, 0 * u, 0 * loads, model.rest, settings, mapped)
+    reached, step = 0.0, 0.1
+    while last.solved and reached < 1.0 and step > 1e-4:
+        part = min(reached + step, 1.0)
+        found = _newton(model, part * u, part * loads, last.x, settings, mapped)
+        if found.solved:
+            last, reached, step = found, part, 1.5 * step
+        else:
+            step /= 4
+    if reached == 1.0:
+        return last
+    explained = f"{failed.message}; on the branch from rest the last stable equilibrium is at {100 * reached:.1f} % of the inputs and loads"
+    values = {name: getattr(failed, name) for name in ("model", "inputs", "loads", "x", "points", "lengths", "status", "iterations")}
+    return Equilibrium(**values, message=explained, residual=failed.residual, reached=reached, mapped=mapped)
