@@ -1,0 +1,54 @@
+"""The command line `tepm`: renders results of the library, computes nothing itself.
+
+Exit status: 0 all points solved, 1 some not, 2 wrong input, 130 interrupted (what was solved is kept).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from tepm_opt.cli import demo, gain, ik, robot, statics
+from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
+from tepm_opt.errors import InputError
+
+app = typer.Typer(
+    name="tepm",
+    help="Continuum robots of pneumatic muscles with embedded tendons: inverse kinematics, statics, gain matrix.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+app.command("ik")(ik.ik)
+app.command("gain")(gain.gain)
+app.command("statics")(statics.statics)
+app.command("demo")(demo.demo)
+app.add_typer(robot.app, name="robot")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its status; what a person got wrong is one line on the error stream."""
+    sys.exit(run(list(sys.argv[1:] if arguments is None else arguments)))
+
+
+def run(arguments: list[str]) -> int:
+    """Exit status of the command line with these arguments."""
+    try:
+        return int(app(arguments, prog_name="tepm", standalone_mode=False) or 0)
+    except InputError as error:
+        return _explain(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        stderr.print("interrupted", style="yellow")
+        return INTERRUPTED
+    except Exception as error:
+        # usage errors of typer (unknown option, no such command) carry a message of one line; anything else is a bug
+        if not hasattr(error, "format_message"):
+            raise
+        return _explain(f"{error.format_message()} (see tepm --help)")  # type: ignore[attr-defined]
+
+
+def _explain(message: str) -> int:
+    stderr.print(f"[bold red]error:[/] {' '.join(message.split())}", soft_wrap=True, highlight=False)
+    return WRONG_INPUT

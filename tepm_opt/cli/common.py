@@ -1,0 +1,84 @@
+"""What the commands share: options, progress, printing."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.model import Model, read_model
+
+SOLVED, UNSOLVED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+Item = TypeVar("Item")
+stdout, stderr = Console(), Console(stderr=True)
+
+RobotOption = Annotated[str | None, typer.Option("--robot", help="Built-in robot or path of a robot file.", show_default="kang2017")]
+ModelOption = Annotated[Path | None, typer.Option("--model", help="Model file (robot, parameters, effects) instead of --robot.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the summary as JSON and nothing else.")]
+
+
+def load(robot: str | None, model: Path | None) -> CompiledModel:
+    """The model that --robot and --model name, compiled.
+
+    Raises:
+        InputError: both are given, or either names nothing usable.
+    """
+    if robot and model:
+        raise InputError("--robot and --model exclude each other: the model file names its robot")
+    nominal = read_model(model) if model else Model.of(robot or "kang2017")
+    with stderr.status("compiling the network"):
+        return compile_model(nominal)
+
+
+def vector(text: str | None, name: str, count: int = 3) -> list[float] | None:
+    """Comma-separated numbers of an option.
+
+    Raises:
+        InputError: not `count` finite numbers.
+    """
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise InputError(f"{name} {text!r}: valid: {count} numbers separated by commas")
+    return values
+
+
+def progress(label: str, total: int, quiet: bool) -> Callable[[Iterable[Item]], Iterator[Item]]:
+    """Wrapper of an iterable that shows a bar with the time left on the error stream."""
+
+    def track(items: Iterable[Item]) -> Iterator[Item]:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=stderr, transient=True, disable=quiet) as bar:
+            yield from bar.track(items, total=total, description=label)
+
+    return track
+
+
+def report(summary: dict[str, Any], lines: Iterable[str], as_json: bool, ok: bool) -> int:
+    """Print a run's summary or its lines for people; the exit status."""
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    else:
+        for line in lines:
+            stdout.print(line, soft_wrap=True, highlight=False)
+    return INTERRUPTED if summary.get("interrupted") else SOLVED if ok else UNSOLVED
+
+
+def unsolved_lines(summary: dict[str, Any], most: int = 8) -> list[str]:
+    """A line for each unsolved point, the first few."""
+    entries = summary["unsolved"]
+    lines = [f"[yellow]point {entry['point'] + 1}: {escape(entry['message'])}[/]" for entry in entries[:most]]
+    return lines + ([f"[yellow]… and {len(entries) - most} more, see summary.json[/]"] if len(entries) > most else [])

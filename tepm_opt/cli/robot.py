@@ -1,0 +1,66 @@
+"""`tepm robot show|new|check`: robot files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from tepm_opt.cli.common import JsonOption, stdout
+from tepm_opt.data.files import write_atomically
+from tepm_opt.errors import InputError
+from tepm_opt.models.robot import builtin_robots, load_robot, robot_text
+
+app = typer.Typer(help="Robot files: show, start a new one, check.", no_args_is_help=True)
+
+
+@app.command()
+def show(
+    robot: Annotated[str, typer.Argument(help="Built-in robot or path of a robot file.")] = "kang2017",
+    as_json: JsonOption = False,
+) -> int:
+    """Print a robot's numbers."""
+    found = load_robot(robot)
+    if as_json:
+        print(json.dumps(found.model_dump(), indent=2))
+        return 0
+    table = Table(title=f"robot {found.name}", show_header=False)
+    for section, values in found.model_dump().items():
+        if isinstance(values, dict):
+            for key, value in values.items():
+                table.add_row(section, key, str(value))
+    stdout.print(table)
+    return 0
+
+
+@app.command()
+def new(
+    path: Annotated[Path, typer.Argument(help="Robot file to write (.toml); never overwrites.")],
+    template: Annotated[str, typer.Option("--from", help="Built-in robot to start from.")] = "kang2017",
+    as_json: JsonOption = False,
+) -> int:
+    """Write a commented robot file to edit."""
+    if path.exists():
+        raise InputError(f"{path} exists; name another file")
+    name = f'name = "{path.stem}"'
+    write_atomically(path, robot_text(template).replace(f'name = "{template}"', name, 1))
+    print(json.dumps({"file": str(path)})) if as_json else stdout.print(f"wrote {path}: edit it, then run tepm robot check {path}")
+    return 0
+
+
+@app.command()
+def check(
+    robot: Annotated[str, typer.Argument(help="Path of a robot file, or a built-in robot.")],
+    as_json: JsonOption = False,
+) -> int:
+    """Check a robot file."""
+    found = load_robot(robot)
+    summary = {"robot": found.name, "modules": found.modules, "actuators": found.actuators, "levels": found.levels}
+    if as_json:
+        print(json.dumps({**summary, "built_in": robot in builtin_robots()}, indent=2))
+    else:
+        stdout.print(f"{robot} is valid: {found.name}, {found.modules} modules of {found.actuators} actuators, {found.levels} levels")
+    return 0
