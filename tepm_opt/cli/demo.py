@@ -34,7 +34,7 @@ def demo(
     setpoints = read_setpoints(folder / "inputs.csv", compiled.layout.actuator_names, compiled.input_max)
     gains = run_gain(compiled, setpoints, track=progress("gain", len(path.time), as_json))
     gains.save(folder)
-    workspace = gain_command.grid_map(compiled, progress("workspace", gain_command.GRID**2, as_json))
+    workspace = gain_command.grid_map(compiled, as_json)
     gain_command.save_map(workspace, folder / "gain_map.csv")
     plots.save(plots.gain_figure(gains, gain_command.curves(compiled), workspace), folder / "gain.png")
     write_page(folder / "index.html", run, coarse, gains, {"ik": folder / "ik.png", "gain": folder / "gain.png"})

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -20,7 +19,6 @@ from tepm_opt.runs import GainRun, run_gain
 from tepm_opt.solvers.gain import Curve, Map, input_curve, workspace_map
 
 INTERVALS = {"10–20 %": (0.10, 0.20), "45–55 %": (0.45, 0.55)}
-GRID = 17
 
 
 def curves(model: CompiledModel) -> dict[tuple[str, str], Curve]:
@@ -35,12 +33,12 @@ def curves(model: CompiledModel) -> dict[tuple[str, str], Curve]:
     return found
 
 
-def grid_map(model: CompiledModel, track: Callable[[Iterable[Any]], Iterable[Any]]) -> Map:
-    """G over a half-plane that holds the robot's workspace."""
-    value, base = model.values, model.robot.mount.base_position_m
-    height = model.layout.modules * value["L_0"]
-    across = np.linspace(-0.8, 0.8, GRID) * height
-    return workspace_map(model, across, base[2] + np.linspace(0.35, 1.3, GRID) * height, track=track)
+def grid_map(model: CompiledModel, quiet: bool) -> Map:
+    """G over a vertical plane that holds the robot's workspace; a coarser grid where no C compiler makes it quick."""
+    count = 17 if model.is_c else 9
+    height = model.layout.modules * model.values["L_0"]
+    across, up = np.linspace(-0.8, 0.8, count) * height, np.linspace(0.35, 1.3, count) * height
+    return workspace_map(model, across, model.robot.mount.base_position_m[2] + up, track=progress("workspace", count**2, quiet))
 
 
 def save_map(workspace: Map, path: Path) -> None:
@@ -84,7 +82,7 @@ def gain(
     at = names.index(point) if point else -1
     run = run_gain(compiled, setpoints, at, progress("gain", len(setpoints.time), as_json))
     run.save(folder)
-    workspace = grid_map(compiled, progress("workspace", GRID**2, as_json)) if with_map else None
+    workspace = grid_map(compiled, as_json) if with_map else None
     if workspace is not None:
         save_map(workspace, folder / "gain_map.csv")
     plots.save(plots.gain_figure(run, curves(compiled), workspace), folder / "gain.png")
