@@ -1,11 +1,11 @@
 """Model-based control and trajectory optimisation of continuum robots made of pneumatic muscles with embedded tendons.
 
-    from tepm_opt import circle, compile_model, solve_gain, solve_ik, solve_statics
+from tepm_opt import circle, compile_model, solve_gain, solve_ik, solve_statics
 
-    model = compile_model("kang2017")
-    found = solve_ik(model, [0.15, 0.0, 0.35])
-    held = solve_statics(model, found.allocation.inputs)
-    G = solve_gain(held).matrix
+model = compile_model("kang2017")
+found = solve_ik(model, [0.15, 0.0, 0.35])
+held = solve_statics(model, found.allocation.inputs)
+G = solve_gain(held).matrix
 """
 
 from tepm_opt.errors import InputError

@@ -194,7 +194,7 @@ def _map_axes(figure: Figure, axes: Axes, workspace: Map) -> None:
     image = axes.pcolormesh(1e3 * workspace.across, 1e3 * workspace.height, values, shading="nearest", cmap="viridis")
     axes.set_xlabel("x from the base axis in mm")
     axes.set_ylabel("z in mm")
-    axes.set_title("reach of tension alone, weakest direction (blank: out of reach)")
+    axes.set_title("tension's weakest direction (blank: out of reach)")
     axes.set_aspect("equal")
     figure.colorbar(image, ax=axes, shrink=0.8, label="smallest singular value in mm per full range")
 

@@ -61,7 +61,7 @@ def progress(label: str, total: int, quiet: bool) -> Callable[[Iterable[Item]], 
 
     def track(items: Iterable[Item]) -> Iterator[Item]:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=stderr, transient=True, disable=quiet) as bar:
+        with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as bar:
             yield from bar.track(items, total=total, description=label)
 
     return track

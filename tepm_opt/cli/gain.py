@@ -37,7 +37,7 @@ def grid_map(model: CompiledModel, quiet: bool) -> Map:
     """G over a vertical plane that holds the robot's workspace; a coarser grid where no C compiler makes it quick."""
     count = 17 if model.is_c else 9
     height = model.layout.modules * model.values["L_0"]
-    across, up = np.linspace(-0.8, 0.8, count) * height, np.linspace(0.35, 1.3, count) * height
+    across, up = np.linspace(-0.96, 0.96, count) * height, np.linspace(0.1, 1.3, count) * height
     return workspace_map(model, across, model.robot.mount.base_position_m[2] + up, track=progress("workspace", count**2, quiet))
 
 

@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import minimize
 
+from tepm_opt.models.chain import SOLVED
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.solvers.allocation import Allocation, Mode, allocate, force_range
 from tepm_opt.solvers.constant_curvature import lengths_from_tip
@@ -36,6 +37,7 @@ class Settings:
         tolerance: largest error of tip and length differences, m.
         iterations: most Gauss-Newton steps from one start.
         largest_step: largest change of an axial force in one step, N.
+        settled: with redundant actuators, change of the forces below which they are of minimum norm, N.
         homotopy: steps from rest to a target that no seed solves.
         beyond: how far the search may leave the limits of the forces, in parts of their range.
     """
@@ -43,6 +45,7 @@ class Settings:
     tolerance: float = 1e-9
     iterations: int = 30
     largest_step: float = 8.0
+    settled: float = 1e-6
     homotopy: int = 12
     beyond: float = 0.5
 
@@ -97,6 +100,7 @@ class _Problem:
         for row in range(len(lengths)):
             lengths[row, row + layout.actuators], lengths[row, row % layout.actuators] = 1.0, -1.0
         self.weights = np.concatenate([tip, differences])
+        self.redundant = len(self.weights) < self.half
 
     def at(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
         """Equilibrium of axial forces."""
@@ -108,10 +112,14 @@ class _Problem:
         return np.concatenate([at.tip - target, (at.lengths[1:] - at.lengths[:1]).ravel()])
 
     def jacobian(self, at: Equilibrium) -> np.ndarray:
-        """Derivatives of `errors` by the axial forces in m/N."""
-        _, by_u, _, _ = self.model.chain.sensitivity(
-            at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False
-        )  # fmt: skip
+        """Derivatives of `errors` by the axial forces in m/N.
+
+        Raises:
+            LinAlgError: the equilibrium is not stable.
+        """
+        status, by_u, _, _ = self.model.chain.sensitivity(at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False)
+        if status != SOLVED:
+            raise np.linalg.LinAlgError("stiffness not positive definite")
         return by_u[:, : self.half] / self.area
 
 
@@ -190,7 +198,10 @@ def _solve(
     miss = float(np.linalg.norm(found.equilibrium.tip - target))
     found = replace(found, allocation=allocation, miss=miss, limits=limits)
     if not found.solved and not found.message:
-        return replace(found, message=f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm; {', '.join(limits) or 'no limit'}")
+        return replace(
+            found,
+            message=f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm, with {', '.join(limits) or 'no limit binding (the stable branch may end there)'}",
+        )
     if allocation.error > 1e-6:
         message = f"the set points miss an axial force by {allocation.error:.3g} N: no inputs within the limits make it"
         return replace(found, reach=Reach.OUT_OF_REACH, message=message)
@@ -241,9 +252,9 @@ def _gauss_newton(
     at = problem.at(forces, start)
     if not at.solved:
         return None
-    errors = problem.errors(at, target)
+    errors, change = problem.errors(at, target), np.inf
     for step in range(settings.iterations):
-        if np.abs(errors).max() < settings.tolerance:
+        if np.abs(errors).max() < settings.tolerance and (change < settings.settled or not problem.redundant):
             return _configuration(target, at, forces, Reach.SOLVED, steps=step)
         jacobian = problem.jacobian(at)
         full = _minimum_norm(jacobian, jacobian @ forces - errors) - forces
@@ -256,7 +267,7 @@ def _gauss_newton(
             part /= 2
         else:
             return None
-        forces, at, errors = forces + part * full, trial, changed
+        forces, at, errors, change = forces + part * full, trial, changed, part * np.abs(full).max()
         if (np.maximum(problem.low - forces, forces - problem.high) > settings.beyond * (problem.high - problem.low)).any():
             return None
     return None
@@ -276,16 +287,25 @@ def _nearest(problem: _Problem, target: np.ndarray, free: Configuration | None, 
     """The configuration within the limits whose tip is nearest to the target."""
     middle = (problem.low + problem.high) / 2  # of all starts tried, the one from which no target ended in a local minimum
     for forces in (middle, free.forces if free is not None else _seed(problem, target)):
-        if found := _constrained(problem, target, np.clip(forces, problem.low, problem.high), settings):
+        found = _constrained(problem, target, forces, settings)
+        if found and found.solved and problem.redundant:
+            return _constrained(problem, target, found.forces, settings, least_norm=True) or found
+        if found:
             return found
-    return _configuration(
-        target, problem.at(middle, None), middle, Reach.FAILED, "no equal-curvature configuration within the limits was found"
-    )
+    message = "no stable equal-curvature configuration within the limits was found"
+    if not problem.at(np.zeros(problem.half), None).solved:
+        message += "; without inputs the robot is not stable either (it buckles under its weight or load)"
+    return _configuration(target, problem.at(middle, None), middle, Reach.FAILED, message)
 
 
-def _constrained(problem: _Problem, target: np.ndarray, forces: np.ndarray, settings: Settings) -> Configuration | None:
+def _constrained(
+    problem: _Problem, target: np.ndarray, forces: np.ndarray, settings: Settings, least_norm: bool = False
+) -> Configuration | None:
+    """Within the limits and with equal curvature: the nearest tip, or, with `least_norm`, the smallest forces at the target."""
     scale, span = 1e-2, problem.high - problem.low  # errors in cm, forces in parts of their range
-    last = problem.at(forces, None)
+    held = 0 if least_norm else 3  # first of the errors that are constraints
+    start = np.clip((forces - problem.low) / span, 0.0, 1.0)
+    last = problem.at(problem.low + start * span, None)
 
     @lru_cache(maxsize=4)  # SLSQP asks for value and derivatives at the same point, one after the other
     def evaluate(part: bytes) -> tuple[Equilibrium, np.ndarray, np.ndarray]:
@@ -299,17 +319,24 @@ def _constrained(problem: _Problem, target: np.ndarray, forces: np.ndarray, sett
     def jacobian(part: np.ndarray) -> np.ndarray:
         return evaluate(part.tobytes())[2]
 
-    result = minimize(
-        lambda part: 0.5 * float(errors(part)[:3] @ errors(part)[:3]),
-        (forces - problem.low) / span,
-        jac=lambda part: jacobian(part)[:3].T @ errors(part)[:3],
-        bounds=[(0.0, 1.0)] * len(forces),
-        constraints={"type": "eq", "fun": lambda part: errors(part)[3:], "jac": lambda part: jacobian(part)[3:]},
-        method="SLSQP",
-        options={"maxiter": 200, "ftol": 1e-12},
-    )
-    part = np.clip(result.x, 0.0, 1.0)
-    at, missed, _ = evaluate(part.tobytes())
+    def objective(part: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = (problem.low / span + part, np.eye(len(part))) if least_norm else (errors(part)[:3], jacobian(part)[:3])
+        return 0.5 * float(value @ value), slope.T @ value
+
+    try:
+        result = minimize(
+            objective,
+            start,
+            jac=True,
+            bounds=[(0.0, 1.0)] * len(forces),
+            constraints={"type": "eq", "fun": lambda part: errors(part)[held:], "jac": lambda part: jacobian(part)[held:]},
+            method="SLSQP",
+            options={"maxiter": 200, "ftol": 1e-12},
+        )
+        part = np.clip(result.x, 0.0, 1.0)
+        at, missed, _ = evaluate(part.tobytes())
+    except np.linalg.LinAlgError:
+        return None
     if not at.solved or scale * np.abs(missed[3:]).max(initial=0.0) > 1e-7:
         return None
     reach = Reach.SOLVED if scale * np.abs(missed[:3]).max() < 100 * settings.tolerance else Reach.OUT_OF_REACH
