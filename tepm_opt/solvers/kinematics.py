@@ -198,10 +198,8 @@ def _solve(
     miss = float(np.linalg.norm(found.equilibrium.tip - target))
     found = replace(found, allocation=allocation, miss=miss, limits=limits)
     if not found.solved and not found.message:
-        return replace(
-            found,
-            message=f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm, with {', '.join(limits) or 'no limit binding (the stable branch may end there)'}",
-        )
+        binding = ", ".join(limits) or "no limit binding (the stable branch may end there)"
+        return replace(found, message=f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm, with {binding}")
     if allocation.error > 1e-6:
         message = f"the set points miss an axial force by {allocation.error:.3g} N: no inputs within the limits make it"
         return replace(found, reach=Reach.OUT_OF_REACH, message=message)
