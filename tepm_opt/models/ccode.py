@@ -21,7 +21,7 @@ import platformdirs
 
 from tepm_opt.data.files import atomic_path
 from tepm_opt.models.chain import Solution
-from tepm_opt.models.network import Network
+from tepm_opt.models.network import ROWS, Network
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
 CACHE_VARIABLE = "TEPM_OPT_CACHE"
@@ -61,6 +61,8 @@ def source(network: Network) -> str:
         "NB": layout.block,
         "NLEV": layout.levels,
         "NPROP": max(rows.stop for rows in network.property_rows.values()),
+        "NDRIVEN": len(network.driven),
+        "ROWS": ROWS,
         "NU": layout.inputs,
         "NEXT": 3 * layout.points,
         "NTHETA": len(network.parameter_names),
@@ -70,6 +72,7 @@ def source(network: Network) -> str:
         "SZ_IW": max(function.sz_iw() for function in functions),
     }
     defines = "\n".join(f"#define {name} {value}" for name, value in sizes.items())
+    defines += f"\nstatic const int DRIVEN[] = {{{', '.join(str(row) for row in network.driven)}}};"
     chain = (resources.files("tepm_opt.models") / "chain.c").read_text(encoding="utf-8")
     return f"{generator.dump()}\n{defines}\n{chain}"
 

@@ -1,17 +1,21 @@
 /* Loops over the chain of segments, around the kernels that CasADi generates above this text in the same unit:
    assembly, block-tridiagonal Cholesky, Newton for statics, adjoint sensitivities. chain.py is the reference twin.
 
-   Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NU inputs, NEXT external force components,
-   NTHETA parameters, NPOINT point coordinates, NLEN lengths, SZ_W, SZ_IW work of the kernels. Level 0 is fixed. */
+   Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NDRIVEN of them changed by inputs, NU inputs,
+   NEXT external force components, NTHETA parameters, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel,
+   SZ_W, SZ_IW work of the kernels. Level 0 is fixed. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define LD ((2 * NB + 3) / 4 * 4)  /* rows of a panel column, padded to whole vectors */
-#define FAR 1e-6                   /* N: residual below which plain Newton steps are taken */
-#define NOISE 1e-14                /* relative rounding noise of the energy */
+#define LANES 4                          /* doubles in a vector; right-hand sides solved at once */
+#define NVEC ((2 * NB + LANES - 1) / LANES)
+#define LD (NVEC * LANES)                /* rows of a panel column, padded to whole vectors */
+#define FAR 1e-6                         /* N: residual below which plain Newton steps are taken */
+#define NOISE 1e-14                      /* relative rounding noise of the energy */
 enum { SOLVED = 0, UNSTABLE = 1, STALLED = 2, EXHAUSTED = 3, INDEFINITE = 4 };
 
+typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
 typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
 typedef struct {
@@ -38,14 +42,15 @@ static double energy(work *w, double x[][NB]) {
   return total;
 }
 
-/* Energy (returned), its gradient (w->force) and stiffness panels at w->x. */
-static double assemble(work *w, double convex) {
+/* Energy (returned), its gradient (w->force) and panels of the stiffness, or of the convex one, at w->x. */
+static inline double assemble(work *w, int convex) {
   double total = 0, part, force[2 * NB];
   memset(w->force, 0, sizeof w->force);
   for (int s = 0; s < NLEV; s++) {
-    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta, &convex};
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta};
     double *res[] = {&part, force, w->first, w->second};
-    run(segment_stiffness, w, arg, res);
+    if (convex) run(segment_convex, w, arg, res);
+    else run(segment_stiffness, w, arg, res);
     total += part;
     for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
     for (int c = 0; c < NB; c++) {
@@ -67,50 +72,93 @@ static double residual(work *w) {
   return largest;
 }
 
-/* Cholesky in place; a column's diagonal entry becomes the inverse of the factor's. Returns 0, or 1 where not positive definite. */
+/* L D L' in place: column j of a panel becomes L's times its pivot, the diagonal entry the inverse of the pivot.
+   Returns 0, or 1 where the matrix is not positive definite. */
 static int factor(work *w) {
   for (int l = 1; l <= NLEV; l++) {
-    double (*p)[LD] = w->panel[l];
+    double (*p)[LD] = w->panel[l], scaled[NB][NB];
+#pragma GCC unroll 12
     for (int j = 0; j < NB; j++) {
-      if (!(p[j][j] > 0)) return 1;
-      double inverse = 1 / sqrt(p[j][j]);
-      for (int r = 0; r < LD; r++) p[j][r] *= inverse;
-      for (int k = j + 1; k < NB; k++) {
-        double scale = p[j][k];
-        for (int r = 0; r < LD; r++) p[k][r] -= scale * p[j][r];
+      vector column[NVEC];
+      memcpy(column, p[j], sizeof column);
+#pragma GCC unroll 12
+      for (int k = 0; k < j; k++) {
+        double scale = scaled[k][j];
+#pragma GCC unroll 12
+        for (int v = j / LANES; v < NVEC; v++) column[v] -= scale * *(vector *)(p[k] + LANES * v);
       }
-      p[j][j] = inverse;
+      memcpy(p[j], column, sizeof column);
+      if (!(p[j][j] > 0)) return 1;
+      p[j][j] = 1 / p[j][j];
+      for (int r = j + 1; r < NB; r++) scaled[j][r] = p[j][r] * p[j][j];
     }
     if (l == NLEV) break;
-    for (int k = 0; k < NB; k++)
+    for (int k = 0; k < NB; k++) {
+      double column[NB];
+      memcpy(column, w->panel[l + 1][k], sizeof column);
+#pragma GCC unroll 12
       for (int j = 0; j < NB; j++) {
-        double scale = p[j][NB + k];
-        for (int r = 0; r < NB; r++) w->panel[l + 1][k][r] -= scale * p[j][NB + r];
+        double scale = p[j][NB + k] * p[j][j];
+        for (int r = 0; r < NB; r++) column[r] -= scale * p[j][NB + r];
       }
+      memcpy(w->panel[l + 1][k], column, sizeof column);
+    }
   }
   return 0;
 }
 
-/* Solve with the factor; b has levels 1 … NLEV and one spare. */
-static void solve(work *w, double (*b)[NB]) {
-  double t[LD] = {0};
+/* Solve with the factor for LANES right-hand sides at once; b has levels 1 … NLEV and one spare. */
+static void solve(work *w, vector (*b)[NB]) {
+  memset(b[NLEV + 1], 0, sizeof b[0]);
   for (int l = 1; l <= NLEV; l++) {
     double (*p)[LD] = w->panel[l];
-    for (int r = 0; r < NB; r++) { t[r] = t[NB + r] + b[l][r]; }
-    for (int r = NB; r < LD; r++) t[r] = 0;
+    vector *t = b[l]; /* this level and the next */
+#pragma GCC unroll 12
     for (int j = 0; j < NB; j++) {
-      double y = b[l][j] = t[j] * p[j][j];
-      for (int r = 0; r < LD; r++) t[r] -= y * p[j][r];
+      vector y = t[j] *= p[j][j];
+#pragma GCC unroll 24
+      for (int r = j + 1; r < 2 * NB; r++) t[r] -= y * p[j][r];
     }
   }
-  for (int r = 0; r < NB; r++) b[NLEV + 1][r] = 0;
+  memset(b[NLEV + 1], 0, sizeof b[0]);
   for (int l = NLEV; l >= 1; l--) {
     double (*p)[LD] = w->panel[l];
+    vector *t = b[l];
+#pragma GCC unroll 12
     for (int j = NB - 1; j >= 0; j--) {
-      double sum = b[l][j];
-      for (int r = 0; r < NB; r++) sum -= p[j][NB + r] * b[l + 1][r];
-      for (int r = j + 1; r < NB; r++) sum -= p[j][r] * b[l][r];
-      b[l][j] = sum * p[j][j];
+      vector sum = {0};
+#pragma GCC unroll 24
+      for (int r = j + 1; r < 2 * NB; r++) sum += p[j][r] * t[r];
+      t[j] -= sum * p[j][j];
+    }
+  }
+}
+
+/* The Newton step -(stiffness)^-1 force, into w->step. */
+static void newton_step(work *w) {
+  double t[2 * NB] = {0}, (*b)[NB] = w->step;
+  for (int l = 1; l <= NLEV; l++) {
+    double (*p)[LD] = w->panel[l];
+    for (int r = 0; r < NB; r++) { t[r] = t[NB + r] - w->force[l][r]; t[NB + r] = 0; }
+#pragma GCC unroll 16
+    for (int j = 0; j < NB; j++) {
+      double y = b[l][j] = t[j] * p[j][j];
+      for (int r = 0; r < 2 * NB; r++) t[r] -= y * p[j][r];
+    }
+  }
+  memset(b[NLEV + 1], 0, sizeof b[0]);
+  for (int l = NLEV; l >= 1; l--) {
+    double (*p)[LD] = w->panel[l], coupled[NB];
+    for (int j = 0; j < NB; j++) {
+      coupled[j] = 0;
+#pragma GCC unroll 36
+      for (int r = 0; r < NB; r++) coupled[j] += p[j][NB + r] * b[l + 1][r];
+    }
+#pragma GCC unroll 16
+    for (int j = NB - 1; j >= 0; j--) {
+      double sum = coupled[j];
+      for (int r = NB - 1; r > j; r--) sum += p[j][r] * b[l][r];
+      b[l][j] -= sum * p[j][j];
     }
   }
 }
@@ -227,8 +275,7 @@ int statics(double *x, const double *u, int mapped, const double *external, cons
     int indefinite = factor_safely(w), found = 0;
     if (far < tolerance) { status = indefinite ? UNSTABLE : SOLVED; break; }
     if (!(far < 1e300)) { status = STALLED; break; }
-    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->step[l][i] = -w->force[l][i];
-    solve(w, w->step);
+    newton_step(w);
     if (!indefinite && far < FAR) {
       for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->x[l][i] += w->step[l][i];
       continue;
@@ -253,6 +300,57 @@ int statics(double *x, const double *u, int mapped, const double *external, cons
   return status;
 }
 
+/* `sensitivity` for up to ROWS rows, with the factor at hand. */
+static void adjoint(work *w, const double *u, int mapped, const double *external, int rows, const double *weights, double *by_u,
+                    double *by_external, double *by_theta) {
+  double sum[ROWS][NTHETA] = {{0}}, by_level_0[ROWS][NB] = {{0}}, spare[ROWS][NTHETA], by_x[NLEV + 1][NB];
+  double by_P[ROWS][NLEV][NPROP], kernel_P[ROWS][NPROP], pair[ROWS][2][NB];
+  vector step[NLEV + 2][NB] = {{{0}}};
+  for (int row = 0; row < rows; row++) {
+    const double *weight = weights + row * (NPOINT + NLEN), *arg[] = {w->x[0], w->theta, weight, weight + NPOINT};
+    double *res[] = {by_x[0], sum[row]};
+    run(observe_adjoint, w, arg, res);
+    memcpy(by_level_0[row], by_x[0], sizeof by_x[0]);
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) step[l][i][row] = -by_x[l][i];
+  }
+  solve(w, step);
+  for (int row = 0; row < rows; row++)
+    for (int c = 0; c < NB; c++) for (int r = 0; r < NB; r++) by_level_0[row][c] += w->panel[0][c][NB + r] * step[1][r][row];
+  memset(step[0], 0, sizeof step[0]);
+  int count = by_theta ? NPROP : NDRIVEN;
+  for (int s = 0; s < NLEV; s++) {
+    for (int row = 0; row < ROWS; row++) for (int i = 0; i < NB; i++) { pair[row][0][i] = step[s][i][row]; pair[row][1][i] = step[s + 1][i][row]; }
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta, pair[0][0]};
+    double *res[] = {kernel_P[0], spare[0]};
+    if (by_theta) run(segment_theta_adjoint, w, arg, res);
+    else run(segment_adjoint, w, arg, res);
+    for (int row = 0; row < rows; row++) {
+      memcpy(by_P[row][0] + s * count, kernel_P[0] + row * count, count * sizeof(double));
+      if (by_theta) for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[row][k];
+    }
+  }
+  for (int row = 0; row < rows; row++) {
+    double by_a[NU], driven[NLEV][NDRIVEN];
+    if (by_theta) {
+      const double *arg[] = {w->a, external, w->theta, by_P[row][0], by_level_0[row]};
+      double *res[] = {by_theta + row * NTHETA};
+      run(properties_theta_adjoint, w, arg, res);
+      for (int s = 0; s < NLEV; s++) for (int k = 0; k < NDRIVEN; k++) driven[s][k] = by_P[row][s][DRIVEN[k]];
+    } else memcpy(driven, by_P[row], sizeof driven);
+    const double *arg[] = {w->a, external, w->theta, driven[0]};
+    double *res[] = {by_a, by_external + row * NEXT};
+    run(properties_adjoint, w, arg, res);
+    const double *arg_map[] = {u, w->theta, by_a};
+    double *res_map[] = {by_u + row * NU, spare[0]};
+    if (mapped) memcpy(by_u + row * NU, by_a, sizeof by_a);
+    else {
+      run(input_map_adjoint, w, arg_map, res_map);
+      for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[0][k];
+    }
+    if (by_theta) for (int k = 0; k < NTHETA; k++) by_theta[row * NTHETA + k] += sum[row][k];
+  }
+}
+
 /* Gradients of `rows` weighted sums of the observations (points in G, then lengths) at an equilibrium x, with respect to
    u (the effective actuation if `mapped`), external forces and, unless by_theta is null, parameters. Returns a status. */
 int sensitivity(const double *x, const double *u, int mapped, const double *external, const double *theta, int rows,
@@ -263,41 +361,9 @@ int sensitivity(const double *x, const double *u, int mapped, const double *exte
   memcpy(w->x[0], w->level_0, sizeof w->level_0);
   assemble(w, 0);
   if (factor(w)) { free(w); return INDEFINITE; }
-  for (int row = 0; row < rows; row++) {
-    double by_P[NLEV][NPROP], by_level_0[NB], by_a[NU], spare[NTHETA], sum[NTHETA] = {0};
-    const double *weight = weights + row * (NPOINT + NLEN);
-    {
-      const double *arg[] = {w->x[0], theta, weight, weight + NPOINT};
-      double *res[] = {w->step[0], spare};
-      run(observe_adjoint, w, arg, res);
-    }
-    memcpy(by_level_0, w->step[0], sizeof by_level_0);
-    for (int k = 0; k < NTHETA; k++) sum[k] += spare[k];
-    solve(w, w->step);
-    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->step[l][i] = -w->step[l][i];
-    for (int c = 0; c < NB; c++) for (int r = 0; r < NB; r++) by_level_0[c] += w->panel[0][c][NB + r] * w->step[1][r];
-    memset(w->step[0], 0, sizeof w->step[0]);
-    for (int s = 0; s < NLEV; s++) {
-      const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], theta, w->step[s]};
-      double *res[] = {by_P[s], spare};
-      run(segment_adjoint, w, arg, res);
-      for (int k = 0; k < NTHETA; k++) sum[k] += spare[k];
-    }
-    const double *arg[] = {w->a, external, theta, by_P[0], by_level_0};
-    double *res[] = {by_a, by_external + row * NEXT};
-    run(properties_adjoint, w, arg, res);
-    if (mapped) memcpy(by_u + row * NU, by_a, sizeof by_a);
-    else {
-      const double *arg[] = {u, theta, by_a};
-      double *res[] = {by_u + row * NU, spare};
-      run(input_map_adjoint, w, arg, res);
-      for (int k = 0; k < NTHETA; k++) sum[k] += spare[k];
-    }
-    if (!by_theta) continue;
-    double *res_theta[] = {spare};
-    run(properties_theta_adjoint, w, arg, res_theta);
-    for (int k = 0; k < NTHETA; k++) by_theta[row * NTHETA + k] = sum[k] + spare[k];
-  }
+  for (int row = 0; row < rows; row += ROWS)
+    adjoint(w, u, mapped, external, rows - row < ROWS ? rows - row : ROWS, weights + row * (NPOINT + NLEN), by_u + row * NU,
+            by_external + row * NEXT, by_theta ? by_theta + row * NTHETA : 0);
   free(w);
   return SOLVED;
 }

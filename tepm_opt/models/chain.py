@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.models.network import Network
+from tepm_opt.models.network import ROWS, Network
 
 SOLVED, UNSTABLE, STALLED, EXHAUSTED, INDEFINITE = range(5)
 FAR = 1e-6  # N, residual below which plain Newton steps are taken
@@ -131,8 +131,8 @@ class PythonChain:
     def assemble(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray, convex: bool = False) -> Assembly:
         """Energy, force and stiffness at x."""
         n, block = self.network.layout.levels, self.network.layout.block
-        flags = np.full((n, 1), float(convex))
-        energy, force, first, second = self._call("segment_stiffness", x[:-1], x[1:], P, self._repeat(theta), flags)
+        name = "segment_convex" if convex else "segment_stiffness"
+        energy, force, first, second = self._call(name, x[:-1], x[1:], P, self._repeat(theta))
         first, second = first.reshape(2 * block, n, block).transpose(1, 0, 2), second.reshape(block, n, block).transpose(1, 0, 2)
         total = force.T[:, block:].copy()
         total[:-1] += force.T[1:, :block]
@@ -233,14 +233,17 @@ class PythonChain:
             adjoint[1:] = -sla.cho_solve_banded((factor, True), by_x[1:].ravel()).reshape(by_x[1:].shape)
             by_level_0 = by_x[0] + at.base_coupling.T @ adjoint[1]
             pairs = np.concatenate([adjoint[:-1], adjoint[1:]], axis=1)
-            by_P, part = self._call("segment_adjoint", x[:-1], x[1:], P, self._repeat(theta), pairs)
-            total = total + part.sum(axis=1)
-            outer = (a, external.reshape(-1, 3), theta, by_P.T, by_level_0)
-            by_a, by_external = (result.ravel(order="F") for result in self._call("properties_adjoint", *outer))
+            weights_of_row = np.zeros((len(pairs) * ROWS, pairs.shape[1]))  # the kernel takes ROWS weights; one is used
+            weights_of_row[::ROWS] = pairs
+            by_P, part = self._call("segment_theta_adjoint", x[:-1], x[1:], P, self._repeat(theta), weights_of_row)
+            by_P, total = by_P[:, ::ROWS], total + part[:, ::ROWS].sum(axis=1)
+            outer = (a, external.reshape(-1, 3), theta)
+            driven = by_P[list(self.network.driven)].T
+            by_a, by_external = (result.ravel(order="F") for result in self._call("properties_adjoint", *outer, driven))
             if not mapped:
                 by_a, part = (result.ravel() for result in self._call("input_map_adjoint", u, theta, by_a))
                 total = total + part
             if by_theta:
-                total = total + self._call("properties_theta_adjoint", *outer)[0].ravel()
+                total = total + self._call("properties_theta_adjoint", *outer, by_P.T, by_level_0)[0].ravel()
             results[0][row], results[1][row], results[2][row] = by_a, by_external, total
         return SOLVED, results[0], results[1], results[2] if by_theta else None

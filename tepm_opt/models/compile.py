@@ -79,11 +79,11 @@ class CompiledModel:
         Raises:
             InputError: wrong length, NaN or outside the robot's limits.
         """
-        array = finite_array(inputs, (self.layout.inputs,), where)
+        array = finite_array(inputs, self.input_max.shape, where)
         limit = self.input_max
-        low, high = array < -1e-9 * limit, array > limit * (1 + 1e-9)
-        if low.any() or high.any():
-            at = int(np.argmax(low | high))
+        outside = np.abs(array / limit - 0.5) > 0.5 + 1e-9
+        if outside.any():
+            at = int(np.argmax(outside))
             kind, unit = ("pressure", "Pa") if at < self.layout.inputs // 2 else ("tension", "N")
             name = self.layout.actuator_names[at % (self.layout.inputs // 2)]
             raise InputError(f"{where}: {kind}_{name} = {array[at]:g} {unit}; valid: 0 … {limit[at]:g} {unit}")

@@ -23,6 +23,9 @@ from tepm_opt.models.model import Model
 PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "load", "mass")
 """Rows of P: of every edge (three times), axial force of every vertical edge, force on and mass of a node of the upper level."""
 
+ROWS = 3
+"""Number of weighted sums whose gradients the adjoint functions of a segment return at once."""
+
 
 @dataclass(frozen=True)
 class Network:
@@ -31,12 +34,14 @@ class Network:
     Attributes:
         layout: geometry.
         parameter_names: of theta, the parameter vector.
-        functions: by name, see the functions `_input_map` … `_observe` of this module.
+        functions: by name, see `write_network`.
+        driven: rows of P that inputs or external forces change.
     """
 
     layout: Layout
     parameter_names: tuple[str, ...]
     functions: Mapping[str, ca.Function]
+    driven: tuple[int, ...]
 
     @property
     def property_rows(self) -> dict[str, slice]:
@@ -171,17 +176,17 @@ def _norm(vector: ca.SX) -> ca.SX:
     return ca.sqrt(ca.sumsqr(vector))
 
 
-def _segment_functions(writer: _Writer) -> dict[str, ca.Function]:
-    """Energy; energy, force and stiffness; damping; adjoint of the force; for one segment.
+def _segment_functions(writer: _Writer, driven: list[int]) -> dict[str, ca.Function]:
+    """Energy; energy, force and stiffness; convex stiffness; damping; edges; adjoints of the force; for one segment.
 
-    `segment_stiffness` takes a flag: 1 replaces the stiffness by a positive semidefinite one, in which compressed edges
-    have no geometric stiffness. The first block column is (lower; upper) x lower, the second upper x upper.
+    In the convex stiffness compressed edges have no geometric stiffness, so that it is positive semidefinite. Matrices come as
+    two block columns: (lower; upper) x lower and upper x upper.
     """
     layout, theta, s = writer.layout, writer.theta, writer.segment()
-    block, convex = layout.block, ca.SX.sym("convex")
+    block = layout.block
     energy = ca.SX(0)
     force = ca.SX.zeros(2 * block)
-    stiffness, damping = ca.SX.zeros(2 * block, 2 * block), ca.SX.zeros(2 * block, 2 * block)
+    stiffness, convex, damping = (ca.SX.zeros(2 * block, 2 * block) for _ in range(3))
     slopes, spans = [], []
 
     def spread(edge: Edge, pair: ca.SX, matrix: ca.SX) -> None:
@@ -203,24 +208,26 @@ def _segment_functions(writer: _Writer) -> dict[str, ca.Function]:
             at = level * block + 3 * node
             force[at : at + 3] += sign * slope * along
         across = slope / length
-        across = ca.if_else(convex, ca.fmax(across, 0), across)
-        curvature = ca.if_else(convex, ca.fmax(curvature, 0), curvature)
         spread(edge, (curvature - across) * along @ along.T + across * ca.SX.eye(3), stiffness)
+        across, curvature = ca.fmax(across, 0), ca.fmax(curvature, 0)
+        spread(edge, (curvature - across) * along @ along.T + across * ca.SX.eye(3), convex)
         spread(edge, s.column[writer.rows["damping"]][index] * along @ along.T, damping)
     load = ca.repmat(s.column[writer.rows["load"]], layout.actuators, 1)
     energy -= ca.dot(load, s.upper)
     force[block:] -= load
     arguments = [s.lower, s.upper, s.column, theta]
-    weight = ca.SX.sym("weight", 2 * block)
-    work = ca.dot(force, weight)
-    blocks = [ca.densify(m) for m in (stiffness[:, :block], stiffness[block:, block:])]
-    viscous = [ca.densify(m) for m in (damping[:, :block], damping[block:, block:])]
+    weights = ca.SX.sym("weights", 2 * block, ROWS)
+    work = ca.mtimes(weights.T, force)
+    by_column, by_theta = ca.jacobian(work, s.column).T, ca.jacobian(work, theta).T
+    columns = {name: [matrix[:, :block], matrix[block:, block:]] for name, matrix in (("k", stiffness), ("k+", convex), ("c", damping))}
     return {
         "segment_energy": _function("segment_energy", arguments, [energy]),
-        "segment_stiffness": _function("segment_stiffness", [*arguments, convex], [energy, force, *blocks]),
-        "segment_damping": _function("segment_damping", arguments, viscous),
+        "segment_stiffness": _function("segment_stiffness", arguments, [energy, force, *columns["k"]]),
+        "segment_convex": _function("segment_convex", arguments, [energy, force, *columns["k+"]]),
+        "segment_damping": _function("segment_damping", arguments, columns["c"]),
         "segment_edges": _function("segment_edges", arguments, [ca.vertcat(*slopes), ca.vertcat(*spans)]),
-        "segment_adjoint": _function("segment_adjoint", [*arguments, weight], [ca.gradient(work, s.column), ca.gradient(work, theta)]),
+        "segment_adjoint": _function("segment_adjoint", [*arguments, weights], [by_column[driven, :]]),
+        "segment_theta_adjoint": _function("segment_theta_adjoint", [*arguments, weights], [by_column, by_theta]),
     }
 
 
@@ -240,22 +247,28 @@ def write_network(model: Model) -> Network:
 
     Functions (arguments → results), all dense:
         input_map(u, theta) → a; properties(a, external, theta) → P, level 0; observe(x, theta) → points in G, lengths;
-        segment_energy(lower, upper, P_j, theta) → energy; segment_stiffness(…, convex) → energy, force, two block columns;
-        segment_damping(…) → two block columns; segment_edges(…) → edge forces, lengths; and `…_adjoint` of each, for one weight per result.
+        segment_energy(lower, upper, P_j, theta) → energy;
+        segment_stiffness(…), segment_convex(…) → energy, force, two block columns; segment_damping(…) → two block columns;
+        segment_edges(…) → edge forces, lengths;
+        input_map_adjoint, observe_adjoint: with a weight per result, gradients by their arguments;
+        properties_adjoint(…, weights of P's driven rows) → by a, by external; properties_theta_adjoint(…, of all rows, of level 0);
+        segment_adjoint(…, weights) → by P_j's driven rows; segment_theta_adjoint(…, weights) → by P_j, by theta, for ROWS weights.
     """
     writer = _Writer(model)
     theta = writer.theta
     u, a_of_u = writer.input_map()
     a, external, columns, level_0 = writer.properties()
     x, points, lengths = writer.observe()
+    changes = ca.jacobian_sparsity(ca.vec(columns), ca.vertcat(a, ca.vec(external))).row()
+    driven = sorted({row % columns.shape[0] for row in changes})
     functions = {
         "input_map": _function("input_map", [u, theta], [a_of_u]),
         "input_map_adjoint": _adjoint("input_map_adjoint", [u, theta], [u, theta], [a_of_u]),
         "properties": _function("properties", [a, external, theta], [columns, level_0]),
-        "properties_adjoint": _adjoint("properties_adjoint", [a, external, theta], [a, external], [columns, level_0]),
+        "properties_adjoint": _adjoint("properties_adjoint", [a, external, theta], [a, external], [columns[driven, :]]),
         "properties_theta_adjoint": _adjoint("properties_theta_adjoint", [a, external, theta], [theta], [columns, level_0]),
         "observe": _function("observe", [x, theta], [points, lengths]),
         "observe_adjoint": _adjoint("observe_adjoint", [x, theta], [x, theta], [points, lengths]),
-        **_segment_functions(writer),
+        **_segment_functions(writer, driven),
     }
-    return Network(writer.layout, writer.names, functions)
+    return Network(writer.layout, writer.names, functions, tuple(driven))
