@@ -123,6 +123,7 @@ class _Arrays(threading.local):
             "external": (3 * layout.points,),
             "theta": (parameters,),
             "observed": (observations,),
+            "targets": (layout.inputs // 2,),
             "info": (3,),
             "weights": (observations, observations),
             "by_u": (observations, layout.inputs),
@@ -143,6 +144,8 @@ class CompiledChain:
         self._actuation, self._statics, self._sensitivity = loaded.actuation, loaded.statics, loaded.sensitivity
         self._actuation.argtypes, self._actuation.restype = [p, p, p], None
         self._statics.argtypes = [p, p, i, p, p, d, i, p, p]
+        self._inverse = loaded.inverse
+        self._inverse.argtypes = [p, p, p, p, p, p, d, d, d, i, p]
         self._sensitivity.argtypes = [p, p, i, p, p, i, p, p, p, p]
         self._arrays = _Arrays(network)
 
@@ -176,3 +179,16 @@ class CompiledChain:
         return (
             status, array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), array["by_theta"][:rows].copy() if by_theta else None
         )  # fmt: skip
+
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        largest: float, close: float, tolerance: float, most: int,
+    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """See `Chain.inverse`."""
+        array, at, half = self._arrays.array, self._arrays.address, len(targets)
+        array["x"][:], array["a"][:half], array["a"][half:] = x, pressures, 0.0
+        array["external"][:], array["theta"][:], array["weights"][:half], array["targets"][:] = external, theta, weights, targets
+        status = self._inverse(
+            at["x"], at["a"], at["external"], at["theta"], at["weights"], at["targets"], largest, close, tolerance, most, at["info"]
+        )
+        return status, array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])

@@ -65,6 +65,18 @@ static inline double assemble(work *w, int convex) {
   return total;
 }
 
+/* Gradient (w->force) alone. */
+static void gradient(work *w) {
+  double force[2 * NB];
+  memset(w->force, 0, sizeof w->force);
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta};
+    double *res[] = {force};
+    run(segment_gradient, w, arg, res);
+    for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
+  }
+}
+
 static double residual(work *w) {
   double largest = 0;
   for (int l = 1; l <= NLEV; l++)
@@ -235,6 +247,13 @@ static int factor_safely(work *w) {
   }
 }
 
+/* P and level 0 of the effective actuation w->a. */
+static void set_properties(work *w, const double *external) {
+  const double *arg[] = {w->a, external, w->theta};
+  double *res[] = {w->P[0], w->level_0};
+  run(properties, w, arg, res);
+}
+
 static work *prepare(const double *u, int mapped, const double *external, const double *theta) {
   work *w = aligned_alloc(64, (sizeof(work) + 63) / 64 * 64);
   if (!w) return 0;
@@ -245,9 +264,7 @@ static work *prepare(const double *u, int mapped, const double *external, const 
     double *res[] = {w->a};
     run(input_map, w, arg, res);
   }
-  const double *arg[] = {w->a, external, theta};
-  double *res[] = {w->P[0], w->level_0};
-  run(properties, w, arg, res);
+  set_properties(w, external);
   return w;
 }
 
@@ -300,9 +317,10 @@ int statics(double *x, const double *u, int mapped, const double *external, cons
   return status;
 }
 
-/* `sensitivity` for up to ROWS rows, with the factor at hand. */
+/* `sensitivity` for up to ROWS rows, with the factor at hand; `shift`, unless null, takes each row's gradient by the gradient
+   of the energy, (rows, NLEV + 1, NB): how the sum moves where the network is not in equilibrium. */
 static void adjoint(work *w, const double *u, int mapped, const double *external, int rows, const double *weights, double *by_u,
-                    double *by_external, double *by_theta) {
+                    double *by_external, double *by_theta, double *shift) {
   double sum[ROWS][NTHETA] = {{0}}, by_level_0[ROWS][NB] = {{0}}, spare[ROWS][NTHETA], by_x[NLEV + 1][NB];
   double by_P[ROWS][NLEV][NPROP], kernel_P[ROWS][NPROP], pair[ROWS][2][NB];
   vector step[NLEV + 2][NB] = {{{0}}};
@@ -317,6 +335,8 @@ static void adjoint(work *w, const double *u, int mapped, const double *external
   for (int row = 0; row < rows; row++)
     for (int c = 0; c < NB; c++) for (int r = 0; r < NB; r++) by_level_0[row][c] += w->panel[0][c][NB + r] * step[1][r][row];
   memset(step[0], 0, sizeof step[0]);
+  if (shift)
+    for (int row = 0; row < rows; row++) for (int l = 0; l <= NLEV; l++) for (int i = 0; i < NB; i++) *shift++ = step[l][i][row];
   int count = by_theta ? NPROP : NDRIVEN;
   for (int s = 0; s < NLEV; s++) {
     for (int row = 0; row < ROWS; row++) for (int i = 0; i < NB; i++) { pair[row][0][i] = step[s][i][row]; pair[row][1][i] = step[s + 1][i][row]; }
@@ -363,7 +383,73 @@ int sensitivity(const double *x, const double *u, int mapped, const double *exte
   if (factor(w)) { free(w); return INDEFINITE; }
   for (int row = 0; row < rows; row += ROWS)
     adjoint(w, u, mapped, external, rows - row < ROWS ? rows - row : ROWS, weights + row * (NPOINT + NLEN), by_u + row * NU,
-            by_external + row * NEXT, by_theta ? by_theta + row * NTHETA : 0);
+            by_external + row * NEXT, by_theta ? by_theta + row * NTHETA : 0, 0);
   free(w);
   return SOLVED;
+}
+
+/* Solve the square system of n equations, matrix[row][column] row by row, in place of the right-hand side b. Returns 1 if singular. */
+static int solve_dense(int n, double *matrix, double *b) {
+  for (int k = 0; k < n; k++) {
+    int pivot = k;
+    for (int r = k + 1; r < n; r++) if (fabs(matrix[r * n + k]) > fabs(matrix[pivot * n + k])) pivot = r;
+    if (!(fabs(matrix[pivot * n + k]) > 0)) return 1;
+    for (int c = 0; c < n; c++) { double t = matrix[k * n + c]; matrix[k * n + c] = matrix[pivot * n + c]; matrix[pivot * n + c] = t; }
+    double t = b[k]; b[k] = b[pivot]; b[pivot] = t;
+    for (int r = k + 1; r < n; r++) {
+      double scale = matrix[r * n + k] / matrix[k * n + k];
+      for (int c = k; c < n; c++) matrix[r * n + c] -= scale * matrix[k * n + c];
+      b[r] -= scale * b[k];
+    }
+  }
+  for (int k = n - 1; k >= 0; k--) {
+    for (int c = k + 1; c < n; c++) b[k] -= matrix[k * n + c] * b[c];
+    b[k] /= matrix[k * n + k];
+  }
+  return 0;
+}
+
+/* Effective pressures a[0 … NU/2) and levels x, in place, at which NU/2 weighted sums of the observations have their targets in
+   equilibrium: Newton on both together. `largest` change of a pressure in a step; tolerances for observations and forces.
+   Meant for starts nearby; returns SOLVED, or another status and leaves the rest to a safeguarded method. */
+int inverse(double *x, double *a, const double *external, const double *theta, const double *weights, const double *targets,
+            double largest, double close, double tolerance, int most, double *info) {
+  enum { N = NU / 2, NOBS = NPOINT + NLEN };
+  work *w = prepare(a, 1, external, theta);
+  if (!w) return STALLED;
+  int status = EXHAUSTED, iteration;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  for (iteration = 0; iteration < most; iteration++) {
+    double observed[NOBS], by_a[N][NU], by_external[ROWS * NEXT], shift[N][NLEV + 1][NB], matrix[N * N], change[N], step = 0, far = 0;
+    assemble(w, 0);
+    if (factor(w)) { status = INDEFINITE; break; }
+    const double *arg[] = {w->x[0], theta};
+    double *res[] = {observed, observed + NPOINT};
+    run(observe, w, arg, res);
+    for (int row = 0; row < N; row += ROWS)
+      adjoint(w, w->a, 1, external, N - row < ROWS ? N - row : ROWS, weights + row * NOBS, by_a[row], by_external, 0, shift[row][0]);
+    for (int row = 0; row < N; row++) {
+      double error = -targets[row], settling = 0;
+      for (int k = 0; k < NOBS; k++) error += weights[row * NOBS + k] * observed[k];
+      for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) settling += shift[row][l][i] * w->force[l][i];
+      for (int k = 0; k < N; k++) matrix[row * N + k] = by_a[row][k];
+      change[row] = -error - settling;
+      if (!(fabs(error) <= far)) far = fabs(error);
+    }
+    if (far < close && residual(w) < tolerance) { status = SOLVED; break; }
+    if (!(far < 1e3) || solve_dense(N, matrix, change)) { status = STALLED; break; }
+    for (int k = 0; k < N; k++) if (fabs(change[k]) > step) step = fabs(change[k]);
+    for (int k = 0; k < N; k++) w->a[k] += change[k] * (step > largest ? largest / step : 1);
+    set_properties(w, external);
+    gradient(w);
+    newton_step(w);
+    move(w, 1);
+    memcpy(w->x, w->trial, sizeof w->x);
+  }
+  memcpy(x, w->x, sizeof w->x);
+  memcpy(a, w->a, N * sizeof(double));
+  info[0] = iteration;
+  free(w);
+  return status;
 }

@@ -48,6 +48,17 @@ class Chain(Protocol):
         """Status and gradients by u, external forces and parameters, a row for each row of weights (rows, points · 3 + lengths)."""
         ...
 
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        largest: float, close: float, tolerance: float, most: int,
+    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """Status, levels, effective pressures (tensions are 0) and iterations at which weighted observations have their targets.
+
+        Newton on levels and pressures together from a start nearby: as many sums (rows of weights) as actuators, `largest` change of
+        a pressure in a step in Pa, `close` enough to the targets in m and `tolerance` of the forces in N, at `most` iterations.
+        """
+        ...
+
 
 def rotated(rotation: np.ndarray, vectors: np.ndarray, changes: np.ndarray) -> np.ndarray:
     """Vectors rotated by rotation vectors (all (…, 3)), after their linear changes less what the rotation accounts for."""
@@ -247,3 +258,43 @@ class PythonChain:
                 total = total + self._call("properties_theta_adjoint", *outer, by_P.T, by_level_0)[0].ravel()
             results[0][row], results[1][row], results[2][row] = by_a, by_external, total
         return SOLVED, results[0], results[1], results[2] if by_theta else None
+
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        largest: float, close: float, tolerance: float, most: int,
+    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """See `Chain.inverse`."""
+        layout, a = self.network.layout, np.concatenate([pressures, np.zeros(len(pressures))])
+        for iteration in range(most):
+            _, P, level_0 = self.prepare(a, True, external, theta)
+            x = np.concatenate([level_0[None], x[1:]])
+            at = self.assemble(x, P, theta)
+            try:
+                factor = sla.cholesky_banded(at.band, lower=True)
+            except np.linalg.LinAlgError:
+                return INDEFINITE, x, a[: len(pressures)], iteration
+            errors = weights @ self.observe(x, theta) - targets
+            _, by_a, _, _ = self.sensitivity(x, a, True, external, theta, weights, False)
+            if np.abs(errors).max() < close and np.abs(at.force).max() < tolerance:
+                return SOLVED, x, a[: len(pressures)], iteration
+            settled = np.zeros_like(x)
+            settled[1:] = sla.cho_solve_banded((factor, True), at.force.ravel()).reshape(at.force.shape)
+            settling = np.array([self._directional(x, theta, weight, settled) for weight in weights])
+            if not np.abs(errors).max() < 1e3:
+                return STALLED, x, a[: len(pressures)], iteration
+            try:
+                change = np.linalg.solve(by_a[:, : len(pressures)], settling - errors)
+            except np.linalg.LinAlgError:
+                return STALLED, x, a[: len(pressures)], iteration
+            a[: len(pressures)] += change * min(1.0, largest / np.abs(change).max())
+            force = self.assemble(x, self.prepare(a, True, external, theta)[1], theta).force
+            step = np.zeros((layout.levels + 1, layout.block))
+            step[1:] = -sla.cho_solve_banded((factor, True), force.ravel()).reshape(force.shape)
+            x = move(x, step)
+        return EXHAUSTED, x, a[: len(pressures)], most
+
+    def _directional(self, x: np.ndarray, theta: np.ndarray, weight: np.ndarray, direction: np.ndarray) -> float:
+        """Change of a weighted sum of the observations when the levels move in a direction."""
+        points = 3 * self.network.layout.points
+        by_x = self._call("observe_adjoint", x.ravel(), theta, weight[:points], weight[points:])[0]
+        return float(by_x.ravel() @ direction.ravel())

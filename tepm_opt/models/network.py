@@ -222,6 +222,7 @@ def _segment_functions(writer: _Writer, driven: list[int]) -> dict[str, ca.Funct
     columns = {name: [matrix[:, :block], matrix[block:, block:]] for name, matrix in (("k", stiffness), ("k+", convex), ("c", damping))}
     return {
         "segment_energy": _function("segment_energy", arguments, [energy]),
+        "segment_gradient": _function("segment_gradient", arguments, [force]),
         "segment_stiffness": _function("segment_stiffness", arguments, [energy, force, *columns["k"]]),
         "segment_convex": _function("segment_convex", arguments, [energy, force, *columns["k+"]]),
         "segment_damping": _function("segment_damping", arguments, columns["c"]),
@@ -247,7 +248,7 @@ def write_network(model: Model) -> Network:
 
     Functions (arguments → results), all dense:
         input_map(u, theta) → a; properties(a, external, theta) → P, level 0; observe(x, theta) → points in G, lengths;
-        segment_energy(lower, upper, P_j, theta) → energy;
+        segment_energy(lower, upper, P_j, theta) → energy; segment_gradient(…) → force;
         segment_stiffness(…), segment_convex(…) → energy, force, two block columns; segment_damping(…) → two block columns;
         segment_edges(…) → edge forces, lengths;
         input_map_adjoint, observe_adjoint: with a weight per result, gradients by their arguments;

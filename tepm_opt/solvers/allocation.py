@@ -90,6 +90,8 @@ def _correct(model: CompiledModel, inputs: np.ndarray, forces: np.ndarray, part:
     """Change one part of the inputs in place, within limits, until the forces are met or nothing moves."""
     for _ in range(ITERATIONS):
         missing = forces - axial_forces(model, inputs)
+        if np.abs(missing).max() < PRECISION:
+            return
         changed = np.clip(inputs[part] + gain * missing, 0.0, model.input_max[part])
         moved = np.abs(changed - inputs[part]).max() / abs(gain)
         inputs[part] = changed

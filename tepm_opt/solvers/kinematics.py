@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 
 from tepm_opt.models.chain import SOLVED
 from tepm_opt.models.compile import CompiledModel, finite_array
+from tepm_opt.models.layout import Layout
 from tepm_opt.solvers.allocation import Allocation, Mode, allocate, force_range
 from tepm_opt.solvers.constant_curvature import lengths_from_tip
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
@@ -85,21 +86,30 @@ class Configuration:
         return self.reach is Reach.SOLVED
 
 
+_range = lru_cache(maxsize=16)(force_range)
+
+
+@lru_cache(maxsize=16)
+def _weights(layout: Layout) -> np.ndarray:
+    """Rows that make tip and length differences of the observations (points in G, then lengths)."""
+    half = layout.inputs // 2
+    tip = np.zeros((3, 3 * layout.points + half))
+    tip[:, 3 * layout.points - 3 : 3 * layout.points] = np.eye(3)
+    differences = np.zeros(((layout.modules - 1) * layout.actuators, tip.shape[1]))
+    lengths = differences[:, 3 * layout.points :]
+    for row in range(len(lengths)):
+        lengths[row, row + layout.actuators], lengths[row, row % layout.actuators] = 1.0, -1.0
+    return np.concatenate([tip, differences])
+
+
 class _Problem:
     """Tip error and length differences as functions of the axial forces, with derivatives."""
 
     def __init__(self, model: CompiledModel, loads: np.ndarray, mode: Mode) -> None:
-        layout = model.layout
         self.model, self.loads = model, loads
-        self.low, self.high = force_range(model, mode)
-        self.area, self.half = model.values["A"], layout.inputs // 2
-        tip = np.zeros((3, 3 * layout.points + self.half))
-        tip[:, 3 * layout.points - 3 : 3 * layout.points] = np.eye(3)
-        differences = np.zeros(((layout.modules - 1) * layout.actuators, tip.shape[1]))
-        lengths = differences[:, 3 * layout.points :]
-        for row in range(len(lengths)):
-            lengths[row, row + layout.actuators], lengths[row, row % layout.actuators] = 1.0, -1.0
-        self.weights = np.concatenate([tip, differences])
+        self.low, self.high = _range(model, mode)
+        self.area, self.half = model.values["A"], model.layout.inputs // 2
+        self.weights = _weights(model.layout)
         self.redundant = len(self.weights) < self.half
 
     def at(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
@@ -192,7 +202,7 @@ def _solve(
     free = _free(problem, target, start, settings)
     slack = 1e-9 * (problem.high - problem.low)
     within = free is not None and bool(((free.forces >= problem.low - slack) & (free.forces <= problem.high + slack)).all())
-    found = free if free is not None and within else _nearest(problem, target, free, settings)
+    found = free if free is not None and within else _nearest(problem, target, settings)
     allocation = allocate(problem.model, found.forces, mode, mid_tension)
     limits = _limits(problem, found.forces, mode)
     miss = float(np.linalg.norm(found.equilibrium.tip - target))
@@ -219,18 +229,19 @@ def _seed(problem: _Problem, target: np.ndarray) -> np.ndarray:
     model = problem.model
     robot, value = model.robot, model.values
     local = robot.mount.rotation.T @ (target - np.array(robot.mount.base_position_m))
-    rest = problem.at(np.zeros(problem.half), None)
     try:
         lengths = lengths_from_tip(local, robot.modules, value["r"], robot.angles)
     except ValueError:
         return np.zeros(problem.half)
-    return np.clip((lengths - rest.lengths).ravel() * value["K_a"], problem.low, problem.high)
+    return np.clip((lengths.ravel() - value["L_0"]) * value["K_a"], problem.low, problem.high)
 
 
 def _free(problem: _Problem, target: np.ndarray, start: Configuration | None, settings: Settings) -> Configuration | None:
     """The configuration at the target without limits on the forces, or None."""
-    if start is not None and (found := _gauss_newton(problem, target, start.forces, start.equilibrium, settings)):
-        return found
+    if start is not None:
+        quick = None if problem.redundant else _together(problem, target, start.forces, start.equilibrium, settings)
+        if found := quick or _gauss_newton(problem, target, start.forces, start.equilibrium, settings):
+            return found
     if found := _gauss_newton(problem, target, _seed(problem, target), None, settings):
         return found
     at, forces, found = problem.at(np.zeros(problem.half), None), np.zeros(problem.half), None
@@ -250,6 +261,8 @@ def _gauss_newton(
     at = problem.at(forces, start)
     if not at.solved:
         return None
+    if not problem.redundant and (found := _together(problem, target, forces, at, settings)):
+        return found
     errors, change = problem.errors(at, target), np.inf
     for step in range(settings.iterations):
         if np.abs(errors).max() < settings.tolerance and (change < settings.settled or not problem.redundant):
@@ -271,6 +284,23 @@ def _gauss_newton(
     return None
 
 
+def _together(problem: _Problem, target: np.ndarray, forces: np.ndarray, start: Equilibrium, settings: Settings) -> Configuration | None:
+    """Newton on levels and forces together: quick, without safeguards; None where it does not converge to a stable equilibrium."""
+    model = problem.model
+    targets = np.concatenate([target, np.zeros(problem.half - 3)])
+    status, x, pressures, steps = model.chain.inverse(
+        start.x, forces / problem.area, problem.loads.ravel(), model.theta, problem.weights, targets,
+        settings.largest_step / problem.area, settings.tolerance / 2, 1e-9, settings.iterations,
+    )  # fmt: skip
+    if status != SOLVED:
+        return None
+    forces = pressures * problem.area
+    at = problem.at(forces, replace(start, x=x))
+    if not at.solved or np.abs(problem.errors(at, target)).max() > settings.tolerance:
+        return None
+    return _configuration(target, at, forces, Reach.SOLVED, steps=steps)
+
+
 def _minimum_norm(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solution of least norm; the only one where the matrix is square and regular."""
     if matrix.shape[0] == matrix.shape[1]:
@@ -281,15 +311,23 @@ def _minimum_norm(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
 
 
-def _nearest(problem: _Problem, target: np.ndarray, free: Configuration | None, settings: Settings) -> Configuration:
-    """The configuration within the limits whose tip is nearest to the target."""
-    middle = (problem.low + problem.high) / 2  # of all starts tried, the one from which no target ended in a local minimum
-    for forces in (middle, free.forces if free is not None else _seed(problem, target)):
-        found = _constrained(problem, target, forces, settings)
-        if found and found.solved and problem.redundant:
-            return _constrained(problem, target, found.forces, settings, least_norm=True) or found
-        if found:
-            return found
+def _nearest(problem: _Problem, target: np.ndarray, settings: Settings) -> Configuration:
+    """The configuration within the limits whose tip is nearest to the target.
+
+    The distance has local minima (a target below the base seen by the straight robot), so the search starts from the middle of
+    the forces and from bends towards the target and to its sides, and the best end counts.
+    """
+    robot = problem.model.robot
+    local = robot.mount.rotation.T @ (target - np.array(robot.mount.base_position_m))
+    middle, half_range = (problem.low + problem.high) / 2, (problem.high - problem.low) / 2
+    towards = np.arctan2(local[1], local[0]) + np.array([0.0, 1.0, -1.0]) * np.pi / robot.actuators
+    bends = [middle - 0.9 * half_range * np.tile(np.cos(robot.angles - angle), robot.modules) for angle in towards]
+    ends = [_constrained(problem, target, forces, settings) for forces in (middle, *bends)]
+    found = min((end for end in ends if end), key=lambda end: float(np.linalg.norm(end.equilibrium.tip - target)), default=None)
+    if found and found.solved and problem.redundant:
+        return _constrained(problem, target, found.forces, settings, least_norm=True) or found
+    if found:
+        return found
     message = "no stable equal-curvature configuration within the limits was found"
     if not problem.at(np.zeros(problem.half), None).solved:
         message += "; without inputs the robot is not stable either (it buckles under its weight or load)"
