@@ -8,6 +8,7 @@ held = solve_statics(model, found.allocation.inputs)
 G = solve_gain(held).matrix
 """
 
+from tepm_opt.data.setpoints import SetPoints, read_setpoints, write_setpoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model, read_model, write_model
@@ -29,6 +30,7 @@ __all__ = [
     "Mode",
     "Model",
     "Robot",
+    "SetPoints",
     "Trajectory",
     "allocate",
     "circle",
@@ -39,6 +41,7 @@ __all__ = [
     "load_robot",
     "poles",
     "read_model",
+    "read_setpoints",
     "read_trajectory",
     "rk4_step_limit",
     "run_gain",
@@ -51,4 +54,5 @@ __all__ = [
     "state_matrix",
     "workspace_map",
     "write_model",
+    "write_setpoints",
 ]

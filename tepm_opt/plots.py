@@ -19,6 +19,7 @@ from tepm_opt.solvers.kinematics import Mode
 from tepm_opt.solvers.statics import Equilibrium
 
 PRESSURE, TENSION, TARGET, REACHED, MISSED = "#1f5fa8", "#c8571b", "#8a8a8a", "#1b7f4b", "#b3202c"
+SMALLEST_SPAN = 50.0  # mm, half of the least axis of the 3-D view
 STYLE = {"dpi": 130, "layout": "constrained"}
 
 
@@ -42,20 +43,27 @@ def backbone(at: Equilibrium, count: int = 41) -> np.ndarray:
 
 
 def ik_figure(run: IkRun) -> Figure:
-    """Robot along the path, path from above, set points, and what rounding to the actuators' grids costs."""
+    """Robot along the path, what rounding to the actuators' grids costs, and the set points."""
     figure = Figure(figsize=(11.5, 8.2), **STYLE)  # type: ignore[arg-type]
     grid = figure.add_gridspec(2, 2)
     _robot_axes(figure.add_subplot(grid[0, 0], projection="3d"), run)
-    axes = figure.add_subplot(grid[0, 1])
-    _error_axes(axes, run)
-    half = run.model.layout.inputs // 2
-    inputs = run.setpoints().inputs
-    time = run.trajectory.time
-    _input_axes(figure.add_subplot(grid[1, 0]), time, inputs[:, :half] / 1e3, run, "pressure in kPa")
-    _input_axes(figure.add_subplot(grid[1, 1]), time, inputs[:, half:], run, "tension in N")
+    _error_axes(figure.add_subplot(grid[0, 1]), run)
+    half, setpoints = run.model.layout.inputs // 2, run.setpoints()
+    pressure, tension = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
+    _input_axes(pressure, setpoints.time, setpoints.inputs[:, :half] / 1e3, run, joined=True)
+    pressure.set_ylabel("pressure in kPa")
+    tension.set_ylabel("tension in N")
+    if run.mode is Mode.HYBRID:
+        _input_axes(tension, setpoints.time, setpoints.inputs[:, half:], run, joined=False)
+        tension.set_title("what the pressure grid leaves to the tendons")
+        tension.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    else:
+        tension.set_axis_off()
+        tension.text(0.5, 0.5, "tendons slack (mode 1)", ha="center", transform=tension.transAxes)
+        pressure.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     solved = sum(c.solved for c in run.configurations)
     figure.suptitle(
-        f"{run.model.robot.name}: equal-curvature inverse kinematics, {run.mode.value} mode, {solved} of {len(time)} points solved"
+        f"{run.model.robot.name}: equal-curvature inverse kinematics, {run.mode.value} mode, {solved} of {run.asked} points solved"
     )
     return figure
 
@@ -65,50 +73,54 @@ def _robot_axes(axes: Axes, run: IkRun) -> None:
     closed = np.vstack([targets, targets[:1]]) if run.trajectory.closed else targets
     axes.plot(*closed.T, color=TARGET, linewidth=1, label="targets")
     every = max(1, len(targets) // 8)
-    for at in run.reached[::every]:
-        axes.plot(*(1e3 * backbone(at)).T, color=PRESSURE, alpha=0.5, linewidth=1.6)
+    curves = [1e3 * backbone(at) for at in run.reached if at.solved]
+    for curve in curves[::every]:
+        axes.plot(*curve.T, color=PRESSURE, alpha=0.5, linewidth=1.6)
     good = np.array([c.solved for c in run.configurations], dtype=bool)
     tips = 1e3 * np.array([at.tip for at in run.reached])
     axes.plot(*tips[good].T, ".", color=REACHED, label="tip, solved")
     if not good.all():
         axes.plot(*tips[~good].T, "x", color=MISSED, label="nearest reachable point")
-    axes.set_xlabel("x in mm")
-    axes.set_ylabel("y in mm")
-    axes.set_zlabel("z in mm")  # type: ignore[attr-defined]
+        for tip, target in zip(tips[~good], targets[~good], strict=True):
+            axes.plot(*np.stack([tip, target]).T, color=MISSED, linewidth=0.6)
+    everything = np.vstack([targets, *curves])
+    centre, half_span = (everything.max(axis=0) + everything.min(axis=0)) / 2, np.maximum(np.ptp(everything, axis=0) / 2, SMALLEST_SPAN)
+    for name, middle, reach in zip("xyz", centre, half_span, strict=True):
+        getattr(axes, f"set_{name}lim")(middle - reach, middle + reach)
+        getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4))
+        getattr(axes, f"set_{name}label")(f"{name} in mm")
     axes.set_title("backbone and tip in frame G")
     axes.set_aspect("equal")
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):  # type: ignore[attr-defined]
-        axis.set_major_locator(MaxNLocator(4))
-    axes.legend(loc="upper left", fontsize=8)
+    axes.legend(loc="upper left", bbox_to_anchor=(-0.25, 1.0), fontsize=8)
 
 
 def _error_axes(axes: Axes, run: IkRun) -> None:
     number = np.arange(1, len(run.configurations) + 1)
     good = np.array([c.solved for c in run.configurations], dtype=bool)
     if good.any():
-        axes.semilogy(number[good], 1e3 * np.maximum(run.errors(run.reached)[good], 1e-12), ".-", color=REACHED, label="exact set points")
-        axes.semilogy(number[good], 1e3 * run.errors(run.rounded)[good], ".-", color=PRESSURE, label="set points on the actuators' grids")
+        exact = 1e3 * run.errors(run.reached)[good].max()
+        errors = np.where(good, 1e3 * run.errors(run.rounded), np.nan)
+        axes.semilogy(number, errors, ".-", color=PRESSURE, label="solved, set points on the actuators' grids")
+        axes.plot([], [], " ", label=f"exact set points: at most {exact:.0e} mm")
     if not good.all():
         axes.semilogy(number[~good], 1e3 * run.errors(run.reached)[~good], "x", color=MISSED, label="out of reach")
     axes.set_xlabel("point")
     axes.set_ylabel("distance of the tip from its target in mm")
-    axes.set_title("what statics makes of the set points")
-    axes.grid(alpha=0.3, which="major")
+    axes.set_title("tip error, statics solved again from the set points")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=8)
 
 
-def _input_axes(axes: Axes, time: np.ndarray, values: np.ndarray, run: IkRun, label: str) -> None:
+def _input_axes(axes: Axes, time: np.ndarray, values: np.ndarray, run: IkRun, joined: bool) -> None:
     layout = run.model.layout
     for k, name in enumerate(layout.actuator_names):
         module, actuator = divmod(k, layout.actuators)
-        style = ("-", "--", ":", "-.")[module % 4]
-        axes.plot(time, values[:, k], style, color=f"C{actuator}", marker=".", markersize=3, linewidth=1.2, label=f"A{name}")
+        style = ("-", "--", ":", "-.")[module % 4] if joined else "none"
+        mark = ("o", "s", "^", "D")[module % 4]
+        axes.plot(time, values[:, k], linestyle=style, color=f"C{actuator}", marker=mark, markersize=3, linewidth=1.2, label=f"A{name}")
     axes.set_xlabel("time in s")
-    axes.set_ylabel(label)
-    if not np.nanmax(np.abs(values), initial=0.0):
-        axes.set_title("tendons slack (pressure mode)" if run.mode is Mode.PRESSURE else "")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def gain_figure(run: GainRun, curves: Mapping[tuple[str, str], Curve], workspace: Map | None = None) -> Figure:
@@ -116,15 +128,14 @@ def gain_figure(run: GainRun, curves: Mapping[tuple[str, str], Curve], workspace
 
     `curves` are by actuation ("pressure" or "tension") and interval ("10–20 %").
     """
-    figure = Figure(figsize=(11.5, 8.2), **STYLE)  # type: ignore[arg-type]
-    axes = figure.subplots(2, 2)
-    _singular_axes(axes[0, 0], run)
-    _matrix_axes(figure, axes[0, 1], run)
-    _curve_axes(axes[1, 0], curves)
-    if workspace is None:
-        _column_axes(axes[1, 1], run)
-    else:
-        _map_axes(figure, axes[1, 1], workspace)
+    figure = Figure(figsize=(11.5, 8.2) if workspace is None else (11.5, 12.0), **STYLE)  # type: ignore[arg-type]
+    grid = figure.add_gridspec(2 if workspace is None else 3, 2)
+    _singular_axes(figure.add_subplot(grid[0, 0]), run)
+    _matrix_axes(figure, figure.add_subplot(grid[0, 1]), run)
+    for column, interval in enumerate(dict.fromkeys(label for _, label in curves)):
+        _curve_axes(figure.add_subplot(grid[1, column]), interval, curves)
+    if workspace is not None:
+        _map_axes(figure, figure.add_subplot(grid[2, :]), workspace)
     layout = run.statics.model.layout
     point = next((gain.point for gain in run.gains if gain), layout.points - 1)
     figure.suptitle(f"{run.statics.model.robot.name}: open-loop gain G of {layout.point_names[point]}, normalised by the inputs' ranges")
@@ -132,23 +143,28 @@ def gain_figure(run: GainRun, curves: Mapping[tuple[str, str], Curve], workspace
 
 
 def _singular_axes(axes: Axes, run: GainRun) -> None:
-    number = np.array([k + 1 for k, gain in enumerate(run.gains) if gain])
-    for kind, color in (("pressure", PRESSURE), ("tension", TENSION)):
-        values = np.array([1e3 * gain.singular_values(kind) for gain in run.gains if gain])  # type: ignore[arg-type]
-        for k, style in enumerate(("-", "--", ":")):
-            if len(values):
-                axes.semilogy(number, values[:, k], style, color=color, marker=".", label=f"{kind}, σ{k + 1}")
+    found = [(k + 1, gain) for k, gain in enumerate(run.gains) if gain]
     axes.set_xlabel("operating point")
     axes.set_ylabel("singular values in mm per full range")
+    if not found:
+        axes.set_title("no stable operating point")
+        return
+    number = [k for k, _ in found]
+    for kind, color in (("pressure", PRESSURE), ("tension", TENSION)):
+        values = np.array([1e3 * gain.singular_values(kind) for _, gain in found])  # type: ignore[arg-type]
+        for k, style in enumerate(("-", "--", ":")):
+            axes.semilogy(number, values[:, k], style, color=color, marker=".", label=f"{kind}, σ{k + 1}")
     axes.set_title("pressure moves far, tension finely")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=8, ncols=2)
+    axes.set_ylim(top=5 * axes.get_ylim()[1])
+    axes.legend(fontsize=8, ncols=3, loc="upper center")
 
 
 def _matrix_axes(figure: Figure, axes: Axes, run: GainRun) -> None:
     first = next((gain for gain in run.gains if gain), None)
     if first is None:
-        axes.set_title("no stable operating point")
+        axes.set_axis_off()
         return
     matrix = 1e3 * first.normalised()
     span = np.abs(matrix).max()
@@ -157,7 +173,7 @@ def _matrix_axes(figure: Figure, axes: Axes, run: GainRun) -> None:
     axes.set_xticks(range(2 * len(names)), [f"p{n}" for n in names] + [f"λ{n}" for n in names], rotation=90, fontsize=8)
     axes.set_yticks(range(3), ["x", "y", "z"])
     if matrix.shape[1] <= 24:
-        for (row, column), value in np.ndenumerate(matrix):
+        for (row, column), value in np.ndenumerate(np.round(matrix) + 0.0):
             axes.text(
                 column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color="white" if abs(value) > 0.6 * span else "black"
             )
@@ -165,38 +181,25 @@ def _matrix_axes(figure: Figure, axes: Axes, run: GainRun) -> None:
     figure.colorbar(image, ax=axes, shrink=0.8)
 
 
-def _curve_axes(axes: Axes, curves: Mapping[tuple[str, str], Curve]) -> None:
-    styles = {"pressure": PRESSURE, "tension": TENSION}
-    marks = dict(zip(dict.fromkeys(label for _, label in curves), ("-", "--"), strict=False))
-    for (kind, label), curve in curves.items():
-        axes.plot(100 * (curve.part - curve.part[0]), 1e3 * curve.tip[:, 2], marks[label], color=styles[kind], label=f"{kind}, {label}")
-    axes.set_xlabel("input above the interval's start, % of its range")
-    axes.set_ylabel("tip z in mm")
-    axes.set_title("third actuator of module 1 alone (Fig. 11)" if curves else "no stable curve for this robot")
-    axes.grid(alpha=0.3)
-    if curves:
-        axes.legend(fontsize=8)
-
-
-def _column_axes(axes: Axes, run: GainRun) -> None:
-    number = [k + 1 for k, gain in enumerate(run.gains) if gain]
+def _curve_axes(axes: Axes, interval: str, curves: Mapping[tuple[str, str], Curve]) -> None:
     for kind, color in (("pressure", PRESSURE), ("tension", TENSION)):
-        axes.semilogy(number, [gain.condition(kind) for gain in run.gains if gain], ".-", color=color, label=kind)  # type: ignore[arg-type]
-    axes.set_xlabel("operating point")
-    axes.set_ylabel("condition number")
-    axes.set_title("how evenly the directions can be driven")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=8)
+        if curve := curves.get((kind, interval)):
+            axes.plot(100 * curve.part, 1e3 * curve.tip[:, 2], color=color, label=kind)
+    axes.set_xlabel("input, % of its range")
+    axes.set_ylabel("tip z in mm")
+    axes.set_title("third actuator of module 1 alone, as Fig. 11")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="best")
 
 
 def _map_axes(figure: Figure, axes: Axes, workspace: Map) -> None:
     values = workspace.values(lambda gain: 1e3 * float(gain.singular_values("tension")[-1]))
     image = axes.pcolormesh(1e3 * workspace.across, 1e3 * workspace.height, values, shading="nearest", cmap="viridis")
-    axes.set_xlabel("x from the base axis in mm")
-    axes.set_ylabel("z in mm")
-    axes.set_title("tension's weakest direction (blank: out of reach)")
-    axes.set_aspect("equal")
-    figure.colorbar(image, ax=axes, shrink=0.8, label="smallest singular value in mm per full range")
+    axes.set_xlabel("across the base's axis in mm")
+    axes.set_ylabel("along it in mm")
+    axes.set_title("where the tip can be, and how far tension moves it in its weakest direction")
+    axes.set_aspect("equal", anchor="C")
+    figure.colorbar(image, ax=axes, shrink=0.9, pad=0.02, label="mm per full range")
 
 
 def statics_figure(run: StaticsRun) -> Figure:
@@ -208,8 +211,11 @@ def statics_figure(run: StaticsRun) -> Figure:
         for k, at in enumerate(solved):
             color = f"C{k}" if len(solved) <= 10 else PRESSURE
             curve, points = 1e3 * backbone(at), 1e3 * at.points
-            axes.plot(curve[:, across], curve[:, 2], color=color, linewidth=1.5, alpha=1.0 if len(solved) <= 10 else 0.4)
+            label = f"row {run.equilibria.index(at) + 1}"
+            axes.plot(curve[:, across], curve[:, 2], color=color, linewidth=1.5, alpha=1.0 if len(solved) <= 10 else 0.4, label=label)
             axes.plot(points[:, across], points[:, 2], "o", color=color, markersize=3)
+        if 1 < len(solved) <= 10:
+            axes.legend(fontsize=8)
         axes.set_xlabel(f"{name} in mm")
         axes.set_ylabel("z in mm")
         axes.set_aspect("equal", adjustable="datalim")

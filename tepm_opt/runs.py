@@ -20,7 +20,7 @@ from tepm_opt.data.tables import write_table
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.gain import Gain, solve_gain
 from tepm_opt.solvers.kinematics import Configuration, Mode, Reach, each_configuration
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.statics import Equilibrium, solve_statics, without_inputs
 from tepm_opt.solvers.trajectories import Trajectory
 
 Item = TypeVar("Item")
@@ -71,6 +71,7 @@ class IkRun:
         configurations: one a target.
         reached: equilibria under the exact set points.
         rounded: equilibria under the set points on the actuators' grids.
+        asked: number of targets asked for.
         interrupted: whether the user ended it early.
     """
 
@@ -80,6 +81,7 @@ class IkRun:
     configurations: list[Configuration]
     reached: list[Equilibrium]
     rounded: list[Equilibrium]
+    asked: int
     interrupted: bool
 
     @property
@@ -107,13 +109,13 @@ class IkRun:
         return {
             "robot": self.model.robot.name,
             "mode": self.mode.value,
-            "points": len(solved),
+            "points": self.asked,
             "solved": int(solved.sum()),
             "interrupted": self.interrupted,
-            "largest_tip_error_m": float(exact.max(initial=0.0)),
-            "largest_length_difference_m": float(max(differences, default=0.0)),
+            "largest_tip_error_m": float(exact.max()) if solved.any() else None,
+            "largest_length_difference_m": float(max(differences)) if solved.any() else None,
             "rounded_tip_error_rms_m": float(np.sqrt(np.mean(rounded**2))) if solved.any() else None,
-            "largest_rounded_tip_error_m": float(rounded.max(initial=0.0)),
+            "largest_rounded_tip_error_m": float(rounded.max()) if solved.any() else None,
             "unsolved": [
                 {"point": k, "status": c.reach.value, "miss_m": c.miss, "limits": list(c.limits), "message": c.message}
                 for k, c in enumerate(self.configurations)
@@ -122,17 +124,18 @@ class IkRun:
         }
 
     def save(self, folder: str | Path) -> None:
-        """Write inputs.csv, inputs_rounded.csv, shape.csv, lengths.csv and summary.json.
+        """Write inputs.csv, inputs_rounded.csv, shape.csv, lengths.csv and summary.json; nothing where no point was finished.
 
         Raises:
             InputError: the folder cannot be written to.
         """
+        if not self.configurations:
+            return
         folder, names = output_folder(folder), self.model.layout.actuator_names
-        if self.configurations:
-            write_setpoints(folder / "inputs.csv", self.setpoints(), names)
-            write_setpoints(folder / "inputs_rounded.csv", self.setpoints(rounded=True), names)
-            good = [at.solved and c.reach is not Reach.FAILED for at, c in zip(self.reached, self.configurations, strict=True)]
-            _save_shapes(folder, self.trajectory.time, self.reached, good)
+        write_setpoints(folder / "inputs.csv", self.setpoints(), names)
+        write_setpoints(folder / "inputs_rounded.csv", self.setpoints(rounded=True), names)
+        good = [at.solved and c.reach is not Reach.FAILED for at, c in zip(self.reached, self.configurations, strict=True)]
+        _save_shapes(folder, self.trajectory.time, self.reached, good)
         save_summary(folder, "ik", self.summary())
 
 
@@ -142,7 +145,7 @@ def run_ik(
     mode: Mode = Mode.HYBRID,
     tip_force: Sequence[float] | np.ndarray | None = None,
     mid_tension: float | None = None,
-    track: Track[Configuration] = iter,
+    track: Track[tuple[Configuration, Equilibrium, Equilibrium]] = iter,
 ) -> IkRun:
     """Solve the inverse kinematics of a trajectory and re-solve statics from its set points, exact and rounded.
 
@@ -152,18 +155,24 @@ def run_ik(
         mode: how axial forces are made.
         tip_force: known force on the tip in G, (3,) in N.
         mid_tension: see `allocate`.
-        track: wraps the configurations, for progress.
+        track: wraps the points, for progress.
 
     Raises:
         InputError: tip force of a wrong shape or not finite.
     """
     found = each_configuration(model, trajectory.positions, mode, tip_force, mid_tension)
-    configurations, interrupted = collect(track(found))
-    count = len(configurations)
+    points, interrupted = collect(track(map(_checked, found)))
+    count, asked = len(points), len(trajectory.time)
     part = Trajectory(trajectory.time[:count], trajectory.positions[:count], trajectory.closed and not interrupted)
-    held = [solve_statics(model, c.allocation.inputs, c.equilibrium.loads, c.equilibrium) for c in configurations]
-    rounded = [solve_statics(model, c.allocation.rounded, c.equilibrium.loads, c.equilibrium) for c in configurations]
-    return IkRun(model, part, mode, configurations, held, rounded, interrupted)
+    configurations, held, rounded = [p[0] for p in points], [p[1] for p in points], [p[2] for p in points]
+    return IkRun(model, part, mode, configurations, held, rounded, asked, interrupted)
+
+
+def _checked(found: Configuration) -> tuple[Configuration, Equilibrium, Equilibrium]:
+    """A configuration with the equilibria under its exact and its rounded set points."""
+    at, allocation = found.equilibrium, found.allocation
+    held, rounded = (solve_statics(at.model, inputs, at.loads, at) for inputs in (allocation.inputs, allocation.rounded))
+    return found, held, rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,11 +193,11 @@ class StaticsRun:
         """Numbers of the run."""
         return {
             "robot": self.model.robot.name,
-            "points": len(self.equilibria),
+            "points": len(self.setpoints.time),
             "solved": sum(at.solved for at in self.equilibria),
             "interrupted": self.interrupted,
             "tip_m": [at.tip.tolist() if at.solved else None for at in self.equilibria],
-            "smallest_stiffness_eigenvalue_N_per_m": [at.smallest_eigenvalue for at in self.equilibria],
+            "smallest_stiffness_eigenvalue_N_per_m": [at.smallest_eigenvalue if at.solved else None for at in self.equilibria],
             "unsolved": _unsolved(self.equilibria),
         }
 
@@ -198,9 +207,10 @@ class StaticsRun:
         Raises:
             InputError: the folder cannot be written to.
         """
+        if not self.equilibria:
+            return
         folder = output_folder(folder)
-        if self.equilibria:
-            _save_shapes(folder, self.setpoints.time[: len(self.equilibria)], self.equilibria, [at.solved for at in self.equilibria])
+        _save_shapes(folder, self.setpoints.time[: len(self.equilibria)], self.equilibria, [at.solved for at in self.equilibria])
         save_summary(folder, "statics", self.summary())
 
 
@@ -216,7 +226,8 @@ def _equilibria(model: CompiledModel, setpoints: SetPoints) -> Iterator[Equilibr
     """Equilibria along set points, each started from the last one solved."""
     last = None
     for inputs, force in zip(setpoints.inputs, setpoints.tip_force, strict=True):
-        found = solve_statics(model, inputs, force, last)
+        empty = not np.isfinite(inputs).all()
+        found = without_inputs(model, inputs, model.check_loads(force)) if empty else solve_statics(model, inputs, force, last)
         last = found if found.solved else last
         yield found
 
@@ -276,11 +287,12 @@ class GainRun:
         Raises:
             InputError: the folder cannot be written to.
         """
+        if not self.gains:
+            return
         folder, inputs = output_folder(folder), self.statics.model.layout.inputs
         empty = np.full(3 * inputs, np.nan)
-        if self.gains:
-            rows = np.array([empty if gain is None else gain.matrix.ravel() for gain in self.gains])
-            write_table(folder / "gain.csv", gain_columns(inputs), rows)
+        rows = np.array([empty if gain is None else gain.matrix.ravel() for gain in self.gains])
+        write_table(folder / "gain.csv", gain_columns(inputs), rows)
         save_summary(folder, "gain", self.summary())
 
 

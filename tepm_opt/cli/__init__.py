@@ -7,20 +7,38 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from tepm_opt.cli import demo, gain, ik, robot, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
 from tepm_opt.errors import InputError
 
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"tepm_opt {version('tepm-opt')}")
+        raise typer.Exit
+
+
 app = typer.Typer(
     name="tepm",
-    help="Continuum robots of pneumatic muscles with embedded tendons: inverse kinematics, statics, gain matrix.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+
+
+@app.callback()
+def options(
+    wanted: Annotated[bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)] = False,
+) -> None:
+    """Continuum robots of pneumatic muscles with embedded tendons: inverse kinematics, statics, gain matrix."""
+
+
 app.command("ik")(ik.ik)
 app.command("gain")(gain.gain)
 app.command("statics")(statics.statics)
@@ -46,9 +64,10 @@ def run(arguments: list[str]) -> int:
         # usage errors of typer (unknown option, no such command) carry a message of one line; anything else is a bug
         if not hasattr(error, "format_message"):
             raise
-        return _explain(f"{error.format_message()} (see tepm --help)")  # type: ignore[attr-defined]
+        message = error.format_message().replace("Value error, ", "")  # type: ignore[attr-defined]
+        return _explain(f"{message} (see tepm --help)") if message else WRONG_INPUT
 
 
 def _explain(message: str) -> int:
-    stderr.print(f"[bold red]error:[/] {' '.join(message.split())}", soft_wrap=True, highlight=False)
+    stderr.print(f"[bold red]error:[/] {escape(' '.join(message.split()))}", soft_wrap=True, highlight=False)
     return WRONG_INPUT

@@ -52,7 +52,7 @@ def vector(text: str | None, name: str, count: int = 3) -> list[float] | None:
     except ValueError:
         values = []
     if len(values) != count or not all(math.isfinite(value) for value in values):
-        raise InputError(f"{name} {text!r}: valid: {count} numbers separated by commas")
+        raise InputError(f"{name} {text!r}: {len(text.split(','))} values; valid: {count} numbers separated by commas")
     return values
 
 
@@ -80,5 +80,6 @@ def report(summary: dict[str, Any], lines: Iterable[str], as_json: bool, ok: boo
 def unsolved_lines(summary: dict[str, Any], most: int = 8) -> list[str]:
     """A line for each unsolved point, the first few."""
     entries = summary["unsolved"]
-    lines = [f"[yellow]point {entry['point'] + 1}: {escape(entry['message'])}[/]" for entry in entries[:most]]
+    lines = ["[yellow]interrupted: what was finished is kept[/]"] if summary["interrupted"] else []
+    lines += [f"[yellow]point {entry['point'] + 1}: {escape(entry['message'])}[/]" for entry in entries[:most]]
     return lines + ([f"[yellow]… and {len(entries) - most} more, see summary.json[/]"] if len(entries) > most else [])

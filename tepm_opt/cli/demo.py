@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from tepm_opt import plots
 from tepm_opt.cli import gain as gain_command
 from tepm_opt.cli import ik as ik_command
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report
 from tepm_opt.data.files import output_folder
-from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.report import write_page
 from tepm_opt.runs import run_gain, run_ik
 from tepm_opt.solvers.allocation import Mode
@@ -28,16 +28,20 @@ def demo(
     """The main job: the paper's circle, set points for every actuator, G at every point, figures and one HTML page."""
     folder, compiled, path = output_folder(out), load(robot, model), circle()
     coarse = run_ik(compiled, path, Mode.PRESSURE, track=progress("pressure alone", len(path.time), as_json))
+    if coarse.interrupted:
+        raise KeyboardInterrupt
     run = run_ik(compiled, path, Mode.HYBRID, track=progress("pressure and tension", len(path.time), as_json))
     run.save(folder)
+    if run.interrupted:
+        raise KeyboardInterrupt
     plots.save(plots.ik_figure(run), folder / "ik.png")
-    setpoints = read_setpoints(folder / "inputs.csv", compiled.layout.actuator_names, compiled.input_max)
-    gains = run_gain(compiled, setpoints, track=progress("gain", len(path.time), as_json))
+    gains = run_gain(compiled, run.setpoints(), track=progress("gain", len(path.time), as_json))
     gains.save(folder)
     workspace = gain_command.grid_map(compiled, as_json)
     gain_command.save_map(workspace, folder / "gain_map.csv")
     plots.save(plots.gain_figure(gains, gain_command.curves(compiled), workspace), folder / "gain.png")
     write_page(folder / "index.html", run, coarse, gains, {"ik": folder / "ik.png", "gain": folder / "gain.png"})
-    summary = {"interrupted": run.interrupted, "ik": run.summary(), "ik_pressure": coarse.summary(), "gain": gains.summary()}
-    text = [*ik_command.lines(run, out), *gain_command.lines(gains, out), f"open [bold]{folder / 'index.html'}[/]"]
+    summary = {"interrupted": gains.statics.interrupted, "ik": run.summary(), "ik_pressure": coarse.summary(), "gain": gains.summary()}
+    page = escape(str(folder / "index.html"))
+    text = [*ik_command.lines(run, out), *gain_command.lines(gains, out), f"open [bold]{page}[/]"]
     return report(summary, text, as_json, run.ok and gains.ok)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from rich.markup import escape
 
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, unsolved_lines
@@ -38,7 +39,7 @@ def grid_map(model: CompiledModel, quiet: bool) -> Map:
     count = 17 if model.is_c else 9
     height = model.layout.modules * model.values["L_0"]
     across, up = np.linspace(-0.96, 0.96, count) * height, np.linspace(0.1, 1.3, count) * height
-    return workspace_map(model, across, model.robot.mount.base_position_m[2] + up, track=progress("workspace", count**2, quiet))
+    return workspace_map(model, across, up, track=progress("workspace", count**2, quiet))
 
 
 def save_map(workspace: Map, path: Path) -> None:
@@ -55,7 +56,7 @@ def save_map(workspace: Map, path: Path) -> None:
 def lines(run: GainRun, out: Path) -> list[str]:
     """What a run says to people."""
     found = [gain for gain in run.gains if gain]
-    text = [f"[bold]G at {len(found)} of {len(run.gains)}[/] operating points, files in {out}"]
+    text = [f"[bold]G at {len(found)} of {len(run.gains)}[/] operating points, files in {escape(str(out))}"]
     for kind in ("pressure", "tension"):
         if found:
             values = 1e3 * np.array([gain.singular_values(kind) for gain in found])  # type: ignore[arg-type]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+from rich.markup import escape
 
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, unsolved_lines, vector
@@ -13,9 +15,10 @@ from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
 from tepm_opt.runs import IkRun, run_ik
 from tepm_opt.solvers.allocation import Mode
-from tepm_opt.solvers.trajectories import Trajectory, circle, line, lissajous, read_trajectory
+from tepm_opt.solvers.trajectories import FARTHEST, Trajectory, circle, line, lissajous, read_trajectory
 
 SHAPES = ("circle", "line", "lissajous")
+LARGEST = {"duration": 1e6, "radius": FARTHEST, "height": FARTHEST, "start": FARTHEST, "end": FARTHEST}
 
 
 def trajectory(
@@ -28,11 +31,15 @@ def trajectory(
     """
     options = {"duration": duration, "radius": radius, "height": height, "start": vector(start, "--from"), "end": vector(end, "--to")}
     given = {key: value for key, value in options.items() if value is not None}
+    spelled = {"start": "from", "end": "to"}
+    for key, value in given.items():
+        positive = key in ("duration", "radius")
+        if not (np.isfinite(value).all() and np.abs(value).max() <= LARGEST[key] and (not positive or value > 0)):
+            low = "more than 0" if positive else f"-{LARGEST[key]:g}"
+            raise InputError(f"--{spelled.get(key, key)} {value}; valid: {low} … {LARGEST[key]:g} {'s' if key == 'duration' else 'm'}")
     fits = {"line": {"duration", "start", "end"}, "circle": {"duration", "radius", "height"}, "lissajous": {"duration", "radius", "height"}}
     if misfits := sorted(given.keys() - fits.get(name, {"duration"})):
-        raise InputError(f"option {misfits[0]!r} does not fit trajectory {name!r}")
-    if duration is not None and not duration > 0:
-        raise InputError(f"--duration {duration:g}; valid: more than 0 s")
+        raise InputError(f"option --{spelled.get(misfits[0], misfits[0])} does not fit trajectory {name!r}")
     if name in SHAPES:
         make = {"circle": circle, "line": line, "lissajous": lissajous}[name]
         return make(**given, **({} if points is None else {"points": points}))  # type: ignore[arg-type]
@@ -45,7 +52,7 @@ def trajectory(
 def lines(run: IkRun, out: Path) -> list[str]:
     """What a run says to people."""
     summary = run.summary()
-    text = [f"[bold]{summary['solved']} of {summary['points']}[/] points solved in {run.mode.value} mode, files in {out}"]
+    text = [f"[bold]{summary['solved']} of {summary['points']}[/] points solved in {run.mode.value} mode, files in {escape(str(out))}"]
     if summary["solved"]:
         text.append(
             f"tip error {1e3 * summary['largest_tip_error_m']:.2e} mm at most, "

@@ -45,9 +45,9 @@ def new(
     """Write a commented robot file to edit."""
     if path.exists():
         raise InputError(f"{path} exists; name another file")
-    name = f'name = "{path.stem}"'
+    name = f"name = {json.dumps(path.stem, ensure_ascii=False)}"
     write_atomically(path, robot_text(template).replace(f'name = "{template}"', name, 1))
-    print(json.dumps({"file": str(path)})) if as_json else stdout.print(f"wrote {path}: edit it, then run tepm robot check {path}")
+    print(json.dumps({"file": str(path)})) if as_json else print(f"wrote {path}: edit it, then run tepm robot check {path}")
     return 0
 
 
@@ -62,5 +62,5 @@ def check(
     if as_json:
         print(json.dumps({**summary, "built_in": robot in builtin_robots()}, indent=2))
     else:
-        stdout.print(f"{robot} is valid: {found.name}, {found.modules} modules of {found.actuators} actuators, {found.levels} levels")
+        print(f"{robot} is valid: {found.name}, {found.modules} modules of {found.actuators} actuators, {found.levels} levels")
     return 0

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from rich.markup import escape
 
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, unsolved_lines, vector
@@ -44,10 +45,10 @@ def statics(
         run.save(folder)
         plots.save(plots.statics_figure(run), folder / "statics.png")
     summary = run.summary()
-    text = [f"[bold]{summary['solved']} of {summary['points']}[/] equilibria solved" + (f", files in {out}" if out else "")]
+    text = [f"[bold]{summary['solved']} of {summary['points']}[/] equilibria solved" + (f", files in {escape(str(out))}" if out else "")]
     for k, at in list(enumerate(run.equilibria))[:8]:
         if at.solved:
-            tip = ", ".join(f"{1e3 * value:.3f}" for value in at.tip)
+            tip = ", ".join(f"{1e3 * value + 0.0:.3f}" for value in at.tip.round(9))
             text.append(
                 f"row {k + 1}: tip ({tip}) mm, tilt {np.rad2deg(at.tip_tilt):.2f}°, stiffness at least {at.smallest_eigenvalue:.4f} N/m"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.data.tables import read_table, write_table
+from tepm_opt.errors import InputError
 
 AXES = ("x", "y", "z")
+INPUT = re.compile(r"pressure_\d+(_\d+)?_Pa|tension_\d+(_\d+)?_N")
 FORCE_COLUMNS = tuple(f"tip_force_{axis}_N" for axis in AXES)
 
 
@@ -40,7 +43,7 @@ class SetPoints:
 
     Attributes:
         time: (rows,) in s, increasing.
-        inputs: (rows, 2 · modules · actuators) in Pa and N.
+        inputs: (rows, 2 · modules · actuators) in Pa and N; a row all NaN has no inputs (its inverse kinematics failed).
         tip_force: known force on the tip in G, (rows, 3) in N.
     """
 
@@ -53,16 +56,21 @@ def read_setpoints(path: str | Path, actuators: Sequence[str], limits: np.ndarra
     """A set-point file: `time_s`, the inputs of the named actuators and, where there is one, the tip force.
 
     Raises:
-        InputError: unreadable file, missing column, value that is no number or outside 0 … limit, time that does not increase.
+        InputError: unreadable file, missing column, actuator the robot has not, value that is no number or
+            outside 0 … limit, row with some inputs and not others, time that does not increase.
     """
     table = read_table(path)
     time = table.increasing("time_s")
     names = input_columns(actuators)
-    inputs = np.stack([table.column(name) for name in names], axis=1)
-    for name, values, limit in zip(names, inputs.T, limits, strict=True):
-        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, f"0 … {limit:g}")
+    for name in table.columns:
+        if INPUT.fullmatch(name) and name not in names:
+            raise InputError(f"{path}: column {name!r}: the robot has no such actuator; valid: {', '.join(actuators)}")
+    absent = np.all([np.isnan(table.columns[name]) for name in names if name in table], axis=0)
+    columns = [table.column(name, may_be_empty=absent) for name in names]
+    for name, values, limit in zip(names, columns, limits, strict=True):
+        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, f"0 … {limit:g} {name.rsplit('_', 1)[1]}")
     forces = [table.column(name) if name in table else np.zeros(len(time)) for name in FORCE_COLUMNS]
-    return SetPoints(time, inputs, np.stack(forces, axis=1))
+    return SetPoints(time, np.stack(columns, axis=1), np.stack(forces, axis=1))
 
 
 def write_setpoints(path: str | Path, setpoints: SetPoints, actuators: Sequence[str]) -> None:

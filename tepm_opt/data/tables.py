@@ -30,8 +30,8 @@ class Table:
     def __contains__(self, name: str) -> bool:
         return name in self.columns
 
-    def column(self, name: str) -> np.ndarray:
-        """One column, all values finite.
+    def column(self, name: str, may_be_empty: np.ndarray | bool = False) -> np.ndarray:
+        """One column, all values finite but for the rows (rows,) that may be empty.
 
         Raises:
             InputError: it is missing, or a value is empty, NaN or infinite.
@@ -39,7 +39,7 @@ class Table:
         if name not in self.columns:
             raise InputError(f"{self.path}: column {name!r} is missing; found: {', '.join(self.columns)}")
         values = self.columns[name]
-        self.refuse(~np.isfinite(values), name, "a finite number")
+        self.refuse(~np.isfinite(values) & ~np.asarray(may_be_empty), name, "a finite number")
         return values
 
     def refuse(self, wrong: np.ndarray, name: str, valid: str) -> None:
@@ -50,7 +50,9 @@ class Table:
         """
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise InputError(f"{self.path}: line {self.lines[row]}: {name} = {self.columns[name][row]:g}; valid: {valid}")
+            value = self.columns[name][row]
+            found = "is empty" if np.isnan(value) else f"= {value:g}"
+            raise InputError(f"{self.path}: line {self.lines[row]}: {name} {found}; valid: {valid}")
 
     def increasing(self, name: str) -> np.ndarray:
         """A column of finite values, each larger than the one before.
@@ -81,6 +83,8 @@ def read_table(path: str | Path) -> Table:
     if not rows:
         raise InputError(f"{path}: is empty; valid: a header line and at least one row")
     names = [name.strip() for name in rows[0][1]]
+    if len(names) == 1 and ";" in names[0]:
+        raise InputError(f"{path}: line {rows[0][0]}: columns are separated by ';'; valid: ','")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(f"{path}: line {rows[0][0]}: column {twice[0]!r} stands twice")
     if len(rows) == 1:

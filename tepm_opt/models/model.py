@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -43,12 +43,7 @@ class Model:
 
     def __post_init__(self) -> None:
         check_parameters(self.robot, self.parameters, "model")
-        seen = set()
-        for effect in self.effects:
-            check_effect(effect, Layout.of(self.robot), "model")
-            if (effect.name, effect.detail) in seen:
-                raise InputError(f"model: effect {label(effect)} stands twice")
-            seen.add((effect.name, effect.detail))
+        check_effects(self.effects, Layout.of(self.robot), "model")
 
     def with_parameters(self, **values: float) -> Model:
         """This model with other values of robot parameters."""
@@ -102,10 +97,23 @@ def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
         if name not in known:
             raise unknown_name(f"parameter of effect {effect.name!r}", name, known, where)
         low, high, unit = known[name].low, known[name].high, known[name].unit
-        if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and math.isfinite(value) and low <= value <= high):
             raise InputError(f"{where}: effect {effect.name!r}: {name} = {value!r}; valid: {low:g} … {high:g} {unit}")
     if missing := sorted(known.keys() - effect.parameters.keys()):
         raise InputError(f"{where}: effect {effect.name!r}: parameter {missing[0]!r} is missing; it needs: {', '.join(sorted(known))}")
+
+
+def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -> None:
+    """`check_effect` for all, and none twice.
+
+    Raises:
+        InputError: with name, value and what is valid.
+    """
+    for k, effect in enumerate(effects):
+        check_effect(effect, layout, where)
+        if label(effect) in [label(other) for other in effects[:k]]:
+            raise InputError(f"{where}: effect {label(effect)} stands twice; valid: once, with all its parameters")
 
 
 class _EffectTable(BaseModel):
@@ -132,11 +140,10 @@ def read_model(path: str | Path) -> Model:
     where = str(path)
     table = validated(_ModelFile, parse_toml(read_text(path), where), where)
     source = table.robot if table.robot in builtin_robots() else str(path.parent / table.robot)
-    robot = load_robot(source)
+    robot = load_robot(source, where)
     check_parameters(robot, table.parameters, where)
     effects = tuple(ActiveEffect(entry.name, entry.detail, entry.parameters) for entry in table.effects)
-    for effect in effects:
-        check_effect(effect, Layout.of(robot), where)
+    check_effects(effects, Layout.of(robot), where)
     return Model(robot, {name: float(value) for name, value in table.parameters.items()}, effects, source)
 
 

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -200,8 +200,8 @@ def robot_text(name: str) -> str:
     return (resources.files("tepm_opt.models") / "robots" / f"{name}{SUFFIX}").read_text(encoding="utf-8")
 
 
-def load_robot(robot: str | Path) -> Robot:
-    """A robot by built-in name or by the path of a robot file.
+def load_robot(robot: str | Path, where: str = "") -> Robot:
+    """A robot by built-in name or by the path of a robot file; `where` names the file that refers to it in errors.
 
     Raises:
         InputError: unknown name, unreadable file, unknown or missing key, value out of its range (wrong unit).
@@ -210,7 +210,8 @@ def load_robot(robot: str | Path) -> Robot:
         return parse_robot(robot_text(str(robot)), str(robot))
     path = Path(robot)
     if not path.is_file():
-        raise InputError(f"robot {str(robot)!r} is neither a file nor built in; built in: {', '.join(builtin_robots())}")
+        prefix = f"{where}: " if where else ""
+        raise InputError(f"{prefix}robot {str(robot)!r} is neither a file nor built in; built in: {', '.join(builtin_robots())}")
     return parse_robot(read_text(path), str(path))
 
 
@@ -250,26 +251,29 @@ def validated(model: type[Checked], content: Mapping[str, Any], where: str) -> C
 
 
 def _explain(model: type[BaseModel], failure: ValidationError) -> str:
-    error = failure.errors()[0]
+    # a key nobody knows explains a missing one better than the other way round
+    error = min(failure.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
-        section: Any = model
-        for part in error["loc"][:-1]:
-            section = section.model_fields[str(part)].annotation
-        return str(unknown_name("key", key, section.model_fields))
+        return str(unknown_name("key", key, getattr(_at(model, error["loc"][:-1])[0], "model_fields", {})))
+    valid = _at(model, error["loc"])[1]
+    ending = f"; valid: {valid}" if valid else ""
+    if error["type"] == "missing" and isinstance(error["loc"][-1], str):
+        return f"missing key {key!r}{ending}"
     if error["type"] == "missing":
-        return f"missing key {key!r}{_valid(model, error['loc'])}"
+        return f"{'.'.join(str(part) for part in error['loc'][:-1])} = {list(error['input'])!r}: too few values{ending}"
     if error["type"] == "value_error":
         return ": ".join(part for part in (key, error["msg"].removeprefix("Value error, ")) if part)
-    return f"{key} = {error['input']!r}: {error['msg'].lower()}{_valid(model, error['loc'])}"
+    return f"{key} = {error['input']!r}: {error['msg'].lower().replace(' after validation', '')}{ending}"
 
 
-def _valid(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
+def _at(model: Any, location: tuple[int | str, ...]) -> tuple[Any, str | None]:
+    """Type and description of a place in a pydantic model, through lists and tables."""
     description = None
-    section: Any = model
     for part in location:
-        fields = getattr(section, "model_fields", {})
-        if part not in fields:
-            break
-        description, section = fields[str(part)].description, fields[str(part)].annotation
-    return f"; valid: {description}" if description else ""
+        fields = getattr(model, "model_fields", {})
+        if part in fields:
+            description, model = fields[part].description, fields[part].annotation
+        elif isinstance(part, int) and get_args(model) and hasattr(get_args(model)[0], "model_fields"):
+            model = get_args(model)[0]
+    return model, description

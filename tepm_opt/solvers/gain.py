@@ -122,10 +122,10 @@ def input_curve(
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """G over equal-curvature configurations in a vertical half-plane through the base axis.
+    """G over equal-curvature configurations in a plane through the base axis.
 
     Attributes:
-        across, height: grid of tip positions in G relative to the base axis, (columns,) and (rows,) in m.
+        across, height: grid of tip positions from the base plate, across and along its axis, (columns,) and (rows,) in m.
         reached: whether a grid point is within reach, (rows, columns).
         gains: Gain by grid point; None out of reach.
     """
@@ -148,14 +148,14 @@ def workspace_map(
     mode: Mode = Mode.HYBRID,
     track: Callable[[Iterable[Configuration]], Iterable[Configuration]] = iter,
 ) -> Map:
-    """G on a grid of tip positions: `across` m from the base axis in the direction (rad about z), `height` m above G's origin.
+    """G on a grid of tip positions: `across` m from the base axis in the direction (rad about it), `height` m along it.
 
     `track` wraps the configurations, for progress.
     """
     across, height = np.asarray(across, dtype=float), np.asarray(height, dtype=float)
-    base = np.array(model.robot.mount.base_position_m)
-    targets = [[[base[0] + a * np.cos(direction), base[1] + a * np.sin(direction), z] for a in across] for z in height]
-    found = each_configuration(model, np.array(targets).reshape(-1, 3), mode)
+    mount = model.robot.mount
+    local = np.array([[a * np.cos(direction), a * np.sin(direction), z] for z in height for a in across])
+    found = each_configuration(model, local @ mount.rotation.T + mount.base_position_m, mode)
     gains = [gain_at(configuration) for configuration in track(found)]
     rows = [gains[k * len(across) : (k + 1) * len(across)] for k in range(len(height))]
     return Map(across, height, np.array([[gain is not None for gain in row] for row in rows]), rows)

@@ -21,6 +21,7 @@ class Status(Enum):
     UNSTABLE = "unstable"
     COLLAPSED = "collapsed"
     NOT_CONVERGED = "not converged"
+    NO_INPUTS = "no inputs"
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,13 @@ def equilibrium(
     return found if found.solved or not explain else _continued(model, u, loads, found, settings, mapped)
 
 
+def without_inputs(model: CompiledModel, inputs: np.ndarray, loads: np.ndarray) -> Equilibrium:
+    """The result for a row that has no inputs: status NO_INPUTS, nothing in it."""
+    layout = model.layout
+    points, lengths = np.full((layout.points, 3), np.nan), np.full((layout.modules, layout.actuators), np.nan)
+    return Equilibrium(model, inputs, loads, model.rest, points, lengths, Status.NO_INPUTS, "the row has no inputs", 0, 0.0, 0.0)
+
+
 def _newton(
     model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: Settings, mapped: bool, reached: float = 1.0
 ) -> Equilibrium:
@@ -198,6 +206,7 @@ def _continued(
             step /= 4
     if reached == 1.0:
         return last
-    explained = f"{failed.message}; on the branch from rest the last stable equilibrium is at {100 * reached:.1f} % of the inputs and loads"
+    where = f"on the branch from rest the last stable equilibrium is at {100 * reached:.1f} % of the inputs and loads"
+    explained = f"{failed.message}; {where if reached > 0 or last.solved else 'without inputs and loads the robot is not stable either'}"
     values = {name: getattr(failed, name) for name in ("model", "inputs", "loads", "x", "points", "lengths", "status", "iterations")}
     return Equilibrium(**values, message=explained, residual=failed.residual, reached=reached, mapped=mapped)

@@ -12,6 +12,7 @@ from scipy.interpolate import PchipInterpolator
 from tepm_opt.data.tables import read_table
 from tepm_opt.errors import InputError
 
+MOST_POINTS = 100_000
 FARTHEST = 50.0  # m; beyond it a coordinate is taken for millimetres
 POSITION_COLUMNS = (("x", "x_m"), ("y", "y_m"), ("z", "z_m"))
 TIME_COLUMNS = ("time_s", "time", "t")
@@ -45,13 +46,13 @@ class Trajectory:
 
 
 def check_count(points: int) -> None:
-    """Refuse a number of points below 1.
+    """Refuse a number of points below 1, or absurdly large.
 
     Raises:
         InputError: naming the number.
     """
-    if points < 1:
-        raise InputError(f"points = {points}; valid: 1 or more")
+    if not 1 <= points <= MOST_POINTS:
+        raise InputError(f"points = {points}; valid: 1 … {MOST_POINTS}")
 
 
 def _closed(curve: np.ndarray, duration: float) -> Trajectory:
@@ -96,13 +97,14 @@ def line(
     return Trajectory(duration * part[:, 0], (1 - part) * np.asarray(start) + part * np.asarray(end))
 
 
-def read_trajectory(path: str | Path, duration: float = 8.0) -> Trajectory:
+def read_trajectory(path: str | Path, duration: float | None = None) -> Trajectory:
     """Tip targets from a CSV file: columns x, y, z (or x_m, y_m, z_m) in m in G and, if it has one, time (time_s, time or t).
 
-    Without time the points are spread evenly over `duration` in s.
+    Without time the points are spread evenly over `duration` in s (8 s where absent).
 
     Raises:
-        InputError: unreadable file, missing column, no number, time that does not increase, coordinates that must be mm.
+        InputError: unreadable file, missing column, no number, time that does not increase,
+            a duration for a file that has time, coordinates that must be mm.
     """
     table = read_table(path)
     columns = []
@@ -112,5 +114,7 @@ def read_trajectory(path: str | Path, duration: float = 8.0) -> Trajectory:
         table.refuse(np.abs(columns[-1]) > FARTHEST, name, f"metres within {FARTHEST:g} m, not millimetres")
     count = len(columns[0])
     name = next((name for name in TIME_COLUMNS if name in table), None)
-    time = table.increasing(name) if name else duration * np.arange(count) / max(count - 1, 1)
+    if name and duration is not None:
+        raise InputError(f"{path}: has a column {name!r}, so a duration does not fit")
+    time = table.increasing(name) if name else (duration or 8.0) * np.arange(count) / max(count - 1, 1)
     return Trajectory(time, np.stack(columns, axis=1))

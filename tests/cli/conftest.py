@@ -1,0 +1,119 @@
+"""The command line in-process, in an empty working folder, and one solved circle that many tests read."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tepm_opt import plots
+from tepm_opt.cli import demo, gain, run
+from tepm_opt.solvers.gain import Map, workspace_map
+from tepm_opt.solvers.trajectories import circle
+
+NO_COMPILER = "no C compiler"  # a warning that is no fault, see ccode
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind: exit status, both streams."""
+
+    status: int
+    out: str
+    err: str
+
+    def json(self) -> Any:
+        """The standard output as strict JSON (NaN and Infinity are none)."""
+
+        def refuse(constant: str) -> None:
+            raise AssertionError(f"{constant} is not JSON")
+
+        return json.loads(self.out, parse_constant=refuse)
+
+
+Command = Callable[..., Outcome]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture
+def tepm(here: Path, capsys: pytest.CaptureFixture[str]) -> Command:
+    """`tepm ARGUMENTS` in the empty working folder; warnings, which a person would see, count as lines of the error stream."""
+
+    def command(*arguments: object) -> Outcome:
+        capsys.readouterr()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("ignore")
+            for category in (UserWarning, RuntimeWarning):
+                warnings.simplefilter("always", category)
+            warnings.filterwarnings("ignore", NO_COMPILER)
+            status = run([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return Outcome(status, out, err + "".join(f"warning: {warning.message}\n" for warning in caught))
+
+    return command
+
+
+@pytest.fixture
+def drawn() -> None:
+    """Asked for by tests that look at figures; see `_undrawn`."""
+
+
+@pytest.fixture(autouse=True)
+def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not drawn, which is most of a command's time, unless a test asks for `drawn`."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr(plots, "save", lambda figure, path: Path(path).write_bytes(PNG))
+
+
+@pytest.fixture
+def coarse_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six points of the map of the workspace: the middle one of the upper row is in reach."""
+
+    def some(model: Any, across: np.ndarray, height: np.ndarray, **options: Any) -> Map:
+        return workspace_map(model, across[:: len(across) // 2], height[[0, 3 * len(height) // 4]], **options)
+
+    monkeypatch.setattr(gain, "workspace_map", some)
+
+
+@pytest.fixture
+def quick(coarse_map: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four points and a coarse map in the demo, for what does not depend on how many there are."""
+    monkeypatch.setattr(demo, "circle", lambda: circle(4))
+
+
+def script(*arguments: object) -> Outcome:
+    """The installed program `tepm` in a process of its own."""
+    installed = Path(sys.executable).with_name("tepm")
+    program = [str(installed)] if installed.exists() else [sys.executable, "-c", "from tepm_opt.cli import main; main()"]
+    environment = {**os.environ, "PYTHONWARNINGS": f"ignore:{NO_COMPILER}"}
+    done = subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, check=False, env=environment)
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+@pytest.fixture(scope="session")
+def solved_circle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of `tepm ik circle` in hybrid mode, then `tepm gain` on its inputs.csv. Read only."""
+    folder = tmp_path_factory.mktemp("circle")
+    assert run(["ik", "circle", "--out", str(folder)]) == 0
+    before = json.loads((folder / "summary.json").read_text())
+    assert run(["gain", str(folder / "inputs.csv"), "--out", str(folder)]) == 0
+    assert json.loads((folder / "summary.json").read_text())["ik"] == before["ik"], "gain must keep the summary of ik"
+    return folder

@@ -1,0 +1,108 @@
+"""The same answer compiled or not: chain.py is the reference for chain.c."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from tepm_opt.models.chain import SOLVED, UNSTABLE
+from tepm_opt.models.compile import compile_model
+from tepm_opt.models.effects import effects
+from tepm_opt.models.model import Model
+from tests.tools import random_directions, random_inputs, relative, variant, with_effect
+
+
+def all_effects():
+    model = Model.of("kang2017")
+    for effect in effects():
+        model = with_effect(model, effect)
+    return model
+
+
+MODELS = {
+    "kang2017": lambda: Model.of("kang2017"),
+    "one module of four actuators": lambda: Model.of(
+        variant(geometry={"modules": 1, "segments_per_module": 5, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0)})
+    ),
+    "one segment of five uneven actuators": lambda: Model.of(
+        variant(geometry={"modules": 1, "segments_per_module": 1, "actuator_angles_deg": (0.0, 60.0, 150.0, 200.0, 300.0)})
+    ),
+    "all effects": all_effects,
+}
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def pair(request, compiler):
+    """A model in C and in Python."""
+    model = MODELS[request.param]()
+    compiled = compile_model(model, backend="c")
+    assert compiled.is_c
+    return compiled, compile_model(model, backend="python")
+
+
+def cases(model, count):
+    forces = np.zeros((count, 3 * model.layout.points))
+    forces[:, -3:] = random_directions(count, 1) * np.linspace(0, 1, count)[:, None]
+    part = 1.0 if model.layout.segments > 1 else 0.3  # a single segment twists under more
+    return zip(random_inputs(model, count, 2, 0, part), forces, strict=True)
+
+
+def test_actuation(pair):
+    c, python = pair
+    for u, _ in cases(c, 5):
+        np.testing.assert_allclose(c.chain.actuation(u, c.theta), python.chain.actuation(u, c.theta), rtol=1e-15)
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+def test_statics(pair, mapped):
+    c, python = pair
+    for u, external in cases(c, 6):
+        found, expected = (m.chain.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100) for m in (c, python))
+        assert found.status == expected.status == SOLVED
+        assert abs(found.x - expected.x).max() < 1e-9
+        assert abs(found.observed - expected.observed).max() < 1e-9
+        assert found.energy == pytest.approx(expected.energy, rel=1e-10)
+        assert found.iterations == expected.iterations
+        assert max(found.residual, expected.residual) < 1e-9
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+def test_sensitivities(pair, mapped):
+    c, python = pair
+    observations = 3 * c.layout.points + c.layout.inputs // 2
+    weights = np.random.default_rng(0).normal(size=(5, observations))
+    for u, external in cases(c, 3):
+        x = python.chain.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
+        found, expected = (m.chain.sensitivity(x, u, mapped, external, c.theta, weights, True) for m in (c, python))
+        assert found[0] == expected[0] == SOLVED
+        half = c.layout.inputs // 2
+        blocks = [(found[1][:, :half], expected[1][:, :half]), (found[1][:, half:], expected[1][:, half:]), (found[2], expected[2])]
+        blocks += [(found[3][:, [k]], expected[3][:, [k]]) for k in range(len(c.theta)) if expected[3][:, k].any()]
+        assert all(relative(*block) < 1e-8 for block in blocks)
+        for model in pair:  # without the parameters' kernels run that do less
+            _, by_u, by_external, by_theta = model.chain.sensitivity(x, u, mapped, external, c.theta, weights, False)
+            assert by_theta is None
+            assert max(relative(by_u, expected[1]), relative(by_external, expected[2])) < 1e-8
+
+
+def test_failures_have_the_same_status(kang, kang_python, compiler):
+    """3 N straight down: the straight robot is a saddle; 1 iteration: not enough."""
+    external = np.array([0] * 11 + [-3.0])
+    for most, status in ((100, UNSTABLE), (1, 3)):
+        found = [m.chain.statics(kang.rest, np.zeros(12), False, external, kang.theta, 1e-9, most) for m in (kang, kang_python)]
+        assert [solution.status for solution in found] == [status, status]
+    x = found[0].x
+    results = [m.chain.sensitivity(x, np.zeros(12), False, external, kang.theta, np.eye(18), True) for m in (kang, kang_python)]
+    assert results[0][0] == results[1][0] == 4
+
+
+def test_threads_do_not_disturb_each_other(kang, compiler):
+    """Every thread has arrays of its own; ctypes releases the interpreter's lock while C runs."""
+
+    def solve(u):
+        return kang.chain.statics(kang.rest, u, False, np.zeros(12), kang.theta, 1e-9, 100).observed
+
+    inputs = random_inputs(kang, 200, 3)
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(solve, inputs))
+    np.testing.assert_array_equal(together, [solve(u) for u in inputs])

@@ -1,0 +1,264 @@
+"""The contract every effect passes: null identity, derivatives, recovery of its own parameters, potentials and passivity.
+
+A new effect is tested without a line here. Three made-up ones stand for those of third parties.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.effects import Effect, Parameter, _registry, effects, register
+from tepm_opt.models.layout import VERTICAL
+from tepm_opt.models.model import Model, read_model, write_model
+from tepm_opt.solvers.gain import solve_gain
+from tepm_opt.solvers.modes import full
+from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tests.independent import solve_with_effect
+from tests.tools import PRECISE, observed, one_sided_slope, random_directions, random_inputs, relative, slope, with_effect
+
+STATIC_HOOKS = ("inputs", "properties", "loads", "edge_energy", "outputs")
+NOMINAL = Model.of("kang2017")
+
+
+class ToyHardening(Effect):
+    """A third party's potential: muscles stiffen with stretch."""
+
+    name = "toy_hardening"
+    explains = "vertical edges that stiffen with stretch"
+    reference = "made up for this test"
+    parameters = (Parameter("cubic", "N/m^3", null=0.0, probe=1e6, low=0.0),)
+
+    def edge_energy(self, edge, length, rest, parameters, context):
+        return parameters["cubic"] * (length - rest) ** 4 / 4 if edge.kind == VERTICAL else 0 * length
+
+
+class ToyStiffening(Effect):
+    """A third party's property that the inputs drive: muscles are stiffer under pressure."""
+
+    name = "toy_stiffening"
+    explains = "vertical edges that are stiffer under pressure"
+    reference = "made up for this test"
+    parameters = (Parameter("per_pressure", "1/Pa", null=0.0, probe=2e-7, low=0.0, high=1e-3),)
+
+    def properties(self, properties, parameters, context):
+        layout = context.layout
+        for segment in range(layout.levels):
+            for j in range(layout.actuators):
+                pressure = properties.pressure[segment // layout.segments, j]
+                properties.stiffness[j, segment] *= 1 + parameters["per_pressure"] * pressure
+
+
+class ToyHolder(Effect):
+    """A third party's output map, with a detail and two parameters: a marker sits off its point."""
+
+    name = "toy_holder"
+    explains = "a reference point's marker sits elsewhere"
+    reference = "made up for this test"
+    parameters = (Parameter("along_x", "m", 0.0, 1e-3, -0.1, 0.1), Parameter("along_y", "m", 0.0, -2e-3, -0.1, 0.1))
+    detail = "point"
+
+    def outputs(self, points, parameters, context):
+        column = ca.DM(np.eye(context.layout.points)[[context.detail]])
+        return points + ca.vertcat(parameters["along_x"], parameters["along_y"], 0) @ column
+
+
+@dataclass
+class Subject:
+    """An effect in the nominal model, and its parameters' places in theta."""
+
+    effect: Effect
+    model: Model
+    compiled: CompiledModel
+
+    @property
+    def own(self) -> dict[Parameter, int]:
+        prefix = self.compiled.network.parameter_names[-1].rsplit(".", 1)[0]
+        return {p: self.compiled.network.parameter_names.index(f"{prefix}.{p.name}") for p in self.effect.parameters}
+
+    def at(self, values: dict[Parameter, float]) -> CompiledModel:
+        """The compiled model with other values of the effect's parameters."""
+        theta = self.compiled.theta.copy()
+        for parameter, value in values.items():
+            theta[self.own[parameter]] = value
+        return replace(self.compiled, theta=theta)
+
+    @property
+    def null(self) -> CompiledModel:
+        return self.at({p: p.null for p in self.effect.parameters})
+
+    @property
+    def detail(self) -> int | None:
+        """Number of the actuator or point the effect acts on."""
+        names = {"actuator": self.compiled.layout.actuator_names, "point": self.compiled.layout.point_names}.get(self.effect.detail)
+        return names.index(self.model.effects[0].detail) if names else None
+
+
+@pytest.fixture(scope="module", params=[*effects(), ToyHardening(), ToyStiffening(), ToyHolder()], ids=lambda effect: effect.name)
+def subject(request):
+    effect = request.param
+    foreign = effect not in effects()
+    if foreign:
+        register(effect)
+    model = with_effect(NOMINAL, effect)
+    yield Subject(effect, model, compile_model(model))
+    if foreign:
+        del _registry()[effect.name]
+
+
+@pytest.fixture
+def static(subject):
+    """Skips effects that show in motion only."""
+    if not any(getattr(type(subject.effect), hook) is not getattr(Effect, hook) for hook in STATIC_HOOKS):
+        pytest.skip(f"{subject.effect.name} has no static hook")
+    return subject
+
+
+@pytest.fixture(scope="module")
+def operating(kang):
+    """15 operating points: inputs and tip forces."""
+    return list(zip(random_inputs(kang, 15, 7, 0.1, 0.9), 0.5 * random_directions(15, 8), strict=True))
+
+
+def test_metadata_is_complete(subject):
+    effect = subject.effect
+    assert effect.name.isidentifier()
+    assert effect.name == effect.name.lower()
+    assert effect.explains
+    assert effect.reference
+    assert effect.detail in (None, "actuator", "point")
+    assert effect.parameters
+    for parameter in effect.parameters:
+        assert parameter.name.isidentifier()
+        assert parameter.unit
+        assert parameter.low <= parameter.null <= parameter.high
+        assert parameter.low <= parameter.probe <= parameter.high
+        assert parameter.probe != parameter.null
+
+
+def test_at_its_null_values_it_vanishes(static, kang, operating):
+    for u, force in operating[:5]:
+        found, plain = solve_statics(static.null, u, force), solve_statics(kang, u, force)
+        assert abs(observed(found) - observed(plain)).max() < 1e-12
+        G, G_plain = solve_gain(found), solve_gain(plain)
+        assert relative(G.normalised(), G_plain.normalised()) < 1e-10
+        assert relative(G.by_load, G_plain.by_load) < 1e-10
+
+
+def test_its_probe_is_visible(static, kang, operating):
+    moved = [abs(solve_statics(static.compiled, u, f).points - solve_statics(kang, u, f).points).max() for u, f in operating[:5]]
+    assert max(moved) > 5e-5
+
+
+def derivatives(model: CompiledModel, held: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of points and lengths by inputs (in parts of their ranges), tip force and parameters."""
+    weights = np.eye(len(observed(held)))
+    arguments = (held.x, held.inputs, False, held.loads.ravel(), model.theta, weights, True)
+    status, by_u, by_load, by_theta = model.chain.sensitivity(*arguments)
+    assert status == 0
+    return by_u * model.input_max, by_load[:, -3:], by_theta
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_derivatives_by_inputs_and_loads(static, operating, number):
+    model, (u, force) = static.compiled, operating[number]
+    held = solve_statics(model, u, force, settings=PRECISE)
+    by_u, by_load, _ = derivatives(model, held)
+    half = len(u) // 2
+
+    def moved(parts, change):
+        return observed(solve_statics(model, u + parts * model.input_max, force + change, held, PRECISE))
+
+    u_slopes = np.stack([slope(lambda h: moved(h * part, np.zeros(3)), 1e-3) for part in np.eye(len(u))], axis=1)  # noqa: B023
+    load_slopes = np.stack([slope(lambda h: moved(0, h * axis), 1e-3) for axis in np.eye(3)], axis=1)  # noqa: B023
+    for found, expected in ((by_u[:, :half], u_slopes[:, :half]), (by_u[:, half:], u_slopes[:, half:]), (by_load, load_slopes)):
+        assert relative(found, expected) < 1e-5
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_derivatives_by_its_parameters(static, operating, number):
+    u, force = operating[number]
+    for parameter, at in static.own.items():
+        held = solve_statics(static.compiled, u, force, settings=PRECISE)
+        found = derivatives(static.compiled, held)[2][:, at]
+
+        def changed(h, parameter=parameter, held=held):
+            return observed(solve_statics(static.at({parameter: parameter.probe + h}), u, force, held, PRECISE))
+
+        expected = slope(changed, 0.01 * abs(parameter.probe - parameter.null))
+        assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected)
+
+
+def test_derivatives_at_null_agree_with_one_sided_differences(static, operating):
+    if not static.effect.smooth:
+        pytest.skip(f"{static.effect.name} is not smooth at its null values")
+    u, force = operating[0]
+    held = solve_statics(static.null, u, force, settings=PRECISE)
+    for parameter, at in static.own.items():
+        found = derivatives(static.null, held)[2][:, at]
+
+        def changed(h, parameter=parameter):
+            values = {p: p.null for p in static.effect.parameters} | {parameter: parameter.null + h}
+            return observed(solve_statics(static.at(values), u, force, held, PRECISE))
+
+        expected = one_sided_slope(changed, 0.01 * (parameter.probe - parameter.null))
+        assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected)
+
+
+def test_it_recovers_its_own_parameters(static, kang, operating):
+    """Data from the independent network; the fit starts at the probe, the truth is half as much again."""
+    own = list(static.own)
+    null, probe = (np.array([getattr(p, field) for p in own]) for field in ("null", "probe"))
+    truth = np.clip(null + 1.5 * (probe - null), [p.low for p in own], [p.high for p in own])
+    values = dict(zip((p.name for p in own), truth, strict=True))
+    data = [solve_with_effect(static.effect, values, static.detail, u, f, start=solve_statics(kang, u, f).nodes) for u, f in operating]
+
+    def fit(parts):
+        model = static.at(dict(zip(own, null + parts * (probe - null), strict=True)))
+        return model, [solve_statics(model, u, f) for u, f in operating]
+
+    def residuals(parts):
+        _, held = fit(parts)
+        return np.concatenate([(e.points - points).ravel() for e, points in zip(held, data, strict=True)])
+
+    def jacobian(parts):
+        model, held = fit(parts)
+        columns = list(static.own.values())
+        return np.concatenate([derivatives(model, e)[2][: e.points.size, columns] for e in held]) * (probe - null)
+
+    bounds = np.sort(([(p.low - p.null) / (p.probe - p.null) for p in own], [(p.high - p.null) / (p.probe - p.null) for p in own]), axis=0)
+    found = least_squares(residuals, np.ones(len(own)), jacobian, bounds, xtol=1e-12, ftol=1e-12)
+    np.testing.assert_allclose(found.x, (truth - null) / (probe - null), rtol=0.01)
+    assert abs(found.fun).max() < 1e-6  # explains the other route's data altogether
+
+
+def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
+    """Force is the slope of the energy and stiffness, symmetric, that of the force: no cycle of motions gains energy."""
+    model, (u, force) = static.compiled, operating[0]
+    reference, theta = model.reference, model.theta
+    held = solve_statics(model, u, force)
+    P, rng = held.properties, np.random.default_rng(0)
+    x = held.x.copy()
+    x[1:] += rng.normal(scale=1e-3, size=x[1:].shape)
+    at = reference.assemble(x, P, theta)
+    assert np.isfinite(at.energy)
+    for _ in range(3):
+        direction = rng.normal(size=x.shape)
+        direction[0] = 0
+        rise = slope(lambda h: np.array([reference.energy(x + h * direction, P, theta)]), 1e-4)  # noqa: B023
+        turn = slope(lambda h: reference.assemble(x + h * direction, P, theta).force.ravel(), 1e-4)  # noqa: B023
+        assert rise[0] == pytest.approx(float((at.force * direction[1:]).sum()), rel=1e-7)
+        assert relative(full(at.band) @ direction[1:].ravel(), turn) < 1e-7
+    damping = np.linalg.eigvalsh(full(reference.damping(x, P, theta)))
+    assert damping[0] > -1e-12 * damping[-1]
+
+
+def test_a_model_file_with_it_reads_back_equal(subject, tmp_path):
+    write_model(subject.model, tmp_path / "model.toml")
+    assert read_model(tmp_path / "model.toml") == subject.model
+    assert subject.model != NOMINAL

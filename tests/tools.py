@@ -1,0 +1,66 @@
+"""What several tests need: differences of a precise order, variants of the robot, operating points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.effects import Effect
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.model import Model
+from tepm_opt.models.robot import Robot, load_robot
+from tepm_opt.solvers.statics import Equilibrium, Settings
+
+PRECISE = Settings(tolerance=1e-10)
+"""For differences of equilibria: ten times the rounding noise of the forces."""
+
+
+def slope(function: Callable[[float], np.ndarray], step: float) -> np.ndarray:
+    """Derivative at 0 by central differences, Richardson-extrapolated: error of order step^4."""
+    coarse, fine = ((function(h) - function(-h)) / (2 * h) for h in (step, step / 2))
+    return (4 * fine - coarse) / 3
+
+
+def one_sided_slope(function: Callable[[float], np.ndarray], step: float) -> np.ndarray:
+    """Derivative at 0 from one side, Richardson-extrapolated: error of order step^3."""
+    at = {k: function(k * step) for k in (0, 0.5, 1, 2)}
+    coarse, fine = (-3 * at[0] + 4 * at[1] - at[2]) / (2 * step), (-3 * at[0] + 4 * at[0.5] - at[1]) / step
+    return (4 * fine - coarse) / 3
+
+
+def relative(value: np.ndarray, truth: np.ndarray) -> float:
+    """Norm of the difference over the norm of the truth."""
+    return float(np.linalg.norm(value - truth) / np.linalg.norm(truth))
+
+
+def observed(equilibrium: Equilibrium) -> np.ndarray:
+    """Points in G, then lengths, in one row: the observations a backend returns."""
+    return np.concatenate([equilibrium.points.ravel(), equilibrium.lengths.ravel()])
+
+
+def random_inputs(model: CompiledModel, count: int, seed: int, low: float = 0.0, high: float = 1.0) -> np.ndarray:
+    """Inputs spread over part of their ranges, (count, inputs)."""
+    return np.random.default_rng(seed).uniform(low, high, (count, model.layout.inputs)) * model.input_max
+
+
+def random_directions(count: int, seed: int) -> np.ndarray:
+    """Unit vectors, (count, 3)."""
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def variant(**sections: dict) -> Robot:
+    """kang2017 with some keys of its sections changed, as `variant(geometry={"modules": 1})`."""
+    content = load_robot("kang2017").model_dump()
+    for name, changes in sections.items():
+        content[name] |= changes
+    return Robot.model_validate(content)
+
+
+def with_effect(model: Model, effect: Effect, **parameters: float) -> Model:
+    """The model with an effect at its probe values; where it has a detail, on the third actuator or point."""
+    layout = Layout.of(model.robot)
+    names = {"actuator": layout.actuator_names, "point": layout.point_names}.get(effect.detail)
+    return model.with_effect(effect.name, names[min(2, len(names) - 1)] if names else None, **parameters)
