@@ -295,6 +295,9 @@ int statics(double *x, const double *u, int mapped, const double *external, cons
     newton_step(w);
     if (!indefinite && far < FAR) {
       for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->x[l][i] += w->step[l][i];
+      gradient(w);
+      info[1] = residual(w);
+      if (info[1] < tolerance) { status = SOLVED; iteration++; break; } /* stable: so was the factor less than FAR away */
       continue;
     }
     for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) slope += w->force[l][i] * w->step[l][i];

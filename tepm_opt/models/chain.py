@@ -200,14 +200,14 @@ class PythonChain:
                 return UNSTABLE if indefinite else SOLVED, x, iteration, far, at.energy
             step = np.zeros_like(x)
             step[1:] = sla.cho_solve_banded((factor, True), -at.force.ravel()).reshape(at.force.shape)
-            if not indefinite and far < FAR:
-                x = x + step
-            else:
-                trial = self._search(x, step, at, P, theta)
-                if trial is None:
-                    return STALLED, x, iteration, far, at.energy
-                x = trial
-            at = self.assemble(x, P, theta)
+            plain = not indefinite and far < FAR
+            moved = x + step if plain else self._search(x, step, at, P, theta)
+            if moved is None:
+                return STALLED, x, iteration, far, at.energy
+            x, at = moved, self.assemble(moved, P, theta)
+            far = float(np.abs(at.force).max())
+            if plain and far < tolerance:  # stable: so was the factor less than FAR away
+                return SOLVED, x, iteration + 1, far, at.energy
         return EXHAUSTED, x, most + 1, float(np.abs(at.force).max()), at.energy
 
     def _search(self, x: np.ndarray, step: np.ndarray, at: Assembly, P: np.ndarray, theta: np.ndarray) -> np.ndarray | None:
