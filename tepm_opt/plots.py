@@ -100,10 +100,13 @@ def _error_axes(axes: Axes, run: IkRun) -> None:
     if good.any():
         exact = 1e3 * run.errors(run.reached)[good].max()
         errors = np.where(good, 1e3 * run.errors(run.rounded), np.nan)
-        axes.semilogy(number, errors, ".-", color=PRESSURE, label="solved, set points on the actuators' grids")
+        axes.plot(number, errors, ".-", color=PRESSURE, label="solved, set points on the actuators' grids")
         axes.plot([], [], " ", label=f"exact set points: at most {exact:.0e} mm")
     if not good.all():
-        axes.semilogy(number[~good], 1e3 * run.errors(run.reached)[~good], "x", color=MISSED, label="out of reach")
+        axes.plot(number[~good], 1e3 * run.errors(run.reached)[~good], "x", color=MISSED, label="out of reach")
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0.0)
     axes.set_xlabel("point")
     axes.set_ylabel("distance of the tip from its target in mm")
     axes.set_title("tip error, statics solved again from the set points")
