@@ -77,6 +77,19 @@ def test_wrong_values(tmp_path, column, value, message):
     assert str(error.value) == f"{path}: {message}"
 
 
+def test_a_row_without_any_inputs_is_kept(tmp_path):
+    """Where inverse kinematics failed; a row with some inputs is a mistake."""
+    path = write(tmp_path, HEADER, [0, 0, 0, 0, 0], [1, *[np.nan] * 4], [2, 1, 2, 3, 4])
+    found = read_setpoints(path, ACTUATORS, LIMITS)
+    np.testing.assert_array_equal(found.inputs, [[0] * 4, [np.nan] * 4, [1, 2, 3, 4]])
+
+
+def test_an_actuator_the_robot_has_not_is_refused(tmp_path):
+    path = write(tmp_path, [*HEADER, "pressure_13_Pa"], [0, 0, 0, 0, 0, 0])
+    with pytest.raises(InputError, match="column 'pressure_13_Pa': the robot has no such actuator; valid: 11, 12"):
+        read_setpoints(path, ACTUATORS, LIMITS)
+
+
 @pytest.mark.parametrize("missing", HEADER)
 def test_missing_columns(tmp_path, missing):
     path = write(tmp_path, [name for name in HEADER if name != missing], [0, 0, 0, 0])

@@ -85,6 +85,26 @@ def test_sensitivities(pair, mapped):
             assert max(relative(by_u, expected[1]), relative(by_external, expected[2])) < 1e-8
 
 
+def test_inverse(pair):
+    """Levels and pressures at which as many sums of observations as actuators have their targets, from a start nearby."""
+    c, python = pair
+    half, observations = c.layout.inputs // 2, 3 * c.layout.points + c.layout.inputs // 2
+    weights = np.eye(observations)[-half:]  # the actuators' lengths
+    for u, external in cases(c, 3):
+        p = u[:half] / 2
+        start, goal = (python.chain.statics(c.rest, np.append(q, 0 * q), True, external, c.theta, 1e-9, 100) for q in (p, p + 5e3))
+        arguments = (start.x, p, external, c.theta, weights, weights @ goal.observed, 1e5, 1e-10, 1e-9, 30)
+        found, expected = (m.chain.inverse(*arguments) for m in (c, python))
+        assert found[0] == expected[0] == SOLVED
+        assert found[3] == expected[3]
+        assert abs(found[1] - expected[1]).max() < 1e-9
+        np.testing.assert_allclose(found[2], expected[2], rtol=1e-9)
+        np.testing.assert_allclose(found[2], p + 5e3, rtol=1e-6)
+        assert abs(found[1] - goal.x).max() < 1e-7
+        too_few = [m.chain.inverse(*arguments[:-1], 1) for m in (c, python)]
+        assert too_few[0][0] == too_few[1][0] != SOLVED
+
+
 def test_failures_have_the_same_status(kang, kang_python, compiler):
     """3 N straight down: the straight robot is a saddle; 1 iteration: not enough."""
     external = np.array([0] * 11 + [-3.0])

@@ -92,6 +92,9 @@ MALFORMED = {
     "missing effect parameter": (PAYLOAD, "effect 'payload': parameter 'mass' is missing; it needs: mass"),
     "detail where there is none": (PAYLOAD + 'detail = "23"', "effect 'payload' has no detail, found detail = '23'"),
     "unknown key": ("effect = 1", "unknown key 'effect': did you mean 'effects'? valid: effects, parameters, robot"),
+    "unknown key of an effect": (PAYLOAD + "mass = 1", "unknown key 'effects.0.mass': "),
+    "true for a number": (PAYLOAD + "parameters = {mass = true}", "effect 'payload': mass = True; valid: 0 … 10 kg"),
+    "effect twice": (2 * (PAYLOAD + "parameters = {mass = 1}\n"), "effect payload stands twice"),
     "effect without a name": ("[[effects]]\nparameters = {mass = 1}", "missing key 'effects.0.name'"),
     "effects not a list": ("effects = 3", "effects = 3: input should be a valid list"),
     "not TOML": ("K_a", "not valid TOML: "),
@@ -112,8 +115,9 @@ def test_a_model_file_needs_a_robot(tmp_path):
     path = tmp_path / "model.toml"
     for text, message in {"": "missing key 'robot'", 'robot = "kang"': "neither a file nor built in; built in: kang2017"}.items():
         path.write_text(text)
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(InputError, match=message) as error:
             read_model(path)
+        assert str(error.value).startswith(f"{path}: ")
 
 
 def test_wrong_models_are_refused_in_code_too():

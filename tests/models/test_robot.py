@@ -41,6 +41,7 @@ def test_base_rotation_is_a_rotation_vector_into_g():
 
 MALFORMED = {
     "unknown key": ("modules = 2", "modules = 2\nmodulus = 2", "unknown key 'geometry.modulus': ", "modules, segments_per_module"),
+    "misspelt key": ("modules = 2", "moduls = 2", "unknown key 'geometry.moduls': ", "modules, segments_per_module"),
     "unknown table": ("[tracker]", "[camera]\nnoise = 1\n[tracker]", "unknown key 'camera': ", "tracker"),
     "missing key": ("m_d = 0.22 ", "", "missing key 'parameters.m_d'", "0.0001 … 100 kg"),
     "missing table": ("[tracker]\nnoise_rms_m = 1.0e-3", "", "missing key 'tracker'", ""),
@@ -61,6 +62,7 @@ MALFORMED = {
     "no segments": ("segments_per_module = 6", "segments_per_module = 0", "geometry.segments_per_module = 0: ", "1 … 100"),
     "two actuators": ("[90, 210, 330]", "[90, 270]", "geometry.actuator_angles_deg = [90, 270]: ", "3 … 12 angles"),
     "equal angles": ("[90, 210, 330]", "[90, 330, -30]", "geometry: actuator_angles_deg: two actuators sit at the same", "1 deg apart"),
+    "two components": ("[0, 0, -9.81]", "[0, -9.81]", "mount.gravity_m_per_s2 = [0, -9.81]: too few values", "three numbers"),
     "angles on one side": ("[90, 210, 330]", "[90, 100, 260]", "geometry: actuator_angles_deg: all actuators sit on one side", "180 deg"),
     "unknown bracing": ('"crossed"', '"cross"', "geometry.bracing = 'cross': input should be ", "'crossed' or 'single'"),
     "prior of no parameter": ("K_a = 0.03", "K_b = 0.03", "priors: unknown parameter 'K_b': did you mean 'K_a'? valid: A, K_a, L_0", "r"),

@@ -9,7 +9,7 @@ from tepm_opt.data.tables import read_table
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.statics import Settings, Status, solve_statics
+from tepm_opt.solvers.statics import Settings, Status, solve_statics, without_inputs
 from tests.independent import Network
 from tests.paths import reference
 from tests.tools import observed, random_directions, random_inputs, variant
@@ -282,6 +282,14 @@ class TestRobustness:
     def test_wrong_inputs_are_refused(self, kang, wrong):
         with pytest.raises(InputError, match="inputs: "):
             solve_statics(kang, wrong)
+
+
+def test_a_row_without_inputs_has_a_status_too(kang):
+    nothing = without_inputs(kang, np.full(12, np.nan), np.zeros((4, 3)))
+    assert nothing.status is Status.NO_INPUTS
+    assert not nothing.solved
+    assert nothing.message
+    assert np.isnan(observed(nothing)).all()
 
 
 def test_loads_on_any_point(kang):

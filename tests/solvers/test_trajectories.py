@@ -37,9 +37,9 @@ def test_line():
 
 
 @pytest.mark.parametrize("path", [circle, lissajous, line])
-@pytest.mark.parametrize("points", [0, -3])
-def test_no_points_are_refused(path, points):
-    with pytest.raises(InputError, match=f"points = {points}; valid: 1 or more"):
+@pytest.mark.parametrize("points", [0, -3, 10**9])
+def test_absurd_numbers_of_points_are_refused(path, points):
+    with pytest.raises(InputError, match=f"points = {points}; valid: 1 … 100000"):
         path(points)
 
 
@@ -67,14 +67,18 @@ def test_files(tmp_path, names):
 
 def test_a_file_without_time_is_spread_over_the_duration(tmp_path):
     write_table(tmp_path / "path.csv", ["x", "y", "z"], np.ones((5, 3)))
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "path.csv").time, [0, 2, 4, 6, 8])
     np.testing.assert_array_equal(read_trajectory(tmp_path / "path.csv", 6.0).time, [0, 1.5, 3, 4.5, 6])
+    write_table(tmp_path / "timed.csv", ["t", "x", "y", "z"], np.array([[0, 1, 1, 1], [1, 1, 1, 1]]))
+    with pytest.raises(InputError, match="has a column 't', so a duration does not fit"):
+        read_trajectory(tmp_path / "timed.csv", 6.0)
 
 
 @pytest.mark.parametrize(
     ("names", "row", "message"),
     [
         (("x", "y"), (1, 2), "column 'z_?m?' is missing; found: x, y"),
-        (("x", "y", "z"), (0.1, 0.2, np.nan), "line 2: z = nan; valid: a finite number"),
+        (("x", "y", "z"), (0.1, 0.2, np.nan), "line 2: z is empty; valid: a finite number"),
         (("x", "y", "z"), (150, 0, 350), "line 2: x = 150; valid: metres within 50 m, not millimetres"),
     ],
 )
