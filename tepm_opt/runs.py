@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,6 +23,7 @@ from tepm_opt.solvers.kinematics import Configuration, Mode, Reach, each_configu
 from tepm_opt.solvers.statics import Equilibrium, solve_statics, without_inputs
 from tepm_opt.solvers.trajectories import Trajectory
 
+SAME = 1e-6  # m, tips closer than this belong to the same equilibrium
 Item = TypeVar("Item")
 Track = Callable[[Iterable[Item]], Iterable[Item]]
 
@@ -169,10 +170,17 @@ def run_ik(
 
 
 def _checked(found: Configuration) -> tuple[Configuration, Equilibrium, Equilibrium]:
-    """A configuration with the equilibria under its exact and its rounded set points."""
+    """A configuration with the equilibria under its exact set points, found from rest, and under its rounded ones, from there.
+
+    From rest, because a network of few segments can have several equilibria under the same set points.
+    """
     at, allocation = found.equilibrium, found.allocation
-    held, rounded = (solve_statics(at.model, inputs, at.loads, at) for inputs in (allocation.inputs, allocation.rounded))
-    return found, held, rounded
+    held = solve_statics(at.model, allocation.inputs, at.loads)
+    away = float(np.linalg.norm(held.tip - at.tip))
+    if found.solved and not (held.solved and away < SAME):
+        message = f"from rest the set points lead elsewhere, {1e3 * away:.2f} mm away: more than one equilibrium, {held.status.value}"
+        found = replace(found, reach=Reach.FAILED, message=message)
+    return found, held, solve_statics(at.model, allocation.rounded, at.loads, held)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ def test_import_contracts() -> None:
 
 
 def test_types() -> None:
-    done = run("pyright")
+    done = run("pyright", "--pythonpath", sys.executable)
     if not re.search(r"\d+ errors?, ", done.stdout):
         pytest.skip(f"pyright cannot start here: {(done.stdout + done.stderr).strip()[-200:]}")
     assert done.stdout.startswith("0 errors") or "\n0 errors" in done.stdout, done.stdout

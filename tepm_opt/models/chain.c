@@ -311,7 +311,7 @@ int statics(double *x, const double *u, int mapped, const double *external, cons
     if (!found) { status = STALLED; break; }
     memcpy(w->x, w->trial, sizeof w->x);
   }
-  info[0] = iteration;
+  info[0] = iteration > most ? most : iteration;
   memcpy(x, w->x, sizeof w->x);
   const double *arg[] = {x, theta};
   double *res[] = {observed, observed + NPOINT};

@@ -208,7 +208,7 @@ class PythonChain:
             far = float(np.abs(at.force).max())
             if plain and far < tolerance:  # stable: so was the factor less than FAR away
                 return SOLVED, x, iteration + 1, far, at.energy
-        return EXHAUSTED, x, most + 1, float(np.abs(at.force).max()), at.energy
+        return EXHAUSTED, x, most, float(np.abs(at.force).max()), at.energy
 
     def _search(self, x: np.ndarray, step: np.ndarray, at: Assembly, P: np.ndarray, theta: np.ndarray) -> np.ndarray | None:
         """Rotation-aware line search on the energy (Armijo); None where no length of the step lowers it."""

@@ -98,11 +98,10 @@ class CompiledModel:
         full = np.zeros((self.layout.points, 3))
         if loads is None:
             return full
-        array = np.asarray(loads, dtype=float)
-        if array.shape == (3,):
-            full[-1] = finite_array(array, (3,), where)
+        if np.shape(loads) == (3,):
+            full[-1] = finite_array(loads, (3,), where)
             return full
-        return finite_array(array, full.shape, where)
+        return finite_array(loads, full.shape, where)
 
 
 def finite_array(values: Sequence[float] | np.ndarray, shape: tuple[int, ...], where: str) -> np.ndarray:

@@ -26,13 +26,13 @@ class Model:
         robot: from the robot file.
         parameters: what differs from the robot file, by name, SI.
         effects: additional effects, in the order they act.
-        source: name or path by which a model file refers to the robot.
+        source: name or path by which a model file refers to the robot; models that differ only in it are equal.
     """
 
     robot: Robot
     parameters: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[ActiveEffect, ...] = ()
-    source: str = "kang2017"
+    source: str = field(default="kang2017", compare=False)
 
     @staticmethod
     def of(robot: str | Path | Robot) -> Model:
@@ -159,7 +159,7 @@ def write_model(model: Model, path: str | Path) -> None:
     source = model.source if model.source in builtin_robots() else os.path.relpath(model.source, path.parent or ".")
     lines = [f"robot = {_toml(source)}"]
     if model.parameters:
-        lines += ["", "[parameters]", *(f"{name} = {value!r}  # {UNITS[name]}" for name, value in model.parameters.items())]
+        lines += ["", "[parameters]", *(f"{name} = {float(value)!r}  # {UNITS[name]}" for name, value in model.parameters.items())]
     for effect in model.effects:
         lines += ["", "[[effects]]", f"name = {_toml(effect.name)}"]
         lines += [f"detail = {_toml(effect.detail)}"] if effect.detail else []

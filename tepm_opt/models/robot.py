@@ -58,11 +58,11 @@ class Parameters(Section):
     """The physical parameters, all symbolic in the network; symbols are the paper's."""
 
     L_0: Annotated[float, within(1e-3, 10, "m")]
-    r: Annotated[float, within(1e-3, 1, "m")]
+    r: Annotated[float, within(1e-3, 0.3, "m")]
     A: Annotated[float, within(1e-7, 1e-2, "m^2")]
     m_d: Annotated[float, within(1e-4, 100, "kg")]
-    K_a: Annotated[float, within(1e-1, 1e6, "N/m")]
-    c_a: Annotated[float, within(0, 1e4, "N s/m")]
+    K_a: Annotated[float, within(5, 1e5, "N/m")]
+    c_a: Annotated[float, within(0, 500, "N s/m")]
     alpha_1: Annotated[float, within(1e-6, 1e5, "")]
     alpha_2: Annotated[float, within(1e-6, 1e5, "")]
     beta_1: Annotated[float, within(0, 1e5, "")]
@@ -121,8 +121,8 @@ class Mount(Section):
         g = float(np.linalg.norm(self.gravity_m_per_s2))
         if g > 30:
             raise ValueError(f"gravity_m_per_s2 has the magnitude {g:g}; valid: 0 … 30 m/s^2")
-        if np.linalg.norm(self.base_position_m) > 100:
-            raise ValueError("base_position_m is further than 100 m from the tracker; valid: metres")
+        if np.linalg.norm(self.base_position_m) > 10:
+            raise ValueError("base_position_m is further than 10 m from the tracker; valid: metres")
         return self
 
 
@@ -255,7 +255,14 @@ def _explain(model: type[BaseModel], failure: ValidationError) -> str:
     error = min(failure.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
-        return str(unknown_name("key", key, getattr(_at(model, error["loc"][:-1])[0], "model_fields", {})))
+        return str(
+            unknown_name(
+                "key",
+                str(error["loc"][-1]),
+                getattr(_at(model, error["loc"][:-1])[0], "model_fields", {}),
+                ".".join(str(part) for part in error["loc"][:-1]),
+            )
+        )
     valid = _at(model, error["loc"])[1]
     ending = f"; valid: {valid}" if valid else ""
     if error["type"] == "missing" and isinstance(error["loc"][-1], str):

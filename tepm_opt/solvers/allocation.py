@@ -87,12 +87,18 @@ def allocate(model: CompiledModel, forces: np.ndarray, mode: Mode, mid_tension: 
 
 
 def _correct(model: CompiledModel, inputs: np.ndarray, forces: np.ndarray, part: slice, gain: float) -> None:
-    """Change one part of the inputs in place, within limits, until the forces are met or nothing moves."""
+    """Change one part of the inputs in place, within limits, until the forces are met or nothing moves.
+
+    Where an input does not answer (a dead zone), its steps double until it does.
+    """
+    boost, before = np.ones(len(forces)), np.full(len(forces), np.inf)
     for _ in range(ITERATIONS):
         missing = forces - axial_forces(model, inputs)
         if np.abs(missing).max() < PRECISION:
             return
-        changed = np.clip(inputs[part] + gain * missing, 0.0, model.input_max[part])
+        boost = np.where(np.abs(missing) > 0.9 * np.abs(before), 2 * boost, 1.0)
+        before = missing
+        changed = np.clip(inputs[part] + gain * boost * missing, 0.0, model.input_max[part])
         moved = np.abs(changed - inputs[part]).max() / abs(gain)
         inputs[part] = changed
         if moved < PRECISION:

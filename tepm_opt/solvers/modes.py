@@ -35,7 +35,10 @@ def poles(equilibrium: Equilibrium) -> np.ndarray:
 
 
 def rk4_step_limit(values: np.ndarray) -> float:
-    """Largest step in s at which the classical Runge-Kutta scheme damps all poles (Hairer and Wanner, vol. II, IV.2)."""
+    """Largest step in s at which the classical Runge-Kutta scheme damps all poles (Hairer and Wanner, vol. II, IV.2).
+
+    At most 2.785 over the fastest pole, the limit on the real axis, although undamped poles would allow 1.5 % more.
+    """
 
     def growth(step: float) -> float:
         z = step * values[np.abs(values) > 1e-9]

@@ -35,7 +35,7 @@ class Settings:
     """
 
     tolerance: float = 1e-9
-    iterations: int = 100
+    iterations: int = 400
     shortest: float = 0.25
 
 

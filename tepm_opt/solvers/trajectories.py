@@ -41,8 +41,11 @@ class Trajectory:
         check_count(points)
         if len(self.time) < 2:
             raise InputError(f"a trajectory of {len(self.time)} point cannot be resampled to {points}; valid: at least 2 points")
-        time = np.linspace(self.time[0], self.time[-1], points)
-        return Trajectory(time, PchipInterpolator(self.time, self.positions)(time), self.closed)
+        time, positions = self.time, self.positions
+        if self.closed:  # the step back to the first point takes as long as the last one
+            time, positions = np.append(time, 2 * time[-1] - time[-2]), np.vstack([positions, positions[:1]])
+        at = np.linspace(time[0], time[-1], points + 1 if self.closed else points)[:points]
+        return Trajectory(at, PchipInterpolator(time, positions)(at), self.closed)
 
 
 def check_count(points: int) -> None:

@@ -160,9 +160,9 @@ def test_no_such_point(kang, point):
 
 def test_workspace_map(kang):
     """Every grid point, counted from the base plate, is reached or not as by itself; a third of a turn changes nothing."""
-    across, height = [0.0, 0.1, 0.2, 0.35], [0.3, 0.4, 0.65]
+    across, height = [0.0, 0.2, 0.35], [0.4, 0.65]
     found = workspace_map(kang, across, height)
-    assert found.reached.shape == (3, 4)
+    assert found.reached.shape == (2, 3)
     for row, z in enumerate(height):
         for column, x in enumerate(across):
             target = [x, 0, z - 0.05]
@@ -171,7 +171,7 @@ def test_workspace_map(kang):
             if alone.solved:
                 np.testing.assert_allclose(found.gains[row][column].equilibrium.tip, target, atol=1e-6)
     numbers = found.values(lambda gain: gain.manipulability())
-    assert 3 <= found.reached.sum() <= 9
+    assert 1 < found.reached.sum() < 6
     np.testing.assert_array_equal(np.isfinite(numbers), found.reached)
     turned, straight = (workspace_map(kang, across, height, turn, Mode.PRESSURE) for turn in (2 * np.pi / 3, 0.0))
     np.testing.assert_array_equal(turned.reached, straight.reached)

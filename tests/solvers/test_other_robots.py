@@ -77,3 +77,18 @@ def test_redundant_forces_are_of_minimum_norm():
     null = np.linalg.svd(by_force)[2][3:]
     assert null.shape == (1, 4)
     assert abs(null @ found.forces).max() < 1e-6
+
+
+def test_redundant_forces_keep_to_their_limits():
+    """Least norm would pull on actuator 3; with pressure alone it is left at 0, which leaves one solution."""
+    model = compile_model(variant(geometry={"modules": 1, "actuator_angles_deg": FOUR, "segments_per_module": 3}), backend="python")
+    forces = np.array([11.0, 4.0, 0.0, 3.0])  # (10, 5, -1, 4), at right angles to the null space, and one step along (1, -1, 1, -1)
+    target = solve_statics(model, [*forces / model.model.values["A"], 0, 0, 0, 0]).tip
+    pressure, hybrid = (solve_ik(model, target, mode) for mode in Mode)
+    assert pressure.solved
+    assert hybrid.solved
+    np.testing.assert_allclose(pressure.forces, forces, atol=1e-4)
+    assert pressure.limits == ("pressure_13 at 0",)
+    assert hybrid.forces.argmin() == 2
+    assert hybrid.forces[2] < -0.5
+    assert np.linalg.norm(hybrid.forces) < np.linalg.norm(forces)

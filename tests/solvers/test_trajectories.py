@@ -48,7 +48,7 @@ def test_resampling_keeps_the_points_and_the_path():
     finer = path.resampled(9)
     np.testing.assert_allclose(finer.positions[::2], path.positions, atol=1e-15)
     np.testing.assert_allclose(finer.positions[1::2], (path.positions[1:] + path.positions[:-1]) / 2, atol=1e-12)
-    np.testing.assert_allclose(circle(65).resampled(129).positions[::2], circle(65).positions, atol=1e-12)
+    np.testing.assert_allclose(circle(65).resampled(130).positions[::2], circle(65).positions, atol=1e-12)
     with pytest.raises(InputError, match="points = 0"):
         path.resampled(0)
     with pytest.raises(InputError, match="at least 2 points"):

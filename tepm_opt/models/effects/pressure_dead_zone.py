@@ -18,6 +18,7 @@ class PressureDeadZone(Effect):
     name = "pressure_dead_zone"
     explains = "no force until a threshold pressure"
     reference = "Tao and Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, 1996, ch. 2"
+    smooth = False  # at no threshold and no pressure the derivative by the threshold has a jump
     parameters = (Parameter("threshold", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),)
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
