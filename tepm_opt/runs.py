@@ -18,7 +18,7 @@ from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.setpoints import SetPoints, gain_columns, length_columns, point_columns, write_setpoints
 from tepm_opt.data.tables import write_table
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.gain import Gain, solve_gain
+from tepm_opt.solvers.gain import Actuation, Gain, solve_gain
 from tepm_opt.solvers.kinematics import Configuration, Mode, Reach, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics, without_inputs
 from tepm_opt.solvers.trajectories import Trajectory
@@ -250,6 +250,16 @@ def run_statics(model: CompiledModel, setpoints: SetPoints, track: Track[Equilib
     return StaticsRun(model, setpoints, equilibria, interrupted)
 
 
+def _measures(gain: Gain, kind: Actuation) -> dict[str, Any]:
+    """Singular values in mm, condition (null where a direction cannot be driven) and manipulability of one actuation."""
+    condition = gain.condition(kind)
+    return {
+        "singular_values_mm": _mm(gain.singular_values(kind)),
+        "condition": condition if np.isfinite(condition) else None,
+        "manipulability_m3": gain.manipulability(kind),
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class GainRun:
     """G of a reference point under set points.
@@ -269,20 +279,8 @@ class GainRun:
 
     def summary(self) -> dict[str, Any]:
         """Numbers of the run: per row the singular values in mm, condition and manipulability in m³, of each actuation."""
-        rows = []
-        for gain in self.gains:
-            kinds = ("both", "pressure", "tension")
-            rows.append(
-                gain
-                and {
-                    kind: {
-                        "singular_values_mm": _mm(gain.singular_values(kind)),
-                        "condition": gain.condition(kind),
-                        "manipulability_m3": gain.manipulability(kind),
-                    }
-                    for kind in kinds
-                }
-            )
+        kinds: tuple[Actuation, ...] = ("both", "pressure", "tension")
+        rows = [gain and {kind: _measures(gain, kind) for kind in kinds} for gain in self.gains]
         summary = self.statics.summary()
         names = ("robot", "points", "solved", "interrupted", "unsolved")
         point = next((gain.point for gain in self.gains if gain), -1)
