@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from tepm_opt.errors import unknown_name
 from tepm_opt.models.chain import SOLVED
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.layout import Layout
 from tepm_opt.solvers.kinematics import Configuration, Mode, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 
@@ -55,6 +57,14 @@ class Gain:
         return float(np.prod(self.singular_values(actuation)))
 
 
+@lru_cache(maxsize=64)
+def _coordinates(layout: Layout, point: int) -> np.ndarray:
+    """Rows that pick a point's coordinates from the observations (points in G, then lengths)."""
+    rows = np.zeros((3, 3 * layout.points + layout.inputs // 2))
+    rows[:, 3 * point : 3 * point + 3] = np.eye(3)
+    return rows
+
+
 def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = False) -> Gain:
     """G at a stable equilibrium by the implicit function theorem: three adjoint solves with the factor of the stiffness.
 
@@ -72,10 +82,14 @@ def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = Fal
     if not equilibrium.solved:
         raise ValueError(f"no gain at this operating point: {equilibrium.message}")
     point %= points
-    weights = np.zeros((3, 3 * points + model.layout.inputs // 2))
-    weights[:, 3 * point : 3 * point + 3] = np.eye(3)
     status, by_u, by_load, by_theta = model.chain.sensitivity(
-        equilibrium.x, equilibrium.inputs, equilibrium.mapped, equilibrium.loads.ravel(), model.theta, weights, parameters
+        equilibrium.x,
+        equilibrium.inputs,
+        equilibrium.mapped,
+        equilibrium.loads.ravel(),
+        model.theta,
+        _coordinates(model.layout, point),
+        parameters,
     )
     if status != SOLVED:
         raise ValueError("no gain at this operating point: its stiffness is not positive definite")
