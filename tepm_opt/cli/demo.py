@@ -37,8 +37,9 @@ def demo(
     plots.save(plots.ik_figure(run), folder / "ik.png")
     gains = run_gain(compiled, run.setpoints(), track=progress("gain", len(path.time), as_json))
     gains.save(folder)
-    workspace = gain_command.grid_map(compiled, as_json)
-    gain_command.save_map(workspace, folder / "gain_map.csv")
+    workspace = gain_command.grid_map(compiled, as_json) if compiled.is_c else None  # minutes without a compiler
+    if workspace is not None:
+        gain_command.save_map(workspace, folder / "gain_map.csv")
     plots.save(plots.gain_figure(gains, gain_command.curves(compiled), workspace), folder / "gain.png")
     write_page(folder / "index.html", run, coarse, gains, {"ik": folder / "ik.png", "gain": folder / "gain.png"})
     summary = {"interrupted": gains.statics.interrupted, "ik": run.summary(), "ik_pressure": coarse.summary(), "gain": gains.summary()}

@@ -81,7 +81,7 @@ def build(network: Network) -> Path | None:
     """The shared library of a network, from the cache or compiled; None (and one warning) where that is not possible."""
     compiler = find_compiler()
     if compiler is None:
-        _warn_once("no C compiler found: CasADi's virtual machine is used, with the same results, some 20 times slower")
+        _warn_once("no C compiler found: CasADi's virtual machine is used, with the same results, some 50 times slower")
         return None
     text = source(network)
     key = hashlib.sha256("\n".join((text, *FLAGS, _machine(compiler))).encode()).hexdigest()[:24]
