@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from tepm_opt.cli import demo, gain, ik, robot, statics
+from tepm_opt.cli import data, demo, gain, ik, play, record, robot, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
 from tepm_opt.errors import InputError
 
@@ -43,7 +43,10 @@ app.command("ik")(ik.ik)
 app.command("gain")(gain.gain)
 app.command("statics")(statics.statics)
 app.command("demo")(demo.demo)
+app.command("record")(record.record)
+app.command("play")(play.play)
 app.add_typer(robot.app, name="robot")
+app.add_typer(data.app, name="data")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import tempfile
 from collections.abc import Iterator
@@ -28,11 +29,28 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     try:
         yield Path(name)
         try:
+            _to_disk(name)
             Path(name).replace(path)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def remove_leftovers(path: str | Path) -> None:
+    """Remove the temporary files that a program killed while it wrote `path` has left beside it."""
+    path = Path(path)
+    for leftover in path.parent.glob(f".{glob.escape(path.stem)}.????????{glob.escape(path.suffix)}"):
+        leftover.unlink(missing_ok=True)
+
+
+def _to_disk(name: str) -> None:
+    """Wait until the file's content is stored, so that a power cut after the renaming cannot leave it empty."""
+    handle = os.open(name, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _umask() -> int:
@@ -48,7 +66,7 @@ def write_atomically(path: str | Path, text: str) -> None:
         InputError: the folder cannot be written to.
     """
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def output_folder(path: str | Path) -> Path:

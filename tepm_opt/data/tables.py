@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,7 @@ class Table:
 
     Attributes:
         path: of the file.
-        columns: values by name, in file order, (rows,) each.
+        columns: values by name, in file order, (rows,) each; numbers, or text where text is allowed.
         lines: line number in the file of each row.
     """
 
@@ -65,8 +65,12 @@ class Table:
         return values
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, text: Callable[[str], bool] = lambda name: False) -> Table:
     """Read a CSV file with a header.
+
+    Args:
+        path: of the file.
+        text: which columns may hold text. Such a column is text where its first field that is not empty is not a number.
 
     Raises:
         InputError: unreadable file, no header, no rows, a row of another length, text where a number belongs.
@@ -89,19 +93,34 @@ def read_table(path: str | Path) -> Table:
         raise InputError(f"{path}: line {rows[0][0]}: column {twice[0]!r} stands twice")
     if len(rows) == 1:
         raise InputError(f"{path}: has no rows; valid: at least one row under the header")
-    values = np.array([_numbers(path, line, names, row) for line, row in rows[1:]])
-    return Table(path, dict(zip(names, values.T, strict=True)), tuple(line for line, _ in rows[1:]))
+    lines = tuple(line for line, _ in rows[1:])
+    for line, row in rows[1:]:
+        if len(row) != len(names):
+            raise InputError(f"{path}: line {line}: {len(row)} fields, the header has {len(names)}")
+    words = {name: k for k, name in enumerate(names) if text(name) and _is_text(row[k] for _, row in rows[1:])}
+    numeric = [k for k, name in enumerate(names) if name not in words]
+    values = np.array([_numbers(path, line, names, row, numeric) for line, row in rows[1:]])
+    columns = {names[k]: values[:, place] for place, k in enumerate(numeric)}
+    columns |= {name: np.array([row[k] for _, row in rows[1:]], dtype=np.str_) for name, k in words.items()}
+    return Table(path, {name: columns[name] for name in names}, lines)
 
 
-def _numbers(path: Path, line: int, names: Sequence[str], row: Sequence[str]) -> list[float]:
-    if len(row) != len(names):
-        raise InputError(f"{path}: line {line}: {len(row)} fields, the header has {len(names)}")
+def _is_text(fields: Iterable[str]) -> bool:
+    first = next((field for field in fields if field.strip()), "0")
+    try:
+        float(first)
+    except ValueError:
+        return True
+    return False
+
+
+def _numbers(path: Path, line: int, names: Sequence[str], row: Sequence[str], numeric: Sequence[int]) -> list[float]:
     numbers = []
-    for name, field in zip(names, row, strict=True):
+    for k in numeric:
         try:
-            numbers.append(float(field) if field.strip() else np.nan)
+            numbers.append(float(row[k]) if row[k].strip() else np.nan)
         except ValueError as error:
-            raise InputError(f"{path}: line {line}: {name} = {field!r} is not a number") from error
+            raise InputError(f"{path}: line {line}: {names[k]} = {row[k]!r} is not a number") from error
     return numbers
 
 
@@ -111,5 +130,33 @@ def write_table(path: str | Path, names: Sequence[str], rows: np.ndarray) -> Non
     Raises:
         InputError: the folder cannot be written to.
     """
-    lines = [",".join(names), *(",".join("" if np.isnan(value) else repr(float(value)) for value in row) for row in np.atleast_2d(rows))]
+    lines = [",".join(names), *(",".join(field_text(value) for value in row) for row in np.atleast_2d(rows))]
     write_atomically(path, "\n".join(lines) + "\n")
+
+
+def field_text(value: float) -> str:
+    """A number in the shortest form that reads back equal; NaN is empty."""
+    return "" if value != value else repr(float(value))
+
+
+def write_columns(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns (rows,) of numbers or text so that they read back equal (text where it is allowed).
+
+    Raises:
+        InputError: a text column that would read back as numbers; the folder cannot be written to.
+    """
+    fields = []
+    for name, values in columns.items():
+        if values.dtype.kind == "U" and not _is_text(values):
+            raise InputError(f"{path}: column {name!r} holds text that reads as numbers; write numbers or another text in its first row")
+        fields.append(list(values) if values.dtype.kind == "U" else [field_text(value) for value in values.tolist()])
+    write_atomically(path, csv_text([list(columns), *zip(*fields, strict=True)]))
+
+
+def csv_text(rows: Iterable[Sequence[str]]) -> str:
+    """Lines of a CSV file, each ended; fields are quoted where they must be (the csv module forgets about a lone carriage return)."""
+    return "".join(",".join(_quoted(field) for field in row) + "\n" if list(row) != [""] else '""\n' for row in rows)
+
+
+def _quoted(field: str) -> str:
+    return '"' + field.replace('"', '""') + '"' if any(mark in field for mark in ',"\r\n') else field

@@ -1,0 +1,51 @@
+"""`tepm play`: a set-point file on a rig."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from tepm_opt.cli.common import INTERRUPTED, JsonOption, RobotOption, stderr, stdout
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
+from tepm_opt.data.setpoints import read_setpoints
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.robot import load_robot
+from tepm_opt.recording.play import play as play_setpoints
+from tepm_opt.recording.play import refuse_unplayable
+from tepm_opt.recording.samples import UNFINISHED
+
+
+def play(
+    inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Set-point file, such as the inputs.csv of tepm ik.")],
+    rig: RigOption = "sim",
+    out: Annotated[Path, typer.Option("--out", help="CSV file for what is measured; never overwritten.")] = Path("measured.csv"),
+    rate: Annotated[float, typer.Option("--rate", min=0.1, max=10000, help="Samples kept a second, Hz.")] = 50.0,
+    seed: SeedOption = 0,
+    robot: RobotOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Play set points on a rig: approach the first row slowly, every row at its time, back to zero, stop."""
+    found = load_robot(robot or "kang2017")
+    setpoints = read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
+    refuse_unplayable(setpoints)
+    left = f"what was measured is in {out.parent / out.stem}-….{UNFINISHED}.csv"
+    try:
+        with stopped_by_signals(), stages(as_json) as show:
+            run = play_setpoints(opener(rig, found, seed)(seed), setpoints, found, out, rate, show(inputs.name))
+    except KeyboardInterrupt:
+        stderr.print(f"interrupted: the rig is stopped; {left}", style="yellow", soft_wrap=True, highlight=False)
+        return INTERRUPTED
+    except (RuntimeError, OSError) as error:
+        return failed(error, left)
+    lost = int(np.isnan(run.points).any(axis=(1, 2)).sum())
+    if as_json:
+        print(json.dumps({"file": str(out), "rows": run.rows, "duration_s": run.duration, "rows_with_lost_points": lost}, indent=2))
+    else:
+        stdout.print(
+            f"[bold]{run.rows} samples[/] in {out}" + (f", {lost} with lost points" if lost else ""), soft_wrap=True, highlight=False
+        )
+    return 0

@@ -1,0 +1,52 @@
+"""`tepm record`: an input plan on a rig, stored as a data set."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from tepm_opt.cli.common import INTERRUPTED, JsonOption, stderr, stdout
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
+from tepm_opt.data.datasets import DESCRIPTION, read_description
+from tepm_opt.recording.plan import Plan, read_plan
+from tepm_opt.recording.record import record as record_plan
+from tepm_opt.recording.samples import UNFINISHED
+
+
+def record(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (.toml), see docs/recording.md.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the data set; runs it has are kept.")],
+    rig: RigOption = "sim",
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
+) -> int:
+    """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted."""
+    planned = read_plan(plan)
+    try:
+        with stopped_by_signals(), stages(as_json) as show:
+            done = record_plan(planned, out, opener(rig, planned.robot, seed), rig, seed, show)
+    except KeyboardInterrupt:
+        stderr.print(f"interrupted: {kept(planned, out)}", style="yellow", soft_wrap=True, highlight=False)
+        return INTERRUPTED
+    except (RuntimeError, OSError) as error:
+        return failed(error, kept(planned, out))
+    if as_json:
+        print(json.dumps(done.summary(), indent=2))
+        return 0
+    before = f", {len(done.kept)} were there" if done.kept else ""
+    stdout.print(f"[bold]{len(done.done)} runs[/] recorded in {out}{before}", soft_wrap=True, highlight=False)
+    for file, lines in done.notes.items():
+        for line in lines:
+            stdout.print(f"[yellow]{file}: {escape(line)}[/]", soft_wrap=True, highlight=False)
+    return 0
+
+
+def kept(plan: Plan, out: Path) -> str:
+    """What is there where a recording ended early."""
+    finished = len(read_description(out).runs) if (out / DESCRIPTION).is_file() else 0
+    rest = f", what there is of the next one in {out / UNFINISHED}" if (out / UNFINISHED).is_dir() else ""
+    return f"{finished} of {len(plan.runs)} runs are in {out}{rest}; the same command goes on"

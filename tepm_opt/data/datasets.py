@@ -1,0 +1,213 @@
+"""Data sets of experiments (SPEC section 4): a folder with `dataset.toml` and one CSV file a run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.documents import Section, between, read_toml, toml_string, validated
+from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.run import Role, Run, read_run_table, refuse_unusable, run_of, write_run
+from tepm_opt.errors import InputError, unknown_name
+
+DESCRIPTION = "dataset.toml"
+
+
+class RunEntry(Section):
+    """A run in `dataset.toml`."""
+
+    file: Annotated[str, Field(min_length=1, description="the name of a CSV file in the folder")]
+    role: Role
+
+    @model_validator(mode="after")
+    def _inside(self) -> RunEntry:
+        if PurePosixPath(self.file).is_absolute() or ".." in PurePosixPath(self.file).parts or "\\" in self.file:
+            raise ValueError(f"file = {self.file!r} is not in the folder of the data set; valid: the name of a CSV file in it")
+        return self
+
+
+class Description(Section):
+    """The content of `dataset.toml`."""
+
+    name: Annotated[str, Field(min_length=1, description="any text")]
+    robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")]
+    sample_rate_hz: Annotated[float, between(1e-3, 1e6, "Hz")] | None = None
+    position_noise_m: Annotated[float, between(0, 0.1, "m, 1 sigma per axis")] | None = None
+    static: Annotated[bool, Field(strict=True, description="true where the rows are equilibria")] = False
+    runs: list[RunEntry]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Description:
+        if self.sample_rate_hz is None and not self.static:
+            raise ValueError("missing key 'sample_rate_hz'; only data of equilibria (static = true) have none")
+        files = [entry.file for entry in self.runs]
+        if twice := sorted({name for name in files if files.count(name) > 1}):
+            raise ValueError(f"runs: {twice[0]!r} is listed twice; a run belongs to one role")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """Runs of one robot.
+
+    Attributes:
+        name: for people.
+        robot: built-in robot or path of a robot file, as seen from the working folder.
+        channels: names (and, where the robot was known when reading, magnitudes) of the columns.
+        runs: in the order of `dataset.toml`.
+        sample_rate: in Hz; None in data of equilibria.
+        position_noise: 1 sigma per axis in m; None where unknown.
+        static: whether rows are equilibria, not samples of a motion.
+    """
+
+    name: str
+    robot: str
+    channels: Channels
+    runs: tuple[Run, ...]
+    sample_rate: float | None = None
+    position_noise: float | None = None
+    static: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse runs that do not have the data set's columns.
+
+        Raises:
+            InputError: naming the run and both shapes.
+        """
+        for run in self.runs:
+            if run.inputs.shape[1] != len(self.channels.inputs) or run.points.shape[1] != len(self.channels.points):
+                found = f"{run.inputs.shape[1]} inputs and {run.points.shape[1]} points"
+                raise InputError(f"{run.file}: {found}; valid: {len(self.channels.inputs)} and {len(self.channels.points)}")
+
+    @property
+    def fit(self) -> tuple[Run, ...]:
+        """The runs to fit to."""
+        return tuple(run for run in self.runs if run.role == "fit")
+
+    @property
+    def validation(self) -> tuple[Run, ...]:
+        """The runs that judge a fit."""
+        return tuple(run for run in self.runs if run.role == "validation")
+
+    def run(self, file: str) -> Run:
+        """The run of this file name.
+
+        Raises:
+            InputError: there is none.
+        """
+        for run in self.runs:
+            if run.file == file:
+                return run
+        raise unknown_name("run", file, [run.file for run in self.runs], self.name)
+
+
+def read_description(folder: str | Path) -> Description:
+    """`dataset.toml` alone.
+
+    Raises:
+        InputError: no such folder or file, no TOML, unknown or missing key, wrong value.
+    """
+    path = description_path(folder)
+    return validated(Description, read_toml(path), str(path))
+
+
+def description_path(folder: str | Path) -> Path:
+    """The path of a data set's `dataset.toml`.
+
+    Raises:
+        InputError: there is none.
+    """
+    path = Path(folder) / DESCRIPTION
+    if not path.parent.is_dir():
+        raise InputError(f"data set {path.parent} is not a folder; valid: a folder with {DESCRIPTION}")
+    if not path.is_file():
+        raise InputError(f"data set {path.parent} has no {DESCRIPTION}")
+    return path
+
+
+def read_dataset(folder: str | Path, channels: Channels | None = None) -> DataSet:
+    """Read a data set as what follows can use it: finite inputs, increasing time. Doubtful values are found by `check_dataset`.
+
+    Args:
+        folder: of `dataset.toml`.
+        channels: of the robot; where absent the header of the first run tells the names.
+
+    Raises:
+        InputError: as for `read_description` and `read_run`.
+    """
+    folder = Path(folder)
+    description = read_description(folder)
+    runs = []
+    for entry in description.runs:
+        table = read_run_table(folder / entry.file)
+        channels = Channels.from_header(table.columns) if channels is None else channels
+        run = run_of(table, entry.file, entry.role, channels, description.static)
+        refuse_unusable(table, channels, description.static)
+        runs.append(run)
+    return dataset_of(folder, description, channels or Channels((), ()), runs)
+
+
+def dataset_of(folder: Path, description: Description, channels: Channels, runs: Iterable[Run]) -> DataSet:
+    """A data set from the parts that were read; the robot's path becomes one from the working folder."""
+    robot = folder / description.robot
+    source = str(robot) if robot.is_file() else description.robot
+    rate, noise = description.sample_rate_hz, description.position_noise_m
+    return DataSet(description.name, source, channels, tuple(runs), rate, noise, description.static)
+
+
+def write_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) -> None:
+    """Write a data set: the runs, then `dataset.toml`, each file whole or not at all. A robot's path becomes relative to the folder.
+
+    Raises:
+        InputError: the folder holds a data set and `overwrite` is off; it cannot be written to.
+    """
+    folder = Path(folder)
+    if (folder / DESCRIPTION).exists() and not overwrite:
+        raise InputError(f"{folder} holds a data set; name another folder")
+    folder = output_folder(folder)
+    for run in dataset.runs:
+        output_folder((folder / run.file).parent)
+        write_run(folder / run.file, run, dataset.channels)
+    write_description(folder, description_of(dataset, folder))
+
+
+def description_of(dataset: DataSet, folder: Path) -> Description:
+    """What `dataset.toml` in this folder says of a data set.
+
+    Raises:
+        InputError: a value that the file may not hold.
+    """
+    robot = os.path.relpath(dataset.robot, folder) if Path(dataset.robot).is_file() else dataset.robot
+    content = {
+        "name": dataset.name,
+        "robot": robot,
+        "sample_rate_hz": dataset.sample_rate,
+        "position_noise_m": dataset.position_noise,
+        "static": dataset.static,
+        "runs": [{"file": run.file, "role": run.role} for run in dataset.runs],
+    }
+    return validated(Description, content, str(folder / DESCRIPTION))
+
+
+def write_description(folder: str | Path, description: Description) -> None:
+    """Write `dataset.toml`, whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    lines = [f"name = {toml_string(description.name)}", f"robot = {toml_string(description.robot)}"]
+    if description.sample_rate_hz is not None:
+        lines.append(f"sample_rate_hz = {description.sample_rate_hz!r}")
+    if description.position_noise_m is not None:
+        lines.append(f"position_noise_m = {description.position_noise_m!r}")
+    lines += ["static = true"] if description.static else []
+    for entry in description.runs:
+        lines += ["", "[[runs]]", f"file = {toml_string(entry.file)}", f"role = {toml_string(entry.role)}"]
+    lines += [] if description.runs else ["runs = []"]
+    write_atomically(Path(folder) / DESCRIPTION, "\n".join(lines) + "\n")

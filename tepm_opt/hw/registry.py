@@ -1,0 +1,60 @@
+"""Rigs by the text a person types: `--rig sim`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from tepm_opt.data.datasets import DESCRIPTION, read_description
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.hw.rig import Rig
+from tepm_opt.models.robot import Robot
+
+VALID = "sim, sim:FILE, replay:FILE"
+
+
+def open_rig(text: str, robot: Robot | None = None) -> Rig:
+    """The rig that a text names.
+
+    Args:
+        text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), `replay:FILE` (a run of a data set).
+        robot: for recordings; the default is what `dataset.toml` beside the file says, or kang2017.
+
+    Raises:
+        InputError: not one of these; or the file is wrong, or the rig's package is not installed.
+    """
+    kind, colon, target = text.partition(":")
+    if kind not in _OPENERS:
+        raise unknown_name("rig", text, VALID.split(", "))
+    if colon and not target:
+        raise InputError(f"rig {text!r}: a file is missing after the colon; valid: {VALID}")
+    return _OPENERS[kind](target, robot)
+
+
+def _simulated(target: str, robot: Robot | None) -> Rig:
+    try:
+        from tepm_opt.hw.simulated import SimulatedRig
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "mujoco":
+            raise
+        raise InputError("simulated rigs need MuJoCo, which is not installed: pip install mujoco") from error
+    return SimulatedRig(target) if target else SimulatedRig()
+
+
+def _replay(target: str, robot: Robot | None) -> Rig:
+    from tepm_opt.hw.replay import ReplayRig
+
+    if not target:
+        raise InputError("rig 'replay' needs the CSV file of a run: replay:FILE")
+    return ReplayRig(target, robot or _recorded_robot(Path(target).parent))
+
+
+def _recorded_robot(folder: Path) -> str:
+    """The robot that the data set in a folder names, where there is one."""
+    if not (folder / DESCRIPTION).is_file():
+        return "kang2017"
+    name = read_description(folder).robot
+    return str(folder / name) if (folder / name).is_file() else name
+
+
+_OPENERS: Mapping[str, Callable[[str, Robot | None], Rig]] = {"sim": _simulated, "replay": _replay}

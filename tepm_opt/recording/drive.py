@@ -1,0 +1,249 @@
+"""Driving a rig along set points: slowly to the first row, at rest there, then every row at its time, and down again."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import median
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.findings import noise_level, spread
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.errors import InputError
+from tepm_opt.hw.rig import Command, Rig, Sample
+
+FULL_RANGE, SHORTEST = 6.0, 2.0
+"""Seconds in which inputs glide over their full range, and the least that a glide takes."""
+REST_WINDOW, REST_SPREAD = 1.2, 5e-4
+"""Seconds (more than a period of the sway) within which a robot at rest does not leave this many metres, beyond noise."""
+
+Show = Callable[[str, float, float], None]
+"""Told what is going on: stage, how much is done, of how much (s)."""
+
+
+@runtime_checkable
+class Virtual(Protocol):
+    """A rig of virtual time: rests from the start under what is commanded before the first `read`, and takes set points in advance."""
+
+    time: float
+
+    def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:
+        """Set points from now on, linear between rows."""
+        ...
+
+    def push(self, forces: np.ndarray) -> None:
+        """A known force on the tip, (3,) in N."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A sample and what was commanded at its time.
+
+    Attributes:
+        time: since the set points began in s.
+        inputs: (inputs,) in Pa and N.
+        tip_force: (3,) in N.
+        sample: as the rig gave it.
+        late: seconds by which commands before it came too late; 0 where all were in time.
+    """
+
+    time: float
+    inputs: np.ndarray
+    tip_force: np.ndarray
+    sample: Sample
+    late: float = 0.0
+
+
+class Driver:
+    """A rig that is being driven. What it sends changes smoothly, apart from the set points themselves.
+
+    Args:
+        rig: started and stopped by the caller.
+        channels: of the robot.
+        show: is told about progress.
+
+    Attributes:
+        inputs: commanded last, (inputs,) in Pa and N; zeros at first.
+    """
+
+    def __init__(self, rig: Rig, channels: Channels, show: Show = lambda stage, done, of: None) -> None:
+        self.rig, self.channels, self.show = rig, channels, show
+        self.inputs = np.zeros(len(channels.inputs))
+        self._sample: Sample | None = None
+        self._times: deque[float] = deque(maxlen=21)
+        self._stalled = 0
+
+    def read(self) -> Sample:
+        """The rig's next sample.
+
+        Raises:
+            InputError: it has not the robot's points, or is a recording that ended.
+            RuntimeError: the rig's time stands still.
+        """
+        try:
+            sample = self.rig.read()
+        except EOFError as error:
+            raise InputError(f"the rig has no more samples: {error}") from error
+        if sample.points.shape != (len(self.channels.points), 3):
+            raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(self.channels.points)}; another robot?")
+        self._stalled = self._stalled + 1 if self._times and sample.time <= self._times[-1] else 0
+        if self._stalled > 200:
+            raise RuntimeError(f"the rig's time stands still at {sample.time:g} s")
+        if not self._stalled:
+            self._times.append(sample.time)
+        self._sample = sample
+        return sample
+
+    def apply(self, inputs: np.ndarray) -> None:
+        """Command u (inputs,) in Pa and N."""
+        self.inputs = np.clip(inputs, 0.0, self.channels.limits)
+        self.rig.apply(Command.of(self.inputs))
+
+    @property
+    def sample(self) -> Sample:
+        """The last sample; read now where there is none."""
+        return self.read() if self._sample is None else self._sample
+
+    @property
+    def period(self) -> float:
+        """Typical time between samples in s."""
+        return median(after - before for before, after in pairwise(self._times)) if len(self._times) > 1 else 0.01
+
+    @property
+    def now(self) -> float:
+        """The rig's time at which a command given now is given; the last sample's where the rig does not tell."""
+        known = getattr(self.rig, "time", None)
+        return float(known) if isinstance(known, int | float) else self._times[-1]
+
+    def start(self, setpoints: SetPoints) -> bool:
+        """Bring the robot to rest under the first row; whether it came to rest."""
+        if isinstance(self.rig, Virtual):
+            self.rig.push(setpoints.tip_force[0])
+            self.apply(setpoints.inputs[0])
+            self.read()
+            self.read()
+            return True
+        self.approach(setpoints.inputs[0])
+        return self.settle()
+
+    def approach(self, target: np.ndarray) -> None:
+        """Glide from where the rig is — measured, where it measures — to `target` (inputs,)."""
+        sample = self.read()
+        half = len(self.inputs) // 2
+        for part, measured in ((slice(0, half), sample.pressures), (slice(half, None), sample.tensions)):
+            if measured is not None and np.isfinite(measured).all():
+                self.inputs[part] = np.clip(measured, 0.0, self.channels.limits[part])
+        self.glide(target, "approaching the start")
+
+    def glide(self, target: np.ndarray, stage: str) -> None:
+        """From the inputs commanded last to others, smoothly, over a few seconds."""
+        start, limits = self.inputs.copy(), self.channels.limits
+        duration = max(SHORTEST, FULL_RANGE * float(np.max(np.abs(target - start) / limits, initial=0.0)))
+        begin, part = max(self.now, self.sample.time), 0.0
+        while part < 1.0:
+            part = min((self.now + self.period / 2 - begin) / duration, 1.0)
+            self.apply(start + (target - start) * part**2 * (3 - 2 * part))
+            self.show(stage, part * duration, duration)
+            self.read()
+
+    def settle(self, least: float = 1.0, most: float = 40.0) -> bool:
+        """Wait until the robot rests, at least and at most so many seconds; whether it does."""
+        begin, seen = self.now, deque[Sample]()
+        ask = begin + max(least, REST_WINDOW)
+        while self.now - begin < most:
+            self.apply(self.inputs)
+            seen.append(self.read())
+            while seen[-1].time - seen[0].time > REST_WINDOW:
+                seen.popleft()
+            self.show("waiting for rest", self.now - begin, most)
+            if self.now >= ask:
+                ask = self.now + REST_WINDOW / 4
+                if at_rest(np.array([sample.points for sample in seen])):
+                    return True
+        return False
+
+    def follow(self, setpoints: SetPoints, rate: float) -> Iterator[Row]:
+        """Send the set points and give a row for each sample that is kept, at `rate` Hz or as fast as the rig is.
+
+        Their time 0 is that of the next sample. Where set points cannot be given in advance each one sent is that of the middle of the time
+        until the next, so that on average nothing is late.
+
+        Raises:
+            InputError: the rig does not give samples at this rate.
+        """
+        self._refuse_rate(rate)
+        time = setpoints.time - setpoints.time[0]
+        origin = self._begin(setpoints, time)
+        scheduled, tolerance = isinstance(self.rig, Virtual), 0.45 * min(self.period, 1 / rate)
+        due, last, late, sent = 0, int(np.floor(time[-1] * rate + 1e-6)), 0.0, self.now
+        before = -np.inf
+        while due <= last:
+            if not scheduled:
+                late = max(late, self.now - sent if self.now - sent > max(3 * self.period, 1.5 / rate) else 0.0)
+                sent = self.now
+                self.apply(_at(time, setpoints.inputs, self.now - origin + self.period / 2))
+            sample = self.read()
+            passed = sample.time - origin
+            self.show("recording", min(passed, time[-1]), time[-1])
+            if passed >= due / rate - tolerance and passed > before + 1e-6:
+                inputs, force = (_at(time, values, passed) for values in (setpoints.inputs, setpoints.tip_force))
+                self.inputs = inputs if scheduled else self.inputs
+                yield Row(passed, inputs, force, sample, late)
+                due, late, before = max(due + 1, int(np.floor(passed * rate + 0.25)) + 1), 0.0, passed
+
+    def _refuse_rate(self, rate: float) -> None:
+        """Every sample, every second one, …: other rates would make rows irregular."""
+        ratio = 1 / (rate * self.period)
+        if ratio < 0.9 or (ratio < 5 and abs(ratio - round(ratio)) > 0.1):
+            own = round(1 / self.period, 1)
+            raise InputError(
+                f"sample rate {rate:g} Hz: the rig gives {own:g} samples a second; valid: {own:g}, {own / 2:g}, {own / 3:.4g}, …"
+            )
+
+    def _begin(self, setpoints: SetPoints, time: np.ndarray) -> float:
+        """The rig's time at which the set points begin: when the next sample is due that is not yet past."""
+        last = self._times[-1]
+        origin = last + self.period * max(int(np.ceil((self.now - last) / self.period - 1e-6)), 1)
+        if isinstance(self.rig, Virtual):
+            wait = origin - self.now
+            values = (setpoints.inputs, setpoints.tip_force)
+            if wait > 1e-4:
+                time, values = np.append(0.0, time + wait), tuple(np.vstack([rows[:1], rows]) for rows in values)
+            self.rig.schedule(SetPoints(time, *values))
+        return origin
+
+    def finish(self) -> None:
+        """Glide to zero and stop."""
+        if self._times:
+            self.glide(np.zeros(len(self.inputs)), "returning to zero")
+        self.rig.stop()
+
+
+def _at(time: np.ndarray, values: np.ndarray, when: float) -> np.ndarray:
+    """Values (rows, …) at a time, linear between rows, (…,)."""
+    k = int(np.clip(np.searchsorted(time, when, side="right") - 1, 0, max(len(time) - 2, 0)))
+    if len(time) == 1 or when <= time[0]:
+        return values[0]
+    part = min((when - time[k]) / (time[k + 1] - time[k]), 1.0)
+    return values[k] + part * (values[k + 1] - values[k])
+
+
+def at_rest(points: np.ndarray) -> bool:
+    """Whether points (samples, points, 3) in m stay where they are, but for their noise; lost points are not asked."""
+    if len(points) < 12:
+        return False
+    blocks = np.array_split(points, min(8, len(points) // 3))
+    noise = np.nan_to_num(noise_level(points)) / np.sqrt(len(blocks[0]))
+    means = np.array([np.where(np.isfinite(block).any(axis=0), _mean(block), np.nan) for block in blocks])
+    return bool(np.all(spread(means) < REST_SPREAD + 5 * noise))
+
+
+def _mean(block: np.ndarray) -> np.ndarray:
+    finite = np.isfinite(block)
+    return np.where(finite, block, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)

@@ -1,0 +1,104 @@
+"""Recording plans: which runs to record, in which roles, under which inputs (TOML). `docs/recording.md` describes the file."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from tepm_opt.data.documents import Section, between, read_toml, validated
+from tepm_opt.data.run import Role
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.robot import Robot, builtin_robots, load_robot
+from tepm_opt.recording.patterns import PATTERNS, FileRun, RunPlan
+
+
+class _PlanFile(Section):
+    name: Annotated[str, Field(min_length=1, description="any text")]
+    robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")] = "kang2017"
+    sample_rate_hz: Annotated[float, between(1, 1e4, "Hz")] = 50.0
+    position_noise_m: Annotated[float, between(0, 0.1, "m, 1 sigma per axis")] | None = None
+    runs: Annotated[list[dict[str, Any]], Field(min_length=1, description="at least one [[runs]]")]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedRun:
+    """A run to record: its set points start with steady inputs."""
+
+    file: str
+    role: Role
+    setpoints: SetPoints
+
+    def fingerprint(self, robot: Robot, rate: float) -> str:
+        """Changes with anything that changes what would be recorded, but for the rig."""
+        parts = (self.setpoints.time, self.setpoints.inputs, self.setpoints.tip_force)
+        digest = hashlib.sha256(f"{robot.model_dump_json()} {rate!r} ".encode())
+        for part in parts:
+            digest.update(part.astype("<f8").tobytes())
+        return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan, its inputs worked out and checked.
+
+    Attributes:
+        name: of the data set.
+        robot: that the inputs are for.
+        source: built-in robot or path of a robot file.
+        sample_rate: in Hz.
+        position_noise: 1 sigma per axis in m, None where unknown.
+        runs: in order.
+    """
+
+    name: str
+    robot: Robot
+    source: str
+    sample_rate: float
+    position_noise: float | None
+    runs: tuple[PlannedRun, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse files that are named twice.
+
+        Raises:
+            InputError: naming the file.
+        """
+        files = [run.file.lower() for run in self.runs]
+        if twice := sorted({name for name in files if files.count(name) > 1}):
+            raise InputError(f"plan {self.name!r}: the file {twice[0]!r} is named twice; every run has its own")
+
+
+def read_plan(path: str | Path) -> Plan:
+    """A plan with all its inputs; paths in it are relative to it.
+
+    Raises:
+        InputError: unreadable file, no TOML, unknown key, pattern, input or robot, value out of range, file named twice.
+    """
+    path = Path(path)
+    content = validated(_PlanFile, read_toml(path), str(path))
+    source = content.robot if content.robot in builtin_robots() else str(path.parent / content.robot)
+    robot = load_robot(source)
+    runs = []
+    for k, entry in enumerate(content.runs):
+        where = f"{path}: runs entry {k + 1}"
+        planned = _planned(entry, where)
+        label = f"{where} ({planned.file})"
+        setpoints = planned.setpoints(robot, content.sample_rate_hz, path.parent, label)
+        runs.append(PlannedRun(planned.file, planned.role, setpoints))
+    return Plan(content.name, robot, source, content.sample_rate_hz, content.position_noise_m, tuple(runs))
+
+
+def _planned(entry: dict[str, Any], where: str) -> RunPlan:
+    if ("inputs" in entry) == ("pattern" in entry):
+        raise InputError(f"{where}: valid: either pattern = one of {', '.join(PATTERNS)}, or inputs = a set-point file")
+    if "inputs" in entry:
+        return validated(FileRun, entry, where)
+    name = str(entry["pattern"])
+    if name not in PATTERNS:
+        raise unknown_name("pattern", name, PATTERNS, where)
+    return validated(PATTERNS[name], entry, where)

@@ -1,0 +1,200 @@
+"""Recording a plan on a rig: run by run into a data set that is whole at every moment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from tepm_opt.data.datasets import DESCRIPTION, Description, RunEntry, read_description, write_description
+from tepm_opt.data.files import output_folder, remove_leftovers, write_atomically
+from tepm_opt.data.journal import mend_journal
+from tepm_opt.data.run import write_run
+from tepm_opt.errors import InputError
+from tepm_opt.hw.rig import Rig
+from tepm_opt.models.robot import builtin_robots, read_text
+from tepm_opt.recording.drive import Driver, Show, Virtual
+from tepm_opt.recording.plan import Plan, PlannedRun
+from tepm_opt.recording.robots import channels_of
+from tepm_opt.recording.samples import STATUS, UNFINISHED, journal_path, run_from_journal, write_journal
+
+LOG, ROBOT = "recording.json", "robot.toml"
+Rigs = Callable[[int], Rig]
+"""Opens the rig anew for a run, with this seed where the rig has chance in it."""
+ShowRun = Callable[[str], Show]
+"""What to tell about the progress of a run, by its file."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What `record` left.
+
+    Attributes:
+        folder: of the data set.
+        done: files recorded now.
+        kept: files that were there before.
+        notes: what a person should know of a run, by file.
+    """
+
+    folder: Path
+    done: tuple[str, ...]
+    kept: tuple[str, ...]
+    notes: Mapping[str, tuple[str, ...]]
+
+    def summary(self) -> dict[str, Any]:
+        """For people and programs."""
+        notes = {file: list(lines) for file, lines in self.notes.items()}
+        return {"dataset": str(self.folder), "recorded": list(self.done), "kept": list(self.kept), "notes": notes}
+
+
+def seed_of(seed: int, file: str) -> int:
+    """The seed of one run: it does not depend on which runs are recorded with it."""
+    return int(np.random.SeedSequence([seed, crc32(file.encode())]).generate_state(1)[0])
+
+
+def record(plan: Plan, folder: str | Path, rigs: Rigs, rig_name: str, seed: int = 0, show: ShowRun = lambda file: _silent) -> Recorded:
+    """Record the runs of a plan that the data set does not have yet.
+
+    Every run starts on a rig opened anew, from zero. Samples go to `unfinished/NAME-1.unfinished.csv` line by line; a finished run becomes
+    `NAME.csv`, then stands in `dataset.toml`, and only then its journal goes. Whatever ends the program, `dataset.toml` lists
+    finished runs and nothing else, and all samples of the others are in `unfinished/`.
+
+    Args:
+        plan: what to record.
+        folder: of the data set, made if need be.
+        rigs: opens the rig.
+        rig_name: stands in `recording.json`; runs of different rigs are not mixed.
+        seed: of everything random on the rig.
+        show: makes what is told about the progress of a run.
+
+    Raises:
+        InputError: the folder holds another data set, runs of another plan, rig or seed, or cannot be written; the rig has another robot.
+    """
+    folder = output_folder(folder)
+    log = _open(plan, folder, rig_name, seed)
+    for name in (DESCRIPTION, LOG, ROBOT, *(run.file for run in plan.runs)):
+        remove_leftovers(folder / name)
+    _tidy(folder, log)
+    finished = {entry.file for entry in read_description(folder).runs}
+    done, kept, notes = [], [], {}
+    for planned in plan.runs:
+        if planned.file in finished:
+            kept.append(planned.file)
+            continue
+        journal = journal_path(output_folder(folder / UNFINISHED), planned.file)
+        said = _record_run(plan, planned, journal, folder / planned.file, rigs(seed_of(seed, planned.file)), show(planned.file))
+        finished.add(planned.file)
+        log["runs"][planned.file] = {
+            "fingerprint": planned.fingerprint(plan.robot, plan.sample_rate),
+            "recorded_at": datetime.now(UTC).isoformat(timespec="seconds"),
+            "journal": journal.name,
+            "notes": said,
+        }
+        write_atomically(folder / LOG, json.dumps(log, indent=2) + "\n")
+        _list(plan, folder, finished)
+        _tidy(folder, log)
+        done.append(planned.file)
+        notes |= {planned.file: tuple(said)} if said else {}
+    return Recorded(folder, tuple(done), tuple(kept), notes)
+
+
+def _silent(stage: str, done: float, of: float) -> None:
+    pass
+
+
+def _record_run(plan: Plan, planned: PlannedRun, journal: Path, out: Path, rig: Rig, show: Show) -> list[str]:
+    """Record one run into its journal, then its CSV file; notes about it."""
+    channels, notes = channels_of(plan.robot), []
+    with rig:
+        known = getattr(rig, "robot", None)
+        if known is not None and channels_of(known) != channels:
+            raise InputError(f"the rig's robot is {known.name!r}, the plan's is {plan.robot.name!r}; set `robot` in the plan")
+        force = planned.setpoints.tip_force
+        if not isinstance(rig, Virtual) and np.any(force != force[0]):
+            raise InputError(f"{planned.file}: the tip force changes, but this rig cannot push; hang a weight and give a constant force")
+        driver = Driver(rig, channels, show)
+        if not driver.start(planned.setpoints):
+            notes.append("the robot did not come to rest before the start")
+        write_journal(journal, driver.follow(planned.setpoints, plan.sample_rate), driver.sample, channels)
+        if not isinstance(rig, Virtual):
+            driver.finish()
+    run = run_from_journal(journal, planned.file, planned.role, channels)
+    if run is None:
+        raise RuntimeError(f"{planned.file}: the rig gave no sample")
+    if STATUS in run.extra:
+        odd = run.extra[STATUS][run.extra[STATUS] != "ok"]
+        notes.append(f"{len(odd)} samples with a status, the first: {odd[0]}")
+    write_run(out, run, channels)
+    return notes
+
+
+def _open(plan: Plan, folder: Path, rig: str, seed: int) -> dict[str, Any]:
+    """The log of a data set that belongs to this plan, rig and seed; a new data set where there is none, or one without runs."""
+    head, path = {"rig": rig, "seed": seed}, folder / LOG
+    if (folder / DESCRIPTION).exists():
+        if not path.is_file():
+            raise InputError(f"{folder} holds a data set that was not recorded here ({LOG} is missing); name another folder")
+        description = read_description(folder)
+        if description.runs:
+            return _go_on(plan, folder, description, head)
+    write_atomically(path, json.dumps({**head, "runs": {}}, indent=2) + "\n")
+    if plan.source not in builtin_robots():
+        write_atomically(folder / ROBOT, read_text(Path(plan.source)))
+    _list(plan, folder, set())
+    return {**head, "runs": {}}
+
+
+def _go_on(plan: Plan, folder: Path, description: Description, head: Mapping[str, Any]) -> dict[str, Any]:
+    """The log of a data set with runs, if these are what the plan would record."""
+    path = folder / LOG
+    try:
+        log = json.loads(read_text(path))
+        runs = {entry.file: log["runs"][entry.file] for entry in description.runs}
+        found = {name: log[name] for name in head}
+        prints = {file: str(run["fingerprint"]) for file, run in runs.items()}
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: is damaged; record into another folder") from error
+    for name, value in head.items():
+        if found[name] != value:
+            raise InputError(f"{folder} was recorded with {name} {found[name]!r}, not {value!r}; name another folder")
+    expected = _description(plan, set(runs))
+    if expected.model_copy(update={"runs": []}) != description.model_copy(update={"runs": []}):
+        raise InputError(f"{folder / DESCRIPTION}: name, robot, rate or noise differ from the plan's; name another folder")
+    planned = {run.file: run for run in plan.runs}
+    for file, fingerprint in prints.items():
+        if file not in planned:
+            raise InputError(f"{folder}: {file} is not in the plan; add it there or name another folder")
+        if fingerprint != planned[file].fingerprint(plan.robot, plan.sample_rate):
+            raise InputError(f"{folder}: {file} was recorded under other inputs than the plan's; name another folder")
+    if description != expected:
+        _list(plan, folder, set(runs))
+    return {**head, "runs": runs}
+
+
+def _description(plan: Plan, files: set[str]) -> Description:
+    robot = plan.source if plan.source in builtin_robots() else ROBOT
+    runs = [RunEntry(file=run.file, role=run.role) for run in plan.runs if run.file in files]
+    return Description(name=plan.name, robot=robot, sample_rate_hz=plan.sample_rate, position_noise_m=plan.position_noise, runs=runs)
+
+
+def _list(plan: Plan, folder: Path, files: set[str]) -> None:
+    write_description(folder, _description(plan, files))
+
+
+def _tidy(folder: Path, log: Mapping[str, Any]) -> None:
+    """Remove journals of finished runs and empty ones, cut torn lines off the others; remove the folder where nothing is left."""
+    place = folder / UNFINISHED
+    if not place.is_dir():
+        return
+    of_finished = {entry.get("journal") for entry in log["runs"].values()}
+    for path in place.glob(f"*.{UNFINISHED}.csv"):
+        if path.name in of_finished or mend_journal(path) == 0:
+            path.unlink()
+    if not any(place.iterdir()):
+        place.rmdir()

@@ -1,0 +1,126 @@
+"""A small rig with the columns of kang2017: bends and stretches with a first-order lag, noise of 0.3 mm, 100 samples a second."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from tepm_opt.errors import InputError
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.robot import load_robot
+from tests.data.made import shape
+
+ROBOT = load_robot("kang2017")
+PERIOD, LAG = 0.01, 0.15
+
+
+class FakeRig:
+    """Virtual time, but no set points in advance: it has to be approached slowly, as hardware.
+
+    Attributes:
+        applied: every command, (inputs,) each, with its time.
+        stops: how often it was stopped.
+    """
+
+    def __init__(self, seed: int = 0, measures: bool = True, wait: float = 0.0, noise: float = 3e-4) -> None:
+        self.random = np.random.default_rng(seed)
+        self.measures, self.wait, self.noise = measures, wait, noise
+        self.ticks, self.stops = 0, 0
+        self.commanded = np.zeros(12)
+        self.state = np.zeros(12)
+        self.applied: list[tuple[float, np.ndarray]] = []
+        self.lose: dict[int, int] = {}  # tick: point that the tracker loses
+        self.fail_at: dict[int, BaseException] = {}
+        self.gaps: dict[int, int] = {}  # tick: how many more pass unseen
+
+    def read(self) -> Sample:
+        if self.wait:
+            time.sleep(self.wait)
+        if self.ticks in self.fail_at:
+            raise self.fail_at[self.ticks]
+        ticks = 1 + self.gaps.get(self.ticks, 0)
+        self.state += (1 - np.exp(-ticks * PERIOD / LAG)) * (self.commanded - self.state)
+        points = shape(self.state) + self.noise * self.random.normal(size=(4, 3))
+        status = "ok"
+        if self.ticks in self.lose:
+            points[self.lose[self.ticks]] = np.nan
+            status = f"lost s{self.lose[self.ticks] + 1}, see log"
+        self.ticks += ticks
+        pressures = self.state[:6] + 100 * self.random.normal(size=6) if self.measures else None
+        return Sample(self.ticks * PERIOD, points, pressures, status=status, extra={"supply_Pa": 6e5 + self.ticks} if self.measures else {})
+
+    def apply(self, command: Command) -> None:
+        values = np.concatenate([command.pressures, command.tensions])
+        if not np.all((values >= 0) & (values <= ROBOT.input_max)):
+            raise InputError(f"command {values}")
+        self.commanded = values.copy()
+        self.applied.append((self.ticks * PERIOD, self.commanded))
+
+    def stop(self) -> None:
+        self.stops += 1
+        self.commanded = np.zeros(12)
+
+    def __enter__(self) -> FakeRig:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.stop()
+
+
+def record_slowly(plan: str, out: str, log: str, wait: float) -> None:
+    """`tepm record` on this rig, for processes that are killed.
+
+    Before every read `log` gets a line with the run, the stage, and how far it is in s: by then all earlier rows have to be in the journal.
+    """
+    from tepm_opt.cli import rigs, run
+    from tepm_opt.recording import drive
+
+    handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    plain = drive.Driver.__init__
+
+    def logging(self: drive.Driver, rig: object, channels: object, show: drive.Show) -> None:
+        def tell(stage: str, done: float, of: float) -> None:
+            os.write(handle, f"{stage},{done!r}\n".encode())
+
+        plain(self, rig, channels, tell)  # type: ignore[arg-type]
+
+    drive.Driver.__init__ = logging  # type: ignore[method-assign]
+    rigs.open_rig = lambda text, robot: SeededLater(wait)  # type: ignore[assignment,return-value]
+    raise SystemExit(run(["record", plan, "--out", out, "--rig", "fake", "--json"]))
+
+
+class SeededLater(FakeRig):
+    """Takes its seed as a simulated rig does."""
+
+    def __init__(self, wait: float = 0.0) -> None:
+        super().__init__(wait=wait)
+
+    def reseed(self, seed: int) -> None:
+        self.random = np.random.default_rng(seed)
+
+
+def plan_text(*runs: str, rate: int = 50) -> str:
+    """A plan with these tables of runs."""
+    return "\n".join([f'name = "fake"\nsample_rate_hz = {rate}', *(f"[[runs]]\n{run}" for run in runs)]) + "\n"
+
+
+STEPS = (
+    'file = "steps.csv"\nrole = "fit"\npattern = "steps"\nrest = {pressure_Pa = 1e5}\n'
+    "levels = [{pressure_11_Pa = 2e5}, {tension_13_N = 3}]\nhold_s = 1"
+)
+RAMP = 'file = "ramp.csv"\nrole = "validation"\npattern = "ramp"\nto = {pressure_1_Pa = 2e5, tension_23_N = 2}\nrise_s = 1\nhold_s = 0.5'
+SWEEP = (
+    'file = "sweep.csv"\nrole = "fit"\npattern = "sweep"\nrest = {pressure_Pa = 1e5}\n'
+    "amplitude = {pressure_12_Pa = 5e4}\nduration_s = 3\nfrom_hz = 0.5"
+)
+
+
+def write_plan(folder: Path, *runs: str, rate: int = 50) -> Path:
+    """A plan file in the folder."""
+    path = folder / "plan.toml"
+    path.write_text(plan_text(*(runs or (STEPS, RAMP, SWEEP)), rate=rate))
+    return path
