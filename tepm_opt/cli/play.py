@@ -6,17 +6,17 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
+from rich.markup import escape
 
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, RobotOption, stderr, stdout
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
 from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
+from tepm_opt.recording.drive import refuse_unplayable
+from tepm_opt.recording.measure import UNFINISHED
 from tepm_opt.recording.play import play as play_setpoints
-from tepm_opt.recording.play import refuse_unplayable
-from tepm_opt.recording.samples import UNFINISHED
 
 
 def play(
@@ -31,21 +31,20 @@ def play(
     """Play set points on a rig: approach the first row slowly, every row at its time, back to zero, stop."""
     found = load_robot(robot or "kang2017")
     setpoints = read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
-    refuse_unplayable(setpoints)
+    refuse_unplayable(setpoints, str(inputs))
     left = f"what was measured is in {out.parent / out.stem}-….{UNFINISHED}.csv"
     try:
-        with stopped_by_signals(), stages(as_json) as show:
-            run = play_setpoints(opener(rig, found, seed)(seed), setpoints, found, out, rate, show(inputs.name))
+        with stopped_by_signals(), stages(as_json) as (show, _):
+            measured = play_setpoints(opener(rig, found, seed)(seed), setpoints, found, out, rate, show(inputs.name))
     except KeyboardInterrupt:
         stderr.print(f"interrupted: the rig is stopped; {left}", style="yellow", soft_wrap=True, highlight=False)
         return INTERRUPTED
     except (RuntimeError, OSError) as error:
         return failed(error, left)
-    lost = int(np.isnan(run.points).any(axis=(1, 2)).sum())
+    run, notes = measured.run, list(measured.notes)
     if as_json:
-        print(json.dumps({"file": str(out), "rows": run.rows, "duration_s": run.duration, "rows_with_lost_points": lost}, indent=2))
-    else:
-        stdout.print(
-            f"[bold]{run.rows} samples[/] in {out}" + (f", {lost} with lost points" if lost else ""), soft_wrap=True, highlight=False
-        )
+        print(json.dumps({"file": str(out), "rows": run.rows, "duration_s": run.duration, "notes": notes}, indent=2))
+        return 0
+    for line in (f"[bold]{run.rows} samples[/] in {out}", *(f"[yellow]{escape(note)}[/]" for note in notes)):
+        stdout.print(line, soft_wrap=True, highlight=False)
     return 0

@@ -12,9 +12,9 @@ from rich.markup import escape
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, stderr, stdout
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
 from tepm_opt.data.datasets import DESCRIPTION, read_description
+from tepm_opt.recording.measure import UNFINISHED
 from tepm_opt.recording.plan import Plan, read_plan
 from tepm_opt.recording.record import record as record_plan
-from tepm_opt.recording.samples import UNFINISHED
 
 
 def record(
@@ -27,8 +27,8 @@ def record(
     """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted."""
     planned = read_plan(plan)
     try:
-        with stopped_by_signals(), stages(as_json) as show:
-            done = record_plan(planned, out, opener(rig, planned.robot, seed), rig, seed, show)
+        with stopped_by_signals(), stages(as_json) as (show, ask):
+            done = record_plan(planned, out, opener(rig, planned.robot, seed), rig, seed, show, ask)
     except KeyboardInterrupt:
         stderr.print(f"interrupted: {kept(planned, out)}", style="yellow", soft_wrap=True, highlight=False)
         return INTERRUPTED

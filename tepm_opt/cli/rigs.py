@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -70,8 +71,8 @@ def stopped_by_signals() -> Iterator[None]:
 
 
 @contextmanager
-def stages(quiet: bool) -> Iterator[Callable[[str], Show]]:
-    """Progress of runs on the error stream: a bar with the time left, named after the run and what goes on in it."""
+def stages(quiet: bool) -> Iterator[tuple[Callable[[str], Show], Callable[[str], None]]]:
+    """Progress of runs on the error stream: a bar with the time left, named after the run and what goes on in it; and asking a person."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[passed]}"), TimeRemainingColumn())
     with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as bar:
 
@@ -88,4 +89,11 @@ def stages(quiet: bool) -> Iterator[Callable[[str], Show]]:
 
             return show
 
-        yield of_run
+        def ask(request: str) -> None:
+            bar.stop()
+            stderr.print(f"[bold]{escape(request)}[/]", soft_wrap=True, highlight=False)
+            if sys.stdin.isatty():
+                stderr.input("Enter when it is done, Ctrl-C to stop here: ")
+            bar.start()
+
+        yield of_run, ask

@@ -39,7 +39,7 @@ def check_inputs(subject: Subject) -> Iterator[Finding]:
     run = subject.run
     for name, values in zip((*subject.channels.inputs, *FORCE_COLUMNS), subject.driven.T, strict=True):
         if (rows := np.flatnonzero(~np.isfinite(values))).size:
-            yield subject.found("error", name, "not a finite number: what was commanded must be known", rows)
+            yield subject.found("error", name, f"= {values[rows[0]]:g}; valid: a finite number, what was commanded must be known", rows)
     for quantity in quantities(subject):
         yield from _range(subject, quantity)
     yield from _force(subject)
@@ -60,7 +60,8 @@ def _range(subject: Subject, quantity: Quantity) -> Iterator[Finding]:
     values, limit = quantity.values, quantity.limit
     if (rows := np.flatnonzero(np.any(values < 0, axis=1))).size:
         column = int(np.argmin(np.nanmin(values, axis=0)))
-        yield subject.found("error", quantity.names[column], f"negative; valid: 0 … {limit:g} {quantity.unit}", rows)
+        message = f"{np.nanmin(values):g} {quantity.unit} is negative; valid: 0 … {limit:g}"
+        yield subject.found("error", quantity.names[column], message, rows)
     if not np.isfinite(limit) or not values.size:
         return
     largest = float(np.nanmax(values, initial=0.0))
@@ -68,7 +69,7 @@ def _range(subject: Subject, quantity: Quantity) -> Iterator[Finding]:
         rows = np.flatnonzero(np.any(values > limit, axis=1)) if largest > limit else ()
         column = int(np.argmax(np.nanmax(values, axis=0)))
         guess = _guess(largest, limit, quantity.others)
-        message = f"{quantity.name}s reach {largest:g} of 0 … {limit:g} {quantity.unit}{guess}"
+        message = f"{quantity.name}s reach {largest:g}; valid: 0 … {limit:g} {quantity.unit}{guess}"
         yield subject.found("error", quantity.names[column], message, rows)
         return
     for name, column in zip(quantity.names, values.T, strict=True):

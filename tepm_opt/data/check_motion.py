@@ -93,8 +93,15 @@ def _frozen(subject: Subject) -> Iterator[Finding]:
         for channel, found in channels.items():
             if found:
                 rows = np.concatenate([np.arange(first, last + 1) for first, last in found])
-                message = f"frozen: the same value in {len(rows)} rows" + ("" if subject.noisy else " while inputs or other points move")
+                message = f"frozen: the same value in {len(rows)} rows, {_value(point[rows[0]], channel)} m at first"
+                message += "" if subject.noisy else ", while inputs or other points move"
                 yield subject.found("error" if subject.noisy else "warning", channel, message, rows)
+
+
+def _value(point: np.ndarray, channel: str) -> str:
+    """What a frozen point (3,) stands at, or its coordinate where the channel is one."""
+    axis = {"x": 0, "y": 1, "z": 2}.get(channel.split("_")[1]) if "_" in channel else None
+    return f"{point[axis]:.4g}" if axis is not None else f"({', '.join(f'{value:.4g}' for value in point)})"
 
 
 def _long(same: np.ndarray, least: int) -> list[tuple[int, int]]:
@@ -166,21 +173,22 @@ def _spikes(subject: Subject) -> Iterator[Finding]:
 
 
 def _copies(subject: Subject) -> Iterator[Finding]:
-    """Rows whose noisy pose stands elsewhere in the run as well: pasted twice."""
+    """Stretches of three rows and more whose noisy poses stand elsewhere in the run as well: pasted twice."""
     if not subject.noisy:
         return
     points = subject.points
     rows = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
     if not points[0].size or len(rows) < 2:
         return
-    _, which, counts = np.unique(points[rows].reshape(len(rows), -1), axis=0, return_inverse=True, return_counts=True)
+    _, pose = np.unique(points[rows].reshape(len(rows), -1), axis=0, return_inverse=True)
     seen: dict[int, int] = {}
-    later, earlier = [], []
-    for row, group in zip(rows.tolist(), which.ravel().tolist(), strict=True):
-        if counts[group] > 1 and group in seen and row - seen[group] > 1:
-            later.append(row)
-            earlier.append(seen[group])
-        seen[group] = row
-    if len(later) > 1:
-        source = subject.run.line(earlier[0])
+    back = np.zeros(subject.run.rows, dtype=int)  # how many rows before this one the same pose stood; 0: nowhere
+    for row, name in zip(rows.tolist(), pose.ravel().tolist(), strict=True):
+        back[row] = row - seen.get(name, row)
+        seen[name] = row
+    again = (back[1:] == back[:-1]) & (back[1:] > 1)
+    copied = [np.arange(first, last + 2) for first, last in intervals(again) if last > first]
+    if copied:
+        source = subject.run.line(int(copied[0][0] - back[copied[0][0]]))
+        later = np.concatenate(copied)
         yield subject.found("error", "", f"{len(later)} rows repeat the poses from line {source} on", later)

@@ -21,7 +21,6 @@ from tepm_opt.data.run import ROLES, Run, read_run_table, run_of
 from tepm_opt.errors import InputError
 
 ChannelsOf = Callable[[str], Channels]
-UNKNOWN = "-"
 
 
 def check_dataset(dataset: DataSet) -> list[Finding]:
@@ -96,6 +95,8 @@ def _declared_noise(dataset: DataSet, subjects: list[Subject]) -> Iterator[Findi
 def check_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> list[Finding]:
     """What is wrong or doubtful in a data set's folder, also where it cannot be read as a data set: all faults, not the first.
 
+    Runs are looked at once `dataset.toml` is right.
+
     Args:
         folder: of `dataset.toml`.
         channels_of: the channels of the robot that `dataset.toml` names; where absent the header of the first readable run tells the names.
@@ -113,11 +114,9 @@ def check_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> l
     try:
         description = Description.model_validate(content)
     except ValidationError as failure:
-        for message in explain(Description, failure):
-            found(DESCRIPTION, message)
-        description = _salvaged(content)
+        return [Finding("error", DESCRIPTION, None, None, "", message) for message in explain(Description, failure)]
     channels = None
-    if channels_of is not None and description.robot != UNKNOWN:
+    if channels_of is not None:
         robot = folder / description.robot
         try:
             channels = channels_of(str(robot) if robot.is_file() else description.robot)
@@ -137,30 +136,3 @@ def check_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> l
         if path.resolve() not in listed and not path.name.startswith("."):
             findings.append(Finding("warning", path.name, None, None, "", f"in the folder, but not listed in {DESCRIPTION}"))
     return findings
-
-
-def _salvaged(content: dict[str, Any]) -> Description:
-    """What can be used of a `dataset.toml` with faults: its runs, so that these are checked as well."""
-
-    def usable(model: Any, value: Any) -> bool:
-        try:
-            model.model_validate(value)
-        except ValidationError:
-            return False
-        return True
-
-    base: dict[str, Any] = {"name": UNKNOWN, "robot": UNKNOWN, "static": content.get("static") is True, "runs": []}
-    base["sample_rate_hz"] = None if base["static"] else 50.0
-    for name in ("name", "robot", "sample_rate_hz", "position_noise_m"):
-        if name in content and usable(Description, {**base, name: content[name]}):
-            base[name] = content[name]
-    entries = content.get("runs")
-    for entry in entries if isinstance(entries, list) else []:
-        fitting = (
-            {"file": entry.get("file"), "role": entry.get("role") if entry.get("role") in ROLES else "fit"}
-            if isinstance(entry, dict)
-            else {}
-        )
-        if usable(Description, {**base, "runs": [*base["runs"], fitting]}):
-            base["runs"].append(fitting)
-    return Description.model_validate(base)

@@ -97,12 +97,7 @@ def read_run(path: str | Path, role: Role = "fit", channels: Channels | None = N
 
 def read_run_table(path: str | Path) -> Table:
     """The table of a run; columns that SPEC does not name may hold text."""
-
-    def is_extra(name: str) -> bool:
-        found = Channels.from_header([name])
-        return name != TIME and name not in FORCE_COLUMNS and not found.actuators and not found.points
-
-    return read_table(path, text=is_extra)
+    return read_table(path, text=lambda name: name not in Channels.from_header([name]).columns)
 
 
 def run_of(table: Table, file: str, role: Role, channels: Channels, static: bool) -> Run:

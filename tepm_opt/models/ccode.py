@@ -1,27 +1,25 @@
-"""Generated C as a cache: kernels and chain.c become one shared library, kept by the hash of everything it depends on."""
+"""Generated C as a cache: kernels and the loops around them become a shared library, kept by the hash of all it depends on."""
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
-import threading
 import warnings
-from functools import cache
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
 from importlib import resources, util
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 import platformdirs
 
 from tepm_opt.data.files import atomic_path
-from tepm_opt.models.chain import Solution
-from tepm_opt.models.network import ROWS, Network
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
 CACHE_VARIABLE = "TEPM_OPT_CACHE"
@@ -51,41 +49,98 @@ def cache_folder() -> Path:
     return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_path("tepm_opt"))
 
 
-def source(network: Network) -> str:
-    """The C text of a network: kernels by CasADi's code generator, sizes, chain.c."""
-    generator = ca.CodeGenerator("kernels", {"casadi_int": "int", "with_header": False})
-    for function in network.functions.values():
-        generator.add(function)
-    layout, functions = network.layout, network.functions.values()
-    sizes = {
-        "NB": layout.block,
-        "NLEV": layout.levels,
-        "NPROP": max(rows.stop for rows in network.property_rows.values()),
-        "NDRIVEN": len(network.driven),
-        "ROWS": ROWS,
-        "NU": layout.inputs,
-        "NEXT": 3 * layout.points,
-        "NTHETA": len(network.parameter_names),
-        "NPOINT": 3 * layout.points,
-        "NLEN": layout.inputs // 2,
-        "SZ_W": max(function.sz_w() for function in functions),
-        "SZ_IW": max(function.sz_iw() for function in functions),
-    }
-    defines = "\n".join(f"#define {name} {value}" for name, value in sizes.items())
-    defines += f"\nstatic const int DRIVEN[] = {{{', '.join(str(row) for row in network.driven)}}};"
-    chain = (resources.files("tepm_opt.models") / "chain.c").read_text(encoding="utf-8")
-    return f"{generator.dump()}\n{defines}\n{chain}"
+@dataclass(frozen=True)
+class Unit:
+    """What is compiled together: kernels, sizes and index arrays, and the loops around them.
+
+    Attributes:
+        kernels: CasADi functions; of one with a sparse result the C text also gets `<name>_nnz`, `<name>_row` and `<name>_col`.
+        sizes: macros by name.
+        arrays: static arrays of integers by name.
+        loops: name of the C file in this package.
+        lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments at once.
+    """
+
+    kernels: Mapping[str, ca.Function]
+    sizes: Mapping[str, int]
+    arrays: Mapping[str, Sequence[int]]
+    loops: str
+    lanes: tuple[str, ...] = ()
+
+    @cached_property
+    def source(self) -> str:
+        """The C text."""
+        generator = ca.CodeGenerator("kernels", {"casadi_int": "int", "with_header": False})
+        for function in self.kernels.values():
+            generator.add(function)
+        work = {"SZ_W": max(f.sz_w() for f in self.kernels.values()), "SZ_IW": max(f.sz_iw() for f in self.kernels.values())}
+        sizes, arrays = {**self.sizes, **work}, dict(self.arrays)
+        for name, function in self.kernels.items():
+            if name.endswith("_by"):
+                pattern = function.sparsity_out(0)
+                sizes[f"{name}_nnz"] = pattern.nnz()
+                arrays |= {f"{name}_row": pattern.row(), f"{name}_col": pattern.get_col()}
+        lines = [f"#define {name} {value}" for name, value in sizes.items()]
+        lines += [f"static const int {name}[] = {{{', '.join(map(str, values)) or '0'}}};" for name, values in arrays.items()]
+        loops = (resources.files("tepm_opt.models") / self.loops).read_text(encoding="utf-8")
+        kernels = _WRITTEN.sub("", _READ.sub(r"arg[\1][\2]", generator.dump()))  # no argument and no result is ever left out
+        return "\n".join((kernels, *lines, _VECTORS, *(_in_lanes(kernels, name, self.kernels[name]) for name in self.lanes), loops))
 
 
-def build(network: Network) -> Path | None:
-    """The shared library of a network, from the cache or compiled; None (and one warning) where that is not possible."""
+_READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
+_WRITTEN = re.compile(r"if \(res\[\d+\]!=0\) ")
+_VECTORS = """
+#define LANES 4 /* doubles in a vector */
+typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
+static inline vector lanes_sq(vector x) { return x * x; }
+static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }
+static inline vector lanes_fabs(vector x) { for (int i = 0; i < LANES; i++) x[i] = fabs(x[i]); return x; }
+"""
+
+
+_LOOP = """
+static void {name}_lanes(const vector *const *arg, vector *const *res) {{
+  static const int in[] = {{{inputs}}}, out[] = {{{outputs}}};
+  enum {{ N_IN = sizeof in / sizeof *in, N_OUT = sizeof out / sizeof *out }};
+  double given[{given}], got[{got}], work[SZ_W + 1], *result[N_OUT], *at;
+  const double *argument[N_IN];
+  casadi_int integers[SZ_IW + 1];
+  for (int lane = 0; lane < LANES; lane++) {{
+    at = given;
+    for (int i = 0; i < N_IN; i++) {{ argument[i] = at; for (int k = 0; k < in[i]; k++) *at++ = arg[i][k][lane]; }}
+    at = got;
+    for (int i = 0; i < N_OUT; i++) {{ result[i] = at; at += out[i]; }}
+    {name}(argument, result, integers, work, 0);
+    for (int i = 0; i < N_OUT; i++) for (int k = 0; k < out[i]; k++) res[i][k][lane] = result[i][k];
+  }}
+}}
+"""
+
+
+def _in_lanes(text: str, name: str, function: ca.Function) -> str:
+    """A kernel on vectors: CasADi's straight-line code with another type, or a loop over lanes where it is not mere arithmetic."""
+    inner = re.search(rf"int {name}\(.*?\)\s*\{{\s*return (\w+)\(", text, re.S)
+    body = inner and re.search(rf"static int {inner[1]}\([^{{]*\{{\n(.*?)\n\}}", text, re.S)
+    if body:
+        code = body[1].replace("casadi_real", "vector").replace("return 0;", "")
+        code = re.sub(r"=(-?[\d.]+(?:e[-+]?\d+)?);", r"=(vector){0}+\1;", code)
+        code = re.sub(r"\b(?:casadi_)?(sq|sqrt|fabs)\(", r"lanes_\1(", code)
+        if not re.search(r"[?<>!&|]|\b(?!lanes_)[A-Za-z_]\w*\(", code):
+            return f"static void {name}_lanes(const vector *const *arg, vector *const *res) {{\n{code}\n}}"
+    sizes = [function.nnz_in(k) for k in range(function.n_in())], [function.nnz_out(k) for k in range(function.n_out())]
+    inputs, outputs = (", ".join(map(str, part)) for part in sizes)
+    return _LOOP.format(name=name, inputs=inputs, outputs=outputs, given=max(sum(sizes[0]), 1), got=max(sum(sizes[1]), 1))
+
+
+def build(unit: Unit) -> Path | None:
+    """The shared library of a unit, from the cache or compiled; None (and one warning) where that is not possible."""
     compiler = find_compiler()
     if compiler is None:
         _warn_once("no C compiler found: CasADi's virtual machine is used, with the same results, some 50 times slower")
         return None
-    text = source(network)
+    text = unit.source
     key = hashlib.sha256("\n".join((text, *FLAGS, _machine(compiler))).encode()).hexdigest()[:24]
-    library = cache_folder() / f"network-{key}.so"
+    library = cache_folder() / f"{Path(unit.loops).stem}-{key}.so"
     if library.is_file():
         return library
     try:
@@ -108,87 +163,3 @@ def build(network: Network) -> Path | None:
 @cache
 def _warn_once(message: str) -> None:
     warnings.warn(message, RuntimeWarning, stacklevel=4)
-
-
-class _Arrays(threading.local):
-    """The arrays C reads and writes, one set a thread, so that a call costs copies and no address look-ups."""
-
-    def __init__(self, network: Network) -> None:
-        layout, parameters = network.layout, len(network.parameter_names)
-        observations = 3 * layout.points + layout.inputs // 2
-        shapes = {
-            "x": (layout.levels + 1, layout.block),
-            "u": (layout.inputs,),
-            "a": (layout.inputs,),
-            "external": (3 * layout.points,),
-            "theta": (parameters,),
-            "observed": (observations,),
-            "targets": (layout.inputs // 2,),
-            "info": (3,),
-            "weights": (observations, observations),
-            "by_u": (observations, layout.inputs),
-            "by_external": (observations, 3 * layout.points),
-            "by_theta": (observations, parameters),
-        }
-        self.array = {name: np.zeros(shape) for name, shape in shapes.items()}
-        self.address = {name: array.ctypes.data for name, array in self.array.items()}
-
-
-class CompiledChain:
-    """Backend of compiled C (see `tepm_opt.models.chain.Chain`); thread-safe."""
-
-    def __init__(self, network: Network, library: Path) -> None:
-        self.network = network
-        loaded = ctypes.CDLL(str(library))
-        p, i, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
-        self._actuation, self._statics, self._sensitivity = loaded.actuation, loaded.statics, loaded.sensitivity
-        self._actuation.argtypes, self._actuation.restype = [p, p, p], None
-        self._statics.argtypes = [p, p, i, p, p, d, i, p, p]
-        self._inverse = loaded.inverse
-        self._inverse.argtypes = [p, p, p, p, p, p, d, d, d, i, p]
-        self._sensitivity.argtypes = [p, p, i, p, p, i, p, p, p, p]
-        self._arrays = _Arrays(network)
-
-    def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """See `Chain.actuation`."""
-        array, at = self._arrays.array, self._arrays.address
-        array["u"][:], array["theta"][:] = u, theta
-        self._actuation(at["u"], at["theta"], at["a"])
-        return array["a"].copy()
-
-    def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, most: int
-    ) -> Solution:
-        """See `Chain.statics`."""
-        array, at = self._arrays.array, self._arrays.address
-        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
-        status = self._statics(at["x"], at["u"], mapped, at["external"], at["theta"], tolerance, most, at["observed"], at["info"])
-        return Solution(status, array["x"].copy(), array["observed"].copy(), *array["info"].tolist())
-
-    def sensitivity(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
-    ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray | None]:
-        """See `Chain.sensitivity`."""
-        array, at, rows = self._arrays.array, self._arrays.address, len(weights)
-        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
-        array["weights"][:rows] = weights
-        status = self._sensitivity(
-            at["x"], at["u"], mapped, at["external"], at["theta"], rows, at["weights"],
-            at["by_u"], at["by_external"], at["by_theta"] if by_theta else None,
-        )  # fmt: skip
-        return (
-            status, array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), array["by_theta"][:rows].copy() if by_theta else None
-        )  # fmt: skip
-
-    def inverse(
-        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        largest: float, close: float, tolerance: float, most: int,
-    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
-        """See `Chain.inverse`."""
-        array, at, half = self._arrays.array, self._arrays.address, len(targets)
-        array["x"][:], array["a"][:half], array["a"][half:] = x, pressures, 0.0
-        array["external"][:], array["theta"][:], array["weights"][:half], array["targets"][:] = external, theta, weights, targets
-        status = self._inverse(
-            at["x"], at["a"], at["external"], at["theta"], at["weights"], at["targets"], largest, close, tolerance, most, at["info"]
-        )
-        return status, array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -13,8 +13,12 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.models import ccode
 from tepm_opt.models.chain import Chain, PythonChain
+from tepm_opt.models.compiled import CompiledChain, CompiledMarch, chain_unit, march_unit
 from tepm_opt.models.layout import Layout
+from tepm_opt.models.march import PythonMarch
+from tepm_opt.models.marching import March
 from tepm_opt.models.model import Model
+from tepm_opt.models.motion import write_motion
 from tepm_opt.models.network import Network, write_network
 from tepm_opt.models.robot import Robot
 
@@ -53,9 +57,27 @@ class CompiledModel:
         return self.chain is not self.reference
 
     @cached_property
+    def march(self) -> March:
+        """Motion in time, compiled when first used: C if the chain is C."""
+        motion = write_motion(self.model)
+        library = ccode.build(march_unit(motion)) if self.is_c else None
+        return CompiledMarch(motion, library) if library else PythonMarch(motion)
+
+    @cached_property
     def values(self) -> dict[str, float]:
         """Values of the parameters by full name, SI."""
-        return self.model.values
+        return dict(zip(self.network.parameter_names, self.theta.tolist(), strict=True))
+
+    def with_theta(self, theta: Sequence[float] | np.ndarray) -> CompiledModel:
+        """The same functions with other values of the parameters, which `model` does not know of.
+
+        Raises:
+            InputError: wrong number of values, or not finite.
+        """
+        other = replace(self, theta=finite_array(theta, self.theta.shape, "theta"))
+        if "march" in self.__dict__:
+            other.__dict__["march"] = self.march
+        return other
 
     @cached_property
     def rest(self) -> np.ndarray:
@@ -134,8 +156,8 @@ def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c
     model = model if isinstance(model, Model) else Model.of(model)
     network = write_network(model)
     reference = PythonChain(network)
-    library = None if backend == "python" else ccode.build(network)
+    library = None if backend == "python" else ccode.build(chain_unit(network))
     if backend == "c" and library is None:
         raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")
-    chain = ccode.CompiledChain(network, library) if library else reference
+    chain = CompiledChain(network, library) if library else reference
     return CompiledModel(model, network, np.array(list(model.values.values())), chain, reference)

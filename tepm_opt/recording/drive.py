@@ -26,6 +26,10 @@ Show = Callable[[str, float, float], None]
 """Told what is going on: stage, how much is done, of how much (s)."""
 
 
+def silent(stage: str, done: float, of: float) -> None:
+    """A `Show` for nobody."""
+
+
 @runtime_checkable
 class Virtual(Protocol):
     """A rig of virtual time: rests from the start under what is commanded before the first `read`, and takes set points in advance."""
@@ -72,7 +76,7 @@ class Driver:
         inputs: commanded last, (inputs,) in Pa and N; zeros at first.
     """
 
-    def __init__(self, rig: Rig, channels: Channels, show: Show = lambda stage, done, of: None) -> None:
+    def __init__(self, rig: Rig, channels: Channels, show: Show = silent) -> None:
         self.rig, self.channels, self.show = rig, channels, show
         self.inputs = np.zeros(len(channels.inputs))
         self._sample: Sample | None = None
@@ -121,14 +125,15 @@ class Driver:
         known = getattr(self.rig, "time", None)
         return float(known) if isinstance(known, int | float) else self._times[-1]
 
-    def start(self, setpoints: SetPoints) -> bool:
-        """Bring the robot to rest under the first row; whether it came to rest."""
+    def start(self, setpoints: SetPoints, at_once: bool = False) -> bool:
+        """Bring the robot to rest under the first row, slowly or, where time is virtual and if wished, at once; whether it rests."""
         if isinstance(self.rig, Virtual):
             self.rig.push(setpoints.tip_force[0])
-            self.apply(setpoints.inputs[0])
-            self.read()
-            self.read()
-            return True
+            if at_once:
+                self.apply(setpoints.inputs[0])
+                self.read()
+                self.read()
+                return True
         self.approach(setpoints.inputs[0])
         return self.settle()
 
@@ -220,9 +225,21 @@ class Driver:
 
     def finish(self) -> None:
         """Glide to zero and stop."""
-        if self._times:
-            self.glide(np.zeros(len(self.inputs)), "returning to zero")
+        self.glide(np.zeros(len(self.inputs)), "returning to zero")
         self.rig.stop()
+
+
+def refuse_unplayable(setpoints: SetPoints, where: str) -> None:
+    """Refuse set points that have no duration or rows without inputs (where inverse kinematics failed).
+
+    Raises:
+        InputError: naming the row.
+    """
+    if len(setpoints.time) < 2:
+        raise InputError(f"{where}: one row has no duration; valid: at least two rows of increasing time")
+    empty = ~np.isfinite(setpoints.inputs).all(axis=1)
+    if empty.any():
+        raise InputError(f"{where}: row {int(np.argmax(empty)) + 1} has no inputs; a rig cannot play it")
 
 
 def _at(time: np.ndarray, values: np.ndarray, when: float) -> np.ndarray:

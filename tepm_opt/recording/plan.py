@@ -14,7 +14,7 @@ from tepm_opt.data.run import Role
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.robot import Robot, builtin_robots, load_robot
-from tepm_opt.recording.patterns import PATTERNS, FileRun, RunPlan
+from tepm_opt.recording.patterns import PATTERNS, FileRun, RunPlan, Setup
 
 
 class _PlanFile(Section):
@@ -87,9 +87,8 @@ def read_plan(path: str | Path) -> Plan:
     for k, entry in enumerate(content.runs):
         where = f"{path}: runs entry {k + 1}"
         planned = _planned(entry, where)
-        label = f"{where} ({planned.file})"
-        setpoints = planned.setpoints(robot, content.sample_rate_hz, path.parent, label)
-        runs.append(PlannedRun(planned.file, planned.role, setpoints))
+        setup = Setup(robot, content.sample_rate_hz, path.parent, f"{where} ({planned.file})")
+        runs.append(PlannedRun(planned.file, planned.role, planned.setpoints(setup)))
     return Plan(content.name, robot, source, content.sample_rate_hz, content.position_noise_m, tuple(runs))
 
 

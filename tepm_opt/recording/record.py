@@ -15,20 +15,20 @@ import numpy as np
 from tepm_opt.data.datasets import DESCRIPTION, Description, RunEntry, read_description, write_description
 from tepm_opt.data.files import output_folder, remove_leftovers, write_atomically
 from tepm_opt.data.journal import mend_journal
-from tepm_opt.data.run import write_run
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import builtin_robots, read_text
-from tepm_opt.recording.drive import Driver, Show, Virtual
-from tepm_opt.recording.plan import Plan, PlannedRun
-from tepm_opt.recording.robots import channels_of
-from tepm_opt.recording.samples import STATUS, UNFINISHED, journal_path, run_from_journal, write_journal
+from tepm_opt.recording.drive import Show, Virtual, silent
+from tepm_opt.recording.measure import UNFINISHED, journal_path, measure
+from tepm_opt.recording.plan import Plan
 
 LOG, ROBOT = "recording.json", "robot.toml"
 Rigs = Callable[[int], Rig]
 """Opens the rig anew for a run, with this seed where the rig has chance in it."""
 ShowRun = Callable[[str], Show]
 """What to tell about the progress of a run, by its file."""
+Ask = Callable[[str], None]
+"""Asks a person to do something and waits until it is done."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,15 @@ def seed_of(seed: int, file: str) -> int:
     return int(np.random.SeedSequence([seed, crc32(file.encode())]).generate_state(1)[0])
 
 
-def record(plan: Plan, folder: str | Path, rigs: Rigs, rig_name: str, seed: int = 0, show: ShowRun = lambda file: _silent) -> Recorded:
+def record(
+    plan: Plan,
+    folder: str | Path,
+    rigs: Rigs,
+    rig_name: str,
+    seed: int = 0,
+    show: ShowRun = lambda file: silent,
+    ask: Ask = lambda request: None,
+) -> Recorded:
     """Record the runs of a plan that the data set does not have yet.
 
     Every run starts on a rig opened anew, from zero. Samples go to `unfinished/NAME-1.unfinished.csv` line by line; a finished run becomes
@@ -72,6 +80,7 @@ def record(plan: Plan, folder: str | Path, rigs: Rigs, rig_name: str, seed: int 
         rig_name: stands in `recording.json`; runs of different rigs are not mixed.
         seed: of everything random on the rig.
         show: makes what is told about the progress of a run.
+        ask: is asked for another tip force where the rig cannot push; at first there is none.
 
     Raises:
         InputError: the folder holds another data set, runs of another plan, rig or seed, or cannot be written; the rig has another robot.
@@ -82,56 +91,31 @@ def record(plan: Plan, folder: str | Path, rigs: Rigs, rig_name: str, seed: int 
         remove_leftovers(folder / name)
     _tidy(folder, log)
     finished = {entry.file for entry in read_description(folder).runs}
-    done, kept, notes = [], [], {}
+    done, kept, notes, hanging = [], [], {}, np.zeros(3)
     for planned in plan.runs:
-        if planned.file in finished:
-            kept.append(planned.file)
+        file, setpoints = planned.file, planned.setpoints
+        if file in finished:
+            kept.append(file)
             continue
-        journal = journal_path(output_folder(folder / UNFINISHED), planned.file)
-        said = _record_run(plan, planned, journal, folder / planned.file, rigs(seed_of(seed, planned.file)), show(planned.file))
-        finished.add(planned.file)
-        log["runs"][planned.file] = {
+        journal = journal_path(output_folder(folder / UNFINISHED), file)
+        rig, force = rigs(seed_of(seed, file)), setpoints.tip_force[0]
+        if not isinstance(rig, Virtual) and np.any(force != hanging):
+            ask(f"{file}: make the force on the tip x, y, z = {', '.join(f'{value:g}' for value in force)} N")
+            hanging = force
+        measured = measure(rig, setpoints, plan.robot, journal, folder / file, planned.role, plan.sample_rate, show(file), at_once=True)
+        finished.add(file)
+        log["runs"][file] = {
             "fingerprint": planned.fingerprint(plan.robot, plan.sample_rate),
             "recorded_at": datetime.now(UTC).isoformat(timespec="seconds"),
             "journal": journal.name,
-            "notes": said,
+            "notes": measured.notes,
         }
         write_atomically(folder / LOG, json.dumps(log, indent=2) + "\n")
         _list(plan, folder, finished)
         _tidy(folder, log)
-        done.append(planned.file)
-        notes |= {planned.file: tuple(said)} if said else {}
+        done.append(file)
+        notes |= {file: measured.notes} if measured.notes else {}
     return Recorded(folder, tuple(done), tuple(kept), notes)
-
-
-def _silent(stage: str, done: float, of: float) -> None:
-    pass
-
-
-def _record_run(plan: Plan, planned: PlannedRun, journal: Path, out: Path, rig: Rig, show: Show) -> list[str]:
-    """Record one run into its journal, then its CSV file; notes about it."""
-    channels, notes = channels_of(plan.robot), []
-    with rig:
-        known = getattr(rig, "robot", None)
-        if known is not None and channels_of(known) != channels:
-            raise InputError(f"the rig's robot is {known.name!r}, the plan's is {plan.robot.name!r}; set `robot` in the plan")
-        force = planned.setpoints.tip_force
-        if not isinstance(rig, Virtual) and np.any(force != force[0]):
-            raise InputError(f"{planned.file}: the tip force changes, but this rig cannot push; hang a weight and give a constant force")
-        driver = Driver(rig, channels, show)
-        if not driver.start(planned.setpoints):
-            notes.append("the robot did not come to rest before the start")
-        write_journal(journal, driver.follow(planned.setpoints, plan.sample_rate), driver.sample, channels)
-        if not isinstance(rig, Virtual):
-            driver.finish()
-    run = run_from_journal(journal, planned.file, planned.role, channels)
-    if run is None:
-        raise RuntimeError(f"{planned.file}: the rig gave no sample")
-    if STATUS in run.extra:
-        odd = run.extra[STATUS][run.extra[STATUS] != "ok"]
-        notes.append(f"{len(odd)} samples with a status, the first: {odd[0]}")
-    write_run(out, run, channels)
-    return notes
 
 
 def _open(plan: Plan, folder: Path, rig: str, seed: int) -> dict[str, Any]:

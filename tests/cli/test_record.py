@@ -127,7 +127,7 @@ class TestPlay:
 
     def test_json(self, tepm: Command, fake: list[FakeRig], inputs: Path) -> None:
         done = tepm("play", inputs, "--rig", "fake", "--rate", 100, "--json")
-        assert done.json() == {"file": "measured.csv", "rows": 101, "duration_s": 1.0, "rows_with_lost_points": 0}
+        assert done.json() == {"file": "measured.csv", "rows": 101, "duration_s": 1.0, "notes": []}
 
     def test_on_the_simulated_rig(self, tepm: Command, here: Path, inputs: Path) -> None:
         pytest.importorskip("mujoco")

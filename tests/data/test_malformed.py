@@ -176,14 +176,20 @@ CASES = {
         lines(lambda kept: dropped(kept, 70, 100)), STEPS, "30 rows are missing in 1 gaps, the longest 0.62 s", "time_s"
     ),
     # inputs
-    "input empty": Case(inputs(lambda u: assign(u, (7, 3), np.nan)), STEPS, "line 9: not a finite number", "pressure_21_Pa", True),
-    "kPa": Case(inputs(lambda u: u.__setitem__((slice(None), slice(6)), u[:, :6] / 1e3)), STEPS, "of 0 … 500000 Pa: in kPa?", "pressure_1"),
-    "bar": Case(inputs(lambda u: u.__setitem__((slice(None), slice(6)), u[:, :6] / 1e5)), STEPS, "of 0 … 500000 Pa: in bar?", "pressure_1"),
+    "input empty": Case(
+        inputs(lambda u: assign(u, (7, 3), np.nan)), STEPS, "line 9: = nan; valid: a finite number", "pressure_21_Pa", True
+    ),
+    "kPa": Case(
+        inputs(lambda u: u.__setitem__((slice(None), slice(6)), u[:, :6] / 1e3)), STEPS, "; valid: 0 … 500000 Pa: in kPa?", "pressure_1"
+    ),
+    "bar": Case(
+        inputs(lambda u: u.__setitem__((slice(None), slice(6)), u[:, :6] / 1e5)), STEPS, "; valid: 0 … 500000 Pa: in bar?", "pressure_1"
+    ),
     "tension in g": Case(
-        inputs(lambda u: u.__setitem__((slice(None), slice(6, 12)), u[:, 6:] * 101.97)), STEPS, "of 0 … 7 N: in g?", "tension_"
+        inputs(lambda u: u.__setitem__((slice(None), slice(6, 12)), u[:, 6:] * 101.97)), STEPS, "; valid: 0 … 7 N: in g?", "tension_"
     ),
     "negative": Case(
-        inputs(lambda u: assign(u, (slice(20, 30), 8), -0.2)), STEPS, "lines 22 to 31: negative; valid: 0 … 7 N", "tension_13_N"
+        inputs(lambda u: assign(u, (slice(20, 30), 8), -0.2)), STEPS, "lines 22 to 31: -0.2 N is negative; valid: 0 … 7", "tension_13_N"
     ),
     "force in g": Case(
         values(lambda run: {"tip_force": np.add(run.tip_force, [0, 0, -100.0])}),

@@ -5,24 +5,27 @@ A new effect is tested without a line here. Three made-up ones stand for those o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import Effect, Parameter, _registry, effects, register
 from tepm_opt.models.layout import VERTICAL
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.solvers.gain import solve_gain
 from tepm_opt.solvers.modes import full
+from tepm_opt.solvers.simulate import Directions, simulate
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tests.independent import solve_with_effect
 from tests.tools import PRECISE, observed, one_sided_slope, random_directions, random_inputs, relative, slope, with_effect
 
 STATIC_HOOKS = ("inputs", "properties", "loads", "edge_energy", "outputs")
+MOTION_HOOKS = ("pressure_memory", "tension_memory", "edge_memory", "delay")
 NOMINAL = Model.of("kang2017")
 
 
@@ -86,7 +89,7 @@ class Subject:
         theta = self.compiled.theta.copy()
         for parameter, value in values.items():
             theta[self.own[parameter]] = value
-        return replace(self.compiled, theta=theta)
+        return self.compiled.with_theta(theta)
 
     @property
     def null(self) -> CompiledModel:
@@ -111,12 +114,36 @@ def subject(request):
         del _registry()[effect.name]
 
 
+def overrides(effect: Effect, hooks: tuple[str, ...]) -> bool:
+    return any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in hooks)
+
+
 @pytest.fixture
 def static(subject):
     """Skips effects that show in motion only."""
-    if not any(getattr(type(subject.effect), hook) is not getattr(Effect, hook) for hook in STATIC_HOOKS):
+    if not overrides(subject.effect, STATIC_HOOKS):
         pytest.skip(f"{subject.effect.name} has no static hook")
     return subject
+
+
+@pytest.fixture
+def moving(subject):
+    """Skips effects that show at rest already."""
+    if not overrides(subject.effect, MOTION_HOOKS):
+        pytest.skip(f"{subject.effect.name} has no hook of motion")
+    return subject
+
+
+@pytest.fixture(scope="module")
+def excitation(kang):
+    """Set points that move and reverse everything so gently that no step is halved, with a rest at the end."""
+    time = np.linspace(0, 2.0, 101)
+    rng, active = np.random.default_rng(11), np.clip(time, 0, 1.6)
+    waves = 0.5 - 0.5 * np.cos(np.outer(2 * np.pi * active / 1.6, rng.integers(1, 3, 12)))
+    force = 0.05 * np.column_stack([np.sin(4 * active), np.cos(3 * active), 0 * time])
+    points = SetPoints(time, (0.1 + 0.1 * waves) * kang.input_max, force)
+    assert simulate(kang, points).effort.halvings == 0
+    return points
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +165,7 @@ def test_metadata_is_complete(subject):
         assert parameter.unit
         assert parameter.low <= parameter.null <= parameter.high
         assert parameter.low <= parameter.probe <= parameter.high
-        assert parameter.probe != parameter.null
+    assert any(parameter.probe != parameter.null for parameter in effect.parameters)
 
 
 def test_at_its_null_values_it_vanishes(static, kang, operating):
@@ -256,6 +283,51 @@ def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
         assert relative(full(at.band) @ direction[1:].ravel(), turn) < 1e-7
     damping = np.linalg.eigvalsh(full(reference.damping(x, P, theta)))
     assert damping[0] > -1e-12 * damping[-1]
+
+
+def test_in_motion_it_vanishes_at_its_null_values(subject, kang, excitation):
+    for settings in ({"tolerance": 1e-10}, {"method": "rk4", "step": 3e-4}):
+        found, plain = (simulate(model, excitation, **settings) for model in (subject.null, kang))
+        assert abs(found.points - plain.points).max() < 1e-9
+
+
+def test_in_motion_its_probe_is_visible(moving, kang, excitation):
+    assert abs(simulate(moving.compiled, excitation).points - simulate(kang, excitation).points).max() > 5e-5
+
+
+def test_sensitivities_in_motion(subject, excitation):
+    model = subject.compiled
+    names = [model.network.parameter_names[at] for at in subject.own.values()]
+    found = simulate(model, excitation, directions=Directions.of(model, names), tolerance=1e-11).sensitivities
+    for (parameter, _), sensitivity in zip(subject.own.items(), found, strict=True):
+        size = abs(parameter.probe - parameter.null) or parameter.probe
+
+        def changed(h, parameter=parameter):
+            return simulate(subject.at({parameter: parameter.probe + h}), excitation, tolerance=1e-11).points
+
+        expected = slope(changed, min(0.02 * size, 1e-5 / max(abs(sensitivity).max(), 1e-12)))
+        assert abs(sensitivity - expected).max() <= 1e-5 * abs(expected).max() + 1e-13 / size
+
+
+def test_in_motion_it_recovers_its_own_parameters(moving, excitation):
+    """Data by the other scheme; the fit starts at the probe, the truth is 30 % off."""
+    own = list(moving.own)
+    probe = np.array([p.probe for p in own])
+    truth = 1.3 * probe
+    data = simulate(moving.at(dict(zip(own, truth, strict=True))), excitation, "rk4").points
+    names = [moving.compiled.network.parameter_names[at] for at in moving.own.values()]
+    directions = Directions.of(moving.compiled, names)
+
+    def run(parts, **settings):
+        return simulate(moving.at(dict(zip(own, parts * probe, strict=True))), excitation, step=0.005, **settings)
+
+    found = least_squares(
+        lambda parts: 1e3 * (run(parts).points - data).ravel(),
+        np.ones(len(own)),
+        lambda parts: 1e3 * run(parts, directions=directions).sensitivities.reshape(len(own), -1).T * probe,
+        x_scale="jac",
+    )
+    np.testing.assert_allclose(found.x, 1.3, rtol=0.02)
 
 
 def test_a_model_file_with_it_reads_back_equal(subject, tmp_path):

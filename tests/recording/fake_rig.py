@@ -110,12 +110,15 @@ def plan_text(*runs: str, rate: int = 50) -> str:
 
 STEPS = (
     'file = "steps.csv"\nrole = "fit"\npattern = "steps"\nrest = {pressure_Pa = 1e5}\n'
-    "levels = [{pressure_11_Pa = 2e5}, {tension_13_N = 3}]\nhold_s = 1"
+    "levels = [{pressure_11_Pa = 2e5}, {tension_13_N = 3}]\nhold_s = 1\nrest_s = 1"
 )
-RAMP = 'file = "ramp.csv"\nrole = "validation"\npattern = "ramp"\nto = {pressure_1_Pa = 2e5, tension_23_N = 2}\nrise_s = 1\nhold_s = 0.5'
+RAMP = (
+    'file = "ramp.csv"\nrole = "validation"\npattern = "steps"\n'
+    "levels = [{pressure_1_Pa = 2e5, tension_23_N = 2}]\nrise_s = 1\nhold_s = 0.5\nrest_s = 0.5"
+)
 SWEEP = (
     'file = "sweep.csv"\nrole = "fit"\npattern = "sweep"\nrest = {pressure_Pa = 1e5}\n'
-    "amplitude = {pressure_12_Pa = 5e4}\nduration_s = 3\nfrom_hz = 0.5"
+    "amplitudes = [{pressure_12_Pa = 5e4}]\nduration_s = 3\nfrom_hz = 0.5"
 )
 
 

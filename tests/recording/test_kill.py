@@ -1,10 +1,16 @@
-"""`tepm record` killed at random moments: nothing that was finished is lost, and going on gives what an undisturbed recording gives."""
+"""`tepm record` killed at random moments: nothing that was finished is lost, and going on gives what an undisturbed recording gives.
+
+Six kills in every run of the tests, twenty and twenty of the installed program on the default rig by `pytest -m slow`.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from itertools import pairwise
 from multiprocessing.process import BaseProcess
@@ -16,10 +22,12 @@ import pytest
 from tepm_opt.cli import rigs, run
 from tepm_opt.data.datasets import DESCRIPTION, read_dataset
 from tepm_opt.data.journal import mend_journal
+from tepm_opt.data.run import read_run
 from tepm_opt.data.tables import read_table
-from tests.recording.fake_rig import SeededLater, record_slowly, write_plan
+from tepm_opt.recording.robots import open_dataset
+from tests.recording.fake_rig import RAMP, SeededLater, record_slowly, write_plan
 
-KILLS, RATE = 20, 50
+RATE = 50
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
 
 
@@ -48,7 +56,7 @@ def check_left(folder: Path, truth: Path, log: Path, before: int) -> int:
     if not (folder / DESCRIPTION).exists():
         assert told(log) == (0, None)
         return 0
-    dataset = read_dataset(folder)
+    dataset = open_dataset(folder)
     for entry in dataset.runs:
         assert (folder / entry.file).read_bytes() == (truth / entry.file).read_bytes()
     begun, reached = told(log)
@@ -65,15 +73,16 @@ def check_left(folder: Path, truth: Path, log: Path, before: int) -> int:
     return len(dataset.runs)
 
 
-def test_killed_at_random_moments(tmp_path: Path, fake: None) -> None:
+@pytest.mark.parametrize("kills", [6, pytest.param(20, marks=pytest.mark.slow)])
+def test_killed_at_random_moments(tmp_path: Path, fake: None, kills: int) -> None:
     plan, truth = write_plan(tmp_path), tmp_path / "truth"
     assert run(["record", str(plan), "--out", str(truth), "--rig", "fake", "--json"]) == 0
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["tepm_opt.cli"])
-    random = np.random.default_rng(2017)
+    random = np.random.default_rng(kills)
     folder, finished, killed, amid = tmp_path / "set-0", 0, 0, 0
-    for attempt in range(10 * KILLS):
-        if killed == KILLS:
+    for attempt in range(10 * kills):
+        if killed == kills:
             break
         log = tmp_path / f"log-{attempt}"
         process = context.Process(target=record_slowly, args=(str(plan), str(folder), str(log), 1e-4))
@@ -90,8 +99,8 @@ def test_killed_at_random_moments(tmp_path: Path, fake: None) -> None:
             assert run(["record", str(plan), "--out", str(folder), "--rig", "fake", "--json"]) == 0
             assert files(folder) == files(truth)
             folder, finished = tmp_path / f"set-{attempt + 1}", 0
-    assert killed == KILLS
-    assert amid > KILLS / 3, "too few kills in the middle of a run to prove something"
+    assert killed == kills
+    assert amid > kills / 3, "too few kills in the middle of a run to prove something"
 
 
 def _wait_for(log: Path, process: BaseProcess, patience: float = 60.0) -> None:
@@ -99,3 +108,49 @@ def _wait_for(log: Path, process: BaseProcess, patience: float = 60.0) -> None:
     while not log.exists() and process.is_alive():
         assert time.monotonic() < end, "the process does not start"
         time.sleep(0.002)
+
+
+@pytest.mark.slow
+def test_the_program_killed_on_the_default_rig(tmp_path: Path) -> None:
+    """No help from within: what stood in the files just before each kill is there after it, and equal to an undisturbed recording."""
+    pytest.importorskip("mujoco")
+    plan = write_plan(tmp_path, RAMP, RAMP.replace("ramp.csv", "again.csv"))
+    truth, folder = tmp_path / "truth", tmp_path / "set-0"
+    command = [str(Path(sys.executable).with_name("tepm")), "record", str(plan), "--rig", "sim", "--json", "--out"]
+    begin = time.monotonic()
+    subprocess.run([*command, str(truth)], check=True, capture_output=True)
+    duration = time.monotonic() - begin
+    random, killed, rounds, amid = np.random.default_rng(2017), 0, 0, 0
+    while killed < 20:
+        process = subprocess.Popen([*command, str(folder)], stdout=subprocess.DEVNULL)
+        time.sleep(random.uniform(0.0, duration))
+        before = sizes(folder)
+        process.kill()
+        process.wait()
+        killed += process.returncode == -signal.SIGKILL
+        finished = open_dataset(folder).runs if (folder / DESCRIPTION).exists() else ()
+        listed = {entry.file for entry in finished}
+        assert all(f"{name.split('-')[0]}.csv" in listed or (folder / "unfinished" / name).exists() for name in before)
+        for entry in finished:
+            assert (folder / entry.file).read_bytes() == (truth / entry.file).read_bytes()
+        for path in (folder / "unfinished").glob("*.csv"):
+            amid += 1
+            assert path.stat().st_size >= before.get(path.name, 0)
+            if mend_journal(path):
+                kept, whole = read_run(path), read_run(truth / f"{path.name.split('-')[0]}.csv")
+                np.testing.assert_array_equal(kept.points, whole.points[: kept.rows])
+                np.testing.assert_array_equal(kept.time, whole.time[: kept.rows])
+        if len(finished) == 2:
+            rounds += 1
+            assert files(folder) == files(truth)
+            folder = tmp_path / f"set-{rounds}"
+    assert amid > 5
+
+
+def sizes(folder: Path) -> dict[str, int]:
+    """Bytes of what is in `unfinished/`, by name."""
+    found = {}
+    for path in (folder / "unfinished").glob("*.csv"):
+        with contextlib.suppress(FileNotFoundError):
+            found[path.name] = path.stat().st_size
+    return found

@@ -11,6 +11,7 @@ from tepm_opt.data.run import read_run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.recording.play import play
+from tests.data.made import shape
 from tests.recording.fake_rig import ROBOT, FakeRig
 
 
@@ -23,7 +24,9 @@ def made() -> SetPoints:
 
 def test_slowly_there_on_time_and_back(tmp_path: Path) -> None:
     rig = FakeRig()
-    run = play(rig, made(), ROBOT, tmp_path / "out" / "m.csv")
+    measured = play(rig, made(), ROBOT, tmp_path / "out" / "m.csv")
+    run = measured.run
+    assert measured.notes == ()
     commands = np.array([inputs for _, inputs in rig.applied])
     steps = np.abs(np.diff(commands, axis=0)) / ROBOT.input_max
     assert steps.max() < 0.005
@@ -37,9 +40,16 @@ def test_slowly_there_on_time_and_back(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["m.csv"]
 
 
+def test_it_begins_at_rest(tmp_path: Path) -> None:
+    """What was measured is a run as any other: it starts in equilibrium under its first row."""
+    run = play(FakeRig(noise=0.0), made(), ROBOT, tmp_path / "m.csv").run
+    assert np.ptp(run.points[:3], axis=0).max() < 1e-3
+    np.testing.assert_allclose(run.points[0], shape(run.inputs[0]), atol=5e-4)
+
+
 def test_interrupted(tmp_path: Path) -> None:
     rig = FakeRig()
-    rig.fail_at[330] = KeyboardInterrupt()
+    rig.fail_at[400] = KeyboardInterrupt()
     with pytest.raises(KeyboardInterrupt):
         play(rig, made(), ROBOT, tmp_path / "m.csv")
     assert rig.stops == 1
@@ -61,7 +71,7 @@ def test_what_cannot_be_played(tmp_path: Path) -> None:
     points.inputs[1] = np.nan
     with pytest.raises(InputError, match="row 2 has no inputs"):
         play(rig, points, ROBOT, tmp_path / "m.csv")
-    pushed = SetPoints(points.time, made().inputs, np.ones((3, 3)))
-    with pytest.raises(InputError, match="need a rig that can push"):
+    pushed = SetPoints(points.time, made().inputs, np.arange(9.0).reshape(3, 3))
+    with pytest.raises(InputError, match="the tip force changes, but this rig cannot push"):
         play(rig, pushed, ROBOT, tmp_path / "m.csv")
     assert not rig.applied

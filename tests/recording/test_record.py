@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tepm_opt.cli.rigs import opener
 from tepm_opt.data.datasets import read_dataset, read_description, write_dataset
 from tepm_opt.data.run import read_run
 from tepm_opt.errors import InputError
@@ -210,11 +211,23 @@ class TestRobots:
     def test_the_rigs_robot_is_the_plans(self, tmp_path: Path, bench: Bench) -> None:
         small = ROBOT.model_copy(update={"name": "small", "geometry": ROBOT.geometry.model_copy(update={"modules": 1})})
         bench.prepare = lambda number, rig: setattr(rig, "robot", small)
-        with pytest.raises(InputError, match="the rig's robot is 'small', the plan's is 'kang2017'"):
+        with pytest.raises(InputError, match="the rig's robot is 'small', the set points are for 'kang2017'"):
             go(tmp_path, bench)
 
+    def test_a_person_hangs_the_weights(self, tmp_path: Path, bench: Bench) -> None:
+        """Asked whenever the tip force differs from that of the run before; when recording goes on, nothing hangs there yet."""
+        hung = RAMP.replace("ramp.csv", "hung.csv") + "\nrest = {tip_force_z_N = -0.5}"
+        plan = read_plan(write_plan(tmp_path, STEPS, RAMP + "\nrest = {tip_force_z_N = -0.5}", hung, SWEEP))
+        bench.prepare = lambda number, rig: rig.fail_at.update({300: KeyboardInterrupt()} if number == 2 else {})
+        asked: list[str] = []
+        with pytest.raises(KeyboardInterrupt):
+            record(plan, tmp_path / "set", bench, "fake", ask=asked.append)
+        record(plan, tmp_path / "set", bench, "fake", ask=asked.append)
+        force = "make the force on the tip x, y, z ="
+        assert asked == [f"ramp.csv: {force} 0, 0, -0.5 N", f"hung.csv: {force} 0, 0, -0.5 N", f"sweep.csv: {force} 0, 0, 0 N"]
+
     def test_a_changing_force_needs_a_rig_that_pushes(self, tmp_path: Path, bench: Bench) -> None:
-        go(tmp_path, bench, f"{RAMP}\ntip_force_N = [0, 0, -0.5]")
+        go(tmp_path, bench, f"{RAMP}\nrest = {{tip_force_z_N = -0.5}}")
         assert (read_dataset(tmp_path / "set").runs[0].tip_force == [0, 0, -0.5]).all()
         plan = read_plan(write_plan(tmp_path, RAMP.replace("ramp.csv", "more.csv")))
         plan.runs[0].setpoints.tip_force[2] = 1.0
@@ -240,6 +253,19 @@ class TestSimulated:
         np.testing.assert_allclose(run.tip_force[25:], truth.tip_force[rows], atol=1e-9)
         assert np.abs(truth.tip_force[rows]).max() > 0.1
         assert 1e3 * np.sqrt(np.mean((run.points[25:] - truth.points[rows]) ** 2)) < 0.001
+
+    def test_every_run_has_noise_of_its_own(self, tmp_path: Path) -> None:
+        pytest.importorskip("mujoco")
+        holds = [
+            f'file = "{name}.csv"\nrole = "fit"\npattern = "steps"\nlevels = [{{}}]\nhold_s = 0.5\nlead_s = 0.5\nrest_s = 0'
+            for name in "ab"
+        ]
+        plan = read_plan(write_plan(tmp_path, *holds))
+        for folder, seed in (("one", 0), ("same", 0), ("other", 1)):
+            record(plan, tmp_path / folder, opener("sim", plan.robot, seed), "sim", seed)
+        files = {name: (tmp_path / name).read_bytes() for name in ("one/a.csv", "same/a.csv", "one/b.csv", "other/a.csv")}
+        assert files["one/a.csv"] == files["same/a.csv"]
+        assert len(set(files.values())) == 3
 
 
 def test_the_log_says_when_and_with_what(tmp_path: Path, bench: Bench) -> None:

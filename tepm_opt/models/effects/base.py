@@ -20,8 +20,8 @@ class Parameter:
     Attributes:
         name: in full words, without unit.
         unit: SI unit.
-        null: the value at which the effect vanishes exactly.
-        probe: a small but visible size, for finite probes and as start of a fit.
+        null: the value at which the effect vanishes exactly; of a shape parameter, which has no influence then, a usual one.
+        probe: a small but visible size, for finite probes and as start of a fit; of a shape parameter the same as `null`.
         low, high: the values that make physical sense; others are refused.
     """
 
@@ -71,6 +71,32 @@ class Context:
     gravity: np.ndarray
 
 
+@dataclass(frozen=True)
+class Memory:
+    """An internal state y that is 0 at rest and forgets: dy/dt = drive - decay / scale * y, elementwise.
+
+    `decay` and `scale` stand apart because either may vanish: a lag has decay 1 and its time constant as scale, a
+    rate-independent memory the absolute rate of its signal as decay and a distance as scale.
+    """
+
+    drive: ca.SX
+    decay: ca.SX
+    scale: ca.SX
+
+    def rate(self, state: ca.SX, step: ca.SX | float) -> ca.SX:
+        """dy/dt at the end of an implicit stage of length `step` that starts at `state`; at `state` itself for step 0."""
+        return (self.scale * self.drive - self.decay * state) / (self.scale + step * self.decay)
+
+    def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
+        """y after a time over which drive and decay stay as they are: the exact solution, for any scale down to 0."""
+        z = time * self.decay / (self.scale + SHORTEST) + TINY
+        return ca.exp(-z) * state - ca.expm1(-z) / z * time * self.drive
+
+
+SHORTEST = 1e-12  # keeps quotients finite where a scale vanishes
+TINY = 1e-30
+
+
 class Effect:
     """A physical effect. Subclasses set the class attributes and override only the hooks they need.
 
@@ -105,6 +131,32 @@ class Effect:
 
     def edge_energy(self, edge: Edge, length: ca.SX, rest: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
         """Additional potential of an edge in J as a function of its length in m."""
+        return ca.SX(0)
+
+    def pressure_memory(
+        self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
+    ) -> Memory | None:
+        """Internal state y of every pressure, (modules, actuators) in Pa; the effective pressure is pressure + y.
+
+        `pressure` and its `rate` are those that this effect's input map has left; `state` is y before they act.
+        """
+        return None
+
+    def tension_memory(self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Memory | None:
+        """The same for tensions, in N."""
+        return None
+
+    def edge_memory(
+        self, edge: Edge, length: ca.SX, rate: ca.SX, properties: Mapping[str, ca.SX], parameters: Mapping[str, ca.SX], context: Context
+    ) -> Memory | None:
+        """Internal state y of an edge, a force in N that pulls its ends together; None for edges the effect leaves alone.
+
+        `properties` are the edge's own: "stiffness", "damping", "rest" and, of a vertical edge, "axial".
+        """
+        return None
+
+    def delay(self, parameters: Mapping[str, ca.SX]) -> ca.SX:
+        """Time in s by which all commands take effect late."""
         return ca.SX(0)
 
     def outputs(self, points: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:

@@ -1,0 +1,27 @@
+"""Muscle force that lags pressure reversals whatever their rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from tepm_opt.models.effects.base import Context, Effect, Memory, Parameter
+
+
+class PressureHysteresis(Effect):
+    """Bouc-Wen with exponent 1: effective pressure trails by `width` after travelling some `distance` since the last reversal."""
+
+    name = "pressure_hysteresis"
+    explains = "the muscles' force lags pressure reversals, independent of rate"
+    reference = "Bouc-Wen, exponent 1 (Dahl's form); Ikhouane and Rodellar, Systems with Hysteresis, 2007, ch. 2"
+    parameters = (
+        Parameter("width", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),
+        Parameter("distance", "Pa", null=2e4, probe=2e4, low=1.0, high=1e6),
+    )
+
+    def pressure_memory(
+        self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
+    ) -> Memory | None:
+        width, distance = parameters["width"], parameters["distance"]
+        return Memory(-width / distance * rate, ca.fabs(rate), distance * ca.SX.ones(*state.shape))

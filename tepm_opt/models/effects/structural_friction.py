@@ -1,0 +1,33 @@
+"""Dry friction inside the body: muscle on muscle, plates, holders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from tepm_opt.models.effects.base import Context, Effect, Memory, Parameter
+from tepm_opt.models.layout import VERTICAL, Edge
+
+
+class StructuralFriction(Effect):
+    """Dahl's bristles along every muscle segment: elastic until a stick distance, then a constant force against the motion.
+
+    At rest in statics the force is 0, the middle of its stick band.
+    """
+
+    name = "structural_friction"
+    explains = "dry friction inside the body"
+    reference = "Dahl, A solid friction model, Aerospace Corp. TOR-0158(3107-18)-1, 1968"
+    parameters = (
+        Parameter("force", "N", null=0.0, probe=0.1, low=0.0, high=100.0),
+        Parameter("distance", "m", null=1e-3, probe=1e-3, low=1e-6, high=0.1),
+    )
+
+    def edge_memory(
+        self, edge: Edge, length: ca.SX, rate: ca.SX, properties: Mapping[str, ca.SX], parameters: Mapping[str, ca.SX], context: Context
+    ) -> Memory | None:
+        if edge.kind != VERTICAL:
+            return None
+        distance = parameters["distance"] / context.layout.segments  # an actuator's, shared by its segments
+        return Memory(parameters["force"] / distance * rate, ca.fabs(rate), distance)

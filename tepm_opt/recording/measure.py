@@ -1,0 +1,143 @@
+"""One run on a rig: driven, written to a journal row by row, then to a CSV file as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.journal import Journal, mend_journal
+from tepm_opt.data.run import Role, Run, read_run, write_run
+from tepm_opt.data.setpoints import SetPoints, length_columns
+from tepm_opt.data.tables import field_text
+from tepm_opt.errors import InputError
+from tepm_opt.hw.rig import Rig, Sample
+from tepm_opt.models.robot import Robot
+from tepm_opt.recording.drive import Driver, Row, Show, Virtual, silent
+from tepm_opt.recording.robots import channels_of
+
+STATUS, GOOD = "status", "ok"
+UNFINISHED = "unfinished"
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A run that was measured, and what a person should know of it."""
+
+    run: Run
+    notes: tuple[str, ...]
+
+
+def measure(
+    rig: Rig,
+    setpoints: SetPoints,
+    robot: Robot,
+    journal: Path,
+    out: Path,
+    role: Role,
+    rate: float,
+    show: Show = silent,
+    at_once: bool = False,
+) -> Measured:
+    """Bring a rig to rest under the first row, send the set points, bring it back to zero, and write what was measured meanwhile.
+
+    The rig is stopped whatever happens; the journal has all samples until then. It stays: the caller removes it.
+
+    Args:
+        rig: any rig, not yet entered.
+        setpoints: linear between rows.
+        robot: that they are for.
+        journal: for samples as they come, a new file.
+        out: the CSV file to write in the end.
+        role: of the run.
+        rate: of the samples kept, in Hz.
+        show: is told about progress.
+        at_once: a rig of virtual time may rest under the first row from the start, and need not come back.
+
+    Raises:
+        InputError: the rig has another robot, cannot push as the set points want, or a file cannot be written.
+        RuntimeError: the rig gave no sample.
+    """
+    channels, force = channels_of(robot), setpoints.tip_force
+    at_once = at_once and isinstance(rig, Virtual)
+    with rig:
+        known = getattr(rig, "robot", None)
+        if known is not None and channels_of(known) != channels:
+            raise InputError(f"the rig's robot is {known.name!r}, the set points are for {robot.name!r}; name the robot that is there")
+        if not isinstance(rig, Virtual) and np.any(force != force[0]):
+            raise InputError(f"{out.name}: the tip force changes, but this rig cannot push; hang a weight and give a constant force")
+        driver = Driver(rig, channels, show)
+        rested = driver.start(setpoints, at_once)
+        write_journal(journal, driver.follow(setpoints, rate), driver.sample, channels)
+        if not at_once:
+            driver.finish()
+    run = run_from_journal(journal, out.name, role, channels)
+    if run is None:
+        raise RuntimeError(f"{out.name}: the rig gave no sample")
+    write_run(out, run, channels)
+    notes = [] if rested else ["the robot did not come to rest before the start"]
+    if STATUS in run.extra:
+        odd = run.extra[STATUS][run.extra[STATUS] != GOOD]
+        notes.append(f"{len(odd)} samples with a status, the first: {odd[0]}")
+    return Measured(run, tuple(notes))
+
+
+def journal_path(folder: Path, file: str) -> Path:
+    """A path in the folder for the journal of a run that is not taken: those of attempts that did not finish are kept."""
+    number = 1
+    while (path := folder / f"{Path(file).stem}-{number}.{UNFINISHED}.csv").exists():
+        number += 1
+    return path
+
+
+def _others(sample: Sample, channels: Channels) -> dict[str, float]:
+    """What a rig measured besides positions, by column: `pressure_11_measured_Pa`, `length_11_m`, …"""
+    columns: dict[str, float] = {}
+    names = channels.actuators
+    for values, labels in (
+        (sample.pressures, [f"pressure_{name}_measured_Pa" for name in names]),
+        (sample.tensions, [f"tension_{name}_measured_N" for name in names]),
+        (sample.lengths, length_columns(names)),
+    ):
+        if values is not None:
+            columns |= dict(zip(labels, (float(value) for value in values), strict=True))
+    return columns | {name: float(value) for name, value in sample.extra.items()}
+
+
+def write_journal(path: Path, rows: Iterable[Row], first: Sample, channels: Channels) -> int:
+    """Append every row as it comes, in the columns of SPEC section 4 and those that `first` measures; how many came.
+
+    Raises:
+        InputError: the file exists or cannot be written.
+    """
+    extra = list(_others(first, channels))
+    count, start = 0, 0.0
+    with Journal(path, [*channels.columns, *extra, STATUS]) as journal:
+        for row in rows:
+            start = row.time if count == 0 else start
+            values = [round(row.time - start, 6), *row.inputs, *row.tip_force, *row.sample.points.ravel()]
+            others = _others(row.sample, channels)
+            values += [others.get(name, np.nan) for name in extra]
+            late = f" (commands {row.late:.3f} s late)" if row.late else ""
+            journal.append([*(field_text(float(value)) for value in values), row.sample.status + late])
+            count += 1
+    return count
+
+
+def run_from_journal(path: Path, file: str, role: Role, channels: Channels) -> Run | None:
+    """The run that a journal holds as far as it got; None without a row. The status is kept where it was not always good.
+
+    Raises:
+        InputError: the journal cannot be read.
+    """
+    try:
+        if mend_journal(path) == 0:
+            return None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    run = read_run(path, role, channels)
+    extra = {name: values for name, values in run.extra.items() if name != STATUS or np.any(values != GOOD)}
+    return replace(run, file=file, extra=extra, lines=())

@@ -1,0 +1,271 @@
+"""Small motions about an equilibrium: state space with named inputs and outputs, effects with internal states included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg as sla
+
+from tepm_opt.data.setpoints import AXES
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.layout import Layout
+from tepm_opt.solvers.statics import Equilibrium, Status
+
+if TYPE_CHECKING:
+    import control
+
+MOMENT = 1e-6  # s: over which the rates of the inputs' internal states are taken
+RISING = 1e-12  # 1/s, of an input's range: a rate too slow to matter but for its sign
+FORGETS = 1e-6  # 1/s: an internal state that forgets more slowly keeps its value
+FORCE_RANGE = 1.0  # N: by which forces are scaled, as pressures and tensions are by the robot's limits
+Names = str | Sequence[str] | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class System:
+    """d/dt s = A s + B w(t - delay), z = C s + D w: deviations from an equilibrium in SI (Pa, N → m).
+
+    Attributes:
+        A, B, C, D: matrices.
+        inputs: names of w: "pressure_11" … "tension_23", "force_s1_x" … (forces on the reference points in G).
+        outputs: names of z: "s1_x" … (reference points in G), "length_11" … (actuators).
+        ranges: of the inputs: the robot's limits, 1 N for forces. What is called scaled is per range.
+        delay: by which pressures and tensions (not forces) act late in s; not part of the matrices.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    ranges: np.ndarray
+    delay: float
+
+    @property
+    def late(self) -> np.ndarray:
+        """Which inputs act late, (inputs,) of bool."""
+        return np.array([self.delay > 0 and not name.startswith("force_") for name in self.inputs], dtype=bool)
+
+    def moving(self) -> System:
+        """The system without states that never move on their own; here itself."""
+        return self
+
+    def select(self, inputs: Names = None, outputs: Names = None) -> System:
+        """Part of the inputs and outputs, all where absent, by name or by what names begin with ("pressure", "s4").
+
+        Raises:
+            InputError: no such input or output.
+        """
+        system, rows, columns = self.moving(), _find("output", outputs, self.outputs), _find("input", inputs, self.inputs)
+        B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
+        names = tuple(self.inputs[k] for k in columns), tuple(self.outputs[k] for k in rows)
+        return System(A=system.A, B=B, C=C, D=D, inputs=names[0], outputs=names[1], ranges=self.ranges[columns], delay=self.delay)
+
+    def gain(self, scaled: bool = False) -> np.ndarray:
+        """Gain at rest, (outputs, inputs) in m/Pa and m/N, or in m per range."""
+        system = self.moving()
+        return (system.D - system.C @ np.linalg.solve(system.A, system.B)) * (self.ranges if scaled else 1.0)
+
+    def response(self, frequencies: Sequence[float] | np.ndarray, scaled: bool = False) -> np.ndarray:
+        """Frequency response with the exact delay, (frequencies, outputs, inputs); frequencies in Hz, values as for `gain`."""
+        system, omega = self.moving(), 2j * np.pi * np.asarray(frequencies, dtype=float)
+        triangle, basis = sla.schur(system.A, output="complex")[:2]
+        B, C, one = basis.conj().T @ system.B, system.C @ basis, np.eye(len(triangle))
+        values = np.array([C @ sla.solve_triangular(s * one - triangle, B, check_finite=False) for s in omega]) + system.D
+        values *= np.exp(-self.delay * np.outer(omega, self.late))[:, None]
+        return values * (self.ranges if scaled else 1.0)
+
+    def to_control(self, inputs: Names = None, outputs: Names = None, pade: int = 2, scaled: bool = False) -> control.StateSpace:
+        """The system for python-control, with named inputs and outputs; see `select` for the names.
+
+        Args:
+            inputs, outputs: the part wanted.
+            pade: order of the Padé approximation of the delay, one for every late input, where there is a delay; 0 leaves it out.
+            scaled: inputs per range (a pressure of 1 is the robot's largest) instead of Pa and N. Outputs stay in m.
+
+        Raises:
+            InputError: no such input or output, or a wrong order.
+        """
+        from control import StateSpace  # takes a second to import
+
+        if not (isinstance(pade, int) and 0 <= pade <= 10):
+            raise InputError(f"pade: {pade!r}; valid: an order 0 … 10, 0 leaves the delay out")
+        part = self.select(inputs, outputs)
+        A, B, C, D = part.A, part.B, part.C, part.D
+        if pade and part.late.any():
+            A, B, C, D = _delayed(part, pade)
+        B, D = (matrix * (part.ranges if scaled else 1.0) for matrix in (B, D))
+        return StateSpace(A, B, C, D, inputs=list(part.inputs), outputs=list(part.outputs), remove_useless_states=False)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Linear(System):
+    """A network's system: see `System`, whose inputs and outputs it has all.
+
+    The states s are the free levels, their velocities, the internal states of the edges (segment by segment) and, with
+    actuators, those of the inputs.
+
+    Attributes:
+        equilibrium: about which.
+        kinds: of the states: "position", "velocity", "edge" or "input", (states,).
+    """
+
+    equilibrium: Equilibrium
+    kinds: np.ndarray
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates of the free levels: states 0 … are positions, as many more are velocities."""
+        layout = self.equilibrium.model.layout
+        return layout.levels * layout.block
+
+    @property
+    def held(self) -> np.ndarray:
+        """Internal states that only follow others, (states,) of bool: y = constant + what positions and other internal states make of it.
+
+        Each gives an eigenvalue 0. Dry friction that sticks and hysteresis that holds are of this kind: for small motions they are springs,
+        and the constants, which no input reaches, remember how the equilibrium was approached.
+        """
+        return self._follow[0]
+
+    @cached_property
+    def _follow(self) -> tuple[np.ndarray, np.ndarray]:
+        """`held`, and how these follow the other states, (held, others)."""
+        size = self.coordinates
+        by_v, by_y = self.A[2 * size :, size : 2 * size], self.A[2 * size :, 2 * size :]
+        _, rates, weights = np.linalg.svd(by_y.T) if len(by_y) else (by_y, np.zeros(0), by_y)
+        kept = weights[rates < FORGETS]  # weights @ y' = weights @ by_v @ v, so weights @ (y - by_v @ x) stays as it is
+        kept = kept[~(abs(kept @ self.B[2 * size :]) > FORGETS).any(axis=1)]  # but for those that integrate an input
+        which = np.sort(leading(kept, len(kept)))
+        kept = np.linalg.solve(kept[:, which], kept)  # now every row says of one state y what it follows
+        held = np.zeros(len(self.A), dtype=bool)
+        held[2 * size + which] = True
+        follow = np.hstack([kept @ by_v, np.zeros_like(kept @ by_v), -kept])
+        return held, follow[:, ~held]
+
+    def moving(self) -> Linear:
+        """The system without `held` states, which follow the others from their value at the equilibrium: no eigenvalue 0."""
+        held, follow = self._follow
+        if not held.any():
+            return self
+        A, C = (matrix[:, ~held] + matrix[:, held] @ follow for matrix in (self.A[~held], self.C))
+        return replace(self, A=A, B=self.B[~held], C=C, kinds=self.kinds[~held])
+
+
+def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = False) -> Linear:
+    """State space about an equilibrium.
+
+    Args:
+        equilibrium: solved or unstable; if `mapped`, its inputs stand for commands that act at once.
+        actuators: whether the internal states of the inputs (lag, hysteresis) are part of it; else inputs act as at rest.
+        rising: for effects that tell rising inputs from falling ones (a regulator that fills faster than it exhausts): which of
+            the two. A linear system cannot have both; falling is usually the slower.
+
+    Raises:
+        InputError: not an equilibrium.
+    """
+    if equilibrium.status not in (Status.SOLVED, Status.UNSTABLE):
+        raise InputError(f"no equilibrium to linearise about: {equilibrium.message}")
+    model, layout = equilibrium.model, equilibrium.model.layout
+    A, by_actuation, by_force = _network(equilibrium)
+    F, E, N, M = _inputs(equilibrium, actuators, rising)
+    # dy/dt = F y + E du/dt and a = M u + N y become, with q = y - E u: dq/dt = F q + F E u, a = N q + (M + N E) u
+    memory, forces = len(F), by_force.shape[1]
+    B = np.block([[by_actuation @ (M + N @ E), by_force], [F @ E, np.zeros((memory, forces))]])
+    A = np.block([[A, by_actuation @ N], [np.zeros((memory, len(A))), F]])
+    observed = model.march.reference.jacobian("observe_by", equilibrium.x.ravel(), model.theta)
+    size, edges = layout.levels * layout.block, layout.levels * model.march.motion.edge_states
+    C = np.zeros((len(observed), len(A)))
+    C[:, :size] = observed[:, layout.block : layout.block + size]
+    inputs, outputs = _names(layout)
+    delay = 0.0 if equilibrium.mapped else float(model.march.reference.value("delay", model.theta).item())
+    return Linear(
+        A=A, B=B, C=C, D=np.zeros((len(C), B.shape[1])), inputs=inputs, outputs=outputs, delay=delay,
+        ranges=np.append(model.input_max, np.full(forces, FORCE_RANGE)), equilibrium=equilibrium,
+        kinds=np.repeat(["position", "velocity", "edge", "input"], [size, size, edges, memory]),
+    )  # fmt: skip
+
+
+def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A of levels, velocities and edge states, and what the effective actuation and the forces on the points add to d/dt s."""
+    model, march, layout = equilibrium.model, equilibrium.model.march.reference, equilibrium.model.layout
+    n, block, edges, size = layout.levels, layout.block, march.motion.edge_states, layout.levels * layout.block
+    loads, outer = equilibrium.loads, layout.inputs + 3 * layout.points
+    a, P = model.reference.prepare(equilibrium.inputs, equilibrium.mapped, loads.ravel(), model.theta)[:2]
+    d_P = march.jacobian("properties_by", a, loads, model.theta)[: P.size, :outer].reshape(*P.shape, outer)
+    jacobians = march.segment_jacobians(equilibrium.x, P, model.theta)
+    by_x, by_v, by_y, by_P = np.split(jacobians, np.cumsum([2 * block, 2 * block, edges, P.shape[1]]), axis=2)[:4]
+    driven = by_P @ d_P
+    A = np.zeros((2 * size + n * edges, 2 * size + n * edges))
+    B = np.zeros((len(A), outer))
+    for s in range(n):
+        near = np.arange(2 * block) + (s - 1) * block  # coordinates of its two levels; those of level 0, which is fixed, are negative
+        free, own = near >= 0, 2 * size + s * edges + np.arange(edges)
+        rows, columns = np.r_[size + near[free], own], np.r_[near[free], size + near[free], own]
+        kept = np.r_[free, np.ones(edges, dtype=bool)]
+        A[np.ix_(rows, columns)] += np.hstack([by_x[s][:, free], by_v[s][:, free], by_y[s]])[kept]
+        B[rows] += driven[s][kept]
+    mass = np.repeat(P[:, march.mass_row], block)[:, None]
+    A[size : 2 * size] /= -mass  # until here forces, which hold the nodes back
+    B[size : 2 * size] /= -mass
+    A[:size, size : 2 * size] = np.eye(size)
+    return A, B[:, : layout.inputs], B[:, layout.inputs :]
+
+
+def _inputs(equilibrium: Equilibrium, actuators: bool, rising: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """F, E, N, M of the inputs' internal states y and the effective actuation a: dy/dt = F y + E du/dt, a = M u + N y."""
+    model, march, count = equilibrium.model, equilibrium.model.march.reference, equilibrium.model.layout.inputs
+    if equilibrium.mapped:
+        return np.zeros((0, 0)), np.zeros((0, count)), np.zeros((count, 0)), np.eye(count)
+    memory, rate = march.motion.input_states, RISING * rising * model.input_max
+    by = march.jacobian("input_motion_by", equilibrium.inputs, rate, np.zeros(memory), MOMENT, model.theta)
+    by_u, by_rate, by_y = np.split(by, [count, 2 * count], axis=1)
+    by_y = by_y[:, : memory * actuators]
+    reached = slice(count, count + memory * actuators)  # y at the end of the moment
+    return (by_y[reached] - np.eye(by_y.shape[1])) / MOMENT, by_rate[reached] / MOMENT, by_y[:count], by_u[:count]
+
+
+def _delayed(system: System, order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Matrices with a Padé approximation of exp(-delay s) before every late input."""
+    from control import pade
+    from scipy.signal import tf2ss
+
+    a, b, c, d = (np.asarray(part) for part in tf2ss(*pade(1.0, order)))  # a delay of 1 s; then time is scaled
+    late = np.eye(len(system.inputs))[:, system.late]
+    at_once = np.diag(~system.late).astype(float)
+    F, E = np.kron(np.eye(late.shape[1]), a) / system.delay, np.kron(late.T, b) / system.delay
+    N, M = np.kron(late, c), at_once + d.item() * (late @ late.T)
+    A = np.block([[system.A, system.B @ N], [np.zeros((len(F), len(system.A))), F]])
+    return A, np.vstack([system.B @ M, E]), np.hstack([system.C, system.D @ N]), system.D @ M
+
+
+def _names(layout: Layout) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    actuators, points = layout.actuator_names, [f"{point}_{axis}" for point in layout.point_names for axis in AXES]
+    inputs = [f"{kind}_{name}" for kind in ("pressure", "tension") for name in actuators] + [f"force_{point}" for point in points]
+    return tuple(inputs), (*points, *(f"length_{name}" for name in actuators))
+
+
+def _find(kind: str, wanted: Names, names: Sequence[str]) -> list[int]:
+    """Places of the wanted names; one may stand for all that begin with it and an underscore."""
+    if wanted is None:
+        return list(range(len(names)))
+    found: list[int] = []
+    for name in [wanted] if isinstance(wanted, str) else wanted:
+        at = [k for k, known in enumerate(names) if known == name or known.startswith(f"{name}_")]
+        if not at:
+            raise unknown_name(kind, name, names)
+        found += at
+    if not found or len(set(found)) < len(found):
+        raise InputError(f"{kind}s {wanted!r}: {'none' if not found else 'one stands twice'}; valid: each at most once, at least one")
+    return found
+
+
+def leading(rows: np.ndarray, count: int) -> np.ndarray:
+    """Columns of a matrix that are independent of each other, the clearest first, (count,)."""
+    pivots = np.asarray(sla.qr(rows, mode="r", pivoting=True)[-1]) if count else np.zeros(0)
+    return pivots[:count].astype(int)

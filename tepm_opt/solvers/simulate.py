@@ -1,0 +1,241 @@
+"""Motion of the network under inputs and known forces over time, from rest, with sensitivities along the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.marching import DIVERGED, DONE, EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme
+from tepm_opt.solvers.linear import linearise
+from tepm_opt.solvers.modes import rk4_step_limit
+from tepm_opt.solvers.statics import Equilibrium, solve_statics
+
+Method = Literal["implicit", "rk4"]
+METHODS: tuple[Method, ...] = ("implicit", "rk4")
+IMPLICIT_STEP = 0.01  # s: 0.002 mm RMS on the reference runs
+SAFETY = 0.9  # of the largest stable RK4 step, for what happens between the samples it is computed at
+SAMPLED = 5  # rows at which the stable step is computed
+CHUNK = 0.5  # s of simulated time between two reports of progress
+
+
+class SimulationError(RuntimeError):
+    """A simulation that could not go on; `partial` holds what was done until then."""
+
+    def __init__(self, message: str, partial: Simulation) -> None:
+        super().__init__(message)
+        self.partial = partial
+
+
+class SimulationInterrupted(KeyboardInterrupt):
+    """The user interrupted a simulation; `partial` holds what was done until then."""
+
+    def __init__(self, partial: Simulation) -> None:
+        super().__init__()
+        self.partial = partial
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Changes of parameters and inputs along which a simulation is differentiated.
+
+    Attributes:
+        names: one a direction.
+        parameters: change of theta, (directions, parameters).
+        inputs: change of u at every sample, (samples, directions, inputs), or at all of them alike, (directions, inputs).
+        loads: change of the forces on the points at all samples alike, (directions, points, 3).
+    """
+
+    names: tuple[str, ...]
+    parameters: np.ndarray
+    inputs: np.ndarray | None = None
+    loads: np.ndarray | None = None
+
+    @staticmethod
+    def of(model: CompiledModel, parameters: Sequence[str] = (), inputs: Sequence[str] = ()) -> Directions:
+        """Unit changes of parameters by full name and of whole input histories by name ("pressure_11", "tension_23").
+
+        Raises:
+            InputError: no such parameter or input.
+        """
+        known = model.network.parameter_names
+        half = model.layout.actuator_names
+        channels = [f"pressure_{name}" for name in half] + [f"tension_{name}" for name in half]
+        for kind, names, valid in (("parameter", parameters, known), ("input", inputs, channels)):
+            for name in names:
+                if name not in valid:
+                    raise unknown_name(kind, name, valid)
+        theta = np.zeros((len(parameters) + len(inputs), len(known)))
+        u = np.zeros((len(theta), len(channels)))
+        for k, name in enumerate(parameters):
+            theta[k, known.index(name)] = 1.0
+        for k, name in enumerate(inputs, start=len(parameters)):
+            u[k, channels.index(name)] = 1.0
+        return Directions((*parameters, *inputs), theta, u if len(inputs) else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """Motion at the samples of its set points.
+
+    Attributes:
+        model: of which.
+        start: equilibrium under the first row.
+        setpoints: inputs and tip force.
+        points: reference points in G, (samples, points, 3) in m.
+        lengths: actuator lengths, (samples, modules · actuators) in m.
+        levels, velocities: levels 0 … n in the base frame, (samples, n + 1, 3 · actuators) in m and m/s.
+        sensitivities: change of points along each direction, (directions, samples, points, 3), in m per unit of the direction.
+        directions: their names.
+        method, step: how it was done; the step in s.
+        effort: steps and iterations it took.
+    """
+
+    model: CompiledModel
+    start: Equilibrium
+    setpoints: SetPoints
+    points: np.ndarray
+    lengths: np.ndarray
+    levels: np.ndarray
+    velocities: np.ndarray
+    sensitivities: np.ndarray
+    directions: tuple[str, ...]
+    method: Method
+    step: float
+    effort: Effort
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Tip in G, (samples, 3) in m."""
+        return self.points[:, -1]
+
+
+def simulate(
+    model: CompiledModel, setpoints: SetPoints, method: Method = "implicit", step: float | None = None, hold: bool = False,
+    loads: np.ndarray | None = None, directions: Directions | None = None, tolerance: float = 1e-6,
+    progress: Callable[[float], None] = lambda part: None,
+) -> Simulation:  # fmt: skip
+    """Simulate from the equilibrium under the first row.
+
+    Args:
+        model: compiled model, with its effects.
+        setpoints: inputs over time; its rows are also the times of the result. Tip forces act on the last reference point.
+        method: "implicit" (Crouzeix's SDIRK, order 3) or "rk4" (the paper's scheme).
+        step: longest step in s; samples are always hit. Default: 10 ms, or 0.9 of the largest stable step for "rk4".
+        hold: rows hold until the next one, instead of changing linearly.
+        loads: further known forces on the reference points in G, (samples, points, 3) in N.
+        directions: what to differentiate by; "implicit" only.
+        tolerance: residual forces in N to which implicit stages are solved.
+        progress: called with the part done, about twice per simulated second.
+
+    Raises:
+        InputError: set points that do not fit, "rk4" with a step above its stable one or with directions, no stable equilibrium
+            to start from.
+        SimulationError: the motion left all bounds or a stage had no solution.
+        SimulationInterrupted: Ctrl-C.
+    """
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
+    if directions is not None and method == "rk4":
+        raise InputError("directions: sensitivities are computed by method 'implicit'")
+    drive = _drive(model, setpoints, hold, loads, directions)
+    start = _start(model, setpoints, 0, drive)
+    if method == "rk4":
+        step = _stable_step(model, setpoints, drive, step)
+    step = IMPLICIT_STEP if step is None else step
+    if not step > 0:
+        raise InputError(f"step: {step:g} s; valid: above 0")
+    scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step, tolerance)
+    names = directions.names if directions is not None else ()
+    record = Record.empty(model.march.motion, len(drive.time), len(names))
+    state, total, done = model.march.start(start.x, len(names)), Effort(), 0
+
+    def result(rows: int) -> Simulation:
+        kept, points = slice(rows), 3 * model.layout.points
+        observed = record.observed[kept]
+        sensitivities = np.moveaxis(record.d_observed[kept, :points].reshape(rows, points // 3, 3, len(names)), -1, 0)
+        return Simulation(
+            model, start, SetPoints(setpoints.time[kept], setpoints.inputs[kept], setpoints.tip_force[kept]),
+            observed[:, :points].reshape(rows, -1, 3), observed[:, points:], record.trajectory[kept, 0], record.trajectory[kept, 1],
+            sensitivities, names, method, step, total,
+        )  # fmt: skip
+
+    ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
+    try:
+        for end in ends:
+            status, effort = model.march.march(state, drive, done, int(end), scheme, model.theta, record)
+            total = _sum(total, effort)
+            if status != DONE:
+                why = "left all bounds" if status == DIVERGED else "has no solution nearby"
+                hint = "a shorter step may help" if method == "rk4" or status == DIVERGED else "inputs may jump too far"
+                raise SimulationError(f"the motion {why} after {total.reached:.4g} s ({hint}; step {step:g} s)", result(done + 1))
+            done = int(end)
+            progress(float((drive.time[done] - drive.time[0]) / (drive.time[-1] - drive.time[0])))
+    except KeyboardInterrupt:
+        raise SimulationInterrupted(result(done + 1 if done else 0)) from None
+    return result(len(drive.time))
+
+
+def stable_step(equilibrium: Equilibrium) -> float:
+    """Largest step in s at which RK4 is stable for small motions about an equilibrium, effects included."""
+    values = np.linalg.eigvals(linearise(equilibrium, actuators=False).A)
+    return rk4_step_limit(values)
+
+
+def _stable_step(model: CompiledModel, setpoints: SetPoints, drive: Drive, step: float | None) -> float:
+    """RK4's step: the one given, or a safe one.
+
+    Raises:
+        InputError: it is above the stable one.
+    """
+    rows = np.unique(np.linspace(0, len(drive.time) - 1, SAMPLED).astype(int))
+    equilibria = [_start(model, setpoints, int(row), drive, strict=row == 0) for row in rows]
+    limit = min(stable_step(found) for found in equilibria if found.solved)
+    if step is not None and step > limit:
+        raise InputError(f"step: {1e3 * step:.4g} ms; valid with 'rk4': at most {1e3 * limit:.4g} ms, or the method 'implicit'")
+    return SAFETY * limit if step is None else step
+
+
+def _drive(model: CompiledModel, setpoints: SetPoints, hold: bool, loads: np.ndarray | None, directions: Directions | None) -> Drive:
+    samples, points = len(setpoints.time), model.layout.points
+    if samples < 2:
+        raise InputError(f"set points: {samples} rows; valid: at least 2, the motion lasts from the first to the last")
+    if not (np.diff(setpoints.time) > 0).all():
+        raise InputError(f"set points: time does not increase after row {int(np.argmin(np.diff(setpoints.time) > 0)) + 1}")
+    for row, u in enumerate(setpoints.inputs):
+        model.check_inputs(u, f"set points: row {row + 1}")
+    forces = np.zeros((samples, points, 3)) if loads is None else np.array(loads, dtype=float)
+    if forces.shape != (samples, points, 3):
+        raise InputError(f"loads: shape {forces.shape}; valid: {(samples, points, 3)}")
+    forces[:, -1] += setpoints.tip_force
+    if not np.isfinite(forces).all():
+        raise InputError("loads: a force is not finite; valid: numbers")
+    rows = np.hstack([setpoints.inputs, forces.reshape(samples, -1)])
+    if directions is None:
+        return Drive(setpoints.time, rows, hold, np.zeros((0, len(model.theta))))
+    d_rows = None
+    if directions.inputs is not None or directions.loads is not None:
+        d_rows = np.zeros((samples, len(directions.names), rows.shape[1]))
+        if directions.inputs is not None:
+            d_rows[:, :, : model.layout.inputs] = directions.inputs
+        if directions.loads is not None:
+            d_rows[:, :, model.layout.inputs :] = directions.loads.reshape(len(directions.names), -1)
+    return Drive(setpoints.time, rows, hold, directions.parameters, d_rows)
+
+
+def _start(model: CompiledModel, setpoints: SetPoints, row: int, drive: Drive, strict: bool = True) -> Equilibrium:
+    forces = drive.rows[row, model.layout.inputs :].reshape(-1, 3)
+    found = solve_statics(model, setpoints.inputs[row], forces)
+    if strict and not found.solved:
+        raise InputError(f"set points: row {row + 1}: no stable equilibrium to start from: {found.message}")
+    return found
+
+
+def _sum(a: Effort, b: Effort) -> Effort:
+    counted = {name: getattr(a, name) + getattr(b, name) for name in ("steps", "iterations", "factors", "halvings")}
+    return replace(b, **counted)
