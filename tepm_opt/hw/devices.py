@@ -14,9 +14,9 @@ from tepm_opt.models.robot import Robot
 Switch = Annotated[bool, Field(strict=True, description="true or false")]
 
 
-def generator(seed: int, device: str) -> np.random.Generator:
-    """The random numbers of one device: they do not depend on which other devices are on."""
-    return np.random.default_rng([seed, crc32(device.encode())])
+def generator(seed: int, device: str, noise: int = 0) -> np.random.Generator:
+    """The random numbers of one device: they do not depend on which other devices are on. Each `noise` is another run of the same rig."""
+    return np.random.default_rng([seed, crc32(device.encode()), noise] if noise else [seed, crc32(device.encode())])
 
 
 def on_grid(values: np.ndarray, step: float) -> np.ndarray:
@@ -82,9 +82,9 @@ class Lens:
         lost: frames for which each point stays lost, (points,).
     """
 
-    def __init__(self, settings: TrackerDevice, points: int, seed: int) -> None:
+    def __init__(self, settings: TrackerDevice, points: int, seed: int, noise: int = 0) -> None:
         self.settings = settings
-        self.random = generator(seed, "tracker")
+        self.random = generator(seed, "tracker", noise)
         self.lost = np.zeros(points, dtype=int)
 
     def look(self, points: np.ndarray) -> np.ndarray:

@@ -10,14 +10,15 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import Robot
 
-VALID = "sim, sim:FILE, replay:FILE"
+VALID = "sim, sim:FILE, bench, bench:FILE, replay:FILE"
 
 
 def open_rig(text: str, robot: Robot | None = None) -> Rig:
     """The rig that a text names.
 
     Args:
-        text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), `replay:FILE` (a run of a data set).
+        text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), `bench` or
+            `bench:FILE` (the single-actuator bench of such a rig), `replay:FILE` (a run of a data set).
         robot: for recordings; the default is what `dataset.toml` beside the file says, or kang2017.
 
     Raises:
@@ -41,6 +42,12 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
     return SimulatedRig(target) if target else SimulatedRig()
 
 
+def _bench(target: str, robot: Robot | None) -> Rig:
+    from tepm_opt.hw.bench import BenchRig
+
+    return BenchRig(target) if target else BenchRig()
+
+
 def _replay(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.replay import ReplayRig
 
@@ -57,4 +64,4 @@ def _recorded_robot(folder: Path) -> str:
     return str(folder / name) if (folder / name).is_file() else name
 
 
-_OPENERS: Mapping[str, Callable[[str, Robot | None], Rig]] = {"sim": _simulated, "replay": _replay}
+_OPENERS: Mapping[str, Callable[[str, Robot | None], Rig]] = {"sim": _simulated, "bench": _bench, "replay": _replay}

@@ -55,6 +55,12 @@ class SimulatedRig:
         self._frame = 0
         self._settled = False
 
+    def reseed(self, noise: int) -> None:
+        """Other noise of the same machine: what was drawn once (its masses) stays. 0 is the rig file's own."""
+        seed = self.file.seed
+        self._lens.random = generator(seed, "tracker", noise)
+        self._random = {name: generator(seed, name, noise) for name in self._random}
+
     def read(self) -> Sample:
         """Advance to when the tracker's next frame has arrived and return it; its pose is `latency_s` old then.
 

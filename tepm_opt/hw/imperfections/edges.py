@@ -15,22 +15,27 @@ _LARGEST_STRAIN = 0.4  # of a muscle, for the choice of the tick; the paper's re
 
 
 class Bristles:
-    """LuGre friction of equal size in all vertical edges."""
+    """LuGre friction in all vertical edges: of one size, and in proportion to the pull of their springs."""
 
-    def __init__(self, friction: LuGre, sliding: float) -> None:
-        self.friction, self.sliding = friction, sliding
+    def __init__(self, friction: LuGre, sliding: float, share: np.ndarray, rest: np.ndarray) -> None:
+        self.friction, self.sliding, self.share, self.rest = friction, sliding, share, rest
 
     def settle(self, length: np.ndarray) -> np.ndarray:
         return self.friction.settle()
 
     def step(self, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
-        return -self.friction.step(rate, self.sliding, duration)
+        return -self.friction.step(rate, self.sliding + self.share * np.abs(length - self.rest), duration)
 
 
 class StructuralFriction(Imperfection):
-    """Dry friction of the muscles on each other, on plates and on holders: LuGre with presliding in every vertical edge."""
+    """Dry friction of the muscles on each other, on plates and on holders: LuGre with presliding in every vertical edge.
+
+    A part of it is always there (`sliding_N`), a part grows with the elastic force that presses sheath, plates and holders together
+    (`share` of it), so that it vanishes where the muscle is at rest.
+    """
 
     sliding_N: Annotated[float, between(0, 100, "N")] = 0.0
+    share: Annotated[float, between(0, 0.9, "of the elastic force")] = 0.0
     breakaway_ratio: Annotated[float, between(1, 5, "of the sliding friction")] = 1.0
     stribeck_m_per_s: Annotated[float, between(1e-6, 1, "m/s")] = 1e-3
     bristle_stiffness_N_per_m: Annotated[float, between(10, 1e5, "N/m")] = 5000.0
@@ -42,7 +47,8 @@ class StructuralFriction(Imperfection):
     def edge_stage(self, body: Body) -> EdgeStage:
         shape = (body.layout.levels, body.layout.actuators)
         bristles = (self.bristle_stiffness_N_per_m, self.bristle_damping_N_s_per_m, self.breakaway_ratio, self.stribeck_m_per_s)
-        return Bristles(LuGre(shape, *bristles), self.sliding_N)
+        vertical = body.verticals
+        return Bristles(LuGre(shape, *bristles), self.sliding_N, self.share * body.stiffness[:, vertical], body.rest[:, vertical])
 
 
 class Prony:

@@ -1,0 +1,1 @@
+"""Closed loops on any rig: what reads samples and gives commands."""

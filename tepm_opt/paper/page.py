@@ -1,0 +1,44 @@
+"""One self-contained HTML page: every published number beside ours, every figure."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from tepm_opt.data.files import write_atomically
+from tepm_opt.hw.rigfile import RigFile
+from tepm_opt.paper.result import Result
+
+
+def sizes(rig: RigFile) -> list[tuple[str, str]]:
+    """What makes the rig differ from its model, as text."""
+    found = [(f"true {name} over nominal", f"{factor:g}") for name, factor in rig.parameter_factors.items()]
+    for name, imperfection in rig.imperfections.active.items():
+        plain = type(imperfection)().model_dump()
+        found += [(f"{name}: {key}", _text(value)) for key, value in imperfection.model_dump().items() if value != plain[key]]
+    return found
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {_text(part)}" for key, part in value.items())
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def write_paper_page(path: Path, summary: Mapping[str, Any], results: Sequence[Result], figures: Mapping[str, Path], rig: RigFile) -> None:
+    """Write the page; `figures` are PNG files by the results' names, put into it.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined)
+    images = {name: base64.b64encode(file.read_bytes()).decode() for name, file in figures.items()}
+    page = environment.get_template("paper.html").render(
+        summary=summary, results=results, images=images, sizes=sizes(rig), version=version("tepm-opt")
+    )
+    write_atomically(path, page)
