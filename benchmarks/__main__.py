@@ -1,16 +1,17 @@
-"""Command line: `python -m benchmarks --limit FOLDER --json FILE --quick`."""
+"""Command line: `python -m benchmarks --limit FOLDER --reference FOLDER --json FILE --only PART --quick`."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
+import numpy as np
 import typer
 from rich.console import Console
 
-from benchmarks import gain, kinematics, statics
+from benchmarks import dynamics, gain, kinematics, statics
 from benchmarks.limit import Limit
 from benchmarks.report import print_report, write_json
 from benchmarks.scene import Scene
@@ -34,9 +35,11 @@ def _pin() -> str:
 def main(
     limit: Annotated[Path | None, typer.Option(envvar="TEPM_LIMIT", help="Folder of time_limit.py, the practical limit.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write all figures to this file, too.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="Data set to simulate; made-up runs of 177 s otherwise.")] = None,
+    only: Annotated[Literal["still", "motion"] | None, typer.Option(help="Only statics, gain and inverse kinematics, or motion.")] = None,
     quick: Annotated[bool, typer.Option(help="Fewer repetitions, without the slowest peers.")] = False,
 ) -> None:
-    """Statics, gain and inverse kinematics of robot kang2017: ours, peers, the practical limit."""
+    """Statics, gain, inverse kinematics and motion of robot kang2017: ours, peers, the practical limit."""
     progress = Console(stderr=True)
     pinned = _pin()
     rounds = 25 if quick else 100
@@ -48,19 +51,26 @@ def main(
         except InputError as error:
             raise typer.BadParameter(str(error)) from error
         practical = Limit(limit, Path(folder))
-        peers = statics.Peers.of(scene, workshop)
-        tasks: list[Task] = [
-            statics.task("warm", "Statics, warm: +1 kPa in p_11 and p_21", scene, peers, scene.bent, scene.nudged),
-            statics.task("cold", "Statics, cold: rest to 0.15 MPa in p_11 and p_21", scene, peers, scene.rest, scene.bent),
-            gain.task(scene, peers, workshop),
-            *kinematics.tasks(scene, peers, workshop),
-        ]
+        tasks: list[Task] = []
+        if only != "motion":
+            peers = statics.Peers.of(scene, workshop)
+            tasks += [
+                statics.task("warm", "Statics, warm: +1 kPa in p_11 and p_21", scene, peers, scene.bent, scene.nudged),
+                statics.task("cold", "Statics, cold: rest to 0.15 MPa in p_11 and p_21", scene, peers, scene.rest, scene.bent),
+                gain.task(scene, peers, workshop),
+                *kinematics.tasks(scene, peers, workshop),
+            ]
+        if only != "still":
+            try:
+                tasks += dynamics.tasks(scene, workshop, reference, quick)
+            except InputError as error:
+                raise typer.BadParameter(str(error)) from error
         for task in tasks:
             if not quick or task is tasks[0]:
                 progress.print("running the limit …")
                 practical.run()
             progress.print(f"timing {task.title} …")
-            measure(task, rounds, quick)
+            measure(task, rounds if np.isnan(task.simulated) else dynamics.rounds(rounds), quick)
     print_report(Console(width=max(Console().width, WIDTH)), tasks, practical, pinned, rounds)
     if json:
         write_json(json, tasks, practical, pinned)

@@ -14,7 +14,8 @@ import scipy
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import gain, kinematics, statics
+from benchmarks import dynamics, gain, kinematics, statics
+from benchmarks.dynamics_report import print_motion
 from benchmarks.limit import Limit
 from benchmarks.timing import Contender, Task
 
@@ -64,6 +65,15 @@ TARGETS = (
 )
 
 
+Goals = list[tuple[Target | dynamics.Goal, Task, float]]
+
+
+def _goals(tasks: list[Task], limit: Limit) -> Goals:
+    """The targets of the tasks that there are, with what was measured."""
+    of = {task.key: task for task in tasks}
+    return [(goal, of[goal.task], goal.measured(tasks, limit)) for goal in (*TARGETS, *dynamics.GOALS) if goal.task in of]
+
+
 def _number(value: float, form: str = ".1f") -> str:
     return "–" if np.isnan(value) else format(value, form)
 
@@ -84,7 +94,28 @@ def _verdict(met: bool | None) -> str:
 
 
 def print_report(console: Console, tasks: list[Task], limit: Limit, pinned: str, rounds: int) -> None:
-    """Print the table and the targets."""
+    """Print the tables and the targets."""
+    still = [task for task in tasks if np.isnan(task.simulated)]
+    if still:
+        _print_still(console, still, limit)
+    if len(still) < len(tasks):
+        print_motion(console, [task for task in tasks if task not in still], limit)
+    console.print(f"{pinned}; contenders take turns, {rounds} rounds ({dynamics.rounds(rounds)} of motion); over ours: over the first")
+    console.print("row in the same rounds, median of rounds.")
+    if limit.absent:
+        console.print(f"The figures of the practical limit are absent: {limit.absent}.")
+    else:
+        runs = len(limit.figures["warm"])
+        console.print(f"Limit: median of {runs} runs of time_limit.py; for G its 3 x 6 by force. It has no inverse kinematics.")
+    goals = Table(title="Targets", title_justify="left")
+    for heading in ("task", "ours should be", "measured", ""):
+        goals.add_column(heading)
+    for goal, task, figure in _goals(tasks, limit):
+        goals.add_row(task.title, goal.text, _number(figure, ".2f" if abs(figure) < 10 else ".1f"), _verdict(goal.met(figure)))
+    console.print(goals)
+
+
+def _print_still(console: Console, tasks: list[Task], limit: Limit) -> None:
     table = Table(title="Times of calls made from Python, robot kang2017", title_justify="left")
     table.add_column("task and method", no_wrap=True)
     headings = ["median, us", "10 … 90 %, us", "over ours"]
@@ -98,21 +129,7 @@ def print_report(console: Console, tasks: list[Task], limit: Limit, pinned: str,
         for contender in task.contenders:
             table.add_row(*_row(task, contender, limit), style="cyan" if contender.ours else None)
     console.print(table)
-    console.print(f"{pinned}; contenders take turns, {rounds} rounds; over ours: over the first row in the same rounds, median of rounds.")
     console.print("CasADi functions are called through buffers, the fastest way from Python, except where it says plain call.")
-    if limit.absent:
-        console.print(f"The columns of the practical limit are absent: {limit.absent}.")
-    else:
-        runs = len(limit.figures["warm"])
-        console.print(f"Limit: median of {runs} runs of time_limit.py; for G its 3 x 6 by force. It has no inverse kinematics.")
-    goals = Table(title="Targets", title_justify="left")
-    for heading in ("task", "ours should be", "measured", ""):
-        goals.add_column(heading)
-    for target in TARGETS:
-        ratio = target.measured(tasks, limit)
-        title = next(task.title for task in tasks if task.key == target.task)
-        goals.add_row(title, target.text, _number(ratio), _verdict(target.met(ratio)))
-    console.print(goals)
 
 
 def write_json(path: Path, tasks: list[Task], limit: Limit, pinned: str) -> None:
@@ -125,12 +142,18 @@ def write_json(path: Path, tasks: list[Task], limit: Limit, pinned: str) -> None
         figures = {"median": clean(one.median), "decile_1": clean(one.spread[0]), "decile_9": clean(one.spread[1])}
         return {"name": one.name, "ours": one.ours, "verdict": one.verdict, "error": clean(one.error), "calls": len(one.times), **figures}
 
-    ratios = [(target, target.measured(tasks, limit)) for target in TARGETS]
+    def whole(task: Task) -> dict[str, Any]:
+        more = {} if np.isnan(task.simulated) else {"simulated_s": task.simulated}
+        if task.key == "segments":
+            more |= dict(zip(("exponent", "exponent_of_largest_two"), map(clean, dynamics.exponents(task)), strict=True))
+        return {"key": task.key, "title": task.title, **more, "contenders": [contender(one) for one in task.contenders]}
+
     content = {
         "machine": {"processor": platform.processor() or platform.machine(), "system": platform.system(), "pinned": pinned},
         "versions": {"python": platform.python_version(), "casadi": ca.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "limit": limit.absent or {key: clean(limit.median(key)) for key in limit.figures},
-        "tasks": [{"key": t.key, "title": t.title, "contenders": [contender(one) for one in t.contenders]} for t in tasks],
-        "targets": [{"task": t.task, "target": t.text, "measured": clean(r), "met": t.met(r)} for t, r in ratios],
+        "limit_errors": limit.errors,
+        "tasks": [whole(task) for task in tasks],
+        "targets": [{"task": t.task, "target": t.text, "measured": clean(r), "met": t.met(r)} for t, _, r in _goals(tasks, limit)],
     }
     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

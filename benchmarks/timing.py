@@ -70,13 +70,18 @@ class Contender:
 
 @dataclass
 class Task:
-    """What all contenders solve; the first contender is ours, to which ratios refer."""
+    """What all contenders solve; the first contender is ours, to which ratios refer.
+
+    Attributes:
+        simulated: time in s that a call simulates; NaN where nothing moves.
+    """
 
     key: str
     title: str
     expected: np.ndarray
     contenders: list[Contender]
     tolerance: float = 1e-6
+    simulated: float = np.nan
 
     def named(self, name: str) -> Contender:
         """A contender by name."""

@@ -17,28 +17,38 @@ from tepm_opt.runs import run_gain, run_ik, run_statics
 from tepm_opt.solvers.allocation import Mode, allocate
 from tepm_opt.solvers.gain import Gain, input_curve, solve_gain, workspace_map
 from tepm_opt.solvers.kinematics import Configuration, solve_ik, solve_trajectory
-from tepm_opt.solvers.modes import poles, rk4_step_limit, state_matrix
+from tepm_opt.solvers.linear import Linear, linearise
+from tepm_opt.solvers.modes import modes, poles, rk4_step_limit, state_matrix
+from tepm_opt.solvers.reduction import balanced, modal
+from tepm_opt.solvers.simulate import Directions, Simulation, simulate
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory, circle, line, lissajous, read_trajectory
 
 __all__ = [
     "CompiledModel",
     "Configuration",
+    "Directions",
     "Equilibrium",
     "Gain",
     "InputError",
+    "Linear",
     "Mode",
     "Model",
     "Robot",
     "SetPoints",
+    "Simulation",
     "Trajectory",
     "allocate",
+    "balanced",
     "circle",
     "compile_model",
     "input_curve",
     "line",
+    "linearise",
     "lissajous",
     "load_robot",
+    "modal",
+    "modes",
     "poles",
     "read_model",
     "read_setpoints",
@@ -47,6 +57,7 @@ __all__ = [
     "run_gain",
     "run_ik",
     "run_statics",
+    "simulate",
     "solve_gain",
     "solve_ik",
     "solve_statics",

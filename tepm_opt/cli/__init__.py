@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from tepm_opt.cli import data, demo, gain, ik, play, record, robot, statics
+from tepm_opt.cli import data, demo, gain, ik, modes, paper, play, record, robot, simulate, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
 from tepm_opt.errors import InputError
 
@@ -42,7 +42,10 @@ def options(
 app.command("ik")(ik.ik)
 app.command("gain")(gain.gain)
 app.command("statics")(statics.statics)
+app.command("simulate")(simulate.simulate)
+app.command("modes")(modes.modes_command)
 app.command("demo")(demo.demo)
+app.command("paper")(paper.paper)
 app.command("record")(record.record)
 app.command("play")(play.play)
 app.add_typer(robot.app, name="robot")

@@ -57,11 +57,15 @@ class CompiledModel:
         return self.chain is not self.reference
 
     @cached_property
+    def moving(self) -> PythonMarch:
+        """Functions of the moving network, not compiled: what need not be fast."""
+        return PythonMarch(write_motion(self.model))
+
+    @cached_property
     def march(self) -> March:
         """Motion in time, compiled when first used: C if the chain is C."""
-        motion = write_motion(self.model)
-        library = ccode.build(march_unit(motion)) if self.is_c else None
-        return CompiledMarch(motion, library) if library else PythonMarch(motion)
+        library = ccode.build(march_unit(self.moving.motion)) if self.is_c else None
+        return CompiledMarch(self.moving.motion, library) if library else self.moving
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -75,8 +79,7 @@ class CompiledModel:
             InputError: wrong number of values, or not finite.
         """
         other = replace(self, theta=finite_array(theta, self.theta.shape, "theta"))
-        if "march" in self.__dict__:
-            other.__dict__["march"] = self.march
+        other.__dict__.update({name: self.__dict__[name] for name in ("moving", "march") if name in self.__dict__})
         return other
 
     @cached_property

@@ -10,7 +10,6 @@ import numpy as np
 
 from tepm_opt.models.ccode import Unit
 from tepm_opt.models.chain import Solution
-from tepm_opt.models.march import PythonMarch
 from tepm_opt.models.marching import Drive, Effort, Record, Scheme
 from tepm_opt.models.motion import Motion
 from tepm_opt.models.network import ROWS, Network
@@ -136,14 +135,14 @@ def march_unit(motion: Motion) -> Unit:
         "NIN": motion.input_states,
         "NEDGE": motion.edge_states,
     }
-    return Unit(motion.functions, sizes, {}, "march.c", lanes=("segment_motion", "segment_tangent"))
+    return Unit(motion.functions, sizes, {}, "march.c", lanes=("segment_motion", "segment_tangent", "segment_by"))
 
 
 class CompiledMarch:
     """Backend of compiled C (see `tepm_opt.models.marching.March`); thread-safe."""
 
     def __init__(self, motion: Motion, library: Path) -> None:
-        self.motion, self.reference = motion, PythonMarch(motion)
+        self.motion = motion
         loaded = ctypes.CDLL(str(library))
         self._march, self._sizes = loaded.march, (loaded.state_size(), loaded.tangent_size())
         p, i, n, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_long, ctypes.c_double

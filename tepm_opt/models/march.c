@@ -1,5 +1,5 @@
 /* Marching in time around the kernels that CasADi generates above this text in the same unit: Crouzeix's two-stage SDIRK with a
-   block-tridiagonal LU, classical RK4, forward sensitivities. march.py is the reference twin.
+   block-tridiagonal elimination, classical RK4, forward sensitivities. march.py is the reference twin.
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P (MASS the one of the mass), NU inputs, NEXT external
    force components, NTHETA parameters, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges,
@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define LD ((2 * NB + LANES - 1) / LANES * LANES) /* length of a row of a window, padded to whole vectors */
+#define PARTS ((NB + LANES - 1) / LANES)          /* vectors that hold a column of a block */
 #define NINPUT (NU + NEXT)
 #define BATCHES ((NLEV + LANES - 1) / LANES)      /* of segments that go through a kernel together */
 #define AT_LEAST_1(n) ((n) ? (n) : 1)
@@ -20,6 +20,7 @@ enum { IMPLICIT = 0, EXPLICIT = 1 };
 
 typedef double levels[NLEV + 1][NB];
 typedef vector lanes[NLEV + 2][NB];
+typedef double panel[NB][PARTS * LANES]; /* a block, column by column, padded to whole vectors */
 typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
 typedef struct { /* what is carried from sample to sample; the order is march.py's */
@@ -42,14 +43,14 @@ typedef struct {
   levels x, v, force;
   double y[NLEV][AT_LEAST_1(NEDGE)], rate[NLEV][AT_LEAST_1(NEDGE)]; /* edge states before a stage, their rates at its end */
   double P[NLEV][NPROP], level_0[NB], a[NU], external[NEXT];
-  double window[NLEV + 1][2 * NB][LD]; /* matrix, then U: rows of level l and l + 1 by columns of both */
-  double lower[NLEV + 1][NB][LD], inverse[NLEV + 1][NB], step[NLEV + 2][NB];
-  vector packed_P[BATCHES][NPROP], packed_theta[NTHETA];
-  double block[4 * NB * NB], by_state[NLEV][segment_by_nnz], by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
+  panel diagonal[NLEV + 1], below[NLEV + 1], above[NLEV + 1]; /* blocks of rows l by columns l, l - 1; rows l - 1 by columns l */
+  double step[NLEV + 2][NB];
+  vector packed_P[BATCHES][NPROP], packed_theta[NTHETA], by_state[BATCHES][segment_by_nnz]; /* a segment is a lane of a batch */
+  double block[4 * NB * NB], by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
   double kernel_work[SZ_W + 1];
   casadi_int kernel_iwork[SZ_IW + 1];
   const double *theta;
-  int factored;
+  int factored, velocities[2]; /* entries of segment_by that belong to velocities */
 } work;
 
 typedef struct { /* inputs over time */
@@ -141,35 +142,119 @@ static void set_properties(marcher *m, work *w, const double *a, double t) {
     for (int k = 0; k < NPROP; k++) w->packed_P[s / LANES][k][s % LANES] = w->P[s < NLEV ? s : NLEV - 1][k];
 }
 
-/* Add a segment's matrix, row by row, to the windows. */
+/* Add a segment's matrix, (lower, upper level)² column by column, to the blocks. */
 static void scatter(work *w, int s, const double *block) {
-  for (int r = 0; r < NB; r++) {
-    const double *lower = block + r * 2 * NB, *upper = block + (NB + r) * 2 * NB;
-    double *row = w->window[s][r], *next = w->window[s][NB + r], *own = w->window[s + 1][r];
-    if (s)
-      for (int c = 0; c < NB; c++) { row[c] += lower[c]; row[NB + c] = lower[NB + c]; next[c] = upper[c]; }
-    for (int c = 0; c < NB; c++) own[c] = upper[NB + c];
-    memset(own + NB, 0, (LD - NB) * sizeof(double));
-    if (s) memset(next + NB, 0, (LD - NB) * sizeof(double));
+  for (int c = 0; c < NB; c++) {
+    const double *lower = block + c * 2 * NB, *upper = block + (NB + c) * 2 * NB;
+    for (int r = 0; r < NB; r++) {
+      w->diagonal[s][c][r] += lower[r];
+      w->below[s + 1][c][r] = lower[NB + r];
+      w->above[s + 1][c][r] = upper[r];
+      w->diagonal[s + 1][c][r] = upper[NB + r];
+    }
   }
 }
 
-/* Forces of all segments at w->x, w->v (w->force), rates of the edge states and, with `step`, the stages' matrices in the windows. */
-static void forces(work *w, double step, int with_tangent) {
-  vector time = (vector){0} + step;
-  memset(w->force, 0, sizeof w->force);
-  for (int batch = 0; batch < BATCHES; batch++) {
-    vector x[2][NB], v[2][NB], y[AT_LEAST_1(NEDGE)], force[2 * NB], rate[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB];
-    int first = batch * LANES, count = NLEV - first < LANES ? NLEV - first : LANES;
-    for (int lane = 0; lane < LANES; lane++) { /* spare lanes repeat the last segment */
-      int s = lane < count ? first + lane : NLEV - 1;
-      for (int i = 0; i < NB; i++) {
-        x[0][i][lane] = w->x[s][i]; x[1][i][lane] = w->x[s + 1][i];
-        v[0][i][lane] = w->v[s][i]; v[1][i][lane] = w->v[s + 1][i];
-      }
-      for (int k = 0; k < NEDGE; k++) y[k][lane] = w->y[s][k];
+/* Inverse of a block in place by Gauss-Jordan without pivoting (matrices here are positive definite up to the small asymmetry of
+   damping on turning edges). Returns 1 where a pivot is 0 or not a number. */
+static int invert(panel a) {
+#pragma GCC unroll 12
+  for (int p = 0; p < NB; p++) {
+    vector column[PARTS];
+    if (!(fabs(a[p][p]) > 0)) return 1;
+    double inverse = 1 / a[p][p];
+    a[p][p] = 0;
+    memcpy(column, a[p], sizeof column);
+    for (int c = 0; c < NB; c++) {
+      if (c == p) continue;
+      double scale = a[c][p] * inverse;
+      for (int v = 0; v < PARTS; v++) ((vector *)a[c])[v] -= scale * column[v];
+      a[c][p] = scale;
     }
-    const vector *arg[] = {x[0], x[1], v[0], v[1], y, &time, w->packed_P[batch], w->packed_theta};
+    for (int v = 0; v < PARTS; v++) ((vector *)a[p])[v] = -inverse * column[v];
+    a[p][p] = inverse;
+  }
+  return 0;
+}
+
+/* Block elimination in place: `diagonal` becomes the inverses of the pivot blocks, `below` is multiplied by the one before. */
+static int factor(work *w) {
+  for (int l = 1; l <= NLEV; l++) {
+    if (l > 1) {
+      panel product;
+      for (int c = 0; c < NB; c++) {
+        vector sum[PARTS] = {{0}};
+        for (int k = 0; k < NB; k++)
+          for (int v = 0; v < PARTS; v++) sum[v] += ((vector *)w->below[l][k])[v] * w->diagonal[l - 1][c][k];
+        memcpy(product[c], sum, sizeof sum);
+      }
+      for (int c = 0; c < NB; c++)
+        for (int k = 0; k < NB; k++)
+          for (int v = 0; v < PARTS; v++) ((vector *)w->diagonal[l][c])[v] -= ((vector *)product[k])[v] * w->above[l][c][k];
+      memcpy(w->below[l], product, sizeof product);
+    }
+    if (invert(w->diagonal[l])) return 1;
+  }
+  w->factored = 1;
+  return 0;
+}
+
+/* sum = start + sign * (block times x) */
+static void multiply(panel a, const double *x, double sign, const double *start, double *sum) {
+  vector total[PARTS] = {{0}};
+  memcpy(total, start, NB * sizeof(double));
+  for (int c = 0; c < NB; c++)
+    for (int v = 0; v < PARTS; v++) total[v] += ((vector *)a[c])[v] * (sign * x[c]);
+  memcpy(sum, total, NB * sizeof(double));
+}
+
+static void multiply_lanes(panel a, const vector *x, double sign, const vector *start, vector *sum) {
+  vector total[NB];
+  memcpy(total, start, sizeof total);
+  for (int c = 0; c < NB; c++) {
+    vector scaled = sign * x[c];
+    for (int r = 0; r < NB; r++) total[r] += a[c][r] * scaled;
+  }
+  memcpy(sum, total, sizeof total);
+}
+
+/* Solve with the factor, in place; b has the levels 0 (left alone) … NLEV. */
+#define SOLVE(name, type, multiply)                                                        \
+  static void name(work *w, type (*b)[NB]) {                                               \
+    static const type zero[NB];                                                            \
+    for (int l = 2; l <= NLEV; l++) multiply(w->below[l], b[l - 1], -1, b[l], b[l]);       \
+    for (int l = NLEV; l >= 1; l--) {                                                      \
+      if (l < NLEV) multiply(w->above[l + 1], b[l + 1], -1, b[l], b[l]);                   \
+      multiply(w->diagonal[l], b[l], 1, zero, b[l]);                                       \
+    }                                                                                      \
+  }
+SOLVE(solve, double, multiply)
+SOLVE(solve_lanes, vector, multiply_lanes)
+
+typedef struct { vector x[2][NB], v[2][NB], y[AT_LEAST_1(NEDGE)]; } batch; /* LANES segments side by side */
+
+/* Gathers a batch and returns how many of its lanes are segments of their own: spare ones repeat the last. */
+static int gather(const work *w, int first, batch *b) {
+  int count = NLEV - first < LANES ? NLEV - first : LANES;
+  for (int lane = 0; lane < LANES; lane++) {
+    int s = lane < count ? first + lane : NLEV - 1;
+    for (int i = 0; i < NB; i++) {
+      b->x[0][i][lane] = w->x[s][i]; b->x[1][i][lane] = w->x[s + 1][i];
+      b->v[0][i][lane] = w->v[s][i]; b->v[1][i][lane] = w->v[s + 1][i];
+    }
+    for (int k = 0; k < NEDGE; k++) b->y[k][lane] = w->y[s][k];
+  }
+  return count;
+}
+
+/* Forces of all segments at w->x, w->v (w->force), rates of the edge states and, with `with_tangent`, the stage's matrix in the blocks. */
+static void forces(work *w, double step, int with_tangent) {
+  vector time = (vector){0} + step, force[2 * NB], rate[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB];
+  memset(w->force, 0, sizeof w->force);
+  for (int first = 0; first < NLEV; first += LANES) {
+    batch b;
+    int count = gather(w, first, &b);
+    const vector *arg[] = {b.x[0], b.x[1], b.v[0], b.v[1], b.y, &time, w->packed_P[first / LANES], w->packed_theta};
     vector *res[] = {force, rate, matrix};
     if (with_tangent) segment_tangent_lanes(arg, res);
     else segment_motion_lanes(arg, res);
@@ -184,51 +269,6 @@ static void forces(work *w, double step, int with_tangent) {
     }
   }
 }
-
-/* L U of the windows in place, without pivoting: U's rows stay, L's columns and the inverse pivots are kept beside them (what is left
-   of the pivots in a row is rounding noise and never read). Returns 1 where a pivot is 0 or not a number. */
-static int factor(work *w) {
-  for (int l = 1; l <= NLEV; l++) {
-    vector (*a)[LD / LANES] = (void *)w->window[l];
-    double (*row)[LD] = w->window[l];
-#pragma GCC unroll 12
-    for (int j = 0; j < NB; j++) {
-      if (!(fabs(row[j][j]) > 0)) return 1;
-      double inverse = w->inverse[l][j] = 1 / row[j][j];
-      for (int r = j + 1; r < 2 * NB; r++) {
-        double scale = w->lower[l][j][r] = row[r][j] * inverse;
-#pragma GCC unroll 12
-        for (int v = j / LANES; v < LD / LANES; v++) a[r][v] -= scale * a[j][v];
-      }
-    }
-    if (l < NLEV)
-      for (int r = 0; r < NB; r++) for (int c = 0; c < NB; c++) w->window[l + 1][r][c] += row[NB + r][NB + c];
-  }
-  w->factored = 1;
-  return 0;
-}
-
-/* Solve with the factor, in place; b has levels 1 … NLEV and one spare. */
-#define SOLVE(name, type)                                                             \
-  static void name(work *w, type (*b)[NB]) {                                          \
-    memset(b[NLEV + 1], 0, sizeof b[0]);                                              \
-    for (int l = 1; l <= NLEV; l++) {                                                 \
-      type *t = b[l]; /* this level and the next */                                   \
-      for (int j = 0; j < NB; j++)                                                    \
-        for (int r = j + 1; r < 2 * NB; r++) t[r] -= w->lower[l][j][r] * t[j];        \
-    }                                                                                 \
-    memset(b[NLEV + 1], 0, sizeof b[0]);                                              \
-    for (int l = NLEV; l >= 1; l--) {                                                 \
-      type *t = b[l];                                                                 \
-      for (int j = NB - 1; j >= 0; j--) {                                             \
-        type sum = t[j];                                                              \
-        for (int c = j + 1; c < 2 * NB; c++) sum -= w->window[l][j][c] * t[c];        \
-        t[j] = sum * w->inverse[l][j];                                                \
-      }                                                                               \
-    }                                                                                 \
-  }
-SOLVE(solve, double)
-SOLVE(solve_lanes, vector)
 
 /* Forces, and the factored tangent M / step^2 + d force / d positions of a stage. */
 static int assemble(marcher *m, work *w, double step) {
@@ -290,19 +330,25 @@ static void properties_along(marcher *m, work *w, double t, const vector *a, int
   for (int k = 0; k < properties_by_nnz; k++) P_level_0[properties_by_row[k]] += w->by_properties[k] * in[properties_by_col[k]];
 }
 
+static inline double entry(const work *w, int s, int k) { return w->by_state[s / LANES][k][s % LANES]; }
+
 /* Jacobians of a stage: segments (and, if `resting`, the factored stiffness of the network at rest), properties. */
 static int linearise(work *w, double step, const double *a, int resting) {
   const double *arg_P[] = {a, w->external, w->theta};
   double *res_P[] = {w->by_properties};
   run(properties_by, w, arg_P, res_P);
-  for (int s = 0; s < NLEV; s++) {
-    const double *arg[] = {w->x[s], w->x[s + 1], w->v[s], w->v[s + 1], w->y[s], &step, w->P[s], w->theta};
-    double *res[] = {w->by_state[s]};
-    run(segment_by, w, arg, res);
-    if (!resting) continue;
+  vector time = (vector){0} + step;
+  for (int first = 0; first < NLEV; first += LANES) {
+    batch b;
+    gather(w, first, &b);
+    const vector *arg[] = {b.x[0], b.x[1], b.v[0], b.v[1], b.y, &time, w->packed_P[first / LANES], w->packed_theta};
+    vector *res[] = {w->by_state[first / LANES]};
+    segment_by_lanes(arg, res);
+  }
+  for (int s = 0; s < NLEV && resting; s++) {
     memset(w->block, 0, sizeof w->block);
     for (int k = 0; k < segment_by_nnz; k++)
-      if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) w->block[segment_by_row[k] * 2 * NB + segment_by_col[k]] = w->by_state[s][k];
+      if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) w->block[segment_by_col[k] * 2 * NB + segment_by_row[k]] = entry(w, s, k);
     scatter(w, s, w->block);
   }
   return resting ? factor(w) : 0;
@@ -319,11 +365,11 @@ static void differentiate(marcher *m, work *w, int group, double t, double step,
     vector out[2 * NB + NEDGE];
     memset(out, 0, sizeof out);
     memcpy(in[s], d->x[s], 2 * NB * sizeof(vector));
-    memset(in[s] + AT_V, 0, 2 * NB * sizeof(vector));
     memcpy(in[s] + AT_Y, d->y[s], NEDGE * sizeof(vector));
     memcpy(in[s] + AT_P, P + s * NPROP, NPROP * sizeof(vector));
     memcpy(in[s] + AT_THETA, m->inputs->d_theta + group * NTHETA, NTHETA * sizeof(vector));
-    for (int k = 0; k < segment_by_nnz; k++) out[segment_by_row[k]] += w->by_state[s][k] * in[s][segment_by_col[k]];
+    for (int k = 0; k < w->velocities[0]; k++) out[segment_by_row[k]] += entry(w, s, k) * in[s][segment_by_col[k]];
+    for (int k = w->velocities[1]; k < segment_by_nnz; k++) out[segment_by_row[k]] += entry(w, s, k) * in[s][segment_by_col[k]];
     for (int i = 0; i < NB; i++) { rhs[s][i] -= out[i]; rhs[s + 1][i] -= out[NB + i]; }
     if (step > 0)
       for (int i = 0; i < NB; i++)
@@ -343,7 +389,7 @@ static void differentiate(marcher *m, work *w, int group, double t, double step,
     memcpy(in[s], d->x[s], 2 * NB * sizeof(vector));
     memcpy(in[s] + AT_V, rhs[s], 2 * NB * sizeof(vector));
     for (int k = 0; k < segment_by_nnz; k++)
-      if (segment_by_row[k] >= 2 * NB) out[segment_by_row[k]] += w->by_state[s][k] * in[s][segment_by_col[k]];
+      if (segment_by_row[k] >= 2 * NB) out[segment_by_row[k]] += entry(w, s, k) * in[s][segment_by_col[k]];
     memcpy(d->y[s], out + 2 * NB, NEDGE * sizeof(vector));
   }
   memcpy(d->x[1], rhs[1], NLEV * sizeof rhs[0]); /* rates: velocity, acceleration, dy/dt */
@@ -531,6 +577,9 @@ int march(int scheme, int hold, long first, long last, long samples, const doubl
   if (!w) return STUCK;
   memset(w, 0, sizeof *w);
   w->theta = theta;
+  while (w->velocities[0] < segment_by_nnz && segment_by_col[w->velocities[0]] < AT_V) w->velocities[0]++;
+  w->velocities[1] = w->velocities[0];
+  while (w->velocities[1] < segment_by_nnz && segment_by_col[w->velocities[1]] < AT_Y) w->velocities[1]++;
   for (int k = 0; k < NTHETA; k++) w->packed_theta[k] = (vector){0} + theta[k];
   state *s = (state *)carried;
   history inputs = {.time = time, .rows = rows, .d_rows = (const vector *)d_rows, .samples = samples, .hold = hold, .groups = groups,

@@ -58,7 +58,7 @@ class PythonMarch:
     """Reference backend."""
 
     def __init__(self, motion: Motion) -> None:
-        self.motion, self.reference = motion, self
+        self.motion = motion
         layout = motion.layout
         self.n, self.block = layout.levels, layout.block
         self.mass_row = motion.functions["properties"].size1_out(0) - 1
@@ -214,8 +214,9 @@ class _Run:
         return splu(total.tocsc())
 
     def tangent(self, x: np.ndarray, v: np.ndarray, y: np.ndarray, step: float) -> Any:
-        transposed = np.array(self._segments("segment_tangent", x, v, y, step)[2])
-        return self._factor(transposed.T.reshape(self.of.n, 2 * self.of.block, 2 * self.of.block), self.mass / step**2)
+        columns = np.array(self._segments("segment_tangent", x, v, y, step)[2]).T
+        blocks = columns.reshape(self.of.n, 2 * self.of.block, 2 * self.of.block).swapaxes(1, 2)
+        return self._factor(blocks, self.mass / step**2)
 
     def newton(
         self, x: np.ndarray, x_0: np.ndarray, v_0: np.ndarray, y: np.ndarray, step: float, factor: Any, last_try: bool

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from tepm_opt.models.motion import Motion
-
-if TYPE_CHECKING:
-    from tepm_opt.models.march import PythonMarch
 
 DONE, DIVERGED, STUCK = range(3)
 IMPLICIT, EXPLICIT = range(2)
@@ -90,7 +87,6 @@ class March(Protocol):
     """What a backend offers."""
 
     motion: Motion
-    reference: PythonMarch
 
     def start(self, x: np.ndarray, directions: int) -> Any:
         """State at rest in an equilibrium x, (n + 1, block)."""

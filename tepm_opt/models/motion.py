@@ -45,7 +45,7 @@ def write_motion(model: Model) -> Motion:
         input_motion_by (u, du/dt, y, theta);
         properties(a, external, theta) → P, level 0;  properties_by (a, external, theta);
         segment_motion(lower, upper, their velocities, y, step, P_j, theta) → force, dy/dt;
-        segment_tangent(…) → force, dy/dt, transposed d force / d positions where the velocities are positions over `step`;
+        segment_tangent(…) → force, dy/dt, d force / d positions where the velocities are positions over `step`;
         segment_by (lower, upper, their velocities, y, P_j, theta);
         observe(x, theta) → points in G, lengths;  observe_by (x, theta).
 
@@ -153,7 +153,7 @@ def _segment_motion(writer: Writer) -> dict[str, ca.Function]:
     by = [s.lower, s.upper, *velocity, y, s.column, writer.theta]
     return {
         "segment_motion": function("segment_motion", arguments, [force, change]),
-        "segment_tangent": function("segment_tangent", arguments, [force, change, tangent.T]),
+        "segment_tangent": function("segment_tangent", arguments, [force, change, tangent]),
         "segment_by": _jacobian("segment_by", arguments, [force, change], by),
     }
 

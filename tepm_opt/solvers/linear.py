@@ -178,12 +178,12 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
     memory, forces = len(F), by_force.shape[1]
     B = np.block([[by_actuation @ (M + N @ E), by_force], [F @ E, np.zeros((memory, forces))]])
     A = np.block([[A, by_actuation @ N], [np.zeros((memory, len(A))), F]])
-    observed = model.march.reference.jacobian("observe_by", equilibrium.x.ravel(), model.theta)
-    size, edges = layout.levels * layout.block, layout.levels * model.march.motion.edge_states
+    observed = model.moving.jacobian("observe_by", equilibrium.x.ravel(), model.theta)
+    size, edges = layout.levels * layout.block, layout.levels * model.moving.motion.edge_states
     C = np.zeros((len(observed), len(A)))
     C[:, :size] = observed[:, layout.block : layout.block + size]
     inputs, outputs = _names(layout)
-    delay = 0.0 if equilibrium.mapped else float(model.march.reference.value("delay", model.theta).item())
+    delay = 0.0 if equilibrium.mapped else float(model.moving.value("delay", model.theta).item())
     return Linear(
         A=A, B=B, C=C, D=np.zeros((len(C), B.shape[1])), inputs=inputs, outputs=outputs, delay=delay,
         ranges=np.append(model.input_max, np.full(forces, FORCE_RANGE)), equilibrium=equilibrium,
@@ -193,7 +193,7 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
 
 def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A of levels, velocities and edge states, and what the effective actuation and the forces on the points add to d/dt s."""
-    model, march, layout = equilibrium.model, equilibrium.model.march.reference, equilibrium.model.layout
+    model, march, layout = equilibrium.model, equilibrium.model.moving, equilibrium.model.layout
     n, block, edges, size = layout.levels, layout.block, march.motion.edge_states, layout.levels * layout.block
     loads, outer = equilibrium.loads, layout.inputs + 3 * layout.points
     a, P = model.reference.prepare(equilibrium.inputs, equilibrium.mapped, loads.ravel(), model.theta)[:2]
@@ -219,7 +219,7 @@ def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 def _inputs(equilibrium: Equilibrium, actuators: bool, rising: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """F, E, N, M of the inputs' internal states y and the effective actuation a: dy/dt = F y + E du/dt, a = M u + N y."""
-    model, march, count = equilibrium.model, equilibrium.model.march.reference, equilibrium.model.layout.inputs
+    model, march, count = equilibrium.model, equilibrium.model.moving, equilibrium.model.layout.inputs
     if equilibrium.mapped:
         return np.zeros((0, 0)), np.zeros((0, count)), np.zeros((count, 0)), np.eye(count)
     memory, rate = march.motion.input_states, RISING * rising * model.input_max

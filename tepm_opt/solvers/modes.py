@@ -12,7 +12,7 @@ from tepm_opt.solvers.linear import Linear, leading
 from tepm_opt.solvers.statics import Equilibrium
 
 SAME = 1e-6  # relative: eigenvalues nearer to each other belong together
-STILL = 1e-9  # relative: displacements below it are rounding errors
+STILL = 1e-9  # relative: displacements and frequencies below it are rounding errors
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 
 
@@ -144,6 +144,9 @@ def modes(linear: Linear) -> tuple[Mode, ...]:
     """
     moving = linear.moving()
     values, vectors = np.linalg.eig(moving.A)
+    for k in np.flatnonzero((np.imag(values) > 0) & (np.imag(values) < STILL * np.abs(values))):  # one real eigenvalue, twice
+        values[k : k + 2] = np.real(values[k])
+        vectors[:, k : k + 2] = np.stack([np.real(vectors[:, k]), np.imag(vectors[:, k])], axis=1)
     order = [int(k) for k in np.argsort(np.abs(values), kind="stable") if np.imag(values[k]) >= 0]
     groups: list[list[int]] = []
     for k in order:
@@ -168,8 +171,7 @@ def _shaped(linear: Linear, vectors: np.ndarray) -> np.ndarray:
         vectors = vectors @ np.linalg.lstsq(x, part @ turned, rcond=None)[0]
     elif count > 1 and len(y) and _independent(y):
         vectors = vectors @ np.linalg.inv(y[np.sort(leading(y.T, count))])  # an internal state each
-    phase = np.exp(-0.5j * np.angle(np.sum(vectors[:size] ** 2, axis=0)))
-    vectors = vectors * phase
+    vectors = vectors * np.exp(-0.5j * np.angle(np.sum(vectors[:size] ** 2, axis=0)))
     x = np.real(vectors[:size])
     farthest = np.linalg.norm(x.reshape(-1, 3, count), axis=1).max(axis=0)
     most = x[np.argmax(np.abs(x).round(9), axis=0), np.arange(count)]

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy.interpolate import PchipInterpolator
 
 from tepm_opt.data.files import atomic_path
 from tepm_opt.runs import GainRun, IkRun, StaticsRun
+from tepm_opt.solvers.backbone import backbone
 from tepm_opt.solvers.gain import Curve, Map
 from tepm_opt.solvers.kinematics import Mode
 from tepm_opt.solvers.statics import Equilibrium
@@ -34,12 +34,9 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", metadata={"Software": None})
 
 
-def backbone(at: Equilibrium, count: int = 41) -> np.ndarray:
-    """Backbone in G through the base's centre and the reference points by PCHIP over their rest heights, (count, 3) in m."""
-    base = np.array(at.model.robot.mount.base_position_m)
-    knots = np.vstack([base, at.points])
-    heights = np.arange(len(knots))
-    return PchipInterpolator(heights, knots)(np.linspace(0, heights[-1], count))
+def _backbone(at: Equilibrium) -> np.ndarray:
+    """Backbone in G in mm, (points on it, 3)."""
+    return 1e3 * backbone(np.array(at.model.robot.mount.base_position_m), at.points)
 
 
 def ik_figure(run: IkRun) -> Figure:
@@ -73,7 +70,7 @@ def _robot_axes(axes: Axes, run: IkRun) -> None:
     closed = np.vstack([targets, targets[:1]]) if run.trajectory.closed else targets
     axes.plot(*closed.T, color=TARGET, linewidth=1, label="targets")
     every = max(1, len(targets) // 8)
-    curves = [1e3 * backbone(at) for at in run.reached if at.solved]
+    curves = [_backbone(at) for at in run.reached if at.solved]
     for curve in curves[::every]:
         axes.plot(*curve.T, color=PRESSURE, alpha=0.5, linewidth=1.6)
     good = np.array([c.solved for c in run.configurations], dtype=bool)
@@ -213,7 +210,7 @@ def statics_figure(run: StaticsRun) -> Figure:
     for axes, across, name in zip(panels, (0, 1), ("x", "y"), strict=True):
         for k, at in enumerate(solved):
             color = f"C{k}" if len(solved) <= 10 else PRESSURE
-            curve, points = 1e3 * backbone(at), 1e3 * at.points
+            curve, points = _backbone(at), 1e3 * at.points
             label = f"row {run.equilibria.index(at) + 1}"
             axes.plot(curve[:, across], curve[:, 2], color=color, linewidth=1.5, alpha=1.0 if len(solved) <= 10 else 0.4, label=label)
             axes.plot(points[:, across], points[:, 2], "o", color=color, markersize=3)

@@ -1,0 +1,155 @@
+"""`tepm simulate`: the motion under a file's inputs, as tables, figures and a film."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from tepm_opt import plots
+from tepm_opt.cli.common import INTERRUPTED, JsonOption, ModelOption, RobotOption, load, report, stderr
+from tepm_opt.data.files import output_folder
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.plots import film as film_maker
+from tepm_opt.plots import motion
+from tepm_opt.simulations import LENGTHS, TRAJECTORY, SimulateRun, read_task, run_simulation
+from tepm_opt.solvers.simulate import METHODS, Directions, Method
+
+SHORTEST, LONGEST = 0.02, 1000.0  # ms; a step that was meant in s is below
+
+
+def sensitivities(names: str | None, model: CompiledModel, method: str) -> Directions | None:
+    """Directions of --sensitivities: parameters by full name and inputs ("pressure_11").
+
+    Raises:
+        InputError: an unknown name, or a method that has no sensitivities.
+    """
+    if names is None:
+        return None
+    if method != "implicit":
+        raise InputError(f"--sensitivities needs --method implicit; found: {method}")
+    wanted = list(dict.fromkeys(name.strip() for name in names.split(",")))
+    inputs = [name for name in wanted if name.startswith(("pressure_", "tension_")) and name not in model.values]
+    return Directions.of(model, [name for name in wanted if name not in inputs], inputs)
+
+
+@contextmanager
+def folder_for(out: Path) -> Iterator[Path]:
+    """The output folder; if it is new and stays empty (wrong input, interrupted at once) it goes again."""
+    new = [path for path in (out, *out.parents) if not path.exists()]
+    try:
+        yield output_folder(out)
+    finally:
+        for path in new:
+            with suppress(OSError):  # it holds something
+                path.rmdir()
+
+
+@contextmanager
+def bar(label: str, quiet: bool) -> Iterator[Callable[[float], None]]:
+    """A bar with the time left on the error stream, moved by the part done."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as progress:
+        task = progress.add_task(label, total=1.0)
+        yield lambda part: progress.update(task, completed=part)
+
+
+def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[str]:
+    """What a run says to people."""
+    told = run.summary()
+    where = f", files in {escape(str(out))}" if told["simulated"] else ", nothing to keep"
+    speed = f", {told['reached_s'] / took:.3g} times as fast as real time" if told["reached_s"] and took > 0 else ""
+    text = [f"[bold]{told['reached_s']:.4g} of {told['duration_s']:.4g} s[/] simulated{speed}{where}"]
+    text.append(
+        f"{told['method']}: {told['steps']} steps of at most {1e3 * told['step_s']:.4g} ms, {told['halvings']} of them halved"
+        + (f", {told['iterations']} Newton iterations" if told["method"] == "implicit" else "")
+    )
+    if measured := told.get("measured"):
+        points = ", ".join(f"{name} {1e3 * value:.3g}" for name, value in measured["point_error_rms_m"].items() if value is not None)
+        text.append(
+            f"against the measured points, Eq. (5): [bold]{1e3 * measured['error_rms_m']:.3g} mm[/] RMS, "
+            f"{1e3 * measured['largest_error_m']:.3g} mm at most; by point in mm: {points}"
+        )
+    for name, change in told.get("largest_tip_change_by_1_percent_m", {}).items():
+        text.append(f"{escape(name)}: 1 % (of an input: of its range) moves the tip by up to {1e3 * change:.3g} mm")
+    if run.hold:
+        text.append(f"in {TRAJECTORY} inputs hold until the next row; read as a run of a data set they would change linearly")
+    if film is not None:
+        text.append(f"film: {escape(str(film))}")
+    return text + (["[yellow]interrupted: what was finished is kept[/]"] if run.interrupted else [])
+
+
+def simulate(
+    inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Set-point file, or a run of a data set to compare with.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("simulate"),
+    method: Annotated[str, typer.Option("--method", help="implicit, or rk4 (the paper's).")] = "implicit",
+    step: Annotated[float | None, typer.Option("--step", metavar="MS", help="Longest step in ms.", show_default="10; safe for rk4")] = None,
+    hold: Annotated[bool, typer.Option("--hold", help="A row holds until the next one, instead of changing linearly.")] = False,
+    by: Annotated[
+        str | None, typer.Option("--sensitivities", metavar="NAMES", help="Parameters or inputs, by commas: K_a,c_a,pressure_11.")
+    ] = None,
+    film: Annotated[
+        str | None, typer.Option("--animation", help="mp4, gif or none.", show_default="mp4 where ffmpeg is found, else gif")
+    ] = None,
+    robot: RobotOption = None,
+    model: ModelOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Simulate the motion under a file's inputs: trajectory (a run of a data set), lengths, figures, film."""
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
+    if step is not None and not SHORTEST <= step <= LONGEST:
+        raise InputError(f"--step {step:g}; valid: {SHORTEST:g} … {LONGEST:g} ms")
+    kind = film_maker.choose(film)
+    chosen: Method = "rk4" if method == "rk4" else "implicit"
+    compiled = load(robot, model)
+    directions = sensitivities(by, compiled, chosen)
+    task = read_task(inputs, compiled)
+    if hold and task.measured is not None:
+        raise InputError(f"--hold: {inputs} has measured points, and inputs of recorded runs change linearly between samples")
+    if inputs.resolve() in {(out / name).resolve() for name in (TRAJECTORY, LENGTHS)}:
+        raise InputError(f"--out {out}: {inputs} would be overwritten; name another folder")
+    with stderr.status("compiling the motion"):
+        _ = compiled.march  # here, so that it does not count as simulating
+    kept = "nothing was finished"
+    try:
+        with folder_for(out) as folder:
+            began = time.perf_counter()
+            with bar("simulation", as_json) as progress:
+                seconds = None if step is None else 1e-3 * step
+                run = run_simulation(compiled, task, chosen, seconds, hold, directions, progress)
+            took = time.perf_counter() - began
+            run.save(folder)
+            kept = f"the tables are in {out}"
+            made, whole = _draw(run, folder, kind, as_json)
+    except KeyboardInterrupt:
+        stderr.print(f"interrupted: {escape(kept)}", style="yellow", soft_wrap=True, highlight=False)
+        return INTERRUPTED
+    if run.failure:
+        stderr.print(f"[bold red]error:[/] {escape(run.failure)}; kept until then", soft_wrap=True, highlight=False)
+    status = report(run.summary(), lines(run, out, took, made), as_json, run.ok)
+    if whole:
+        return status
+    stderr.print("interrupted: the film ends early", style="yellow")
+    return INTERRUPTED
+
+
+def _draw(run: SimulateRun, folder: Path, kind: film_maker.Kind, quiet: bool) -> tuple[Path | None, bool]:
+    """Figures and film into the folder; the film's path, and whether it was not interrupted. An earlier film goes."""
+    if not len(run.places):
+        return None, True
+    plots.save(motion.tip_figure(run), folder / "tip.png")
+    plots.save(motion.lengths_figure(run), folder / "actuator_lengths.png")
+    for name in film_maker.NAMES.values():
+        (folder / name).unlink(missing_ok=True)
+    if kind == "none" or run.interrupted:
+        return None, True
+    with bar("film", quiet) as progress:
+        return film_maker.save(run.simulation, folder, kind, progress)
