@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 from rich.markup import escape
+from threadpoolctl import threadpool_limits
 
 from tepm_opt.cli import data, demo, gain, ik, modes, paper, play, record, robot, simulate, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
@@ -58,9 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Exit status of the command line with these arguments."""
+    """Exit status of the command line with these arguments.
+
+    Linear algebra runs on one thread: threads that share matrices of this size wait for each other, badly so on a busy machine.
+    """
     try:
-        return int(app(arguments, prog_name="tepm", standalone_mode=False) or 0)
+        with threadpool_limits(1, "blas"):
+            return int(app(arguments, prog_name="tepm", standalone_mode=False) or 0)
     except InputError as error:
         return _explain(str(error))
     except (KeyboardInterrupt, typer.Abort):
