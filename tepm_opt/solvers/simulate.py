@@ -194,7 +194,7 @@ def _stable_step(model: CompiledModel, setpoints: SetPoints, drive: Drive, step:
         InputError: it is above the stable one.
     """
     fullest = np.argmax((setpoints.inputs / model.input_max).sum(axis=1))
-    rows = np.unique([0, fullest, len(drive.time) - 1])
+    rows = sorted({0, int(fullest), len(drive.time) - 1})
     equilibria = [_start(model, setpoints, int(row), drive, strict=row == 0) for row in rows]
     limit = min(stable_step(found) for found in equilibria if found.solved)
     if step is not None and step > limit:
