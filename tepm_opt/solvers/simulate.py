@@ -188,13 +188,13 @@ def stable_step(equilibrium: Equilibrium) -> float:
 
 
 def _stable_step(model: CompiledModel, setpoints: SetPoints, drive: Drive, step: float | None) -> float:
-    """RK4's step: the one given, or a safe one, from the equilibria under the first, the fullest and the last row.
+    """RK4's step: the one given, or a safe one, from the equilibria under the first row and under the one with most pressure.
 
     Raises:
         InputError: it is above the stable one.
     """
-    fullest = np.argmax((setpoints.inputs / model.input_max).sum(axis=1))
-    rows = sorted({0, int(fullest), len(drive.time) - 1})
+    fullest = np.argmax(setpoints.inputs[:, : model.layout.inputs // 2].sum(axis=1))
+    rows = sorted({0, int(fullest)})
     equilibria = [_start(model, setpoints, int(row), drive, strict=row == 0) for row in rows]
     limit = min(stable_step(found) for found in equilibria if found.solved)
     if step is not None and step > limit:
