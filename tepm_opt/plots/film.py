@@ -10,7 +10,7 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Literal
+from typing import IO, Literal, cast
 
 import numpy as np
 from matplotlib.colors import to_rgb
@@ -134,9 +134,9 @@ def _save_mp4(pictures: Iterable[np.ndarray], path: Path) -> None:
     except OSError as error:
         raise InputError(f"ffmpeg cannot be started: {error.strerror}; --animation gif needs none") from error
     try:
-        assert process.stdin is not None
+        pipe = cast("IO[bytes]", process.stdin)  # it was asked for above
         for picture in pictures:
-            process.stdin.write(picture.tobytes())
+            pipe.write(picture.tobytes())
     except BrokenPipeError:
         pass  # it says why below
     except BaseException:

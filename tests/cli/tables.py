@@ -1,4 +1,4 @@
-"""Reading what the commands write, without the package's own reader, and the columns SPEC and issue 2 name."""
+"""Reading what the commands write, without the package's own reader, and the columns the file formats name."""
 
 from __future__ import annotations
 
