@@ -1,18 +1,43 @@
 """What each effect does to the robot, against closed forms; the contract all effects share is in test_effect_contract.py."""
 
+from itertools import pairwise
+
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.effects import effects, find_effect, register
+from tepm_opt.models.effects import Memory, effects, find_effect, register
 from tepm_opt.models.effects.payload import Payload
+from tepm_opt.models.layout import VERTICAL
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.modes import poles
 from tepm_opt.solvers.statics import solve_statics
-from tests.tools import random_inputs
+from tests.tools import random_inputs, variant, with_effect
 
 NOMINAL = Model.of("kang2017")
+COARSE = Model.of(variant(geometry={"segments_per_module": 1}))
+HANGING = Model.of(variant(mount={"base_rotation_deg": (170.0, 20.0, 30.0)}))
+
+
+def in_python(model):
+    return compile_model(model, backend="python")
+
+
+def properties(model, force=(0.0, 0.0, 0.0), part=0.0):
+    """The network's properties by name, (levels, rows), under a tip force in G and inputs at part of their ranges."""
+    model = in_python(model)
+    external = np.append(np.zeros((model.layout.points - 1, 3)), [force], axis=0)
+    P = model.reference.prepare(part * model.input_max, False, external.ravel(), model.theta)[1]
+    return {name: P[:, rows] for name, rows in model.network.property_rows.items()}
+
+
+def at_rest(model):
+    """Reference points of the undeformed robot as measured, (points, 3)."""
+    model = in_python(model)
+    return model.reference.observe(model.rest, model.theta)[: 3 * model.layout.points].reshape(-1, 3)
 
 
 def test_a_payload_is_a_weight_on_the_tip(kang):
@@ -50,6 +75,174 @@ def test_a_dead_zones_corner_is_smooth():
     for p in pressures:
         below, at, above = (model.chain.actuation(np.array([p + d] + [0.0] * 11), model.theta)[0] for d in (-1.0, 0.0, 1.0))
         assert above - at == pytest.approx(at - below, abs=1e-3)
+
+
+def test_mass_is_concentrated_at_plates_and_holders():
+    model = NOMINAL.with_effect("mass_distribution", plates=0.3, holders=0.1)
+    module = np.array([0.6, 0.6, 0.6 + 6 * 0.1, 0.6, 0.6, 0.6 + 6 * 0.3]) / 6 * 0.22
+    np.testing.assert_allclose(3 * properties(model)["mass"][:, 0], np.tile(module, 2), rtol=1e-12)
+
+
+def test_a_holder_between_two_levels_is_shared_by_them():
+    odd = Model.of(variant(geometry={"segments_per_module": 3})).with_effect("mass_distribution", plates=0.0, holders=0.3)
+    module = np.array([0.7 / 3 + 0.15, 0.7 / 3 + 0.15, 0.7 / 3]) * 0.22
+    np.testing.assert_allclose(3 * properties(odd)["mass"][:, 0], np.tile(module, 2), rtol=1e-12)
+    coarse = COARSE.with_effect("mass_distribution", plates=0.3, holders=0.2)  # the base takes half of the first holder
+    np.testing.assert_allclose(3 * properties(coarse)["mass"][:, 0], np.array([1.0, 0.9]) * 0.22, rtol=1e-12)
+
+
+def test_a_payload_is_no_part_of_a_modules_mass():
+    shared = {"plates": 0.3, "holders": 0.1}
+    after = properties(NOMINAL.with_effect("payload", mass=0.03).with_effect("mass_distribution", **shared))["mass"]
+    before = properties(NOMINAL.with_effect("mass_distribution", **shared))["mass"]
+    np.testing.assert_allclose(3 * (after - before)[:, 0], [0] * 11 + [0.03], atol=1e-15)
+
+
+@pytest.mark.parametrize(("model", "stiff"), [(NOMINAL, [0, 5, 6, 11]), (COARSE, [0, 1])])
+def test_plates_stiffen_the_segments_next_to_them_once(model, stiff):
+    found, plain = properties(model.with_effect("rigid_plates", stiffening=0.5)), properties(model)
+    factor = np.ones((len(plain["stiffness"]), 1))
+    factor[stiff] = 1.5
+    np.testing.assert_allclose(found["stiffness"], factor * plain["stiffness"], rtol=1e-14)
+    np.testing.assert_array_equal(found["damping"], plain["damping"])
+
+
+@pytest.mark.parametrize("model", [NOMINAL, COARSE])
+def test_hardening_adds_powers_of_the_stretch_to_a_muscles_force(model):
+    """Whatever the number of segments; other edges are left alone."""
+    hard, plain = (in_python(m) for m in (model.with_effect("stiffness_hardening", quadratic=20.0, cubic=50.0), model))
+    vertical = [edge.kind == VERTICAL for edge in hard.layout.edges]
+    for stretch in (-0.3, 0.0, 0.25, 0.5):
+        x = hard.rest.reshape(len(hard.rest), -1, 3) * [1, 1, 1 + stretch]
+        forces = [
+            m.reference.edges(x.reshape(hard.rest.shape), m.reference.prepare(np.zeros(12), False, np.zeros(12), m.theta)[1], m.theta)[0]
+            for m in (hard, plain)
+        ]
+        np.testing.assert_allclose(forces[0][:, vertical], 358.86 * 0.2 * stretch + 20 * stretch**2 + 50 * stretch**3, rtol=1e-9, atol=1e-9)
+        others = np.logical_not(vertical)
+        np.testing.assert_allclose(forces[0][:, others], forces[1][:, others], rtol=1e-12, atol=1e-12)
+
+
+def test_a_weak_actuator_loses_a_share_of_its_pressure():
+    model = in_python(NOMINAL.with_effect("actuator_gain", "21", loss=0.25).with_effect("actuator_gain", "13", loss=-0.1))
+    u = np.array([1e5, 2e5, 3e5, 4e5, 5e5, 1e5, 1, 2, 3, 4, 5, 6])
+    np.testing.assert_allclose(model.chain.actuation(u, model.theta), u * [1, 1, 1.1, 0.75, 1, 1, 1, 1, 1, 1, 1, 1], rtol=1e-14)
+
+
+def test_crosstalk_reaches_the_neighbours_in_the_module():
+    model = in_python(NOMINAL.with_effect("pressure_crosstalk", coupling=0.1))
+    u = np.array([1e5, 2e5, 3e5, 4e5, 0, 0, 1, 2, 3, 4, 5, 6])
+    expected = [1.5e5, 2.4e5, 3.3e5, 4e5, 4e4, 4e4, *u[6:]]
+    np.testing.assert_allclose(model.chain.actuation(u, model.theta), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("bracing", ["single", "crossed"])
+def test_crosstalk_does_not_reach_across(bracing):
+    square = variant(geometry={"modules": 1, "actuator_angles_deg": (0.0, 180.0, 90.0, 270.0), "bracing": bracing})
+    model = in_python(Model.of(square).with_effect("pressure_crosstalk", coupling=0.1))
+    found = model.chain.actuation(np.array([1e5, 0, 0, 0, 0, 0, 0, 0]), model.theta)
+    np.testing.assert_allclose(found, [1e5, 0, 1e4, 1e4, 0, 0, 0, 0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 0.2, 1e4])
+def test_a_memory_is_exact_for_a_drive_that_ramps(scale):
+    """dy/dt = a + b t - y / scale has the solution k exp(-t / scale) + scale (a + b (t - scale))."""
+    a, b, start, time = 3.0, -2.0, 0.7, 0.5
+    found = float(ca.evalf(Memory(ca.SX(a + b * time), ca.SX(1), ca.SX(scale), ca.SX(b)).after(ca.SX(start), ca.SX(time))))
+    expected = (start - scale * (a - b * scale)) * np.exp(-time / scale) + scale * (a + b * (time - scale))
+    assert found == pytest.approx(expected, rel=1e-7)
+
+
+def tendon_ends(path, steps=20, **parameters):
+    """Tension at the end of tendon 11 and what was commanded, along a path of commanded tensions."""
+    model = in_python(NOMINAL.with_effect("tendon_friction", **parameters))
+    commanded = np.concatenate([[path[0]], *(np.linspace(a, b, steps + 1)[1:] for a, b in pairwise(path))])
+    y, found, duration = np.zeros(6), [path[0]], 0.01
+    for before, after in pairwise(commanded):
+        u, rate = np.zeros(12), np.zeros(12)
+        u[6], rate[6] = after, (after - before) / duration
+        a, y = (part.ravel() for part in model.moving._values("input_motion", u, rate, y, duration, model.theta))
+        found.append(a[6])
+    return commanded, np.array(found)
+
+
+def test_tendon_friction_is_a_play():
+    """Pulled, the end is behind by the friction; let go, it sticks over twice the friction, then is ahead by it."""
+    commanded, found = tendon_ends((2.0, 6.0, 2.0), 200, constant=0.2, share=0.0, distance=1e-3)
+    pulled, released = np.maximum(commanded[:201] - 0.2, 2.0), np.minimum(commanded[200:] + 0.2, 5.8)
+    np.testing.assert_allclose(found[:201], pulled, atol=0.02)
+    np.testing.assert_allclose(found[200:], released, atol=0.02)
+    assert found[200] == pytest.approx(5.8, abs=1e-3)
+    assert found[-1] == pytest.approx(2.2, abs=1e-3)
+
+
+def test_a_share_of_the_tension_is_lost_in_the_guides():
+    for commanded, share in ((7.0, 0.1), (5.0, 0.02)):
+        found = tendon_ends((0.0, commanded), 400, constant=0.0, share=share, distance=1e-3)[1]
+        assert found[-1] == pytest.approx((1 - share) * commanded, abs=2e-3)
+
+
+def test_friction_holds_tension_that_the_motor_has_let_go():
+    found = tendon_ends((0.0, 5.0, 0.0), 200, constant=0.3, share=0.0, distance=1e-3)[1]
+    assert found[-1] == pytest.approx(0.3, abs=2e-3)
+
+
+@pytest.mark.parametrize("parameters", [(10.0, 0.9, 10.0), (3.0, 0.0, 0.01), (0.5, 0.2, 5.0), (0.0, 0.9, 1e-3), (2.0, 0.5, 1.0)])
+def test_friction_only_resists(parameters):
+    """The tendon never pushes, and its tension never moves against the command."""
+    commanded, found = tendon_ends(
+        (0.0, 7.0, 0.0, 1.0, 0.5, 4.0, 0.0), 70, **dict(zip(("constant", "share", "distance"), parameters, strict=True))
+    )
+    assert found.min() > -1e-9
+    assert (np.diff(found) * np.diff(commanded)).min() > -1e-9
+
+
+def test_slack_is_taken_up_first():
+    model = in_python(NOMINAL.with_effect("tendon_slack", tension=0.5))
+    u = np.array([1e5, 2e5, 3e5, 4e5, 5e5, 1e5, 0, 0.3, 0.4, 0.5, 0.6, 5])
+    effective = model.chain.actuation(u, model.theta)
+    np.testing.assert_array_equal(effective[:6], u[:6])
+    np.testing.assert_allclose(effective[6:], [0, 0, 0, 0.025, 0.1, 4.5], atol=1e-12)  # the corner is 0.1 N wide to either side
+
+
+@pytest.mark.parametrize("model", [NOMINAL, HANGING])
+def test_an_external_load_is_a_force_on_the_tip(model):
+    found, expected = properties(model.with_effect("external_load", x=0.1, y=-0.2, z=0.3)), properties(model, (0.1, -0.2, 0.3))
+    np.testing.assert_allclose(found["load"], expected["load"], atol=1e-15)
+
+
+@pytest.mark.parametrize("mount", [{}, {"base_rotation_deg": (170.0, 20.0, 30.0)}])
+def test_a_tilted_base_feels_gravity_from_elsewhere(mount):
+    """On all masses, a payload's too; by +x the base's y side rises and the robot falls towards -y."""
+    loaded = Model.of(variant(mount=mount)).with_effect("base_tilt", x=0.2, y=-0.1).with_effect("payload", mass=0.03)
+    gravity = Rotation.from_euler("XYZ", [0.2, -0.1, 0.0]).inv().apply([0, 0, -9.81])
+    assert gravity[1] < 0
+    expected = Model.of(variant(mount={**mount, "gravity_m_per_s2": tuple(gravity)})).with_effect("payload", mass=0.03)
+    np.testing.assert_allclose(properties(loaded)["load"], properties(expected)["load"], atol=1e-14)
+
+
+def test_a_misaligned_tracker_measures_in_another_frame():
+    angles, shift = (0.3, -0.2, 0.1), (0.01, 0.02, -0.03)
+    values = {f"rotation_{axis}": angle for axis, angle in zip("xyz", angles, strict=True)}
+    values |= {f"shift_{axis}": length for axis, length in zip("xyz", shift, strict=True)}
+    expected = Rotation.from_euler("XYZ", angles).apply(at_rest(NOMINAL)) + shift
+    np.testing.assert_allclose(at_rest(NOMINAL.with_effect("sensor_misalignment", **values)), expected, atol=1e-14)
+
+
+def test_an_offset_displaces_one_point():
+    moved = at_rest(NOMINAL.with_effect("sensor_offset", "s3", x=0.01, y=-0.02, z=0.03)) - at_rest(NOMINAL)
+    np.testing.assert_allclose(moved, [[0, 0, 0], [0, 0, 0], [0.01, -0.02, 0.03], [0, 0, 0]], atol=1e-15)
+
+
+def test_all_together_vanish_at_their_null_values(kang):
+    model = NOMINAL
+    for effect in effects():
+        model = with_effect(model, effect, **{parameter.name: parameter.null for parameter in effect.parameters})
+    assert len(model.effects) >= 18
+    everything, (u,) = in_python(model), random_inputs(kang, 1, 0)
+    found, plain = (solve_statics(m, u, [0.2, 0.0, 0.1]) for m in (everything, kang))
+    assert abs(found.points - plain.points).max() < 1e-12
+    assert abs(found.lengths - plain.lengths).max() < 1e-12
 
 
 def test_names_are_looked_up_and_taken_once():

@@ -8,11 +8,13 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.effects.base import ActiveEffect, Context, Effect, Memory, Parameter, Properties
+from tepm_opt.models.effects.base import ActiveEffect, Context, Effect, Memory, Parameter, Play, Properties
 from tepm_opt.models.effects.gravity import Gravity
 from tepm_opt.models.effects.known_loads import KnownLoads
 
-__all__ = ["STANDARD", "ActiveEffect", "Context", "Effect", "Memory", "Parameter", "Properties", "effects", "find_effect", "register"]
+__all__ = [
+    "STANDARD", "ActiveEffect", "Context", "Effect", "Memory", "Parameter", "Play", "Properties", "effects", "find_effect", "register",
+]  # fmt: skip
 
 STANDARD: tuple[Effect, ...] = (Gravity(), KnownLoads())
 """What every model carries; model files do not list it."""

@@ -93,6 +93,34 @@ class Memory:
         return ca.exp(-z) * state - ca.expm1(-z) / z * time * self.drive
 
 
+@dataclass(frozen=True)
+class Play:
+    """An internal state of an input that goes against the input's changes until it reaches a limit, where it stays, elementwise.
+
+    The play or backlash operator, its corner rounded: with the part e that is left to the limit,
+    de/ds = -(1 - exp(-e / corner)) over the path s of the input.
+
+    Attributes:
+        limit: for the way the input goes now.
+        rising: whether the input rises, so that the state falls.
+        pace: the input's absolute rate.
+        corner: over which sticking turns into following, above 0, in the input's unit.
+    """
+
+    limit: ca.SX
+    rising: ca.SX
+    pace: ca.SX
+    corner: ca.SX
+
+    def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
+        """y after a time at whose end the limit is this one: exact for a limit that stays."""
+        sense = ca.if_else(self.rising, 1.0, -1.0)
+        left, path = sense * (state - self.limit) / self.corner, time * self.pace / self.corner
+        most = ca.fmax(left - path, 0)
+        left = most + ca.log(ca.exp(-most) + ca.exp(left - path - most) - ca.exp(-path - most))
+        return self.limit + sense * self.corner * left
+
+
 SHORTEST = 1e-12  # keeps quotients finite where a scale vanishes
 TINY = 1e-30
 
@@ -135,14 +163,16 @@ class Effect:
 
     def pressure_memory(
         self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
-    ) -> Memory | None:
+    ) -> Memory | Play | None:
         """Internal state y of every pressure, (modules, actuators) in Pa; the effective pressure is pressure + y.
 
         `pressure` and its `rate` are those that this effect's input map has left; `state` is y before they act.
         """
         return None
 
-    def tension_memory(self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Memory | None:
+    def tension_memory(
+        self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
+    ) -> Memory | Play | None:
         """The same for tensions, in N."""
         return None
 

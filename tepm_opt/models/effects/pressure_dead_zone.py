@@ -7,9 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from tepm_opt.models.effects.base import Context, Effect, Parameter
-
-ROUNDING = 0.2  # half-width of the rounded corner over the threshold
-SMALLEST_WIDTH = 1e-3  # Pa; keeps the corner's formula finite at the null value
+from tepm_opt.models.effects.corners import above
 
 
 class PressureDeadZone(Effect):
@@ -22,7 +20,4 @@ class PressureDeadZone(Effect):
     parameters = (Parameter("threshold", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),)
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
-        above = pressure - parameters["threshold"]
-        width = ROUNDING * parameters["threshold"]
-        corner = (above + width) ** 2 / (4 * ca.fmax(width, SMALLEST_WIDTH))
-        return ca.if_else(above >= width, above, ca.if_else(above <= -width, 0, corner)), tension
+        return above(pressure, parameters["threshold"]), tension

@@ -1,0 +1,34 @@
+"""Friction between the motor and the tendon's end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from tepm_opt.models.effects.base import Context, Effect, Parameter, Play
+
+SMALLEST_DISTANCE = 1e-6  # N; keeps quotients finite where a tendon is loose
+
+
+class TendonFriction(Effect):
+    """The tendon's tension trails the commanded one by a constant (gasket) and a share of it (guides) against its last change.
+
+    A play with rounded corners: after a reversal the tendon's end sticks until friction has turned over, then it follows; `distance`
+    is the commanded tension over which sticking turns into following. What friction holds when the motor lets go stays in the tendon; it never pushes.
+    """
+
+    name = "tendon_friction"
+    explains = "friction between motor and tendon end, dependent on direction"
+    reference = "Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2 (play); the share is the capstan equation's"
+    parameters = (
+        Parameter("constant", "N", null=0.0, probe=0.1, low=0.0, high=10.0),
+        Parameter("share", "1", null=0.0, probe=0.05, low=0.0, high=0.9),
+        Parameter("distance", "N", null=0.05, probe=0.05, low=1e-3, high=10.0),
+    )
+
+    def tension_memory(self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
+        friction = parameters["constant"] + parameters["share"] * tension
+        limit = ca.if_else(rate > 0, -ca.fmin(friction, tension), friction)
+        held = ca.fmax(tension + state, 0)  # in the tendon's end; with none left it follows at once
+        return Play(limit, rate > 0, ca.fabs(rate), ca.fmin(parameters["distance"], held) + SMALLEST_DISTANCE)
