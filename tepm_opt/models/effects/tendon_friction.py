@@ -14,8 +14,9 @@ SMALLEST_DISTANCE = 1e-6  # N; keeps quotients finite where a tendon is loose
 class TendonFriction(Effect):
     """The tendon's tension trails the commanded one by a constant (gasket) and a share of it (guides) against its last change.
 
-    A play with rounded corners: after a reversal the tendon's end sticks until friction has turned over, then it follows; `distance`
-    is the commanded tension over which sticking turns into following. What friction holds when the motor lets go stays in the tendon; it never pushes.
+    A play with rounded corners: after a reversal the tendon's end sticks until friction has turned over, then it follows;
+    `distance` is the commanded tension over which sticking turns into following. What friction holds when the motor lets go
+    stays in the tendon; it never pushes.
     """
 
     name = "tendon_friction"
