@@ -1,4 +1,4 @@
-"""One self-contained HTML page about the main job."""
+"""Self-contained HTML pages: about the main job, and about what a model misses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,17 @@ import jinja2
 import numpy as np
 
 from tepm_opt.data.files import write_atomically
+from tepm_opt.discrepancy.localise import Localisation
+from tepm_opt.discrepancy.verdict import Status, Value, Verdict
 from tepm_opt.runs import GainRun, IkRun
+
+HEADINGS = {
+    Status.NAMED: "The missing effect is named",
+    Status.NO_DISCREPANCY: "No discrepancy",
+    Status.INDISTINGUISHABLE: "Several effects explain the data equally well",
+    Status.UNEXPLAINED: "Not explained by any known effect",
+}
+RIVALS = 15  # listed on the page
 
 
 def write_page(path: str | Path, hybrid: IkRun, pressure: IkRun, gains: GainRun, figures: Mapping[str, Path]) -> None:
@@ -20,8 +30,7 @@ def write_page(path: str | Path, hybrid: IkRun, pressure: IkRun, gains: GainRun,
     Raises:
         InputError: the folder cannot be written to.
     """
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined)
-    images = {name: base64.b64encode(file.read_bytes()).decode() for name, file in figures.items()}
+    environment, images = _environment(), _images(figures)
     found = [gain for gain in gains.gains if gain]
     spans = {
         kind: [float(1e3 * function([gain.singular_values(kind)[at] for gain in found])) for function, at in ((np.min, 2), (np.max, 0))]
@@ -38,3 +47,71 @@ def write_page(path: str | Path, hybrid: IkRun, pressure: IkRun, gains: GainRun,
         version=version("tepm-opt"),
     )
     write_atomically(path, page)
+
+
+def write_discrepancy_page(
+    path: str | Path, verdict: Verdict, localisation: Localisation, figures: Mapping[str, Path | bytes], provenance: Mapping[str, str]
+) -> None:
+    """Write the page of a verdict.
+
+    Args:
+        path: of the page.
+        verdict: the answer.
+        localisation: where the nominal model misses.
+        figures: PNG files or their content by name, those that there are of "heat", "gap", "points", "over_time", "evidence", "tip".
+        provenance: what was used, by what it is: data set, robot, versions, seed.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    page = (
+        _environment()
+        .get_template("discrepancy.html")
+        .render(
+            verdict=verdict,
+            status=verdict.status.value,
+            heading=HEADINGS[verdict.status],
+            localisation=localisation,
+            places=localisation.places[: localisation.telling],
+            rivals=verdict.rivals[:RIVALS],
+            images=_images(figures),
+            provenance=provenance,
+            version=version("tepm-opt"),
+        )
+    )
+    write_atomically(path, page)
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters |= {"mm": _mm, "percent": _percent, "spread": _spread}
+    return environment
+
+
+def _images(figures: Mapping[str, Path | bytes]) -> dict[str, str]:
+    """Contents of PNG files as HTML takes them."""
+    contents = {name: figure if isinstance(figure, bytes) else figure.read_bytes() for name, figure in figures.items()}
+    return {name: base64.b64encode(content).decode() for name, content in contents.items()}
+
+
+def _mm(metres: float) -> str:
+    """A length in mm with three digits; a dash where there is none."""
+    return f"{1e3 * metres:#.3g}".rstrip(".") + " mm" if np.isfinite(metres) else "–"
+
+
+def _percent(part: float | None) -> str:
+    """A part of one in percent; what is nearly all or nothing is not rounded to it."""
+    if part is None or not np.isfinite(part):
+        return "–"
+    if 0 < part < 0.01 or 0.99 < part < 1:
+        return "< 1 %" if part < 0.5 else "> 99 %"
+    return f"{100 * part:.0f} %"
+
+
+def _spread(value: Value) -> str:
+    """Value and standard deviation, to two digits of the latter, with the unit."""
+    unit = f" {value.unit}" if value.unit not in ("", "1") else ""
+    if not np.isfinite(value.std) or value.std <= 0:
+        return f"{value.value:.6g}{unit}"
+    digits = max(2, min(9, 2 + int(np.floor(np.log10(max(abs(value.value) / value.std, 1.0))))))
+    return f"{value.value:.{digits}g} ± {value.std:.2g}{unit}"

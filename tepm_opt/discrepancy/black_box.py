@@ -1,0 +1,60 @@
+"""A residual learnt without physics: a bound on what any cause could explain, never a cause."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from tepm_opt.data.run import Run
+
+SAMPLES = 400  # a Gaussian process costs their cube
+MEMORY = 0.3  # s, of the low-passed inputs that stand for the past
+
+
+def black_box(fit: Sequence[Run], left: Sequence[np.ndarray], scale: np.ndarray, other: Sequence[Run], static: bool) -> list[np.ndarray]:
+    """What a Gaussian process on inputs, their past and the tip force predicts of residuals (Rasmussen and Williams 2006, ch. 2).
+
+    Args:
+        fit: runs to learn from.
+        left: measured less modelled positions of these runs, (rows, points, 3) in m each; NaN where missing.
+        scale: size of the inputs, (inputs,).
+        other: runs to predict the residuals of.
+        static: whether rows are equilibria, so that there is no past.
+
+    Returns:
+        Residuals of the other runs, (rows, points, 3) in m each.
+    """
+    features = [_features(run, scale, static) for run in fit]
+    x, y = np.concatenate(features), np.concatenate([values.reshape(len(values), -1) for values in left])
+    whole = np.isfinite(y).any(axis=1)
+    x, y = x[whole], y[whole]
+    mean = np.nan_to_num(np.nanmean(np.where(np.isfinite(y).any(axis=0), y, 0.0), axis=0))
+    y = np.where(np.isfinite(y), y, mean)
+    picked = np.unique(np.linspace(0, len(x) - 1, min(SAMPLES, len(x))).astype(int))
+    size = float(np.std(y)) or 1.0
+    kernel = ConstantKernel(1.0, (1e-2, 1e2)) * RBF(1.0, (1e-1, 1e2)) + WhiteKernel(0.1, (1e-5, 1e1))
+    process = GaussianProcessRegressor(kernel)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        process.fit(x[picked], (y[picked] - mean) / size)
+    found = []
+    for run in other:
+        predicted = np.asarray(process.predict(_features(run, scale, static))).reshape(run.rows, -1)
+        found.append((mean + size * predicted).reshape(run.points.shape))
+    return found
+
+
+def _features(run: Run, scale: np.ndarray, static: bool) -> np.ndarray:
+    """Inputs over their size, the same low-passed, and the tip force in N, (rows, features)."""
+    inputs = run.inputs / scale
+    if static:
+        return np.hstack([inputs, run.tip_force])
+    pole = np.exp(-float(np.median(np.diff(run.time))) / MEMORY)
+    past = inputs[0] + lfilter([1 - pole], [1, -pole], inputs - inputs[0], axis=0)
+    return np.hstack([inputs, past, run.tip_force])

@@ -1,0 +1,81 @@
+"""What could be missing: every known effect with every detail, and one model that holds them all at their null values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from tepm_opt.models.effects import ActiveEffect, Effect, effects, find_effect
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.model import Model, label
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be missing.
+
+    Attributes:
+        name: of the effect.
+        detail: the actuator or reference point it acts on, where it has a detail.
+    """
+
+    name: str
+    detail: str | None = None
+
+    @property
+    def effect(self) -> Effect:
+        """The effect."""
+        return find_effect(self.name)
+
+    @property
+    def label(self) -> str:
+        """Name with the detail: "actuator_gain[13]"."""
+        return label(ActiveEffect(self.name, self.detail))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Full names of its parameters."""
+        return tuple(f"{self.label}.{parameter.name}" for parameter in sorted(self.effect.parameters, key=lambda p: p.name))
+
+    @property
+    def null(self) -> dict[str, float]:
+        """Values by full name at which it vanishes."""
+        return {f"{self.label}.{parameter.name}": parameter.null for parameter in self.effect.parameters}
+
+    @property
+    def probe(self) -> dict[str, float]:
+        """Small but visible values by full name."""
+        return {f"{self.label}.{parameter.name}": parameter.probe for parameter in self.effect.parameters}
+
+    @property
+    def bends(self) -> bool:
+        """Whether its outputs are far from linear in its parameters: not smooth at the null, or with parameters of shape."""
+        return not self.effect.smooth or any(parameter.null == parameter.probe for parameter in self.effect.parameters)
+
+
+def candidates(model: Model) -> tuple[Candidate, ...]:
+    """All effects that the model does not have yet, one for every detail of those that have one."""
+    layout = Layout.of(model.robot)
+    details = {"actuator": layout.actuator_names, "point": layout.point_names, None: (None,)}
+    every = [Candidate(effect.name, detail) for effect in effects() for detail in details[effect.detail]]
+    present = {label(effect) for effect in model.effects}
+    return tuple(candidate for candidate in every if candidate.label not in present)
+
+
+def wide(model: Model, missing: Iterable[Candidate]) -> Model:
+    """The model with all candidates at their null values: the same motion, and one compilation for every fit that follows."""
+    added = [ActiveEffect(c.name, c.detail, {p.name: p.null for p in c.effect.parameters}) for c in missing]
+    return replace(model, effects=(*model.effects, *added))
+
+
+def narrow(model: Model, values: dict[str, float], kept: Iterable[Candidate]) -> Model:
+    """The model with those candidates only, and all parameters at `values` (full names)."""
+    parameters = {
+        name: values[name] for name in {**model.robot.parameters.model_dump()} if values[name] != getattr(model.robot.parameters, name)
+    }
+    present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]
+    active = []
+    for name, detail in present:
+        prefix = label(ActiveEffect(name, detail))
+        active.append(ActiveEffect(name, detail, {p.name: values[f"{prefix}.{p.name}"] for p in find_effect(name).parameters}))
+    return replace(model, parameters=parameters, effects=tuple(active))

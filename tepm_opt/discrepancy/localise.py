@@ -1,0 +1,397 @@
+"""Where a model misses: in which runs, points, inputs, moments and frequencies the residuals hold more than noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import dct
+from scipy.stats import chi2
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.run import Run
+from tepm_opt.data.setpoints import AXES
+from tepm_opt.discrepancy.verdict import Place
+
+PERMUTATIONS = 999
+CHUNK = 2_000_000  # numbers permuted at a time
+BLOCK = 1.0  # s
+SIGNIFICANT = 0.01
+LEAST_RATIO, LEAST_SHARE = 1.25, 0.05  # below these a place says little although it is significant
+LEAST_EXCESS, SIGMAS = 0.05, 5.0  # squared structure over the noise's that counts: at least this, and this many deviations of the noise
+
+RECENT = 1.0  # s that an input or a point counts as moving after it did
+IN_USE, MOVED = 0.02, 0.005  # of an input's range; the latter is the way gone within RECENT
+TURNED = 0.01  # of an input's range that it must come back by
+POINTS_MOVED = 1e-3  # m gone within RECENT by the point that moves most
+LOW_PRESSURE, HIGH_TENSION = 0.15, 0.60  # of their ranges
+EDGES = (0.3, 2.0)  # Hz
+BANDS = ("below 0.3 Hz", "0.3 to 2 Hz", "above 2 Hz")
+ALONE = ", no other"
+LEAST_BAND_SHARE = 0.2  # every error that varies smoothly is densest in the slow band
+
+
+@dataclass(frozen=True, eq=False)
+class Localisation:
+    """Where the model misses.
+
+    Attributes:
+        places: all that were looked at; the telling ones first, then the others, each with the largest structure first.
+        telling: how many of them hold clearly more than elsewhere and cannot be chance.
+        heat: structure of every point in every run, root mean square of Eq. (5) in m with the noise taken off, (runs, points); NaN
+            where nothing was measured.
+        runs: names of its rows.
+        points: names of its columns.
+        rms: structure of all data in m, the same measure.
+        sentence: the answer in words.
+    """
+
+    places: tuple[Place, ...]
+    telling: int
+    heat: np.ndarray
+    runs: tuple[str, ...]
+    points: tuple[str, ...]
+    rms: float
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Residuals of all runs, one below the other.
+
+    Attributes:
+        excess: squared residual less the noise's square, (rows, points, 3) in m²; 0 where missing.
+        present: whether there is a sample, (rows, points, 3).
+        block: number of each row's block of time, (rows,).
+        starts: first row of every run, and the number of rows, (runs + 1,).
+        variance: of the noise in m².
+    """
+
+    excess: np.ndarray
+    present: np.ndarray
+    block: np.ndarray
+    starts: np.ndarray
+    variance: float
+
+    @cached_property
+    def count(self) -> int:
+        """Coordinates measured."""
+        return int(self.present.sum())
+
+    @cached_property
+    def density(self) -> float:
+        """Mean square beyond the noise's of a coordinate in m²."""
+        return float(self.excess.sum()) / max(self.count, 1)
+
+    @cached_property
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Excess and number of coordinates of every block, (blocks, points, 3) each."""
+        starts = np.flatnonzero(np.diff(self.block, prepend=-1))
+        return np.add.reduceat(self.excess, starts), np.add.reduceat(self.present.astype(float), starts)
+
+    @cached_property
+    def scale(self) -> float:
+        """The density, or what noise can make of it where that is more: what ratios and shares refer to, in m²."""
+        return max(self.density, self.variance * float(np.sqrt(2 / max(self.count, 1))), np.finfo(float).tiny)
+
+    def found(self, by: str, name: str, excess: float, count: float, p: float, rms: float | None = None) -> _Found:
+        """A place with a sum of squares beyond the noise's, in m², in so many coordinates."""
+        density = max(excess / count, 0.0)
+        share = min(density * count / (self.scale * self.count), 1.0)
+        rms = float(np.sqrt(3 * density)) if rms is None else rms
+        return _Found(Place(by, name, rms, share, density / self.scale, p), self.clear(density, count))
+
+    def clear(self, density: float, count: float) -> bool:
+        """Whether so much per coordinate, in m², is beyond what noise of the assumed size leaves."""
+        return count > 0 and density > self.variance * max(LEAST_EXCESS, SIGMAS * float(np.sqrt(2 / count)))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A place, and whether what it holds is clearly more than noise."""
+
+    place: Place
+    clear: bool
+
+    @property
+    def tells(self) -> bool:
+        """Whether it holds clearly more than elsewhere, and not by chance."""
+        place = self.place
+        least = LEAST_BAND_SHARE if place.by == "band" else LEAST_SHARE
+        return self.clear and place.p <= SIGNIFICANT and place.ratio >= LEAST_RATIO and place.share >= least
+
+
+def localise(runs: Sequence[Run], points: Sequence[np.ndarray], noise: float, channels: Channels, static: bool, seed: int) -> Localisation:
+    """Find the parts of the data in which measured and modelled positions differ by more than noise.
+
+    Significance is against data with permuted blocks of time (for points and axes: with their order permuted within every block; for
+    frequency bands: against white noise). Samples that are missing, and rows without a prediction, do not count.
+
+    Args:
+        runs: measured.
+        points: modelled reference points of every run, (rows, points, 3) in m.
+        noise: standard deviation of the measured positions per axis in m.
+        channels: names and ranges.
+        static: whether rows are equilibria: each is a block, and there are no places in time.
+        seed: of the permutations.
+    """
+    residuals = [run.points - modelled for run, modelled in zip(runs, points, strict=True)]
+    samples, random = _samples(runs, residuals, noise, static), np.random.default_rng(seed)
+    found = []
+    if samples.count:
+        found = _rows(samples, list(_row_labels(runs, points, channels, static)), random) + _columns(samples, channels, random)
+        found += [] if static else _bands(samples, runs, residuals)
+    return _localisation(found, samples, runs, channels)
+
+
+def _samples(runs: Sequence[Run], residuals: Sequence[np.ndarray], noise: float, static: bool) -> _Samples:
+    every = np.concatenate(residuals)
+    present = np.isfinite(every)
+    excess = np.where(present, np.where(present, every, 0.0) ** 2 - noise**2, 0.0)
+    blocks, first = [], 0
+    for run in runs:
+        number = np.arange(run.rows) if static else np.floor((run.time - run.time[:1]) / BLOCK + 1e-9).astype(int)
+        number = np.unique(number, return_inverse=True)[1]
+        blocks.append(first + number)
+        first += int(number.max(initial=-1)) + 1
+    return _Samples(excess, present, np.concatenate(blocks), np.cumsum([0, *(run.rows for run in runs)]), noise**2)
+
+
+def _localisation(found: list[_Found], samples: _Samples, runs: Sequence[Run], channels: Channels) -> Localisation:
+    ordered = sorted(found, key=lambda entry: (not entry.tells, -entry.place.rms))
+    places = tuple(entry.place for entry in ordered)
+    telling = [entry.place for entry in ordered if entry.tells]
+    rms = float(np.sqrt(3 * max(samples.density, 0.0)))
+    structured = bool(telling) or samples.clear(samples.density, samples.count)
+    sentence = _sentence(rms, telling, places) if structured else _nothing(samples)
+    return Localisation(places, len(telling), _heat(samples), tuple(run.file for run in runs), channels.points, rms, sentence)
+
+
+def _heat(samples: _Samples) -> np.ndarray:
+    """Structure of every point in every run in m, (runs, points)."""
+    parts = [slice(*pair) for pair in zip(samples.starts[:-1], samples.starts[1:], strict=True)]
+    excess = np.array([samples.excess[rows].sum(axis=(0, 2)) for rows in parts])
+    count = np.array([samples.present[rows].sum(axis=(0, 2)) for rows in parts])
+    return np.where(count > 0, np.sqrt(3 * np.maximum(excess, 0.0) / np.maximum(count, 1)), np.nan)
+
+
+def _rows(samples: _Samples, labels: list[_Label], random: np.random.Generator) -> list[_Found]:
+    """Places that are a choice of rows."""
+    masks = np.array([rows for _, _, rows in labels])
+    chances = _chances_of_rows(samples, masks, random)
+    excess = masks @ samples.excess.sum(axis=(1, 2))
+    count = masks @ samples.present.sum(axis=(1, 2))
+    places = zip(labels, excess, count, chances, strict=True)
+    return [samples.found(by, name, float(e), float(n), float(p)) for (by, name, _), e, n, p in places if n]
+
+
+def _chances_of_rows(samples: _Samples, masks: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """How often blocks in another order concentrate as much in each mask (masks, rows): (masks,)."""
+    excess, count = (values.sum(axis=(1, 2)) for values in samples.blocks)
+    rows = np.bincount(samples.block)
+    within = np.array([np.bincount(samples.block, mask) / rows for mask in masks])  # part of every block
+
+    def density(order: np.ndarray) -> np.ndarray:
+        return (excess[order] @ within.T) / np.maximum(count[order] @ within.T, 1e-9)
+
+    seen, exceeded = density(np.arange(len(rows))[None])[0], np.zeros(len(masks))
+    for size in _chunks(len(rows)):
+        exceeded += (density(random.random((size, len(rows))).argsort(axis=1)) >= seen - 1e-9 * abs(seen)).sum(axis=0)
+    return (1 + exceeded) / (1 + PERMUTATIONS)
+
+
+def _columns(samples: _Samples, channels: Channels, random: np.random.Generator) -> list[_Found]:
+    """Places by reference point and by axis."""
+    found = []
+    for by, names, axis in (("point", channels.points, 2), ("axis", AXES, 1)):
+        excess, count = (values.sum(axis=axis) for values in samples.blocks)
+        chances = _chances_of_columns(excess, count, random)
+        for name, e, n, p in zip(names, excess.sum(axis=0), count.sum(axis=0), chances, strict=True):
+            rms = float(np.sqrt(max(e, 0.0) / n)) if by == "axis" and n else None  # squares of the axes add up to those of Eq. (5)
+            found += [samples.found(by, name, float(e), float(n), float(p), rms)] if n else []
+    return found
+
+
+def _chances_of_columns(excess: np.ndarray, count: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """How often columns in another order within every block concentrate as much in one: (columns,) from (blocks, columns)."""
+    seen, exceeded = excess.sum(axis=0) / np.maximum(count.sum(axis=0), 1), np.zeros(excess.shape[1])
+    for size in _chunks(excess.size):
+        order = random.random((size, *excess.shape)).argsort(axis=2)
+        permuted = np.take_along_axis(excess[None], order, axis=2).sum(axis=1)
+        counted = np.take_along_axis(count[None], order, axis=2).sum(axis=1)
+        exceeded += (permuted / np.maximum(counted, 1) >= seen - 1e-9 * abs(seen)).sum(axis=0)
+    return (1 + exceeded) / (1 + PERMUTATIONS)
+
+
+def _chunks(size: int) -> Iterator[int]:
+    """Permutations to make at once, all together `PERMUTATIONS`."""
+    most, left = max(1, CHUNK // max(size, 1)), PERMUTATIONS
+    while left:
+        yield min(most, left)
+        left -= min(most, left)
+
+
+_Label = tuple[str, str, np.ndarray]
+
+
+def _row_labels(runs: Sequence[Run], points: Sequence[np.ndarray], channels: Channels, static: bool) -> Iterator[_Label]:
+    """(by, name, mask (rows of all runs,)) of every place that is a choice of rows."""
+    lengths = [run.rows for run in runs]
+    for k, run in enumerate(runs):
+        yield "run", run.file, np.repeat(np.arange(len(runs)) == k, lengths)
+    levels = _levels(runs, channels)
+    moves = [np.zeros_like(level, dtype=bool) if static else _moves(run, level) for run, level in zip(runs, levels, strict=True)]
+    level, moving = np.concatenate(levels), np.concatenate(moves)
+    used = (level > IN_USE) | moving
+    yield from _input_labels(used, channels)
+    yield from _level_labels(level, used, len(channels.actuators))
+    if not static:
+        yield from _time_labels(runs)
+        rest = ~moving.max(axis=1) & ~np.concatenate([_points_move(run, at) for run, at in zip(runs, points, strict=True)])
+        turned = np.concatenate([_turned(run, level) for run, level in zip(runs, levels, strict=True)])
+        yield from (("regime", "at rest", rest), ("regime", "moving", ~rest), ("regime", "after a reversal", turned))
+
+
+def _levels(runs: Sequence[Run], channels: Channels) -> list[np.ndarray]:
+    """Inputs over their ranges, (rows, inputs) each; over their own maxima where ranges are unknown."""
+    largest = np.abs(np.concatenate([run.inputs for run in runs])).max(axis=0, initial=0.0)
+    ranges = np.where(np.isfinite(channels.limits), channels.limits, largest)
+    return [run.inputs / np.where(ranges > 0, ranges, 1.0) for run in runs]
+
+
+def _input_labels(used: np.ndarray, channels: Channels) -> Iterator[_Label]:
+    """By pressures and tensions in use, by those that are the only one of their kind, and by module."""
+    count = len(channels.actuators)
+    for k, name in enumerate(channels.actuators):
+        for kind, column, alike in (("pressure", k, used[:, :count]), ("tension", count + k, used[:, count:])):
+            alone = used[:, column] & (alike.sum(axis=1) == 1)
+            yield from (("actuator", f"{name} {kind}", used[:, column]), ("actuator", f"{name} {kind}{ALONE}", alone))
+    modules = [name.partition("_")[0] if "_" in name else name[:-1] for name in channels.actuators]
+    for module in dict.fromkeys(modules):
+        own = np.tile([other == module for other in modules], 2)
+        yield "module", f"module {module}", used[:, own].max(axis=1)
+
+
+def _level_labels(level: np.ndarray, used: np.ndarray, actuators: int) -> Iterator[_Label]:
+    low = (used & (level < LOW_PRESSURE))[:, :actuators].max(axis=1)
+    high = (level > HIGH_TENSION)[:, actuators:].max(axis=1)
+    yield from (("regime", "low pressure", low), ("regime", "high tension", high))
+
+
+def _time_labels(runs: Sequence[Run]) -> Iterator[_Label]:
+    parts = [np.minimum(3 * (run.time - run.time[:1]) / max(run.duration, 1e-9), 2.0).astype(int) for run in runs]
+    for k, name in enumerate(("early", "middle", "late")):
+        yield "time", name, np.concatenate(parts) == k
+
+
+def _way(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Way gone within the last second by every column of (rows, columns)."""
+    gone = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(np.abs(np.diff(values, axis=0)), axis=0)])
+    return gone - gone[np.searchsorted(time, time - RECENT)]
+
+
+def _moves(run: Run, level: np.ndarray) -> np.ndarray:
+    """Whether inputs move or did within the last second, (rows, inputs)."""
+    return np.asarray(_way(run.time, level) > MOVED)
+
+
+def _points_move(run: Run, modelled: np.ndarray) -> np.ndarray:
+    """Whether a point moves or did within the last second, in the model since that has no noise, (rows,)."""
+    return np.asarray(_way(run.time, np.nan_to_num(modelled).reshape(run.rows, -1)).max(axis=1) > POINTS_MOVED)
+
+
+def _turned(run: Run, level: np.ndarray) -> np.ndarray:
+    """Whether some input has changed direction within the last second, (rows,); coming back by less than TURNED is no change."""
+    dragged = level.copy()  # follows with play, so that jitter does not move it
+    for k in range(1, run.rows):
+        dragged[k] = np.clip(dragged[k - 1], level[k] - TURNED / 2, level[k] + TURNED / 2)
+    direction = np.sign(np.diff(dragged, axis=0, prepend=dragged[:1]))
+    last = np.maximum.accumulate(np.where(direction != 0, np.arange(run.rows)[:, None], 0), axis=0)
+    heading = np.take_along_axis(direction, last, axis=0)
+    before = np.vstack([np.zeros((1, level.shape[1])), heading[:-1]])
+    changed = np.cumsum((heading * before < 0).any(axis=1))
+    return np.asarray(changed > np.append(0, changed)[np.searchsorted(run.time, run.time - RECENT)])
+
+
+def _bands(samples: _Samples, runs: Sequence[Run], residuals: Sequence[np.ndarray]) -> list[_Found]:
+    """Places by frequency; chances are those of white noise."""
+    energy, count = np.zeros(len(BANDS)), np.zeros(len(BANDS))
+    for run, residual in zip(runs, residuals, strict=True):
+        for series in residual.reshape(run.rows, -1).T:
+            squares, band = _spectrum(run.time, series)
+            known = np.isfinite(series).mean()
+            energy += known * np.bincount(band, squares, len(BANDS))
+            count += known * np.bincount(band, minlength=len(BANDS))
+    found = []
+    for name, e, n in zip(BANDS, energy, count, strict=True):
+        if n:
+            chance = float(chi2.sf(e / samples.variance, n)) if samples.variance > 0 else float(e <= 0)
+            excess = float(e - n * samples.variance)
+            rms = float(np.sqrt(3 * max(excess, 0.0) / samples.count))  # squares of the bands add up to the whole
+            found.append(samples.found("band", name, excess, float(n), max(chance, 1 / (1 + PERMUTATIONS)), rms))
+    return found
+
+
+def _spectrum(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares of the orthonormal cosine transform, which does not mind that ends differ, and the band of each; missing interpolated."""
+    present = np.isfinite(series)
+    if present.sum() < 2:
+        return np.zeros(0), np.zeros(0, dtype=int)
+    even = np.linspace(time[0], time[-1], len(time))
+    squares = np.asarray(dct(np.interp(even, time[present], series[present]), norm="ortho")) ** 2
+    frequency = np.arange(len(time)) * (len(time) - 1) / (2 * len(time) * (time[-1] - time[0]))
+    return squares, np.digitize(frequency, EDGES)
+
+
+def _nothing(samples: _Samples) -> str:
+    if not samples.count:
+        return "No sample can be compared with the model."
+    return f"No structure above the noise ({1e3 * np.sqrt(3 * samples.variance):.2g} mm in Eq. (5))."
+
+
+def _sentence(rms: float, telling: Sequence[Place], found: Sequence[Place]) -> str:
+    best = {by: max((t for t in telling if t.by == by), key=_weight) for by in {t.by for t in telling}}
+    spots = [f"in {best['run'].name} ({_mm(best['run'].rms)})"] if "run" in best else []
+    spots += [f"at {best['point'].name}" + ("" if spots else f" ({_mm(best['point'].rms)})")] if "point" in best else []
+    parts = [f"The model misses by {_mm(rms)} beyond the noise" + (f", most {' and '.join(spots)}" if spots else "")]
+    parts += [f"along {best['axis'].name}"] if "axis" in best else []
+    if "actuator" in best:
+        name, _, kind = best["actuator"].name.removesuffix(ALONE).partition(" ")
+        alone = " and no other" if best["actuator"].name.endswith(ALONE) else ""
+        parts.append(f"while {name}'s {kind}{alone} is in use")
+    elif "module" in best:
+        parts.append(f"while {best['module'].name} is in use")
+    parts += [*_regimes(telling, found), *_times(best)]
+    parts += [f"{100 * best['band'].share:.0f} % of it {best['band'].name}"] if "band" in best else []
+    return "; ".join(parts if len(parts) > 1 or spots else [parts[0] + ", everywhere alike"]) + "."
+
+
+def _weight(place: Place) -> float:
+    """How much a place tells: it holds much of the structure in little of the data."""
+    return place.share * float(np.log(max(place.ratio, 1e-9)))
+
+
+def _regimes(telling: Sequence[Place], found: Sequence[Place]) -> list[str]:
+    regimes = {place.name: place for place in found if place.by == "regime"}
+    words = []
+    if "at rest" in regimes and "moving" in regimes:
+        rest, moving = regimes["at rest"], regimes["moving"]
+        if rest.rms > 1.5 * moving.rms:
+            words = [f"more at rest ({_mm(rest.rms)}) than in motion ({_mm(moving.rms)})"] if rest.p <= SIGNIFICANT else []
+        elif moving.rms > 1.5 * rest.rms:
+            words = [f"more in motion ({_mm(moving.rms)}) than at rest ({_mm(rest.rms)})"] if moving.p <= SIGNIFICANT else []
+        else:
+            words = ["at rest as much as in motion"]
+    named = {"after a reversal": "after reversals", "low pressure": "at low pressure", "high tension": "at high tension"}
+    return words + [f"more {when}" for name, when in named.items() if any(t.by == "regime" and t.name == name for t in telling)]
+
+
+def _times(best: dict[str, Place]) -> list[str]:
+    words = {"early": "more at the start of the runs", "middle": "more in the middle of the runs", "late": "more at the end of the runs"}
+    return [words[best["time"].name]] if "time" in best else []
+
+
+def _mm(metres: float) -> str:
+    return f"{1e3 * metres:.1f} mm" if metres >= 1e-3 else f"{1e3 * metres:.2g} mm"

@@ -1,0 +1,230 @@
+"""Which effects explain the data: screen, fit, judge on held-out data; forward until nothing improves, then backward."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tepm_opt.data.files import write_atomically
+from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
+from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.screen import Score, screen
+from tepm_opt.solvers.identify import Estimate, Free, Problem, free_parameters, identify
+from tepm_opt.solvers.predict import PredictionError
+
+Effects = tuple[Candidate, ...]
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """When structure counts, when an effect is believed.
+
+    Attributes:
+        quiet: mean square beyond the noise, over the noise's, that does not count: 0.02 is 14 % of the noise's standard deviation.
+        improves: part of the structure left that one more effect must take away to be tried along (held-out data).
+        sure: probability by which it must beat going without.
+        stands_out: how many times the structure left the part that only this effect takes away must be for even odds that it is
+            a cause, not a stand-in for something outside the library.
+        worth: part of the best candidate's first-order gain from which others are fitted, too.
+        fits: most candidates fitted in a round.
+        effects: most effects at once.
+        iterations: most Gauss-Newton steps of a fit.
+    """
+
+    quiet: float = 0.02
+    improves: float = 0.1
+    sure: float = 0.95
+    stands_out: float = 3.0
+    worth: float = 0.25
+    fits: int = 5
+    effects: int = 3
+    iterations: int = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects with their fit and how well it predicts held-out data."""
+
+    effects: Effects
+    estimate: Estimate
+    evidence: Evidence
+
+    @property
+    def excess(self) -> float:
+        """Mean square of held-out errors beyond the noise, over the noise's."""
+        return self.evidence.excess
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What the search found.
+
+    Attributes:
+        without: the known parameters recalibrated, no effect added.
+        best: effects that stand out, all fitted together with the parameters; none where nothing does.
+        widest: the most that was tried along.
+        tried: every hypothesis fitted, in order.
+        scores: first-order gains of all candidates against `without`.
+        shares: for each effect of `best`: how many times the structure left only this effect takes away.
+        groups: for each effect of `best`: hypotheses that have another one in its place, `best` first, and their probabilities.
+    """
+
+    without: Hypothesis
+    best: Hypothesis
+    widest: Hypothesis
+    tried: list[Hypothesis]
+    scores: list[Score]
+    shares: dict[Candidate, float]
+    groups: dict[Candidate, list[tuple[Hypothesis, float]]]
+
+    def closes(self, hypothesis: Hypothesis) -> float:
+        """Part of the structure left by recalibration that a hypothesis takes away."""
+        return 1 - hypothesis.excess / max(self.without.excess, 1e-12)
+
+
+@dataclass(eq=False)
+class Fits:
+    """Fits of one data set, each done once; kept in a file, so that an interrupted search goes on where it was.
+
+    Attributes:
+        problem: with the known parameters free; its model has all candidates at their null values.
+        settings: iterations.
+        store: a file, or None.
+        key: what the file must have been made from.
+        progress: called with a line for every fit.
+    """
+
+    problem: Problem
+    settings: Settings
+    store: Path | None = None
+    key: str = ""
+    progress: Progress = lambda text: None
+    done: dict[Effects, Hypothesis] = field(default_factory=dict)
+    screened: dict[Effects, list[Score]] = field(default_factory=dict)
+    _kept: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Read what an earlier search left."""
+        if self.store is not None and self.store.exists():
+            try:
+                content = json.loads(self.store.read_text(encoding="utf-8"))
+            except (OSError, ValueError):
+                return
+            if isinstance(content, dict) and content.get("key") == self.key:
+                self._kept = content
+
+    def fit(self, effects: Effects, start: dict[str, float]) -> Hypothesis | None:
+        """The hypothesis that these effects act, fitted from these values by full name; None where the model cannot do the runs."""
+        effects = tuple(sorted(effects, key=lambda c: c.label))
+        if effects in self.done:
+            return self.done[effects]
+        name = "fit " + " ".join(c.label for c in effects)
+        kept = self._kept.get(name)
+        self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}")
+        names = [parameter for c in effects for parameter in c.parameters]
+        free = (*self.problem.free, *free_parameters(self.problem.model, names))
+        free = tuple(_starting(f, (kept or start).get(f.name, f.start)) for f in free)
+        try:
+            found = identify(replace(self.problem, free=free), 0 if kept else self.settings.iterations)
+        except PredictionError:
+            return None
+        self.done[effects] = Hypothesis(effects, found, leave_out(found))
+        self._keep(name, found.named)
+        return self.done[effects]
+
+    def screen(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> list[Score]:
+        """First-order gains of the effects a hypothesis does not have."""
+        effects = hypothesis.effects
+        if effects not in self.screened:
+            name = "screen " + " ".join(c.label for c in effects)
+            others = [candidate for candidate in missing if candidate not in effects]
+            if name in self._kept:
+                known = {candidate.label: candidate for candidate in others}
+                self.screened[effects] = [Score(known[label], gain, start) for label, gain, start in self._kept[name] if label in known]
+            else:
+                self.progress(f"screening {len(others)} effects" + (f" beside {', '.join(c.label for c in effects)}" if effects else ""))
+                self.screened[effects] = screen(hypothesis.estimate, others)
+                self._keep(name, [[score.candidate.label, score.gain, score.start] for score in self.screened[effects]])
+        return self.screened[effects]
+
+    def _keep(self, name: str, value: Any) -> None:
+        if self.store is not None and name not in self._kept:
+            self._kept[name] = value
+            write_atomically(self.store, json.dumps({**self._kept, "key": self.key}))
+
+
+def _starting(free: Free, value: float) -> Free:
+    return replace(free, start=float(np.clip(value, free.low, free.high)))
+
+
+def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
+    """Search the effects that explain what recalibration leaves.
+
+    Raises:
+        PredictionError: the model cannot do the runs even without an effect.
+    """
+    settings = fits.settings
+    without = fits.fit((), {})
+    if without is None:
+        fits.problem.residuals(fits.problem.start)
+        raise PredictionError("the model cannot do the runs")
+    best = without
+    while len(best.effects) < settings.effects and best.excess > settings.quiet:
+        trials = _round(fits, best, missing)
+        winner = _most_probable([best, *trials], seed)
+        if winner is best or winner.excess > (1 - settings.improves) * best.excess or not _beats(winner, best, seed, settings.sure):
+            break
+        best = winner
+    widest = best
+    best, shares = _backward(fits, best)
+    groups = {effect: _alternatives(fits, best, effect, missing, seed) for effect in best.effects}
+    return Explanation(without, best, widest, list(fits.done.values()), fits.screen(without, missing), shares, groups)
+
+
+def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], most: int | None = None) -> list[Hypothesis]:
+    """Fits of the candidates that promise most beside those of `base`."""
+    scores = fits.screen(base, missing)
+    promising = [score for score in scores if score.gain >= fits.settings.worth * scores[0].gain][: most or fits.settings.fits]
+    trials = [fits.fit((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
+    return [trial for trial in trials if trial is not None]
+
+
+def _most_probable(hypotheses: Sequence[Hypothesis], seed: int) -> Hypothesis:
+    return hypotheses[int(np.argmax(weights([h.evidence for h in hypotheses], seed)))]
+
+
+def _beats(one: Hypothesis, other: Hypothesis, seed: int, sure: float) -> bool:
+    return bool(weights([one.evidence, other.evidence], seed)[0] > sure)
+
+
+def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
+    """Drop effects one by one, the least needed first, until all that are left stand out from the structure left."""
+    settings = fits.settings
+    while True:
+        shares, smaller = {}, {}
+        for effect in best.effects:
+            rest = tuple(c for c in best.effects if c != effect)
+            found = fits.fit(rest, best.estimate.named)
+            if found is not None:
+                smaller[effect] = found
+                shares[effect] = (found.excess - best.excess) / (best.excess + settings.quiet / 4)
+        least = min(shares, key=shares.__getitem__, default=None)
+        if least is None or shares[least] >= settings.stands_out:
+            return best, shares
+        best = smaller[least]
+
+
+def _alternatives(
+    fits: Fits, best: Hypothesis, effect: Candidate, missing: Sequence[Candidate], seed: int
+) -> list[tuple[Hypothesis, float]]:
+    """`best` and what it would be with another effect in the place of `effect`, with probabilities."""
+    rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
+    others = [] if rest is None else [h for h in _round(fits, rest, missing, None if not rest.effects else 3) if effect not in h.effects]
+    group = [best, *(h for h in others if h is not best)]
+    return list(zip(group, weights([h.evidence for h in group], seed).tolist(), strict=True))

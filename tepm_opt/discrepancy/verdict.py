@@ -1,0 +1,165 @@
+"""What the workflow answers: plain data for people and programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.models.model import Model
+
+
+class Status(Enum):
+    """What became of the question which effect is missing."""
+
+    NAMED = "named"
+    NO_DISCREPANCY = "no_discrepancy"
+    INDISTINGUISHABLE = "indistinguishable"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter found: value and standard deviation in its SI unit; `nominal` is what it was before."""
+
+    value: float
+    std: float
+    unit: str
+    nominal: float
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect of the answer.
+
+    Attributes:
+        candidate: which effect, with its detail.
+        probability: that it acts in this machine.
+        parameters: by the effect's own parameter names.
+        closes: part of the gap left by recalibration that only this effect closes (held-out data), 0 … 1.
+    """
+
+    candidate: Candidate
+    probability: float
+    parameters: Mapping[str, Value]
+    closes: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that was considered and not named.
+
+    Attributes:
+        candidate: which effect, with its detail.
+        probability: that it, and not what was named, acts.
+        why: what speaks against it (or why it cannot be told apart).
+        closes: part of the gap left by recalibration that it would close (held-out data); None where it was not worth a fit.
+    """
+
+    candidate: Candidate
+    probability: float
+    why: str
+    closes: float | None
+
+
+@dataclass(frozen=True)
+class Place:
+    """A part of the data in which the model misses.
+
+    Attributes:
+        by: "run", "point", "axis", "actuator", "module", "time", "regime" or "band".
+        name: which one: "steps.csv", "s4", "x", "13 pressure", "after a reversal", …
+        rms: structure in m: root mean square of Eq. (5) in this part, noise taken off.
+        share: of the whole squared structure, 0 … 1.
+        ratio: squared structure per sample here over that everywhere.
+        p: how often data with permuted blocks of time concentrate as much here.
+    """
+
+    by: str
+    name: str
+    rms: float
+    share: float
+    ratio: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root mean square over time of Eq. (5) in m on validation runs."""
+
+    noise_floor: float
+    nominal: float
+    recalibrated: float
+    corrected: float
+    black_box: float
+
+    @property
+    def closed(self) -> float:
+        """Part of the gap between nominal and noise that the corrected model closes."""
+        gap = self.nominal - self.noise_floor
+        return (self.nominal - self.corrected) / gap if gap > 0 else 1.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer.
+
+    Attributes:
+        status: what became of the question.
+        paragraph: the answer in words.
+        effects: named ones; with `INDISTINGUISHABLE` the rivals; with `UNEXPLAINED` those that are sure nevertheless.
+        rivals: considered and rejected, most probable first.
+        where: where the nominal model misses, largest first.
+        recalibrated: the known parameters by name, as found together with the effects.
+        errors: on validation runs (on fit runs where the data set has no others).
+        model: with effects and values.
+        notes: what a reader should know: doubts about the data, directions the runs cannot tell, structure left.
+        seconds: it took.
+    """
+
+    status: Status
+    paragraph: str
+    effects: tuple[Named, ...]
+    rivals: tuple[Rival, ...]
+    where: tuple[Place, ...]
+    recalibrated: Mapping[str, Value]
+    errors: Errors
+    model: Model
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Content of verdict.json."""
+        return {
+            "status": self.status.value,
+            "effects": [
+                {
+                    "name": named.candidate.name,
+                    "detail": named.candidate.detail,
+                    "probability": _rounded(named.probability),
+                    "parameters": {name: _value(value) for name, value in named.parameters.items()},
+                }
+                for named in self.effects
+            ],
+            "rivals": [{"name": r.candidate.label, "probability": _rounded(r.probability), "why": r.why} for r in self.rivals],
+            "where": [
+                {"by": p.by, "name": p.name, "rms_m": _rounded(p.rms), "share": _rounded(p.share), "p": _rounded(p.p)} for p in self.where
+            ],
+            "rmse_m": {name: _rounded(value) for name, value in vars(self.errors).items()},
+            "recalibrated": {name: _value(value) for name, value in self.recalibrated.items()},
+            "paragraph": self.paragraph,
+            "notes": list(self.notes),
+            "seconds": round(self.seconds, 1),
+        }
+
+
+def _value(value: Value) -> dict[str, Any]:
+    return {"value": _rounded(value.value), "std": _rounded(value.std), "unit": value.unit}
+
+
+def _rounded(number: float) -> float | None:
+    """Six significant digits, so that the last bits of a sum do not make two files differ; None for what is not a number."""
+    return float(f"{number:.6g}") if abs(number) < float("inf") else None

@@ -1,0 +1,117 @@
+"""The workflow's answer in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tepm_opt.data.datasets import DataSet
+from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.screen import Score
+from tepm_opt.discrepancy.search import Explanation, Hypothesis
+from tepm_opt.discrepancy.verdict import Errors, Named, Status, Value
+from tepm_opt.solvers.identify import Estimate
+from tepm_opt.solvers.uncertainty import unidentifiable
+
+COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
+
+
+def paragraph(
+    status: Status, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation
+) -> str:
+    """The answer in one paragraph."""
+    shrinks = f"On validation runs the error falls from {_mm(errors.nominal)} (nominal) over {_mm(errors.recalibrated)} (recalibrated)"
+    floor = f"noise {_mm(errors.noise_floor)}"
+    if status is Status.NO_DISCREPANCY:
+        return (
+            f"Nothing is missing: with the known parameters recalibrated within their priors ({_moved(known)}) only noise is left. "
+            f"On validation runs the error falls from {_mm(errors.nominal)} to {_mm(errors.recalibrated)} ({floor})."
+        )
+    if status is Status.NAMED:
+        names = " and ".join(f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f})" for each in named)
+        return (
+            f"Missing: {names}. {where} {shrinks} to {_mm(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
+            f"in the model ({floor}), which closes {100 * errors.closed:.0f} % of the gap."
+        )
+    if status is Status.INDISTINGUISHABLE:
+        names = " or ".join(f"{each.candidate.label} (probability {each.probability:.2f})" for each in named)
+        return f"{names}: these runs cannot tell them apart. {where} {shrinks} to {_mm(errors.corrected)} with the first ({floor})."
+    best = max((h for h in explanation.tried if len(h.effects) == 1), key=explanation.closes, default=None)
+    nearest = f"; {best.effects[0].label} alone would close {_percent(explanation.closes(best))}" if best else ""
+    return (
+        f"Unexplained: structure above the noise remains that no known effect explains{nearest}. {where} On validation runs the error is "
+        f"{_mm(errors.nominal)} (nominal) and {_mm(errors.recalibrated)} (recalibrated); a black box without physics reaches "
+        f"{_mm(errors.black_box)} ({floor})."
+    )
+
+
+def notes(dataset: DataSet, explanation: Explanation, best: Estimate, noise: float) -> tuple[str, ...]:
+    """What a reader should know besides."""
+    found = []
+    if not dataset.validation:
+        found.append("No run is kept for validation: errors are on the runs fitted to and flatter the model.")
+    if len(dataset.fit) < 3:
+        found.append("Fewer than three runs to fit to: held-out data are quarters of runs, not whole ones.")
+    silent = [
+        name for k, name in enumerate(dataset.channels.points) if not any(np.isfinite(run.points[:, k]).any() for run in dataset.runs)
+    ]
+    if silent:
+        found.append(f"{', '.join(silent)}: not measured in any run.")
+    left = explanation.best.excess
+    if explanation.best.effects and left > 0.06:
+        found.append(
+            f"Structure of {_mm(np.sqrt(3 * left) * noise)} is left in the runs fitted to: the effect's form differs from the machine's, "
+            "or something small is missing besides."
+        )
+    found += [f"{text[0].upper()}{text[1:]}." for text in unidentifiable(best)]
+    bound = [free.name for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and not free.name.count(".")]
+    if bound:
+        found.append(f"At the limit of the prior: {', '.join(bound)}. The prior may be too narrow, or an effect takes its place.")
+    return tuple(found)
+
+
+def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> str:
+    """Why a hypothesis with another effect in the place of `effect` is not the answer."""
+    closes, best = explanation.closes(hypothesis), explanation.closes(explanation.best)
+    same = coincidence(explanation, hypothesis)
+    text = (
+        f"in the place of {effect.label} it leaves {_percent(1 - closes)} of the gap on held-out data, {effect.label} {_percent(1 - best)}"
+    )
+    return text + (f"; their outputs nearly coincide in these runs (cosine {same:.3f})" if same > COINCIDE else "")
+
+
+def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
+    """Why an effect that was fitted alone is not the answer."""
+    return f"alone it closes {_percent(explanation.closes(hypothesis))} of the gap on held-out data"
+
+
+def unfitted(score: Score) -> str:
+    """Why an effect was not fitted."""
+    return f"to first order it could close {_percent(min(max(score.gain, 0.0), 1.0))} of the gap"
+
+
+def coincidence(explanation: Explanation, hypothesis: Hypothesis) -> float:
+    """Cosine between what the best hypothesis and another change in the modelled positions, recalibration included."""
+    base, best, other = (
+        np.concatenate([r.values.ravel() for r in h.estimate.residuals]) for h in (explanation.without, explanation.best, hypothesis)
+    )
+    a, b = base - best, base - other
+    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-30))
+
+
+def _moved(known: Mapping[str, Value]) -> str:
+    moved = [f"{name} {100 * (v.value / v.nominal - 1):+.1f} %" for name, v in known.items() if v.nominal]
+    return ", ".join(moved) or "none is free"
+
+
+def _values(named: Named) -> str:
+    return ", ".join(f"{name} {value.value:.3g} {value.unit}" for name, value in named.parameters.items())
+
+
+def _mm(value: float) -> str:
+    return f"{1e3 * value:.2f} mm"
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.2g} %" if abs(part) < 0.995 else f"{100 * part:.1f} %"

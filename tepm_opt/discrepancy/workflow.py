@@ -1,0 +1,252 @@
+"""The discrepancy workflow: is there a gap, where, which effect is missing, and how does the gap shrink once it is in the model?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.datasets import DataSet
+from tepm_opt.data.findings import Subject
+from tepm_opt.data.metrics import error_over_time
+from tepm_opt.discrepancy import words
+from tepm_opt.discrepancy.black_box import black_box
+from tepm_opt.discrepancy.clock import shifts
+from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
+from tepm_opt.discrepancy.localise import Localisation, localise
+from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, Settings, explain
+from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Status, Value, Verdict
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.model import Model
+from tepm_opt.solvers.identify import Estimate, Problem, free_parameters, identify
+from tepm_opt.solvers.predict import PredictionError, predict_all
+
+PRECISE_STEP = 0.01  # s, for the values that are reported
+NO_STRUCTURE = 0.06  # mean square beyond the noise, over the noise's, that is reported as noise where no effect explains it
+CLEAR = 0.8  # probability among rivals from which one of them is named
+POSSIBLE = 0.1  # probability from which a rival counts
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What the workflow found, with what figures need.
+
+    Attributes:
+        verdict: the answer.
+        dataset: what it is about.
+        noise: of a coordinate, 1 sigma in m.
+        localisation: where the model misses.
+        predictions: modelled points of every run by "nominal", "recalibrated" and "corrected", (rows, points, 3) in m each.
+        explanation: all fits.
+    """
+
+    verdict: Verdict
+    dataset: DataSet
+    noise: float
+    localisation: Localisation
+    predictions: dict[str, list[np.ndarray]]
+    explanation: Explanation
+
+
+def discover(
+    dataset: DataSet, model: Model, channels: Channels, seed: int = 0, store: Path | None = None, key: str = "",
+    settings: Settings | None = None, progress: Progress = lambda text: None,
+) -> Result:  # fmt: skip
+    """Explain the gap between a model and a data set.
+
+    Args:
+        dataset: checked data.
+        model: what is known of the machine; the effects it has are fitted anew with the known parameters.
+        channels: magnitudes of the robot's channels.
+        seed: of all random draws.
+        store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
+        key: what `store` must have been made from to be used.
+        settings: when structure counts and when an effect is believed.
+        progress: called with a line for every piece of work.
+
+    Raises:
+        InputError: no run to fit to, the model cannot do the runs, or positions and inputs do not tell the same time.
+    """
+    began, settings = time.monotonic(), settings or Settings()
+    if not dataset.fit:
+        raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
+    noise = noise_of(dataset)
+    missing = candidates(model)
+    progress(f"compiling a model with {len(missing)} effects at their null values")
+    compiled = compile_model(wide(model, missing))
+    progress("simulating the runs with the model as it is")
+    nominal = _predict(compiled, dataset)
+    _refuse_shifted_clock(dataset, nominal)
+    own = [name for name in compiled.values if "." in name and not any(name in c.parameters for c in missing)]
+    problem = Problem(compiled, dataset.fit, free_parameters(compiled, [*model.robot.priors, *own]), noise, dataset.static)
+    fits = Fits(problem, settings, store, key, progress)
+    try:
+        explanation = explain(fits, missing, seed)
+    except PredictionError as error:
+        raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
+    progress("judging on validation runs")
+    best = _refined(explanation.best.estimate)
+    predictions = {
+        "nominal": nominal,
+        "recalibrated": _predict(explanation.without.estimate.model, dataset),
+        "corrected": _predict(best.model, dataset),
+    }
+    localisation = localise(
+        dataset.runs, predictions["nominal" if _status(explanation, settings) is Status.NO_DISCREPANCY else "recalibrated"],
+        noise, channels, dataset.static, seed,
+    )  # fmt: skip
+    verdict = _verdict(dataset, model, noise, explanation, best, predictions, localisation, settings)
+    verdict = replace(verdict, seconds=time.monotonic() - began)
+    return Result(verdict, dataset, noise, localisation, predictions, explanation)
+
+
+def noise_of(dataset: DataSet) -> float:
+    """Noise of a coordinate, 1 sigma in m: what the data set declares, else what the samples' second differences show.
+
+    Raises:
+        InputError: it declares none and the samples show none (data of equilibria, or without noise).
+    """
+    if dataset.position_noise:
+        return dataset.position_noise
+    levels = [Subject(run, dataset.channels, dataset.sample_rate).noise for run in dataset.runs if not dataset.static]
+    seen = [float(np.nanmedian(level)) for level in levels if np.isfinite(level).any()]
+    if not seen or not max(seen) > 0:
+        raise InputError(
+            f"{dataset.name}: position_noise_m is missing and cannot be estimated; give the tracker's noise, 1 sigma per axis in m"
+        )
+    return float(np.median(seen))
+
+
+def _predict(model: CompiledModel, dataset: DataSet) -> list[np.ndarray]:
+    try:
+        return [found.points for found in predict_all(model, dataset.runs, (), dataset.static, PRECISE_STEP)]
+    except PredictionError as error:
+        raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
+
+
+def _refuse_shifted_clock(dataset: DataSet, nominal: Sequence[np.ndarray]) -> None:
+    found = {} if dataset.static else shifts(dataset.runs, nominal)
+    if found:
+        file, shift = max(found.items(), key=lambda item: abs(item[1]))
+        how = f"lead the inputs by {-shift:.2f} s" if shift < 0 else f"trail the inputs by {shift:.2f} s"
+        raise InputError(
+            f"{file}: shifted clock: positions {how} ({len(found)} of {len(dataset.runs)} runs), which no machine does; "
+            "put inputs and positions on one clock"
+        )
+
+
+def _refined(estimate: Estimate) -> Estimate:
+    """The fit with the precise step, from its values."""
+    free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
+    try:
+        return identify(replace(estimate.problem, free=free, step=PRECISE_STEP), 3)
+    except PredictionError:
+        return estimate
+
+
+def _status(explanation: Explanation, settings: Settings) -> Status:
+    if not explanation.best.effects:
+        quiet = explanation.without.excess <= max(settings.quiet, NO_STRUCTURE)
+        return Status.NO_DISCREPANCY if quiet else Status.UNEXPLAINED
+    unclear = any(weight < CLEAR for group in explanation.groups.values() for hypothesis, weight in group[:1])
+    return Status.INDISTINGUISHABLE if unclear else Status.NAMED
+
+
+def _belief(share: float, settings: Settings) -> float:
+    """Probability that an effect is a cause: even odds where what only it takes away is `stands_out` times what is left."""
+    return 1 / (1 + (settings.stands_out / max(share, 1e-9)) ** 2)
+
+
+def _verdict(
+    dataset: DataSet, model: Model, noise: float, explanation: Explanation, best: Estimate, predictions: dict[str, list[np.ndarray]],
+    localisation: Localisation, settings: Settings,
+) -> Verdict:  # fmt: skip
+    status = _status(explanation, settings)
+    named: list[Named] = []
+    for effect in explanation.best.effects:
+        belief = _belief(explanation.shares[effect], settings)
+        for hypothesis, weight in explanation.groups[effect]:
+            other = next((c for c in hypothesis.effects if c not in explanation.best.effects), effect)
+            if hypothesis is explanation.best or (weight > POSSIBLE and status is Status.INDISTINGUISHABLE):
+                estimate = best if hypothesis is explanation.best else hypothesis.estimate
+                named.append(Named(other, belief * weight, _values(estimate, other), _only(explanation, effect, hypothesis)))
+    named.sort(key=lambda each: -each.probability)
+    errors = _errors(dataset, noise, explanation, predictions)
+    rivals = _rivals(explanation, named, settings)
+    corrected = narrow(model, _named_values(best), explanation.best.effects)
+    notes = words.notes(dataset, explanation, best, noise)
+    known = {f.name: _value(best, f.name, dict(model.values)[f.name]) for f in best.problem.free if f.name in model.values}
+    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation)
+    where = tuple(place for place in localisation.places if place.p <= 0.01)
+    return Verdict(status, text, tuple(named), rivals, where, known, errors, corrected, notes)
+
+
+def _only(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:
+    """Part of the structure left by recalibration that is gone with the effect and there without it."""
+    rest = tuple(c for c in explanation.best.effects if c != effect)
+    without = next((h for h in explanation.tried if h.effects == rest), explanation.without)
+    return (without.excess - hypothesis.excess) / max(explanation.without.excess, 1e-12)
+
+
+def _named_values(estimate: Estimate) -> dict[str, float]:
+    return estimate.model.values
+
+
+def _value(estimate: Estimate, name: str, nominal: float) -> Value:
+    at = [f.name for f in estimate.problem.free].index(name)
+    return Value(float(estimate.values[at]), float(estimate.std[at]), estimate.problem.free[at].unit, nominal)
+
+
+def _values(estimate: Estimate, candidate: Candidate) -> dict[str, Value]:
+    return {name.rsplit(".", 1)[1]: _value(estimate, name, candidate.null[name]) for name in candidate.parameters}
+
+
+def _rivals(explanation: Explanation, named: Sequence[Named], settings: Settings) -> tuple[Rival, ...]:
+    """One entry for every effect that was not named: its best detail, fitted or not."""
+    taken = {each.candidate.name for each in named}
+    found: dict[str, Rival] = {}
+    for effect, group in explanation.groups.items():
+        for hypothesis, weight in group[1:]:
+            other = next(c for c in hypothesis.effects if c not in explanation.best.effects)
+            closes = explanation.closes(hypothesis)
+            rival = Rival(
+                other, weight * _belief(explanation.shares[effect], settings), words.beaten(explanation, effect, hypothesis), closes
+            )
+            if other.name not in taken and (other.name not in found or found[other.name].probability < rival.probability):
+                found[other.name] = rival
+    for hypothesis in explanation.tried:
+        for other in hypothesis.effects:
+            if len(hypothesis.effects) == 1 and other.name not in taken and other.name not in found:
+                found[other.name] = Rival(other, 0.0, words.alone(explanation, hypothesis), explanation.closes(hypothesis))
+    for score in explanation.scores:
+        if score.candidate.name not in taken and score.candidate.name not in found:
+            found[score.candidate.name] = Rival(score.candidate, 0.0, words.unfitted(score), None)
+    return tuple(sorted(found.values(), key=lambda rival: (-rival.probability, -(rival.closes or -1.0), rival.candidate.label)))
+
+
+def _errors(dataset: DataSet, noise: float, explanation: Explanation, predictions: dict[str, list[np.ndarray]]) -> Errors:
+    """On validation runs; on the runs fitted to where there are no others."""
+    roles = [run.role for run in dataset.runs]
+    judged = [k for k, role in enumerate(roles) if role == "validation"] or list(range(len(roles)))
+    runs = [dataset.runs[k] for k in judged]
+
+    def rms(points: Sequence[np.ndarray]) -> float:
+        return error_over_time(np.concatenate([run.points for run in runs]), np.concatenate(list(points)))
+
+    learnt = [k for k, role in enumerate(roles) if role == "fit"]
+    left = [dataset.runs[k].points - predictions["recalibrated"][k] for k in learnt]
+    size = np.maximum(np.max([np.abs(run.inputs).max(axis=0) for run in dataset.runs], axis=0), 1e-12)
+    guessed = black_box([dataset.runs[k] for k in learnt], left, size, runs, dataset.static)
+    found = {name: rms([points[k] for k in judged]) for name, points in predictions.items()}
+    return Errors(
+        noise_floor=float(np.sqrt(3) * noise),
+        black_box=rms([predictions["recalibrated"][k] + guess for k, guess in zip(judged, guessed, strict=True)]),
+        **found,
+    )

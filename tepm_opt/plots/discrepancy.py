@@ -1,0 +1,233 @@
+"""Figures of a model's discrepancy: where it misses, how far correction closes the gap, and what the evidence says."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from tepm_opt.data.metrics import shape_error
+from tepm_opt.data.run import Run
+from tepm_opt.data.setpoints import AXES
+from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
+
+COLORS = {"nominal": MISSED, "recalibrated": TENSION, "corrected": REACHED, "black box": PRESSURE, "noise floor": TARGET}
+Predictions = Mapping[str, Sequence[np.ndarray]]
+"""Modelled points of every run, (rows, points, 3) in m, by the model's name: "nominal", "recalibrated", "corrected"."""
+
+MODELS = ("nominal", "recalibrated", "corrected")
+SPREAD = 8.0  # largest over smallest value from which an axis is logarithmic
+WINDOW = 8.0  # s shown of the tip
+SMALLEST_SPAN = 2.0  # mm, so that noise is not drawn as motion
+ENOUGH_ROOM = 14  # columns of the heat map that fit in its usual width
+SHOWN = 20  # candidates shown of the evidence
+
+
+def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str]) -> Figure:
+    """Where the model misses: structure beyond the noise by run and reference point, (runs, points) in m, NaN where not measured."""
+    values = 1e3 * np.asarray(heat)
+    figure = Figure(figsize=(3.6 + 0.75 * min(len(points), ENOUGH_ROOM), 1.5 + 0.36 * len(runs)), **STYLE)  # type: ignore[arg-type]
+    axes = figure.subplots()
+    top = float(np.nanmax(values, initial=0.0)) or 1.0
+    image = axes.imshow(values, cmap="YlOrRd", vmin=0.0, vmax=top, aspect="auto")
+    axes.set_facecolor("0.9")
+    axes.set_xticks(range(len(points)), list(points))
+    axes.set_yticks(range(len(runs)), list(runs))
+    for (row, column), value in np.ndenumerate(values):
+        color = "white" if value > 0.65 * top else "black"
+        axes.text(column, row, _digits(value) if np.isfinite(value) else "–", ha="center", va="center", fontsize=9, color=color)
+    figure.colorbar(image, ax=axes, label="mm", pad=0.03)
+    axes.set_title("nominal model: RMS error beyond the noise, in mm", fontsize=11)
+    return figure
+
+
+def gap_figure(errors: Mapping[str, float], data: str = "validation runs") -> Figure:
+    """How the gap shrinks: root mean square of Eq. (5) in m by model ("noise floor", "nominal", …; NaN leaves one out)."""
+    shown = {name: 1e3 * value for name, value in errors.items() if np.isfinite(value)}
+    figure = Figure(figsize=(7.5, 1.3 + 0.42 * len(shown)), **STYLE)  # type: ignore[arg-type]
+    axes = figure.subplots()
+    logarithmic = _scale_of_x(axes, list(shown.values()))
+    floor = shown.get("noise floor", 0.0)
+    left = floor if logarithmic else 0.0
+    for row, (name, value) in enumerate(shown.items()):
+        color = COLORS.get(name, PRESSURE)
+        axes.plot([left, value], [row, row], color=color, linewidth=3, alpha=0.45, solid_capstyle="butt")
+        axes.plot(value, row, "o", color=color, markersize=9)
+        axes.annotate(f"{value:.3g} mm", (value, row), (9, 0), textcoords="offset points", va="center", fontsize=9)
+    if floor:
+        axes.axvline(floor, color=TARGET, linewidth=1, linestyle="--", zorder=0)
+    axes.set_yticks(range(len(shown)), list(shown))
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.margins(x=0.18 if logarithmic else 0.12)
+    if not logarithmic:
+        axes.set_xlim(left=0.0)
+    axes.set_xlabel("Eq. (5), RMS over time in mm")
+    axes.set_title(f"{data}: the gap between model and machine", fontsize=11)
+    axes.grid(alpha=0.3, axis="x", which="both")
+    return figure
+
+
+def points_figure(points: Sequence[str], errors: Mapping[str, np.ndarray], floor: float, data: str = "validation runs") -> Figure:
+    """Error of every reference point, (points,) in m by model, against the noise floor in m."""
+    figure = Figure(figsize=(max(6.5, 1.1 * len(points) + 2.5), 3.6), **STYLE)  # type: ignore[arg-type]
+    axes = figure.subplots()
+    width = 0.8 / max(len(errors), 1)
+    for k, (name, values) in enumerate(errors.items()):
+        at = np.arange(len(points)) + (k - (len(errors) - 1) / 2) * width
+        heights = 1e3 * np.asarray(values)
+        axes.bar(at, heights, 0.92 * width, color=COLORS.get(name, PRESSURE), label=name)
+        if len(points) * len(errors) <= 30:
+            for x, height in zip(at[np.isfinite(heights)], heights[np.isfinite(heights)], strict=True):
+                axes.annotate(_digits(height), (x, height), (0, 2), textcoords="offset points", ha="center", fontsize=7)
+    axes.axhline(1e3 * floor, color="black", linewidth=1, linestyle="--", label=f"noise, {1e3 * floor:.2g} mm")
+    axes.set_xticks(range(len(points)), list(points))
+    axes.set_ylabel("distance, RMS in mm")
+    axes.margins(y=0.1)
+    axes.set_title(f"{data}: error by reference point", fontsize=11)
+    axes.grid(alpha=0.3, axis="y")
+    axes.set_axisbelow(True)
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float) -> Figure:
+    """Eq. (5) of every model at every instant, a panel a run; over the rows where there is no time. `floor` in m."""
+    figure = Figure(figsize=(10.0, 1.0 + 1.9 * len(runs)), **STYLE)  # type: ignore[arg-type]
+    panels: list[Axes] = list(figure.subplots(len(runs), 1, sharey=True, squeeze=False)[:, 0])
+    errors = {name: [1e3 * shape_error(run.points, at) for run, at in zip(runs, each, strict=True)] for name, each in predictions.items()}
+    every = np.concatenate([series[np.isfinite(series)] for each in errors.values() for series in each] + [np.array([1e3 * floor])])
+    typical = [float(np.median(series[np.isfinite(series)])) for each in errors.values() for series in each if np.isfinite(series).any()]
+    for k, (axes, run) in enumerate(zip(panels, runs, strict=True)):
+        across, label, mark = _across(run)
+        for name, each in errors.items():
+            axes.plot(across, each[k], mark, color=COLORS.get(name, PRESSURE), linewidth=1.0, markersize=4, label=name)
+        axes.axhline(1e3 * floor, color="black", linewidth=0.9, linestyle="--", label=f"noise, {1e3 * floor:.2g} mm")
+        axes.set_title(run.file, fontsize=10, loc="left")
+        axes.set_ylabel("Eq. (5) in mm")
+        axes.margins(x=0.01)
+        axes.grid(alpha=0.3)
+        axes.set_xlabel(label if k == len(runs) - 1 or run.duration != runs[-1].duration else "")
+    if floor > 0 and typical and max(typical) > SPREAD * floor:
+        panels[0].set_yscale("log")
+        panels[0].set_ylim(0.3 * 1e3 * floor, 1.3 * float(every.max()))
+        for axes in panels:
+            _plain_decades(axes.yaxis)
+    else:
+        panels[0].set_ylim(0.0, 1.08 * float(every.max()) or 1.0)
+    panels[0].legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals: Collection[str] = ()) -> Figure:
+    """Part of the gap left by recalibration that every fitted candidate closes on held-out data, 0 … 1; named ones coloured."""
+    order = sorted((name for name in closes if np.isfinite(closes[name])), key=lambda name: (-closes[name], name))
+    kept = [name for k, name in enumerate(order) if k < SHOWN or name in named]
+    figure = Figure(figsize=(8.0, 1.3 + 0.26 * max(len(kept), 2)), **STYLE)  # type: ignore[arg-type]
+    axes = figure.subplots()
+    values = np.clip([100 * closes[name] for name in kept], -100.0, 100.0)
+    colors = [REACHED if name in named else TENSION if name in rivals else "0.72" for name in kept]
+    axes.barh(range(len(kept)), values, 0.7, color=colors)
+    for row, (name, value) in enumerate(zip(kept, values, strict=True)):
+        text = f"{100 * closes[name]:.0f} %"
+        axes.annotate(text, (max(value, 0.0), row), (4, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.set_yticks(range(len(kept)), list(kept), fontsize=8)
+    for tick, name in zip(axes.get_yticklabels(), kept, strict=True):
+        tick.set_fontweight("bold" if name in named else "normal")
+    axes.set_ylim(max(len(kept), 1) - 0.4, -0.6)
+    axes.set_xlim(min(0.0, 1.1 * float(values.min(initial=0.0))), 112.0)
+    axes.axvline(0.0, color="black", linewidth=0.8)
+    axes.set_xlabel("part of the gap closed on held-out data, %")
+    title = "each candidate alone, after recalibration" + ("; green: named" if named else "")
+    axes.set_title(title + ("; orange: cannot be told apart" if rivals else ""), fontsize=11)
+    axes.grid(alpha=0.3, axis="x")
+    axes.set_axisbelow(True)
+    if not kept:
+        axes.text(0.5, 0.5, "no candidate was worth a fit", transform=axes.transAxes, ha="center", va="center", color="gray")
+    return figure
+
+
+def tip_figure(runs: Sequence[Run], predictions: Predictions) -> Figure:
+    """One coordinate of the tip, measured and modelled, in the run and the seconds in which correction matters most."""
+    k, rows, axis = _most(runs, predictions)
+    run, shown = runs[k], [name for name in MODELS if name in predictions]
+    across, label, mark = _across(run)
+    measured = 1e3 * run.points[rows, -1, axis]
+    modelled = {name: 1e3 * predictions[name][k][rows, -1, axis] for name in shown}
+    figure = Figure(figsize=(9.5, 5.2), **STYLE)  # type: ignore[arg-type]
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.2, 1.0])
+    above.plot(across[rows], measured, ".", color="0.35", markersize=4, label="measured", zorder=1)
+    for name, values in modelled.items():
+        above.plot(across[rows], values, mark, color=COLORS[name], linewidth=1.3, markersize=5, label=name)
+        below.plot(across[rows], values - measured, mark, color=COLORS[name], linewidth=1.0, markersize=5, label=name)
+    _span(above, [measured, *modelled.values()])
+    _span(below, [values - measured for values in modelled.values()])
+    above.set_ylabel(f"tip {AXES[axis]} in mm")
+    below.set_ylabel("modelled − measured\nin mm")
+    below.set_xlabel(label)
+    below.axhline(0.0, color="black", linewidth=0.8)
+    for axes in (above, below):
+        axes.margins(x=0.01)
+        axes.grid(alpha=0.3)
+    above.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    above.set_title(f"{run.file}: the tip where correction matters most", fontsize=11)
+    figure.align_ylabels([above, below])
+    return figure
+
+
+def _span(axes: Axes, values: Sequence[np.ndarray]) -> None:
+    """Limits that hold all values, never narrower than what can be told from noise."""
+    every = np.concatenate(values)
+    every = every[np.isfinite(every)] if np.isfinite(every).any() else np.zeros(1)
+    middle, half = (every.max() + every.min()) / 2, max(float(np.ptp(every)), SMALLEST_SPAN) / 2
+    axes.set_ylim(middle - 1.08 * half, middle + 1.08 * half)
+
+
+def _most(runs: Sequence[Run], predictions: Predictions) -> tuple[int, slice, int]:
+    """Run, rows and axis in which the squared error of the tip shrinks most from the nominal to the corrected model."""
+    best, found = -np.inf, (0, slice(0, runs[0].rows), 0)
+    for k, run in enumerate(runs):
+        before, after = (run.points[:, -1] - predictions[name][k][:, -1] for name in ("nominal", "corrected"))
+        less = np.vstack([np.zeros((1, 3)), np.cumsum(np.nan_to_num(before**2 - after**2), axis=0)])
+        if np.isfinite(run.time).all():
+            ends = np.searchsorted(run.time, run.time + WINDOW, side="right")
+            starts = np.flatnonzero(ends < run.rows) if ends[0] < run.rows else np.array([0])
+        else:
+            starts, ends = np.array([0]), np.array([run.rows])
+        gained = less[ends[starts]] - less[starts]
+        row, axis = np.unravel_index(gained.argmax(), gained.shape)
+        if gained.max() > best:
+            best, found = gained.max(), (k, slice(int(starts[row]), int(ends[starts[row]])), int(axis))
+    return found
+
+
+def _across(run: Run) -> tuple[np.ndarray, str, str]:
+    """What a run is drawn over, its label, and how its values are marked."""
+    timed = bool(np.isfinite(run.time).all())
+    return (run.time, "time in s", "-") if timed else (np.arange(1, run.rows + 1), "row", "o")
+
+
+def _scale_of_x(axes: Axes, values: Sequence[float]) -> bool:
+    """Make the axis logarithmic where the values are far apart; whether it is."""
+    positive = [value for value in values if value > 0]
+    if len(positive) < len(values) or not positive or max(positive) <= SPREAD * min(positive):
+        axes.xaxis.set_major_locator(MaxNLocator(6))
+        return False
+    axes.set_xscale("log")
+    _plain_decades(axes.xaxis)
+    return True
+
+
+def _plain_decades(axis: Axis) -> None:
+    """Ticks 1, 2, 5, 10, … without powers of ten."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _digits(value: float) -> str:
+    """At most two decimals."""
+    return f"{value:.{2 if value < 0.995 else 1 if value < 9.95 else 0}f}"

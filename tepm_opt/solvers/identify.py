@@ -1,0 +1,357 @@
+"""Parameters of a model from measured runs: bounded Gauss-Newton on simulated sensitivities, with what the runs cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from tepm_opt.data.run import Run
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.effects import find_effect
+from tepm_opt.models.model import label
+from tepm_opt.models.robot import UNITS, Parameters
+from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
+
+ITERATIONS = 15
+MAD = 1.4826  # of a normal distribution's median absolute deviation
+BLOCK = 1.0  # s; residuals further apart than this count as independent
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter to be found.
+
+    Attributes:
+        name: full name ("K_a", "payload.mass").
+        unit: SI.
+        start: first value.
+        low, high: its range; for a robot parameter with a prior the prior's (SPEC section 4: uniform).
+        scale: a small but visible change of it.
+    """
+
+    name: str
+    unit: str
+    start: float
+    low: float
+    high: float
+    scale: float
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of what is known before any data: of a uniform distribution over a finite range, else wide."""
+        width = self.high - self.low
+        return width / np.sqrt(12) if np.isfinite(width) else 1e3 * self.scale
+
+
+def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) -> tuple[Free, ...]:
+    """Parameters by full name with their ranges; without names those that the robot file has priors for.
+
+    A robot parameter with a prior keeps to it, around the robot file's value; without one it keeps to its physical range. A parameter of an
+    effect keeps to the effect's range and starts at the model's value.
+
+    Raises:
+        InputError: no such parameter; a value outside its prior.
+    """
+    robot, known = model.robot, model.values
+    effects = {f"{label(effect)}.{p.name}": p for effect in model.model.effects for p in find_effect(effect.name).parameters}
+    found = []
+    for name in robot.priors if names is None else names:
+        if name not in known:
+            raise unknown_name("parameter", name, known)
+        value = known[name]
+        if name in effects:
+            kind = effects[name]
+            scale = abs(kind.probe - kind.null) or 0.3 * abs(kind.probe)
+            found.append(Free(name, kind.unit, value, kind.low, kind.high, scale))
+            continue
+        nominal = float(getattr(robot.parameters, name))
+        low, high = _physical_range(name)
+        half = robot.priors.get(name)
+        scale = abs(nominal) * (half or 0.05)
+        if half is not None:
+            low, high = max(low, nominal - abs(nominal) * half), min(high, nominal + abs(nominal) * half)
+        if not low - 1e-9 * scale <= value <= high + 1e-9 * scale:
+            raise InputError(f"parameter {name} = {value:g} {UNITS[name]} is outside its prior; valid: {low:g} … {high:g}")
+        found.append(Free(name, UNITS[name], min(max(value, low), high), low, high, scale))
+    return tuple(found)
+
+
+def _physical_range(name: str) -> tuple[float, float]:
+    limits = {type(rule).__name__: rule for rule in Parameters.model_fields[name].metadata}
+    return float(limits["Ge"].ge), float(limits["Le"].le)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What to fit to what.
+
+    Attributes:
+        model: compiled model; its values hold for all that is not free.
+        runs: to fit to.
+        free: the parameters to be found.
+        noise: of a coordinate, 1 sigma in m.
+        static: whether rows are equilibria.
+        robust: whether outliers are weighted down (Huber's loss at 4 robust standard deviations of the residuals).
+        step: longest time step of the simulations in s.
+    """
+
+    model: CompiledModel
+    runs: tuple[Run, ...]
+    free: tuple[Free, ...]
+    noise: float
+    static: bool = False
+    robust: bool = False
+    step: float = LONGEST_STEP
+
+    def with_values(self, values: np.ndarray) -> CompiledModel:
+        """The model with these values of the free parameters."""
+        theta = self.model.theta.copy()
+        theta[[self.model.network.parameter_names.index(free.name) for free in self.free]] = values
+        return self.model.with_theta(theta)
+
+    @property
+    def start(self) -> np.ndarray:
+        """First values, (parameters,)."""
+        return np.array([free.start for free in self.free])
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower bounds, (parameters,)."""
+        return np.array([free.low for free in self.free])
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper bounds, (parameters,)."""
+        return np.array([free.high for free in self.free])
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Small but visible changes, (parameters,)."""
+        return np.array([free.scale for free in self.free])
+
+    def residuals(self, values: np.ndarray, names: Sequence[str] | None = None) -> list[Residual]:
+        """Measured less modelled of every run, differentiated by `names` (the free ones where absent).
+
+        Raises:
+            PredictionError: the model cannot do a run with these values.
+        """
+        names = [free.name for free in self.free] if names is None else names
+        found = predict_all(self.with_values(values), self.runs, names, self.static, self.step)
+        return [Residual.of(run, each.points, each.by, self.noise) for run, each in zip(self.runs, found, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Measured less modelled positions of a run over the noise, 0 where a sample is missing.
+
+    Attributes:
+        file: the run.
+        values: (rows, points, 3).
+        present: whether a coordinate was measured, (rows, points, 3).
+        by: change with the parameters, (rows · points · 3, parameters) per unit.
+        block: number of the block of time each row belongs to, (rows,).
+    """
+
+    file: str
+    values: np.ndarray
+    present: np.ndarray
+    by: np.ndarray
+    block: np.ndarray
+
+    @staticmethod
+    def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float) -> Residual:
+        """From a run and its prediction, points (rows, points, 3) and by (parameters, rows, points, 3)."""
+        present = np.isfinite(run.points)
+        values = np.where(present, run.points - points, 0.0) / noise
+        slopes = -np.where(present, by, 0.0).reshape(len(by), present.size).T / noise
+        time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // BLOCK
+        return Residual(run.file, values, present, slopes, time.astype(int))
+
+    @property
+    def count(self) -> int:
+        """Coordinates measured."""
+        return int(self.present.sum())
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared values: about `count` where only noise is left."""
+        return float(np.sum(self.values**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Parameters found.
+
+    Attributes:
+        problem: what was fitted.
+        values: (parameters,), SI.
+        covariance: (parameters, parameters), including the priors; robust against residuals that are not white.
+        residuals: measured less modelled of every run at the values, with their derivatives by the parameters.
+        cost: sum of the (weighted) squares over the noise.
+        iterations: Gauss-Newton steps.
+        converged: whether the steps ended by themselves.
+        message: how they ended.
+    """
+
+    problem: Problem
+    values: np.ndarray
+    covariance: np.ndarray
+    residuals: list[Residual]
+    cost: float
+    iterations: int
+    converged: bool
+    message: str
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations, (parameters,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def named(self) -> dict[str, float]:
+        """Values by full name."""
+        return {free.name: float(value) for free, value in zip(self.problem.free, self.values, strict=True)}
+
+    @property
+    def model(self) -> CompiledModel:
+        """The model with the values found."""
+        return self.problem.with_values(self.values)
+
+    @property
+    def at_bound(self) -> np.ndarray:
+        """Which parameters ended at a bound, (parameters,)."""
+        problem, margin = self.problem, 1e-6 * self.problem.scale
+        return (self.values <= problem.low + margin) | (self.values >= problem.high - margin)
+
+    @property
+    def count(self) -> int:
+        """Coordinates measured."""
+        return sum(residual.count for residual in self.residuals)
+
+    @cached_property
+    def information(self) -> np.ndarray:
+        """Fisher information of the runs alone, (parameters, parameters), in the parameters' scales."""
+        scale = self.problem.scale
+        return sum((r.by.T @ r.by for r in self.residuals), np.zeros((len(scale), len(scale)))) * np.outer(scale, scale)
+
+
+def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress = lambda text: None) -> Estimate:
+    """Least squares by Gauss-Newton steps within the bounds, damped where they fail (Levenberg-Marquardt; Nocedal and Wright 2006, ch. 10).
+
+    Args:
+        problem: what to fit.
+        iterations: most steps.
+        progress: called with a line after every step.
+
+    Raises:
+        InputError: no runs, no parameters or no measured sample.
+        PredictionError: the model cannot do the runs with the first values.
+    """
+    if not problem.runs or not sum(np.isfinite(run.points).sum() for run in problem.runs):
+        raise InputError("nothing to fit to: no run with a measured sample")
+    values = np.clip(problem.start, problem.low, problem.high)
+    residuals = problem.residuals(values)
+    weights = _weights(residuals, problem.robust)
+    cost, damping, done, message = _cost(residuals, weights), 1e-6, 0, "steps ended"
+    converged = not problem.free
+    while done < iterations and not converged:
+        step, promised = _step(problem, values, residuals, weights, damping)
+        if promised < max(0.1, 1e-5 * cost):
+            converged, message = True, "no step promises less"
+            break
+        done += 1
+        try:
+            tried = problem.residuals(values + step)
+            new = _cost(tried, weights)
+        except PredictionError as error:
+            tried, new, message = residuals, np.inf, str(error)
+        if new < cost:
+            gained = (cost - new) / promised
+            values, residuals = values + step, tried
+            damping = damping / 10 if gained > 0.25 else damping * 3
+            weights = _weights(residuals, problem.robust)
+            cost = _cost(residuals, weights)
+        else:
+            damping = max(10 * damping, 1e-3)
+            if damping > 1e6:
+                converged, message = bool(np.isfinite(new)), "no shorter step helps"
+                break
+        progress(f"step {done}: residuals {np.sqrt(cost / max(sum(r.count for r in residuals), 1)):.4g} times the noise")
+    return Estimate(problem, values, _covariance(problem, residuals), residuals, cost, done, converged, message)
+
+
+def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]:
+    """Square roots of Huber's weights, of the residuals' shape; None for all 1."""
+    if not robust:
+        return [None] * len(residuals)
+    sizes = np.concatenate([np.abs(r.values[r.present]) for r in residuals])
+    limit = 4 * max(MAD * float(np.median(sizes)), 1.0)
+    return [np.sqrt(limit / np.maximum(np.abs(r.values), limit)) for r in residuals]
+
+
+def _weighted(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    values = residual.values.ravel()
+    return (values, residual.by) if weights is None else (values * weights.ravel(), residual.by * weights.reshape(-1, 1))
+
+
+def _cost(residuals: list[Residual], weights: list[np.ndarray | None]) -> float:
+    return float(sum(np.sum((r.values if w is None else r.values * w) ** 2) for r, w in zip(residuals, weights, strict=True)))
+
+
+def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """JᵀJ (parameters, parameters) and Jᵀr (parameters,) of several runs together."""
+    pairs = [_weighted(r, w) for r, w in zip(residuals, weights or [None] * len(residuals), strict=True)]
+    return sum(by.T @ by for _, by in pairs), sum(by.T @ values for values, by in pairs)  # type: ignore[return-value]
+
+
+def bounded_step(
+    square: np.ndarray, slope: np.ndarray, low: np.ndarray, high: np.ndarray, scale: np.ndarray, damping: float = 0.0
+) -> tuple[np.ndarray, float]:
+    """Minimiser d of dᵀ square d + 2 slopeᵀ d (+ damping) within low ≤ d ≤ high, and by how much it falls short of 0.
+
+    Scaled by `scale`; directions without any influence are left where they are.
+    """
+    H, g = square * np.outer(scale, scale), slope * scale
+    size = np.maximum(np.diag(H), 1e-12 * max(float(np.max(np.diag(H), initial=0.0)), 1e-30))
+    root = np.sqrt(size)
+    lifted = H / np.outer(root, root) + (damping + 1e-10) * np.eye(len(g))
+    factor = np.linalg.cholesky(lifted).T
+    target = -np.linalg.solve(factor.T, g / root)
+    limits = [np.minimum(low / scale * root, -0.0), np.maximum(high / scale * root, 0.0)]
+    limits[1] = np.maximum(limits[1], limits[0] + 1e-12)
+    y = lsq_linear(factor, target, bounds=(limits[0], limits[1]), method="bvls", tol=1e-12).x
+    d = np.clip(y / root * scale, np.minimum(low, 0), np.maximum(high, 0))
+    return d, float(-(d @ square @ d + 2 * slope @ d))
+
+
+def _step(
+    problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None], damping: float
+) -> tuple[np.ndarray, float]:
+    square, slope = normal_equations(residuals, weights)
+    return bounded_step(square, slope, problem.low - values, problem.high - values, problem.scale, damping)
+
+
+def _covariance(problem: Problem, residuals: list[Residual]) -> np.ndarray:
+    """Sandwich: curvature and priors outside, scores summed over blocks of time inside (White, Econometrica 50, 1982)."""
+    scale, count = problem.scale, len(problem.free)
+    if not count:
+        return np.zeros((0, 0))
+    known = np.diag((scale / np.array([free.spread for free in problem.free])) ** 2)
+    square, meat = np.zeros((count, count)), np.zeros((count, count))
+    for r in residuals:
+        by = r.by * scale
+        square += by.T @ by
+        terms = (by * r.values.reshape(-1, 1)).reshape(len(r.values), -1, count).sum(axis=1)
+        scores = np.stack([np.bincount(r.block, terms[:, k]) for k in range(count)], axis=1)
+        meat += scores.T @ scores
+    inverse = np.linalg.pinv(square + known, hermitian=True)
+    white = inverse  # what white noise alone leaves
+    cov = inverse @ (meat + known) @ inverse
+    cov = np.where(np.eye(count, dtype=bool), np.maximum(np.diag(cov), np.diag(white)), cov)
+    return cov * np.outer(scale, scale)

@@ -1,0 +1,141 @@
+"""Inputs that excite everything a robot of six muscles and six tendons may hide, as runs of a data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tepm_opt.data.run import Role
+from tepm_opt.data.setpoints import SetPoints
+
+RATE = 50.0  # Hz
+LEAD = 0.4  # s of steady inputs before each run
+COUNT = 6  # muscles, and tendons
+ANGLES = np.deg2rad([90.0, 210.0, 330.0] * 2)
+
+Knots = list[tuple[float, np.ndarray]]
+"""Seconds since the knot before, and the levels (15,) reached then: pressures in Pa, tensions and tip force in N."""
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A run to be made."""
+
+    file: str
+    role: Role
+    setpoints: SetPoints
+
+
+def excitations(seed: int, short: bool) -> tuple[Excitation, ...]:
+    """Runs of a data set.
+
+    Args:
+        seed: of the levels and phases that are drawn.
+        short: whether there are six runs of 6 … 8 s instead of seven of 20 … 25 s.
+    """
+    random, slower = np.random.default_rng([seed, 2]), 1.0 if short else 3.0
+    low, high = (np.repeat(peaks, 3) for peaks in ((75e3, 110e3), (100e3, 160e3)))
+    spread, steps = _spread(slower), _steps(random, 5 if short else 12, 0.5 if short else 1.6)
+    fit = {
+        "single_pressure": _one_by_one(_level(), (low if short else high) * random.uniform(0.9, 1.1, COUNT), slower, tension=False),
+        "single_tension": _one_by_one(_level(140e3), (3.0 if short else 4.5) * random.uniform(0.9, 1.1, COUNT), slower, tension=True),
+    }
+    fit |= {"elongation": [*spread, *steps]} if short else {"elongation": spread, "steps": [(0.0, _level(90e3)), *steps]}
+    fit["tip_load"] = _pushed(random, slower)
+    validation = {"circle": _circle(2, 3.2) if short else _circle(3, 7.0), "mixed": _mixed(random, 6.5 if short else 20.0)}
+    planned = [(name, role, knots) for role, runs in (("fit", fit), ("validation", validation)) for name, knots in runs.items()]
+    return tuple(Excitation(f"{name}.csv", role, _sampled(knots)) for name, role, knots in planned)
+
+
+def _level(
+    pressure: float | np.ndarray = 0.0, tension: float | np.ndarray = 0.0, force: tuple[float, float, float] = (0, 0, 0)
+) -> np.ndarray:
+    return np.concatenate([np.broadcast_to(pressure, COUNT), np.broadcast_to(tension, COUNT), force]).astype(float)
+
+
+def _sampled(knots: Knots) -> SetPoints:
+    """Linear between the knots, which stand on the grid of the samples; the first level holds for `LEAD`."""
+    seconds, levels = zip((LEAD, knots[0][1]), *knots[1:], strict=True)
+    at = np.append(0, np.cumsum(np.maximum(np.round(np.multiply(seconds, RATE)), 1)))
+    rows, values = np.arange(at[-1] + 1), np.vstack([levels[:1], levels])
+    values = np.stack([np.interp(rows, at, column) for column in values.T], axis=1)
+    return SetPoints(rows / RATE, values[:, : 2 * COUNT], values[:, 2 * COUNT :])
+
+
+def _one_by_one(rest: np.ndarray, peaks: np.ndarray, slower: float, tension: bool) -> Knots:
+    """One input after the other up, partly down, up again and to zero."""
+    knots: Knots = [(0.0, rest)]
+    for k, peak in enumerate(peaks):
+        for seconds, part in ((0.4, 1.0), (0.3, 0.25), (0.2, 0.7), (0.3, 0.0)):
+            level = rest.copy()
+            level[k + COUNT * tension] += part * peak
+            knots.append((slower * seconds, level))
+    return knots
+
+
+def _spread(slower: float) -> Knots:
+    """All muscles together: small turns at low pressure, a large one, a step and a hold."""
+    turns = ((0.2, 30e3), (0.2, 8e3), (0.2, 40e3), (0.8, 320e3), (0.7, 60e3), (0.4, 130e3), (0.5, 20e3), (0.02, 90e3), (0.4, 90e3))
+    return [(0.0, _level()), *((slower * seconds if seconds > 0.05 else seconds, _level(pressure)) for seconds, pressure in turns)]
+
+
+def _steps(random: np.random.Generator, count: int, hold: float) -> Knots:
+    """Steps of everything, within a sample or two, to levels that are held."""
+    knots: Knots = []
+    for _ in range(count):
+        pressures = random.uniform(50e3, 200e3) + random.uniform(-25e3, 25e3, COUNT)
+        level = _level(pressures, random.uniform(0.0, 1.5, COUNT))
+        knots += [(0.02 * random.integers(1, 4), level), (hold, level)]
+    return knots
+
+
+def _pushed(random: np.random.Generator, slower: float) -> Knots:
+    """A known tip force that comes, turns and goes, and pressure steps while it acts."""
+    still, size = 80e3, random.uniform(0.25, 0.35)
+    bent = still + 20e3 * np.cos(ANGLES)
+    parts = [
+        (0.0, _level(still)),
+        (0.6, _level(still, 0, (size, 0, 0))),
+        (0.6, _level(still, 0, (size, 0, 0))),
+        (0.8, _level(still, 0, (0, size, 0))),
+        (0.5, _level(still, 0, (0, size, -0.5))),
+        (0.02, _level(bent, 0, (0, size, -0.5))),
+        (0.7, _level(bent, 0, (0, size, -0.5))),
+        (0.8, _level(still, 0, (-0.7 * size, 0, 0))),
+        (0.5, _level(still, 0, (-0.7 * size, 0, 0))),
+        (0.4, _level(still)),
+        (0.6, _level(still)),
+    ]
+    return [(slower * seconds if seconds > 0.05 else seconds, level) for seconds, level in parts]
+
+
+def _circle(turns: int, period: float) -> Knots:
+    """Pressures out of phase, so that the tip goes round, and slow tensions against it."""
+    time = np.arange(0.0, turns * period + 1e-9, 1 / RATE)
+    fade = _fade(time, 0.5 * period)
+    pressures = 160e3 + 40e3 * fade * np.cos(2 * np.pi * time[:, None] / period - ANGLES)
+    tensions = 0.8 * fade * (1 - np.cos(2 * np.pi * time[:, None] * np.array([1, 1, 2, 2, 1, 3]) / time[-1]))
+    return _rows(pressures, tensions)
+
+
+def _mixed(random: np.random.Generator, duration: float) -> Knots:
+    """Sines of several frequencies in all inputs at once: together in the pressures, small ones apart, tensions that reach zero."""
+    time = np.arange(0.0, duration + 1e-9, 1 / RATE)
+
+    def sines(hertz: tuple[float, ...], columns: int) -> np.ndarray:
+        phase = random.uniform(0, 2 * np.pi, (len(hertz), 1, columns))
+        return np.sin(2 * np.pi * np.array(hertz)[:, None, None] * time[None, :, None] + phase).mean(axis=0) * _fade(time, 1.0)
+
+    pressures = 140e3 + 150e3 * sines((0.17, 0.43, 1.1), 1) + 40e3 * sines((0.23, 0.61, 1.9), COUNT)
+    return _rows(np.clip(pressures, 5e3, 350e3), np.maximum(2.4 * sines((0.19, 0.53, 1.3), COUNT), 0.0))
+
+
+def _fade(time: np.ndarray, within: float) -> np.ndarray:
+    """From 0 to 1, smoothly, (rows, 1)."""
+    part = np.clip(time[:, None] / within, 0.0, 1.0)
+    return part**2 * (3 - 2 * part)
+
+
+def _rows(pressures: np.ndarray, tensions: np.ndarray) -> Knots:
+    return [(1 / RATE, _level(*row)) for row in zip(pressures, tensions, strict=True)]

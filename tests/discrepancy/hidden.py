@@ -1,0 +1,244 @@
+"""Data sets in which an effect is hidden, made by MuJoCo: an engine and functional forms that are not the model's.
+
+`python -m tests.discrepancy.hidden FOLDER [--short] [--case KEY]` writes FOLDER/KEY for every case, and what is hidden to
+FOLDER/labels/KEY.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+from math import ceil
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tepm_opt.data.datasets import DataSet, write_dataset
+from tepm_opt.data.run import Run
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.hw.rigfile import RigFile, Simulation
+from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.models.robot import load_robot
+from tepm_opt.recording.record import seed_of
+from tepm_opt.recording.robots import channels_of
+from tests.discrepancy.excitation import RATE, Excitation, excitations
+
+ROBOT = load_robot("kang2017")
+STABLE_STEP = 0.9 * 0.413e-3  # s; SPEC section 2, with a margin
+LONGEST_STEP = 1 / 2800  # s
+
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A data set to be made.
+
+    Attributes:
+        key: name of the case.
+        imperfections: of the rig, as a rig file has them.
+        names: what is hidden, in SPEC's vocabulary; none where only parameters differ, "foreign" for what SPEC does not name.
+        detail: by name, which actuator or point.
+        sizes: parameters of the model's effects by full name, as far as they correspond to the rig's forms.
+        seed: of the true parameters, the inputs and the noise.
+        noise: of the tracker, 1 sigma per axis in m.
+        before, after: what acts on the commands (rows, 12) and on the points (rows, points, 3) besides the rig's imperfections.
+    """
+
+    key: str
+    imperfections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    detail: Mapping[str, str] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+    noise: float = 3e-4
+    before: Change | None = None
+    after: Change | None = None
+
+
+def true_factors(case: Hidden) -> dict[str, float]:
+    """True parameters over the robot file's, drawn within its priors."""
+    random = np.random.default_rng([case.seed, 1])
+    return {name: 1 + float(random.uniform(-width, width)) for name, width in sorted(ROBOT.priors.items())}
+
+
+def true_parameters(case: Hidden) -> dict[str, float]:
+    """Those parameters of the robot that differ from its file, SI."""
+    values = ROBOT.parameters.model_dump()
+    return {name: values[name] * factor for name, factor in true_factors(case).items()}
+
+
+def rig_file(case: Hidden) -> RigFile:
+    """The rig of a case: perfect devices but for the tracker's noise."""
+    factors = true_factors(case)
+    lightest = factors["m_d"] * (1 - case.imperfections.get("mass_distribution", {}).get("fraction", 0.0))
+    step = min(STABLE_STEP * lightest / factors["c_a"], LONGEST_STEP)
+    return RigFile.model_validate(
+        {
+            "name": "hidden",
+            "robot": ROBOT.name,
+            "seed": case.seed,
+            # steps longer than a rig file may have: nothing but these known robots moves here
+            "simulation": Simulation.model_construct(step_s=1 / RATE / ceil(1 / RATE / step), tick_s=1e-3),
+            "parameter_factors": factors,
+            "tracker": {"rate_hz": RATE, "noise_rms_m": np.sqrt(3) * case.noise},
+            "imperfections": case.imperfections,
+        }
+    )
+
+
+def played(case: Hidden, run: Excitation) -> Run:
+    """A run as it is recorded: inputs as commanded, points as measured."""
+    rig, asked = SimulatedRig(rig_file(case)), run.setpoints
+    rig.reseed(seed_of(case.seed, run.file))
+    inputs = asked.inputs if case.before is None else case.before(asked.inputs)
+    rig.schedule(SetPoints(asked.time, inputs, asked.tip_force))
+    seen = np.array([rig.read().points for _ in asked.time])
+    points = seen if case.after is None else case.after(seen)
+    return Run(run.file, run.role, asked.time, asked.inputs, asked.tip_force, points)
+
+
+def make(case: Hidden, folder: Path, short: bool, jobs: int = 1) -> Path:
+    """Write the data set of a case, which says nothing of what is hidden.
+
+    Args:
+        case: what to hide.
+        folder: of the data set; one that is there is replaced.
+        short: see `excitations`.
+        jobs: processes that simulate runs; the data do not depend on it.
+    """
+    runs = excitations(case.seed, short)
+    if jobs == 1:
+        made = [played(case, run) for run in runs]
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            made = list(pool.map(partial(played, case), runs))
+    write_dataset(DataSet("experiment", ROBOT.name, channels_of(ROBOT), tuple(made), RATE, case.noise), folder, overwrite=True)
+    return folder
+
+
+def label(case: Hidden) -> dict[str, Any]:
+    """What is hidden, for `labels/KEY.json`."""
+    return {
+        "names": case.names,
+        "detail": case.detail,
+        "sizes": case.sizes,
+        "imperfections": case.imperfections,
+        "true_parameters": true_parameters(case),
+        "noise_m": case.noise,
+        "seed": case.seed,
+    }
+
+
+def curved_lens(points: np.ndarray) -> np.ndarray:
+    """A foreign effect: the tracker's field bends with the square of the place, by 9 mm at 150 mm from its axis."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    return points + 0.4 * np.stack([x * (z - 0.2), y * (z - 0.2) + 0.5 * x * y, -(x**2) - y**2], axis=-1)
+
+
+def sagging_supply(inputs: np.ndarray) -> np.ndarray:
+    """A foreign effect: the common supply gives way under load, all pressures by 20 % where all muscles are at 0.3 MPa."""
+    pressures, tensions = np.split(inputs, 2, axis=1)
+    sag = 0.2 * (pressures.mean(axis=1, keepdims=True) / 0.3e6) ** 1.5
+    return np.hstack([pressures * (1 - np.minimum(sag, 0.5)), tensions])
+
+
+def sticking_tendons(inputs: np.ndarray) -> np.ndarray:
+    """Tendon friction without motion of the muscle: the tension at the end plays within 0.15 N and 15 % around the motor's."""
+    pressures, tensions = np.split(inputs, 2, axis=1)
+    ends = tensions.copy()
+    for before, now in pairwise(ends):
+        now[:] = np.clip(before, np.maximum(0.85 * now - 0.15, 0.0), 1.15 * now + np.minimum(now, 0.15))
+    return np.hstack([pressures, ends])
+
+
+def _single(name: str, seed: int, sizes: Mapping[str, float], noise: float = 3e-4, detail: str = "", **rig: Any) -> Hidden:
+    owner = f"{name}[{detail}]" if detail else name
+    full = {f"{owner}.{key}": value for key, value in sizes.items()}
+    return Hidden(name, {name: rig}, (name,), {name: detail} if detail else {}, full, seed, noise)
+
+
+def _pair(first: Hidden, second: Hidden, seed: int, noise: float) -> Hidden:
+    return Hidden(
+        f"{first.key}_and_{second.key}",
+        {**first.imperfections, **second.imperfections},
+        (*first.names, *second.names),
+        {**first.detail, **second.detail},
+        {**first.sizes, **second.sizes},
+        seed,
+        noise,
+    )
+
+
+SINGLES: tuple[Hidden, ...] = (
+    _single("payload", 101, {"mass": 0.006}, 2e-4, mass_kg=0.006, eccentricity_m=(0.004, -0.003)),
+    _single("mass_distribution", 102, {"plates": 0.077, "holders": 0.033}, 2e-4, fraction=0.11, holder_share=0.3),
+    _single("rigid_plates", 103, {"stiffening": 0.200}, clamped_length_m=0.00556),
+    _single("stiffness_hardening", 104, {"quadratic": 36.0, "cubic": 12.0}, growth=1.0),
+    _single("structural_friction", 105, {"force": 0.13, "distance": 1.6e-4}, sliding_N=0.13),
+    _single("creep", 106, {"share": 0.12}, 2e-4, fraction=0.12),
+    _single("pressure_dead_zone", 107, {"threshold": 18e3}, threshold_Pa=18e3),
+    _single("pressure_hysteresis", 108, {"width": 5e3}, width_Pa=10e3),
+    _single("regulator_lag", 109, {"filling_time": 0.06, "exhausting_time": 0.13}, fill_s=0.06, exhaust_s=0.13),
+    _single("time_delay", 110, {"delay": 0.06}, 2e-4, delay_s=0.06),
+    _single("actuator_gain", 111, {"loss": 0.10}, detail="21", loss={"21": 0.10}),
+    _single("pressure_crosstalk", 112, {"coupling": 0.08}, 2e-4, share=0.10),
+    _single("tendon_friction", 113, {"constant": 0.03, "share": 0.2}, constant_N=0.03, share=0.2),
+    _single("tendon_slack", 114, {"tension": 0.4}, 2e-4, length_m=0.07, winding_stiffness_N_per_m=8.0),
+    _single("external_load", 115, {"x": 0.03, "y": -0.02, "z": -0.02}, force_N=(0.03, -0.02, -0.02)),
+    _single("base_tilt", 116, {"x": -0.0262, "y": 0.0209}, rotation_deg=(-1.5, 1.2)),
+    _single(
+        "sensor_misalignment",
+        117,
+        {"rotation_x": 0.014, "rotation_y": -0.0105, "rotation_z": 0.021, "shift_x": 0.003, "shift_y": -0.002, "shift_z": 0.004},
+        rotation_deg=(0.8, -0.6, 1.2),
+        shift_m=(0.003, -0.002, 0.004),
+    ),
+    _single("sensor_offset", 118, {"x": 0.005, "y": -0.004, "z": 0.003}, 2e-4, detail="s3", offset_m={"s3": (0.005, -0.004, 0.003)}),
+)
+_BY_KEY = {case.key: case for case in SINGLES}
+CASES: tuple[Hidden, ...] = (
+    *SINGLES,
+    _pair(_BY_KEY["payload"], _BY_KEY["regulator_lag"], 201, 3e-4),
+    _pair(_BY_KEY["base_tilt"], _BY_KEY["pressure_dead_zone"], 202, 2e-4),
+    Hidden(
+        "sticking_tendons",
+        names=("tendon_friction",),
+        sizes={"tendon_friction.constant": 0.15, "tendon_friction.share": 0.15},
+        seed=203,
+        before=sticking_tendons,
+    ),
+    Hidden("null", seed=301),
+    Hidden("curved_lens", names=("foreign",), detail={"foreign": "curved_lens"}, seed=401, after=curved_lens),
+    Hidden("sagging_supply", names=("foreign",), detail={"foreign": "sagging_supply"}, seed=402, noise=2e-4, before=sagging_supply),
+)
+
+
+def main() -> None:
+    """Write the cases and their labels."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--short", action="store_true", help="six runs of 6 … 8 s instead of seven of 20 … 25 s")
+    parser.add_argument("--case", choices=[case.key for case in CASES], help="only this one")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    options = parser.parse_args()
+    labels = options.folder / "labels"
+    labels.mkdir(parents=True, exist_ok=True)
+    for case in CASES:
+        if options.case in (None, case.key):
+            start = time.perf_counter()
+            make(case, options.folder / case.key, options.short, options.jobs)
+            (labels / f"{case.key}.json").write_text(json.dumps(label(case), indent=1) + "\n", encoding="utf-8")
+            print(f"{case.key}: {time.perf_counter() - start:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
