@@ -19,7 +19,7 @@ class Score:
     Attributes:
         candidate: the effect.
         gain: part of the squared residuals beyond the noise that it could take away, to first order.
-        start: values of its parameters by full name, from which to fit.
+        start: values of its parameters and of the free ones by full name, from which to fit.
     """
 
     candidate: Candidate
@@ -45,7 +45,8 @@ def screen(estimate: Estimate, missing: Sequence[Candidate]) -> list[Score]:
         low, high = np.array([[f.low - f.start, f.high - f.start] for f in own]).T
         picked = [replace(r, by=r.by[:, columns]) for r in at_null]
         gain, step = _gain(estimate, picked, low, high, np.array([f.scale for f in own]))
-        scores.append(Score(candidate, gain, {f.name: f.start + float(d) for f, d in zip(own, step, strict=True)}))
+        moved = dict(zip(free, (estimate.values + step[: len(free)]).tolist(), strict=True))
+        scores.append(Score(candidate, gain, moved | {f.name: f.start + float(d) for f, d in zip(own, step[len(free) :], strict=True)}))
     for candidate in missing:
         if candidate.bends and (score := _probed(estimate, at_null, len(free), candidate)) is not None:
             scores.append(score)
@@ -68,13 +69,13 @@ def _probed(estimate: Estimate, at_null: list[Residual], free: int, candidate: C
     change = {f.name: candidate.probe[f.name] - candidate.null[f.name] for f in own}
     room = [(f.high - candidate.null[f.name]) / change[f.name] for f in own if change[f.name]]
     gain, step = _gain(estimate, picked, np.zeros(1), np.array([min(room)]), np.ones(1))
-    size = float(np.clip(step[0], 0.1, min(room)))
+    size = float(np.clip(step[-1], 0.1, min(room)))
     start = {f.name: candidate.null[f.name] + size * change[f.name] for f in own}
     return Score(candidate, gain, start)
 
 
 def _gain(estimate: Estimate, residuals: list[Residual], low: np.ndarray, high: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
-    """Part of the excess that the last columns could take away, and their step."""
+    """Part of the excess that the last columns could take away, and the step of all parameters."""
     problem, values = estimate.problem, estimate.values
     square, slope = normal_equations(residuals)
     step, less = bounded_step(
@@ -84,4 +85,4 @@ def _gain(estimate: Estimate, residuals: list[Residual], low: np.ndarray, high: 
         np.concatenate([problem.high - values, high]),
         np.concatenate([problem.scale, scale]),
     )
-    return less / max(estimate.cost - estimate.count, 1e-9 * estimate.count), step[len(values) :]
+    return less / max(estimate.cost - estimate.count, 1e-9 * estimate.count), step

@@ -17,6 +17,7 @@ from tepm_opt.discrepancy.screen import Score, screen
 from tepm_opt.solvers.identify import Estimate, Free, Problem, free_parameters, identify
 from tepm_opt.solvers.predict import PredictionError
 
+CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
 Effects = tuple[Candidate, ...]
 Progress = Callable[[str], None]
 
@@ -26,7 +27,8 @@ class Settings:
     """When structure counts, when an effect is believed.
 
     Attributes:
-        quiet: mean square beyond the noise, over the noise's, that does not count: 0.02 is 14 % of the noise's standard deviation.
+        quiet: mean square beyond the noise, over the noise's, that counts as noise: 0.05 is 22 % of the noise's standard deviation.
+        material: the same of what an effect must take away alone to be named: 0.15 is 39 % of the noise's standard deviation.
         improves: part of the structure left that one more effect must take away to be tried along (held-out data).
         sure: probability by which it must beat going without.
         stands_out: how many times the structure left the part that only this effect takes away must be for even odds that it is
@@ -37,7 +39,8 @@ class Settings:
         iterations: most Gauss-Newton steps of a fit.
     """
 
-    quiet: float = 0.02
+    quiet: float = 0.05
+    material: float = 0.15
     improves: float = 0.1
     sure: float = 0.95
     stands_out: float = 3.0
@@ -131,7 +134,7 @@ class Fits:
         free = (*self.problem.free, *free_parameters(self.problem.model, names))
         free = tuple(_starting(f, (kept or start).get(f.name, f.start)) for f in free)
         try:
-            found = identify(replace(self.problem, free=free), 0 if kept else self.settings.iterations)
+            found = identify(replace(self.problem, free=free), 0 if kept else self.settings.iterations, tolerance=CLOSE)
         except PredictionError:
             return None
         self.done[effects] = Hypothesis(effects, found, leave_out(found))
@@ -213,7 +216,8 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
             found = fits.fit(rest, best.estimate.named)
             if found is not None:
                 smaller[effect] = found
-                shares[effect] = (found.excess - best.excess) / (best.excess + settings.quiet / 4)
+                taken = found.excess - best.excess
+                shares[effect] = taken / (best.excess + settings.quiet / 10) if taken >= settings.material else 0.0
         least = min(shares, key=shares.__getitem__, default=None)
         if least is None or shares[least] >= settings.stands_out:
             return best, shares

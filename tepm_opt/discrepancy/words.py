@@ -59,7 +59,7 @@ def notes(dataset: DataSet, explanation: Explanation, best: Estimate, noise: flo
     if silent:
         found.append(f"{', '.join(silent)}: not measured in any run.")
     left = explanation.best.excess
-    if explanation.best.effects and left > 0.06:
+    if explanation.best.effects and left > 0.1:
         found.append(
             f"Structure of {_mm(np.sqrt(3 * left) * noise)} is left in the runs fitted to: the effect's form differs from the machine's, "
             "or something small is missing besides."

@@ -27,7 +27,6 @@ from tepm_opt.solvers.identify import Estimate, Problem, free_parameters, identi
 from tepm_opt.solvers.predict import PredictionError, predict_all
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
-NO_STRUCTURE = 0.06  # mean square beyond the noise, over the noise's, that is reported as noise where no effect explains it
 CLEAR = 0.8  # probability among rivals from which one of them is named
 POSSIBLE = 0.1  # probability from which a rival counts
 
@@ -153,8 +152,7 @@ def _refined(estimate: Estimate) -> Estimate:
 
 def _status(explanation: Explanation, settings: Settings) -> Status:
     if not explanation.best.effects:
-        quiet = explanation.without.excess <= max(settings.quiet, NO_STRUCTURE)
-        return Status.NO_DISCREPANCY if quiet else Status.UNEXPLAINED
+        return Status.NO_DISCREPANCY if explanation.without.excess <= settings.quiet else Status.UNEXPLAINED
     unclear = any(weight < CLEAR for group in explanation.groups.values() for hypothesis, weight in group[:1])
     return Status.INDISTINGUISHABLE if unclear else Status.NAMED
 

@@ -33,6 +33,7 @@ class Free:
         start: first value.
         low, high: its range; for a robot parameter with a prior the prior's (SPEC section 4: uniform).
         scale: a small but visible change of it.
+        expected, doubt: mean and standard deviation of what is believed beforehand besides the range; infinite doubt for nothing.
     """
 
     name: str
@@ -41,19 +42,23 @@ class Free:
     low: float
     high: float
     scale: float
+    expected: float = 0.0
+    doubt: float = np.inf
 
     @property
     def spread(self) -> float:
         """Standard deviation of what is known before any data: of a uniform distribution over a finite range, else wide."""
         width = self.high - self.low
+        if np.isfinite(self.doubt):
+            return self.doubt
         return width / np.sqrt(12) if np.isfinite(width) else 1e3 * self.scale
 
 
 def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) -> tuple[Free, ...]:
     """Parameters by full name with their ranges; without names those that the robot file has priors for.
 
-    A robot parameter with a prior keeps to it, around the robot file's value; without one it keeps to its physical range. A parameter of an
-    effect keeps to the effect's range and starts at the model's value.
+    A robot parameter with a prior keeps to it, around the robot file's value; one without is believed to be right to 100 %. A
+    parameter of an effect keeps to the effect's range.
 
     Raises:
         InputError: no such parameter; a value outside its prior.
@@ -78,7 +83,8 @@ def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) ->
             low, high = max(low, nominal - abs(nominal) * half), min(high, nominal + abs(nominal) * half)
         if not low - 1e-9 * scale <= value <= high + 1e-9 * scale:
             raise InputError(f"parameter {name} = {value:g} {UNITS[name]} is outside its prior; valid: {low:g} … {high:g}")
-        found.append(Free(name, UNITS[name], min(max(value, low), high), low, high, scale))
+        doubt = np.inf if half is not None or not nominal else abs(nominal)
+        found.append(Free(name, UNITS[name], min(max(value, low), high), low, high, scale, nominal, doubt))
     return tuple(found)
 
 
@@ -95,7 +101,7 @@ class Problem:
         model: compiled model; its values hold for all that is not free.
         runs: to fit to.
         free: the parameters to be found.
-        noise: of a coordinate, 1 sigma in m.
+        noise: of a coordinate, 1 sigma in m; of all runs alike or of each.
         static: whether rows are equilibria.
         robust: whether outliers are weighted down (Huber's loss at 4 robust standard deviations of the residuals).
         step: longest time step of the simulations in s.
@@ -104,7 +110,7 @@ class Problem:
     model: CompiledModel
     runs: tuple[Run, ...]
     free: tuple[Free, ...]
-    noise: float
+    noise: float | tuple[float, ...]
     static: bool = False
     robust: bool = False
     step: float = LONGEST_STEP
@@ -135,6 +141,11 @@ class Problem:
         """Small but visible changes, (parameters,)."""
         return np.array([free.scale for free in self.free])
 
+    @property
+    def belief(self) -> tuple[np.ndarray, np.ndarray]:
+        """Expected values and their weights 1/doubt², (parameters,) each."""
+        return np.array([free.expected for free in self.free]), np.array([free.doubt for free in self.free]) ** -2.0
+
     def residuals(self, values: np.ndarray, names: Sequence[str] | None = None) -> list[Residual]:
         """Measured less modelled of every run, differentiated by `names` (the free ones where absent).
 
@@ -143,7 +154,8 @@ class Problem:
         """
         names = [free.name for free in self.free] if names is None else names
         found = predict_all(self.with_values(values), self.runs, names, self.static, self.step)
-        return [Residual.of(run, each.points, each.by, self.noise) for run, each in zip(self.runs, found, strict=True)]
+        noise = self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(found)
+        return [Residual.of(run, each.points, each.by, sigma) for run, each, sigma in zip(self.runs, found, noise, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,13 +253,14 @@ class Estimate:
         return sum((r.by.T @ r.by for r in self.residuals), np.zeros((len(scale), len(scale)))) * np.outer(scale, scale)
 
 
-def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress = lambda text: None) -> Estimate:
+def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress = lambda text: None, tolerance: float = 1e-5) -> Estimate:
     """Least squares by Gauss-Newton steps within the bounds, damped where they fail (Levenberg-Marquardt; Nocedal and Wright 2006, ch. 10).
 
     Args:
         problem: what to fit.
         iterations: most steps.
         progress: called with a line after every step.
+        tolerance: part of the squared residuals beyond the noise for which no further step is made.
 
     Raises:
         InputError: no runs, no parameters or no measured sample.
@@ -258,17 +271,17 @@ def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress 
     values = np.clip(problem.start, problem.low, problem.high)
     residuals = problem.residuals(values)
     weights = _weights(residuals, problem.robust)
-    cost, damping, done, message = _cost(residuals, weights), 1e-6, 0, "steps ended"
-    converged = not problem.free
+    cost, damping, done, message = _cost(problem, values, residuals, weights), 1e-6, 0, "steps ended"
+    converged, count = not problem.free, sum(r.count for r in residuals)
     while done < iterations and not converged:
         step, promised = _step(problem, values, residuals, weights, damping)
-        if promised < max(0.1, 1e-5 * cost):
+        if promised < 0.1 + tolerance * max(cost - count, 0.0):
             converged, message = True, "no step promises less"
             break
         done += 1
         try:
             tried = problem.residuals(values + step)
-            new = _cost(tried, weights)
+            new = _cost(problem, values + step, tried, weights)
         except PredictionError as error:
             tried, new, message = residuals, np.inf, str(error)
         if new < cost:
@@ -276,13 +289,13 @@ def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress 
             values, residuals = values + step, tried
             damping = damping / 10 if gained > 0.25 else damping * 3
             weights = _weights(residuals, problem.robust)
-            cost = _cost(residuals, weights)
+            cost = _cost(problem, values, residuals, weights)
         else:
             damping = max(10 * damping, 1e-3)
             if damping > 1e6:
                 converged, message = bool(np.isfinite(new)), "no shorter step helps"
                 break
-        progress(f"step {done}: residuals {np.sqrt(cost / max(sum(r.count for r in residuals), 1)):.4g} times the noise")
+        progress(f"step {done}: residuals {np.sqrt(cost / max(count, 1)):.4g} times the noise")
     return Estimate(problem, values, _covariance(problem, residuals), residuals, cost, done, converged, message)
 
 
@@ -300,8 +313,11 @@ def _weighted(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarra
     return (values, residual.by) if weights is None else (values * weights.ravel(), residual.by * weights.reshape(-1, 1))
 
 
-def _cost(residuals: list[Residual], weights: list[np.ndarray | None]) -> float:
-    return float(sum(np.sum((r.values if w is None else r.values * w) ** 2) for r, w in zip(residuals, weights, strict=True)))
+def _cost(problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None]) -> float:
+    expected, belief = problem.belief
+    return float(belief @ (values - expected) ** 2) + float(
+        sum(np.sum((r.values if w is None else r.values * w) ** 2) for r, w in zip(residuals, weights, strict=True))
+    )
 
 
 def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -334,6 +350,8 @@ def _step(
     problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None], damping: float
 ) -> tuple[np.ndarray, float]:
     square, slope = normal_equations(residuals, weights)
+    expected, belief = problem.belief
+    square, slope = square + np.diag(belief), slope + belief * (values - expected)
     return bounded_step(square, slope, problem.low - values, problem.high - values, problem.scale, damping)
 
 
