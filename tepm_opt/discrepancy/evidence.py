@@ -21,11 +21,13 @@ class Evidence:
         squares: sum of the squared errors over the noise of every block of time (about 1 s), (blocks,).
         counts: coordinates measured in every block, (blocks,).
         parameters: how many are free.
+        scatter: jackknife standard deviation of the free parameters over the folds, (parameters,).
     """
 
     squares: np.ndarray
     counts: np.ndarray
     parameters: int
+    scatter: np.ndarray
 
     @property
     def count(self) -> int:
@@ -58,7 +60,7 @@ def leave_out(estimate: Estimate) -> Evidence:
         parts += [(values[piece], by[piece], r.block[piece], r.present.reshape(rows, -1)[piece].sum(axis=1)) for piece in pieces]
     squares = [by.reshape(-1, count).T @ by.reshape(-1, count) for _, by, _, _ in parts]
     slopes = [by.reshape(-1, count).T @ values.ravel() for values, by, _, _ in parts]
-    errors, counts = [], []
+    errors, counts, steps = [], [], []
     for k, (values, by, block, present) in enumerate(parts):
         left = values
         if count:
@@ -66,11 +68,13 @@ def leave_out(estimate: Estimate) -> Evidence:
             low, high = problem.low - estimate.values, problem.high - estimate.values
             step, _ = bounded_step(others, sum(slopes) - slopes[k], low, high, problem.scale)
             left = values + by @ step
+            steps.append(step)
         first = block - block.min()
         errors.append(np.bincount(first, (left**2).sum(axis=1)))
         counts.append(np.bincount(first, present))
     every = np.concatenate(counts)
-    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count)
+    scatter = np.sqrt((len(parts) - 1) * np.var(steps, axis=0)) if count and len(parts) > 1 else np.zeros(count)
+    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter)
 
 
 def weights(evidence: Sequence[Evidence], seed: int, draws: int = DRAWS) -> np.ndarray:

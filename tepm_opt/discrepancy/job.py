@@ -67,7 +67,8 @@ def run_discrepancy(
     content = result.verdict.as_json()
     content["notes"] += [f"data: {line}" for line in warnings]
     write_atomically(out / VERDICT, json.dumps(content, indent=2) + "\n")
-    (out / FITS).unlink(missing_ok=True)
+    for kept in out.glob(f"{FITS}*"):
+        kept.unlink()
     return result
 
 

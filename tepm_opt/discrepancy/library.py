@@ -48,6 +48,12 @@ class Candidate:
         return {f"{self.label}.{parameter.name}": parameter.probe for parameter in self.effect.parameters}
 
     @property
+    def acts_on_inputs(self) -> bool:
+        """Whether it stands between the commands and what presses and pulls, so that measured pressures and tensions may show it."""
+        hooks = ("inputs", "pressure_memory", "tension_memory", "delay")
+        return any(getattr(type(self.effect), hook) is not getattr(Effect, hook) for hook in hooks)
+
+    @property
     def bends(self) -> bool:
         """Whether its outputs are far from linear in its parameters: not smooth at the null, or with parameters of shape."""
         return not self.effect.smooth or any(parameter.null == parameter.probe for parameter in self.effect.parameters)

@@ -29,6 +29,8 @@ class Settings:
     Attributes:
         quiet: mean square beyond the noise, over the noise's, that counts as noise: 0.05 is 22 % of the noise's standard deviation.
         material: the same of what an effect must take away alone to be named: 0.15 is 39 % of the noise's standard deviation.
+        form: part of the squared output of the other effects that their forms may be wrong by (0.0025: 5 % of the size); an effect
+            that takes away less beside them may only mend their forms.
         improves: part of the structure left that one more effect must take away to be tried along (held-out data).
         sure: probability by which it must beat going without.
         stands_out: how many times the structure left the part that only this effect takes away must be for even odds that it is
@@ -41,6 +43,7 @@ class Settings:
 
     quiet: float = 0.05
     material: float = 0.15
+    form: float = 0.0025
     improves: float = 0.1
     sure: float = 0.95
     stands_out: float = 3.0
@@ -62,6 +65,11 @@ class Hypothesis:
     def excess(self) -> float:
         """Mean square of held-out errors beyond the noise, over the noise's."""
         return self.evidence.excess
+
+    @property
+    def form_error(self) -> np.ndarray:
+        """Standard deviation of the free parameters that comes from structure left, (parameters,): scatter over left-out runs."""
+        return np.sqrt(self.excess / (1 + self.excess)) * self.evidence.scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,21 +215,38 @@ def _beats(one: Hypothesis, other: Hypothesis, seed: int, sure: float) -> bool:
 
 
 def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
-    """Drop effects one by one, the least needed first, until all that are left stand out from the structure left."""
+    """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
+
+    Structure as small as the errors that effects' forms may have is neither an effect of its own nor held against the others.
+    """
     settings = fits.settings
     while True:
         shares, smaller = {}, {}
+        doubt = {effect: settings.form * _output(best, effect) for effect in best.effects}
+        left = max(best.excess - sum(doubt.values()), 0.0) + settings.quiet / 10
         for effect in best.effects:
             rest = tuple(c for c in best.effects if c != effect)
             found = fits.fit(rest, best.estimate.named)
             if found is not None:
                 smaller[effect] = found
                 taken = found.excess - best.excess
-                shares[effect] = taken / (best.excess + settings.quiet / 10) if taken >= settings.material else 0.0
-        least = min(shares, key=shares.__getitem__, default=None)
-        if least is None or shares[least] >= settings.stands_out:
+                shares[effect] = taken / left if taken >= max(settings.material, sum(doubt[c] for c in rest)) else 0.0
+        weakest = min(shares, key=shares.__getitem__, default=None)
+        if weakest is None or shares[weakest] >= settings.stands_out:
             return best, shares
-        best = smaller[least]
+        best = smaller[weakest]
+
+
+def _output(hypothesis: Hypothesis, effect: Candidate) -> float:
+    """Mean square of what one effect of a hypothesis changes in the modelled positions, over the noise's."""
+    estimate = hypothesis.estimate
+    theta = estimate.model.theta.copy()
+    for name, value in effect.null.items():
+        theta[estimate.model.network.parameter_names.index(name)] = value
+    problem = replace(estimate.problem, model=estimate.model.with_theta(theta), free=())
+    without = problem.residuals(np.zeros(0))
+    changed = sum(float(np.sum((a.values - b.values) ** 2)) for a, b in zip(without, estimate.residuals, strict=True))
+    return changed / max(estimate.count, 1)
 
 
 def _alternatives(

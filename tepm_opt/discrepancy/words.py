@@ -35,8 +35,7 @@ def paragraph(
             f"in the model ({floor}), which closes {100 * errors.closed:.0f} % of the gap."
         )
     if status is Status.INDISTINGUISHABLE:
-        names = " or ".join(f"{each.candidate.label} (probability {each.probability:.2f})" for each in named)
-        return f"{names}: these runs cannot tell them apart. {where} {shrinks} to {_mm(errors.corrected)} with the first ({floor})."
+        return f"{_groups(named, explanation)}. {where} {shrinks} to {_mm(errors.corrected)} with the most probable in the model ({floor})."
     best = max((h for h in explanation.tried if len(h.effects) == 1), key=explanation.closes, default=None)
     nearest = f"; {best.effects[0].label} alone would close {_percent(explanation.closes(best))}" if best else ""
     return (
@@ -98,6 +97,17 @@ def coincidence(explanation: Explanation, hypothesis: Hypothesis) -> float:
     )
     a, b = base - best, base - other
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-30))
+
+
+def _groups(named: Sequence[Named], explanation: Explanation) -> str:
+    """What is sure, and which effects these runs cannot tell apart."""
+    told = {each.candidate: f"{each.candidate.label} (probability {each.probability:.2f})" for each in named}
+    sure, unclear = [], []
+    for effect, group in explanation.groups.items():
+        others = [c for hypothesis, _ in group for c in hypothesis.effects if c in told and c not in explanation.best.effects]
+        (unclear if others else sure).append(" or ".join(told[c] for c in (effect, *dict.fromkeys(others))))
+    missing = f"Missing: {' and '.join(sure)}; besides, " if sure else "Missing: "
+    return missing + "; ".join(f"{text}, which these runs cannot tell apart" for text in unclear)
 
 
 def _moved(known: Mapping[str, Value]) -> str:

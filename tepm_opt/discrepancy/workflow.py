@@ -18,6 +18,7 @@ from tepm_opt.discrepancy.black_box import black_box
 from tepm_opt.discrepancy.clock import shifts
 from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.localise import Localisation, localise
+from tepm_opt.discrepancy.measured import separated, with_measured_inputs
 from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, Settings, explain
 from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Status, Value, Verdict
 from tepm_opt.errors import InputError
@@ -85,9 +86,15 @@ def discover(
     _refuse_shifted_clock(dataset, nominal)
     own = [name for name in compiled.values if "." in name and not any(name in c.parameters for c in missing)]
     problem = Problem(compiled, dataset.fit, free_parameters(compiled, [*model.robot.priors, *own]), noise, dataset.static)
-    fits = Fits(problem, settings, store, key, progress)
     try:
-        explanation = explain(fits, missing, seed)
+        behind = with_measured_inputs(dataset.fit, channels)
+        if behind is not None:
+            progress("with measured inputs, for what happens behind them")
+            aside = None if store is None else store.with_name(f"{store.name}-measured")
+            body = explain(Fits(replace(problem, runs=behind), settings, aside, key, progress), missing, seed)
+            missing = separated(body, missing, settings)
+            progress("with commanded inputs")
+        explanation = explain(Fits(problem, settings, store, key, progress), missing, seed)
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
     progress("judging on validation runs")
@@ -174,13 +181,16 @@ def _verdict(
             other = next((c for c in hypothesis.effects if c not in explanation.best.effects), effect)
             if hypothesis is explanation.best or (weight > POSSIBLE and status is Status.INDISTINGUISHABLE):
                 estimate = best if hypothesis is explanation.best else hypothesis.estimate
-                named.append(Named(other, belief * weight, _values(estimate, other), _only(explanation, effect, hypothesis)))
+                named.append(
+                    Named(other, belief * weight, _values(estimate, hypothesis.form_error, other), _only(explanation, effect, hypothesis))
+                )
     named.sort(key=lambda each: -each.probability)
     errors = _errors(dataset, noise, explanation, predictions)
     rivals = _rivals(explanation, named, settings)
     corrected = narrow(model, _named_values(best), explanation.best.effects)
     notes = words.notes(dataset, explanation, best, noise)
-    known = {f.name: _value(best, f.name, dict(model.values)[f.name]) for f in best.problem.free if f.name in model.values}
+    form_error = explanation.best.form_error
+    known = {f.name: _value(best, form_error, f.name, dict(model.values)[f.name]) for f in best.problem.free if f.name in model.values}
     text = words.paragraph(status, named, errors, localisation.sentence, known, explanation)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
     return Verdict(status, text, tuple(named), rivals, where, known, errors, corrected, notes)
@@ -197,13 +207,14 @@ def _named_values(estimate: Estimate) -> dict[str, float]:
     return estimate.model.values
 
 
-def _value(estimate: Estimate, name: str, nominal: float) -> Value:
+def _value(estimate: Estimate, form_error: np.ndarray, name: str, nominal: float) -> Value:
     at = [f.name for f in estimate.problem.free].index(name)
-    return Value(float(estimate.values[at]), float(estimate.std[at]), estimate.problem.free[at].unit, nominal)
+    std = float(np.hypot(estimate.std[at], form_error[at]))
+    return Value(float(estimate.values[at]), std, estimate.problem.free[at].unit, nominal)
 
 
-def _values(estimate: Estimate, candidate: Candidate) -> dict[str, Value]:
-    return {name.rsplit(".", 1)[1]: _value(estimate, name, candidate.null[name]) for name in candidate.parameters}
+def _values(estimate: Estimate, form_error: np.ndarray, candidate: Candidate) -> dict[str, Value]:
+    return {name.rsplit(".", 1)[1]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
 
 
 def _rivals(explanation: Explanation, named: Sequence[Named], settings: Settings) -> tuple[Rival, ...]:

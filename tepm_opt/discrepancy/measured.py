@@ -1,0 +1,54 @@
+"""Measured pressures and tensions: what happens before them is told apart from what happens behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.search import Explanation, Settings
+
+
+def with_measured_inputs(runs: Sequence[Run], channels: Channels) -> tuple[Run, ...] | None:
+    """The runs with measured pressures and tensions in the place of commanded ones, where a channel is measured in all of them.
+
+    Values outside the robot's limits (a gauge's noise at zero) are put on them, missing samples are interpolated. None where no channel
+    is measured in all runs.
+    """
+    columns = {k: name for k, column in enumerate(channels.inputs) if all((name := measured_column(column)) in run.extra for run in runs)}
+    columns = {k: name for k, name in columns.items() if all(_usable(run.extra[name]) for run in runs)}
+    if not columns:
+        return None
+    found = []
+    for run in runs:
+        inputs = run.inputs.copy()
+        for k, name in columns.items():
+            values = run.extra[name]
+            seen = np.isfinite(values)
+            inputs[:, k] = np.clip(np.interp(np.arange(run.rows), np.flatnonzero(seen), values[seen]), 0.0, channels.limits[k])
+        found.append(replace(run, inputs=inputs))
+    return tuple(found)
+
+
+def measured_column(column: str) -> str:
+    """Name of the column with the measured value of an input: "pressure_11_Pa" to "pressure_11_measured_Pa"."""
+    stem, unit = column.rsplit("_", 1)
+    return f"{stem}_measured_{unit}"
+
+
+def _usable(values: np.ndarray) -> bool:
+    return values.dtype.kind == "f" and bool(np.isfinite(values).mean() > 0.5)
+
+
+def separated(body: Explanation, missing: Sequence[Candidate], settings: Settings) -> tuple[Candidate, ...]:
+    """The candidates that are left once a search with measured inputs has looked at what happens behind them.
+
+    What that search found, and what acts on inputs; all candidates where it left structure that nothing explains.
+    """
+    if body.best.excess > settings.quiet and not body.best.effects:
+        return tuple(missing)
+    return tuple(c for c in missing if c in body.best.effects or c.acts_on_inputs)

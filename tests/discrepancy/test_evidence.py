@@ -1,0 +1,108 @@
+"""How hypotheses are judged by data that was left out of their fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.identify import Estimate, Problem, free_parameters, identify
+from tests.discrepancy.small import FILES, NOISE, STEP, changed, cut, measured, planned, true_values
+
+BLOCKS, SAMPLES = 40, 600
+
+
+def evidence(size: float = 1.0, parameters: int = 4, seed: int = 0) -> Evidence:
+    """Squared errors of `size` times the noise, alike in all blocks but for chance."""
+    return made(size**2 * np.random.default_rng(seed).chisquare(SAMPLES, BLOCKS), np.full(BLOCKS, SAMPLES), parameters)
+
+
+def made(squares: np.ndarray, counts: np.ndarray, parameters: int = 1) -> Evidence:
+    return Evidence(squares, counts, parameters, np.zeros(parameters))
+
+
+@pytest.fixture(scope="module")
+def runs(kang: CompiledModel) -> list[Run]:
+    return [cut(run, 4.0) for run in measured(changed(kang, **true_values(kang)), planned(FILES[:3]))]
+
+
+def fitted(kang: CompiledModel, runs: list[Run]) -> Estimate:
+    return identify(Problem(kang, tuple(runs), free_parameters(kang), NOISE, step=STEP))
+
+
+class TestLeaveOut:
+    @pytest.mark.parametrize("count", [3, 1])
+    def test_a_right_model_leaves_the_noise(self, kang: CompiledModel, runs: list[Run], count: int) -> None:
+        estimate = fitted(kang, runs[:count])
+        found = leave_out(estimate)
+        assert found.parameters == 4
+        assert found.count == estimate.count == sum(run.points.size for run in runs[:count])
+        assert found.squares.sum() == pytest.approx(found.count, rel=0.05)
+        assert found.squares.sum() > sum(residual.squares for residual in estimate.residuals), "left-out data cannot be predicted better"
+        assert found.excess < 0.05
+        assert 3 * count <= len(found.squares) <= 3 * 4 * max(count, 2), "blocks of about a second"
+
+    def test_is_what_refits_say(self, kang: CompiledModel, runs: list[Run]) -> None:
+        """The step from the fit to all runs against fits to two of them."""
+        found = leave_out(fitted(kang, runs)).squares
+        single = []
+        for k, run in enumerate(runs):
+            others = fitted(kang, [other for other in runs if other is not run])
+            (residual,) = replace(others.problem, runs=(run,)).residuals(others.values)
+            single.append(residual.squares)
+            blocks = slice(*np.cumsum([0, *(int(r.time[-1]) + 1 for r in runs)])[k : k + 2])
+            assert found[blocks].sum() == pytest.approx(single[-1], rel=0.02), run.file
+
+    def test_a_wrong_model_leaves_more(self, kang: CompiledModel, runs: list[Run]) -> None:
+        moved = [replace(run, points=run.points + 2e-3 * np.sin(3 * run.time)[:, None, None]) for run in runs]
+        assert leave_out(fitted(kang, moved)).excess > 1.0
+
+    def test_missing_samples_do_not_count(self, kang: CompiledModel, runs: list[Run]) -> None:
+        holey = [replace(run, points=np.where(np.arange(4)[:, None] == 1, np.nan, run.points)) for run in runs]
+        holey[0].points[50:120] = np.nan  # a second and a half in which nothing is seen
+        found = leave_out(fitted(kang, holey))
+        assert found.count == sum(int(np.isfinite(run.points).sum()) for run in holey)
+        assert (found.counts > 0).all()
+        assert found.squares.sum() == pytest.approx(found.count, rel=0.06)
+
+
+class TestWeights:
+    def test_sum_to_one(self) -> None:
+        found = weights([evidence(size, n, n) for n, size in enumerate((1.0, 1.01, 1.05, 3.0))], seed=1)
+        assert found.sum() == pytest.approx(1.0)
+        assert (found >= 0).all()
+
+    def test_equal_ones_share(self) -> None:
+        assert weights([evidence(), evidence(), evidence()], seed=1) == pytest.approx(np.full(3, 1 / 3))
+
+    def test_a_better_one_wins(self) -> None:
+        assert weights([evidence(1.2, seed=1), evidence(seed=2), evidence(2.0, seed=3)], seed=1)[1] > 0.99
+
+    def test_a_parameter_must_earn_its_place(self) -> None:
+        simple, rich = weights([evidence(parameters=4), evidence(parameters=7)], seed=1)
+        assert rich / simple == pytest.approx(BLOCKS**-1.5, rel=1e-6)
+
+    def test_better_in_one_block_is_not_better(self) -> None:
+        """What a hypothesis gains in a single second may be chance; the bootstrap over blocks says so."""
+        lucky = evidence()
+        lucky.squares[0] = 2 * SAMPLES
+        found = weights([lucky, evidence()], seed=1)
+        assert 0.2 < found[0] < 0.5, found
+
+    def test_alone(self) -> None:
+        assert weights([evidence(2.0)], seed=1) == pytest.approx([1.0])
+
+    def test_repeatable_by_seed(self) -> None:
+        pair = [evidence(seed=1), evidence(seed=2)]
+        np.testing.assert_array_equal(weights(pair, 3), weights(pair, 3))
+        assert not np.array_equal(weights(pair, 3), weights(pair, 4))
+
+
+def test_excess_and_spread() -> None:
+    loud, quiet = made(np.array([10.0, 30.0]), np.array([10, 10])), made(np.array([5.0]), np.array([10]))
+    assert (loud.excess, loud.spread) == pytest.approx((1.0, 2.0))
+    assert (quiet.excess, quiet.spread) == (0.0, 1.0), "less than the noise is no structure"

@@ -1,0 +1,215 @@
+"""The library, the search and the files it leaves, on a tiny data set in which the holder of s3 is off."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.job import FITS, MODEL, VERDICT, run_discrepancy
+from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
+from tepm_opt.discrepancy.screen import screen
+from tepm_opt.discrepancy.search import Fits, Settings
+from tepm_opt.discrepancy.verdict import Status
+from tepm_opt.discrepancy.workflow import Result
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.effects import effects
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.model import Model, read_model
+from tepm_opt.solvers.identify import Problem, free_parameters, identify
+from tepm_opt.solvers.predict import predict
+from tests.discrepancy.small import NOISE, STEP, changed, cut, dataset_of, measured, planned, true_values, write
+
+NOMINAL = Model.of("kang2017")
+OFFSET = np.array([4e-3, -3e-3, 2e-3])  # m, of s3
+FILES = ("single_pressure.csv", "elongation.csv", "mixed.csv")
+
+
+@pytest.fixture(scope="module")
+def runs(kang: CompiledModel) -> list[Run]:
+    found = [cut(run, 3.0) for run in measured(changed(kang, **true_values(kang)), planned(FILES))]
+    return [replace(run, points=run.points + OFFSET * (np.arange(4) == 2)[:, None]) for run in found]
+
+
+@pytest.fixture(scope="module")
+def folder(kang: CompiledModel, runs: list[Run], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(dataset_of(kang, runs), tmp_path_factory.mktemp("offset"))
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("out")
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[str]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path, out: Path, lines: list[str]) -> Result:
+    """The answer; `lines` are what it told meanwhile."""
+    return run_discrepancy(folder, out, progress=lines.append)
+
+
+@pytest.fixture(scope="module")
+def library() -> CompiledModel:
+    return compile_model(wide(NOMINAL, candidates(NOMINAL)))
+
+
+def problem(library: CompiledModel, runs: list[Run]) -> Problem:
+    return Problem(library, tuple(run for run in runs if run.role == "fit"), free_parameters(library), NOISE)
+
+
+def contents(folder: Path) -> tuple[dict[str, Any], str]:
+    """verdict.json but for the time it took, and model.toml."""
+    verdict = json.loads((folder / VERDICT).read_text())
+    assert verdict.pop("seconds") > 0
+    return verdict, (folder / MODEL).read_text()
+
+
+class TestLibrary:
+    def test_every_effect_with_every_detail(self) -> None:
+        found = candidates(NOMINAL)
+        layout = Layout.of(NOMINAL.robot)
+        assert {candidate.name for candidate in found} == {effect.name for effect in effects()}
+        assert {c.detail for c in found if c.name == "actuator_gain"} == set(layout.actuator_names)
+        assert {c.detail for c in found if c.name == "sensor_offset"} == set(layout.point_names)
+        assert len({candidate.label for candidate in found}) == len(found)
+
+    def test_without_what_the_model_has(self) -> None:
+        known = NOMINAL.with_effect("payload", mass=0.01).with_effect("actuator_gain", "13", loss=0.1)
+        labels = {candidate.label for candidate in candidates(known)}
+        assert {candidate.label for candidate in candidates(NOMINAL)} - labels == {"payload", "actuator_gain[13]"}
+
+    def test_all_effects_at_their_null_values_change_nothing(self, kang: CompiledModel, library: CompiledModel, runs: list[Run]) -> None:
+        for static in (False, True):
+            run = cut(runs[0], 0.5 if static else 3.0)
+            found, nominal = (predict(model, run, static=static, step=STEP).points for model in (library, kang))
+            assert np.abs(found - nominal).max() < (1e-10 if static else 5e-7), "up to what the tolerance of a step leaves"
+
+    def test_narrow_undoes_wide(self, library: CompiledModel) -> None:
+        assert narrow(NOMINAL, library.values, ()) == NOMINAL
+        known = NOMINAL.with_effect("payload", mass=0.01)
+        missing = candidates(known)
+        values = {**wide(known, missing).values, "K_a": 350.0, "payload.mass": 0.02, "sensor_offset[s3].x": 1e-3}
+        found = narrow(known, values, [Candidate("sensor_offset", "s3")])
+        assert found.parameters == {"K_a": 350.0}
+        assert found == NOMINAL.with_parameters(K_a=350.0).with_effect("payload", mass=0.02).with_effect(
+            "sensor_offset", "s3", x=1e-3, y=0.0, z=0.0
+        )
+
+    def test_probes_differ_from_nulls(self) -> None:
+        for candidate in candidates(NOMINAL):
+            assert candidate.probe.keys() == candidate.null.keys() == set(candidate.parameters)
+            assert candidate.probe != candidate.null, candidate.label
+
+
+class TestScreening:
+    def test_what_is_missing_promises_most(self, library: CompiledModel, runs: list[Run]) -> None:
+        estimate = identify(problem(library, runs))
+        scores = screen(estimate, candidates(NOMINAL))
+        gains = [score.gain for score in scores]
+        assert gains == sorted(gains, reverse=True)
+        assert scores[0].candidate.label == "sensor_offset[s3]"
+        assert scores[0].gain == pytest.approx(1.0, abs=0.02)
+        start = [scores[0].start[f"sensor_offset[s3].{axis}"] for axis in "xyz"]
+        assert start == pytest.approx(OFFSET, abs=2e-4)
+        assert max(gains[1:]) < 0.9
+
+
+class TestFits:
+    def test_are_done_once(self, library: CompiledModel, runs: list[Run], tmp_path: Path) -> None:
+        said: list[str] = []
+        fits = Fits(problem(library, runs), Settings(iterations=2), tmp_path / "fits.json", "key", said.append)
+        first = fits.fit((), {})
+        assert first is not None
+        assert fits.fit((), {}) is first
+        assert len(said) == 1
+        again = Fits(problem(library, runs), Settings(iterations=2), tmp_path / "fits.json", "key").fit((), {})
+        assert again is not None
+        np.testing.assert_array_equal(again.estimate.values, first.estimate.values)
+        np.testing.assert_array_equal(again.evidence.squares, first.evidence.squares)
+        assert again.estimate.iterations == 0
+
+    @pytest.mark.parametrize("left", ['{"key": "other", "fit ": {"K_a": 349.0}}', "{", "[]", "\x00"])
+    def test_of_other_data_are_not_taken(self, library: CompiledModel, runs: list[Run], tmp_path: Path, left: str) -> None:
+        (tmp_path / "fits.json").write_text(left)
+        fits = Fits(problem(library, runs), Settings(iterations=1), tmp_path / "fits.json", "key")
+        found = fits.fit((), {})
+        assert found is not None
+        assert found.estimate.iterations == 1
+        assert json.loads((tmp_path / "fits.json").read_text())["key"] == "key"
+
+
+class TestAnswer:
+    def test_names_what_is_hidden(self, result: Result) -> None:
+        verdict = result.verdict
+        assert verdict.status is Status.NAMED, verdict.paragraph
+        (named,) = verdict.effects
+        assert named.candidate == Candidate("sensor_offset", "s3")
+        assert named.probability > 0.9
+        found = np.array([named.parameters[axis].value for axis in "xyz"])
+        std = np.array([named.parameters[axis].std for axis in "xyz"])
+        assert (np.abs(found - OFFSET) < 4 * std + 5e-5).all(), (found, std)
+        assert verdict.errors.closed > 0.97
+        assert verdict.model.effects[0].name == "sensor_offset"
+
+    def test_every_other_effect_is_a_rival_with_a_reason(self, result: Result) -> None:
+        rivals = {rival.candidate.name: rival for rival in result.verdict.rivals}
+        assert set(rivals) == {effect.name for effect in effects()} - {"sensor_offset"}
+        assert all(rival.why for rival in rivals.values())
+        for effect, group in result.explanation.groups.items():
+            assert sum(weight for _, weight in group) == pytest.approx(1.0), effect
+
+    def test_files(self, result: Result, out: Path) -> None:
+        assert sorted(path.name for path in out.iterdir()) == sorted([VERDICT, MODEL])
+        verdict, _ = contents(out)
+        assert verdict["status"] == "named"
+        assert verdict["effects"][0]["name"] == "sensor_offset"
+        assert set(verdict["rmse_m"]) == {"noise_floor", "nominal", "recalibrated", "corrected", "black_box"}
+        assert read_model(out / MODEL) == result.verdict.model
+
+    def test_is_the_same_after_an_interruption(self, folder: Path, out: Path, result: Result, lines: list[str], tmp_path: Path) -> None:
+        work = [line for line in lines if line.startswith(("fitting", "screening"))]
+        assert len(work) >= 4, work
+        said: list[str] = []
+
+        def interrupt(text: str) -> None:
+            said.append(text)
+            if len([line for line in said if line.startswith(("fitting", "screening"))]) == len(work) - 1:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            run_discrepancy(folder, tmp_path, progress=interrupt)
+        assert [path.name for path in tmp_path.iterdir()] == [FITS]
+        again: list[str] = []
+        run_discrepancy(folder, tmp_path, progress=again.append)
+        assert contents(tmp_path) == contents(out)
+        assert not (tmp_path / FITS).exists()
+
+    def test_is_the_same_again(self, folder: Path, out: Path, result: Result, tmp_path: Path) -> None:
+        run_discrepancy(folder, tmp_path)
+        texts = [(each / VERDICT).read_text().rsplit('"seconds"', 1)[0] for each in (out, tmp_path)]
+        assert texts[0] == texts[1]
+        assert (out / MODEL).read_bytes() == (tmp_path / MODEL).read_bytes()
+
+    @pytest.mark.slow
+    def test_with_the_effect_known_nothing_is_missing(self, folder: Path, out: Path, result: Result, tmp_path: Path) -> None:
+        verdict = run_discrepancy(folder, tmp_path, out / MODEL).verdict
+        assert verdict.status is Status.NO_DISCREPANCY, verdict.paragraph
+        assert verdict.model.effects[0].name == "sensor_offset", "what the model had is kept"
+
+    def test_a_model_of_another_robot(self, folder: Path, tmp_path: Path) -> None:
+        text = (Path(__file__).parents[2] / "tepm_opt/models/robots/kang2017.toml").read_text()
+        (tmp_path / "one.toml").write_text(text.replace("modules = 2", "modules = 1"))
+        (tmp_path / "model.toml").write_text('robot = "one.toml"\n')
+        with pytest.raises(InputError, match="other actuators or reference points"):
+            run_discrepancy(folder, tmp_path / "out", tmp_path / "model.toml")
+        assert not (tmp_path / "out").exists()

@@ -1,0 +1,267 @@
+"""Predictions of runs, and parameters found from runs whose true ones are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from tepm_opt.data.run import Run
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.model import Model
+from tepm_opt.solvers.identify import Estimate, Problem, bounded_step, free_parameters, identify
+from tepm_opt.solvers.predict import PredictionError, predict, predict_all
+from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
+from tests.discrepancy.small import FILES, NOISE, STEP, changed, measured, planned, true_values
+from tests.tools import random_inputs, relative, slope
+
+EIGHT = {"K_a": 1.02, "c_a": 0.85, "alpha_1": 1.1, "alpha_2": 1.04, "beta_1": 1.2, "beta_2": 0.9, "r": 1.01, "m_d": 0.985}
+"""True parameters over the robot file's."""
+DEVIATIONS = 2.8  # of several parameters together, one beyond it in some 30 draws of the noise
+
+
+@pytest.fixture(scope="module")
+def runs(kang: CompiledModel) -> tuple[Run, ...]:
+    """Runs of a machine whose four parameters with priors differ from the robot file's."""
+    return tuple(measured(changed(kang, **true_values(kang)), planned(FILES[:3])))
+
+
+@pytest.fixture(scope="module")
+def estimate(kang: CompiledModel, runs: tuple[Run, ...]) -> Estimate:
+    return identify(problem(kang, runs))
+
+
+def problem(model: CompiledModel, runs: tuple[Run, ...], *names: str, **settings: bool) -> Problem:
+    """Parameters by name, or those with priors, to be found with steps as short as the runs were made with."""
+    return Problem(model, runs, free_parameters(model, names or None), NOISE, step=STEP, **settings)
+
+
+def misses(estimate: Estimate, truth: dict[str, float], std: np.ndarray | None = None) -> dict[str, float]:
+    """Errors over their standard deviations."""
+    std = estimate.std if std is None else std
+    return {name: (value - truth[name]) / sigma for (name, value), sigma in zip(estimate.named.items(), std, strict=True)}
+
+
+def largest(misses: dict[str, float]) -> float:
+    return max(abs(miss) for miss in misses.values())
+
+
+def steady(kang: CompiledModel, inputs: np.ndarray, truth: dict[str, float], noise: float = NOISE) -> Run:
+    """Equilibria of a machine under rows of inputs, with a known tip force in every other row."""
+    machine, random = changed(kang, **truth), np.random.default_rng(5)
+    force = np.where(np.arange(len(inputs))[:, None] % 2, [0.1, -0.05, 0.1], 0.0)
+    points = np.array([solve_statics(machine, u, f).points for u, f in zip(inputs, force, strict=True)])
+    return Run("steady.csv", "fit", np.full(len(inputs), np.nan), inputs, force, points + noise * random.normal(size=points.shape))
+
+
+class TestPredictions:
+    def test_are_what_simulate_says(self, kang: CompiledModel) -> None:
+        (run,) = measured(kang, planned(FILES[2:3]), noise=0.0)
+        assert np.abs(predict(kang, run, step=STEP).points - run.points).max() < 1e-12
+        assert np.sqrt(np.mean((predict(kang, run).points - run.points) ** 2)) < 0.5 * NOISE, "the default step is too long"
+
+    def test_of_several_runs_keep_their_order(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+        for run, found in zip(runs, predict_all(kang, runs, ["K_a"]), strict=True):
+            alone = predict(kang, run, ["K_a"])
+            np.testing.assert_array_equal(found.points, alone.points)
+            np.testing.assert_array_equal(found.by, alone.by)
+
+    def test_sensitivities_of_a_motion(self) -> None:
+        model = compile_model(Model.of("kang2017").with_effect("payload", mass=0.01))
+        run = measured(model, planned(FILES[2:3]), noise=0.0)[0]
+        run = replace(run, **{name: getattr(run, name)[:120] for name in ("time", "inputs", "tip_force", "points")})
+        scales = {"K_a": 1.0, "m_d": 1e-3, "alpha_2": 0.01, "c_a": 0.02, "r": 1e-4, "payload.mass": 1e-3}
+        found = predict(model, run, list(scales), step=0.01)
+        for name, by in zip(scales, found.by, strict=True):
+            value = model.values[name]
+            differences = slope(lambda d, n=name, v=value: predict(changed(model, **{n: v + d}), run, step=0.01).points, scales[name])
+            assert relative(by, differences) < 2e-4, name
+
+    def test_sensitivities_of_equilibria(self, kang: CompiledModel) -> None:
+        run = steady(kang, random_inputs(kang, 4, 3, 0.0, 0.5), {})
+        scales = {"K_a": 1.0, "m_d": 1e-3, "r": 1e-4, "alpha_2": 0.01}
+        found = predict(kang, run, list(scales), static=True)
+        for name, by in zip(scales, found.by, strict=True):
+            value = kang.values[name]
+            differences = slope(lambda d, n=name, v=value: predict(changed(kang, **{n: v + d}), run, static=True).points, scales[name])
+            assert relative(by, differences) < 1e-4, name
+
+    def test_what_cannot_be_predicted_names_the_run(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+        blown_up = replace(runs[0], inputs=runs[0].inputs + np.repeat([1e6, 0.0], 6))
+        for static in (False, True):
+            with pytest.raises((PredictionError, InputError), match=rf"{runs[0].file}: .*row 1: pressure_11 = 1e\+06 Pa; valid: 0 … 500000 Pa"):
+                predict(kang, blown_up, static=static)
+
+    def test_without_an_equilibrium(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+        """The arm buckles under 3 N from above."""
+        pushed = replace(runs[0], tip_force=runs[0].tip_force + [0.0, 0.0, -3.0])
+        for static in (False, True):
+            with pytest.raises(PredictionError, match=rf"{runs[0].file}: .*row 1: .*unstable"):
+                predict(kang, pushed, static=static)
+
+    def test_unknown_parameter(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+        with pytest.raises(InputError, match=r"'K_b'.*K_a"):
+            predict(kang, runs[0], ["K_b"])
+
+
+class TestRecovery:
+    def test_parameters_with_priors(self, kang: CompiledModel, estimate: Estimate) -> None:
+        assert estimate.converged
+        assert estimate.cost / estimate.count == pytest.approx(1.0, abs=0.03)
+        assert set(estimate.named) == {"K_a", "m_d", "alpha_2", "c_a"}
+        assert largest(missed := misses(estimate, true_values(kang))) < DEVIATIONS, missed
+        assert not estimate.at_bound.any()
+
+    def test_eight_parameters_from_motion_by_another_integrator(self, kang: CompiledModel) -> None:
+        truth = {name: factor * kang.values[name] for name, factor in EIGHT.items()}
+        machine, random = changed(kang, **truth), np.random.default_rng(8)
+        runs = []
+        for run in planned(FILES[:2], seed=3):
+            asked = run.setpoints
+            points = simulate(machine, asked, method="rk4").points
+            points = points + NOISE * random.normal(size=points.shape)
+            runs.append(Run(run.file, "fit", asked.time, asked.inputs, asked.tip_force, points))
+        found = identify(replace(problem(kang, tuple(runs), *EIGHT), step=0.01))
+        assert found.cost / found.count == pytest.approx(1.0, abs=0.03)
+        assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
+        relative_std = dict(zip(found.named, found.std / np.abs(found.values), strict=True))
+        assert max(relative_std[name] for name in ("K_a", "c_a", "alpha_2", "r", "m_d")) < 0.03, relative_std
+        assert relative_std["beta_2"] < 0.15, relative_std
+        words = unidentifiable(found)
+        assert any("beta_1" in text for text in words), words
+        assert not any(name in text.replace(",", " ").split() for name in ("K_a", "alpha_2", "r", "m_d") for text in words), words
+
+    def test_equilibria(self, kang: CompiledModel) -> None:
+        truth = {"K_a": 1.02 * kang.values["K_a"], "m_d": 0.985 * kang.values["m_d"], "r": 1.01 * kang.values["r"]}
+        run = steady(kang, random_inputs(kang, 40, 4, 0.0, 0.4), truth)
+        found = identify(problem(kang, (run,), *truth, static=True))
+        assert found.cost / found.count == pytest.approx(1.0, abs=0.2)
+        assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
+        assert max(found.std / found.values) < 0.02, found.std / found.values
+
+    def test_an_effect_beside_the_robot(self, kang: CompiledModel) -> None:
+        model = compile_model(Model.of("kang2017").with_effect("payload", mass=0.0))
+        truth = {"payload.mass": 0.008, "K_a": 1.01 * kang.values["K_a"]}
+        runs = tuple(measured(changed(model, **truth), planned(FILES[:2])))
+        found = identify(problem(model, runs, *truth))
+        assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
+        assert found.model.values["payload.mass"] == found.named["payload.mass"]
+
+    def test_missing_samples_and_a_missing_sensor(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: Estimate) -> None:
+        random = np.random.default_rng(2)
+        holey = []
+        for run in runs:
+            points = run.points.copy()
+            points[random.random(points.shape[:2]) < 0.3] = np.nan
+            points[:, 2] = np.nan
+            holey.append(replace(run, points=points))
+        found = identify(problem(kang, tuple(holey)))
+        assert found.count == sum(int(np.isfinite(run.points).sum()) for run in holey)
+        assert largest(missed := misses(found, true_values(kang))) < DEVIATIONS, missed
+        assert (found.std > 0.9 * estimate.std).all(), "fewer samples cannot tell more"
+
+    def test_robust_against_outliers(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: Estimate) -> None:
+        """3 % of the poses are of another marker, 20 mm aside and below."""
+        random = np.random.default_rng(3)
+        spoilt = []
+        for run in runs:
+            other = random.random(run.points.shape[:2]) < 0.03
+            spoilt.append(replace(run, points=run.points + other[:, :, None] * np.array([12e-3, 0.0, -16e-3])))
+        robust, plain = (identify(problem(kang, tuple(spoilt), robust=robust)) for robust in (True, False))
+        truth = true_values(kang)
+        assert largest(misses(robust, truth)) < DEVIATIONS
+        off = {name: largest(misses(each, truth, estimate.std)) for name, each in (("robust", robust), ("plain", plain))}
+        assert off["plain"] > 10 > off["robust"], off
+
+
+class TestPriors:
+    def test_bind(self, kang: CompiledModel) -> None:
+        runs = tuple(measured(changed(kang, K_a=1.06 * kang.values["K_a"]), planned(FILES[:1])))
+        found = identify(problem(kang, runs, "K_a"))
+        assert found.named["K_a"] == pytest.approx(1.03 * kang.values["K_a"], rel=1e-9)
+        assert found.at_bound.all()
+
+    def test_are_the_robot_file_s(self, kang: CompiledModel) -> None:
+        for free in free_parameters(kang):
+            half = kang.robot.priors[free.name]
+            nominal = kang.values[free.name]
+            assert (free.low, free.start, free.high) == pytest.approx((nominal * (1 - half), nominal, nominal * (1 + half)))
+            assert free.spread == pytest.approx(2 * half * nominal / np.sqrt(12))
+
+    def test_start_outside_is_refused(self, kang: CompiledModel) -> None:
+        with pytest.raises(InputError, match=r"K_a = 376.8.*outside its prior.*348.*369"):
+            free_parameters(changed(kang, K_a=1.05 * kang.values["K_a"]), ["K_a"])
+
+    def test_unknown_parameter(self, kang: CompiledModel) -> None:
+        with pytest.raises(InputError, match=r"'payload.mass'"):
+            free_parameters(kang, ["payload.mass"])
+
+    def test_nothing_to_fit_to(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+        for none in ((), tuple(replace(run, points=np.full_like(run.points, np.nan)) for run in runs)):
+            with pytest.raises(InputError, match="nothing to fit to"):
+                identify(problem(kang, none))
+
+
+class TestWhatRunsCannotTell:
+    def test_nothing_moves(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+        """At rest without inputs nothing tells the damping, and stiffness is told from mass by their ratio at most."""
+        still = replace(runs[0], inputs=np.zeros_like(runs[0].inputs), points=np.broadcast_to(runs[0].points[:1], runs[0].points.shape))
+        found = identify(problem(kang, (still,)), iterations=0)
+        words = unidentifiable(found)
+        assert "c_a has hardly any influence in these runs" in words, words
+        assert len(words) >= 2, words
+
+    def test_all_is_well(self, estimate: Estimate) -> None:
+        assert unidentifiable(estimate) == []
+
+    def test_profile_of_what_is_well_known(self, kang: CompiledModel) -> None:
+        run = steady(kang, random_inputs(kang, 20, 6, 0.0, 0.4), {"K_a": 1.01 * kang.values["K_a"]})
+        found = identify(problem(kang, (run,), "K_a", "r", static=True))
+        (value, _), (std, _) = found.values, found.std
+        assert profile(found, "K_a") == pytest.approx((value - 1.96 * std, value + 1.96 * std), abs=0.1 * std)
+
+    def test_profile_ends_at_a_bound(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+        """Nothing moves, so that the damping may be anything within its prior."""
+        still = replace(runs[0], inputs=np.zeros_like(runs[0].inputs))
+        found = identify(replace(problem(kang, (still,), "c_a"), step=0.02), iterations=0)
+        (free,) = found.problem.free
+        assert profile(found, "c_a") == (free.low, free.high)
+
+    def test_profile_of_what_is_not_free(self, estimate: Estimate) -> None:
+        with pytest.raises(InputError, match=r"'r'.*K_a"):
+            profile(estimate, "r")
+
+
+def test_several_starts_are_repeatable(kang: CompiledModel, runs: tuple[Run, ...]) -> None:
+    task = replace(problem(kang, runs[:1]), step=0.02)
+    lines: list[str] = []
+    first, second = (multi_start(task, 2, seed=4, progress=lines.append) for _ in range(2))
+    np.testing.assert_array_equal(first.values, second.values)
+    assert lines.count("start 2 of 2") == 2
+    assert first.cost <= identify(task).cost
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_bounded_steps_are_least_squares(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    count = int(random.integers(1, 9))
+    A, r = random.normal(size=(3 * count, count)), random.normal(size=3 * count)
+    scale = 10 ** random.uniform(-3, 3, count)
+    low, high = -random.uniform(0, 0.5, count), random.uniform(0, 0.5, count)
+    low[random.random(count) < 0.2] = 0.0  # at the bound already
+    high[random.random(count) < 0.2] = np.inf
+    d, less = bounded_step(A.T @ A / np.outer(scale, scale), A.T @ r / scale, low * scale, high * scale, scale)
+    expected = lsq_linear(A, -r, bounds=(low, np.maximum(high, low + 1e-12)), method="bvls", tol=1e-14).x
+    np.testing.assert_allclose(d / scale, expected, atol=1e-7)
+    assert less == pytest.approx(r @ r - np.sum((A @ expected + r) ** 2), abs=1e-6)
+
+
+def test_a_direction_without_influence_stays() -> None:
+    d, less = bounded_step(np.diag([4.0, 0.0]), np.array([-2.0, 0.0]), np.full(2, -10.0), np.full(2, 10.0), np.ones(2))
+    assert d == pytest.approx([0.5, 0.0])
+    assert less == pytest.approx(1.0)
