@@ -66,7 +66,9 @@ def draw(result: Result) -> dict[str, Figure]:
 
 
 def _rms_by_point(measured: list[np.ndarray], modelled: list[np.ndarray]) -> np.ndarray:
-    return np.sqrt(np.nanmean(point_errors(np.concatenate(measured), np.concatenate(modelled)) ** 2, axis=0))
+    squares = point_errors(np.concatenate(measured), np.concatenate(modelled)) ** 2
+    count = np.isfinite(squares).sum(axis=0)
+    return np.sqrt(np.where(count, np.nansum(squares, axis=0) / np.maximum(count, 1), np.nan))
 
 
 def discrepancy(

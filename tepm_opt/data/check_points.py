@@ -29,7 +29,8 @@ def _missing(subject: Subject, name: str, point: np.ndarray) -> Iterator[Finding
     lost = ~np.isfinite(point)
     gone = np.asarray(lost.all(axis=1))
     if gone.all():
-        yield subject.found("error", name, "no sample in the whole run")
+        others = np.isfinite(subject.points).any()  # they can still be used
+        yield subject.found("warning" if others else "error", name, "no sample in the whole run")
         return
     if (rows := np.flatnonzero(lost.any(axis=1) & ~gone)).size:
         yield subject.found("warning", name, "part of the position is missing", rows)
@@ -39,7 +40,7 @@ def _missing(subject: Subject, name: str, point: np.ndarray) -> Iterator[Finding
     gap = f"{length} rows ({length * subject.step:.3g} s)" if subject.step else f"{length} rows"
     message = f"dropouts: {share:.2g} % of the samples are missing, the longest gap {gap}, lines {subject.run.line(first)} to "
     message += f"{subject.run.line(last)}"
-    yield subject.found("error" if share > 50 else "warning", name, message, np.flatnonzero(gone))
+    yield subject.found("warning", name, message, np.flatnonzero(gone))
 
 
 def _codes(subject: Subject, name: str, point: np.ndarray) -> Iterator[Finding]:

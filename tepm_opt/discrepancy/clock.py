@@ -37,9 +37,11 @@ def _shift(run: Run, modelled: np.ndarray) -> tuple[float, float]:
     step = float(np.median(np.diff(run.time)))
     most = min(int(LONGEST / step), run.rows // 2)
     measured, y = run.points.reshape(run.rows, -1), modelled.reshape(run.rows, -1)
-    seen = np.isfinite(measured)
-    if np.ptp(y, axis=0).max() < MOVES or not seen.any():
+    if np.ptp(y, axis=0).max() < MOVES or not np.isfinite(measured).any():
         return 0.0, 0.0
+    ever = np.isfinite(measured).any(axis=0)
+    measured, y = measured[:, ever], y[:, ever]
+    seen = np.isfinite(measured)
     costs = np.empty(2 * most + 1)
     for k, lag in enumerate(range(-most, most + 1)):
         moved = y[np.clip(np.arange(run.rows) - lag, 0, run.rows - 1)]

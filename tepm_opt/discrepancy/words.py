@@ -63,7 +63,7 @@ def notes(dataset: DataSet, explanation: Explanation, best: Estimate, noise: flo
             f"Structure of {_mm(np.sqrt(3 * left) * noise)} is left in the runs fitted to: the effect's form differs from the machine's, "
             "or something small is missing besides."
         )
-    found += [f"{text[0].upper()}{text[1:]}." for text in unidentifiable(best)]
+    found += [f"{text}." for text in unidentifiable(best)]
     bound = [free.name for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and not free.name.count(".")]
     if bound:
         found.append(f"At the limit of the prior: {', '.join(bound)}. The prior may be too narrow, or an effect takes its place.")

@@ -31,13 +31,14 @@ class Layout:
     segments: int  # per module, n_e
     angles: tuple[float, ...]  # rad
     crossed: bool
+    guided: bool = False  # plates slide on rails along the base axis
 
     @staticmethod
     def of(robot: Robot) -> Layout:
         """The layout of a robot."""
         geometry = robot.geometry
         crossed = geometry.bracing == "crossed"
-        return Layout(robot.modules, robot.actuators, geometry.segments_per_module, tuple(robot.angles), crossed)
+        return Layout(robot.modules, robot.actuators, geometry.segments_per_module, tuple(robot.angles), crossed, geometry.guide)
 
     @property
     def levels(self) -> int:

@@ -147,6 +147,10 @@ def _segment_motion(writer: Writer) -> dict[str, ca.Function]:
         spread(layout, edge, pair, tangent)
         before += states
         rates += changes
+    if layout.guided:
+        off, rail, rub = writer.rails(s.upper)
+        force[block:] += rail * off + rub * velocity[1]
+        tangent[block:, block:] += ca.diag(rail + rub / step)
     force[block:] -= ca.repmat(s.column[writer.rows["load"]], layout.actuators, 1)
     y, change = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *rates)
     arguments = [s.lower, s.upper, *velocity, y, step, s.column, writer.theta]

@@ -72,6 +72,12 @@ def _segment_functions(writer: Writer, driven: list[int]) -> dict[str, ca.Functi
         across, curvature = ca.fmax(across, 0), ca.fmax(curvature, 0)
         spread(layout, edge, (curvature - across) * along @ along.T + across * ca.SX.eye(3), convex)
         spread(layout, edge, s.column[writer.rows["damping"]][index] * along @ along.T, damping)
+    if layout.guided:
+        off, rail, rub = writer.rails(s.upper)
+        energy += ca.dot(rail, off**2) / 2
+        force[block:] += rail * off
+        for matrix, strength in ((stiffness, rail), (convex, rail), (damping, rub)):
+            matrix[block:, block:] += ca.diag(strength)
     load = ca.repmat(s.column[writer.rows["load"]], layout.actuators, 1)
     energy -= ca.dot(load, s.upper)
     force[block:] -= load

@@ -42,6 +42,7 @@ class Geometry(Section):
         tuple[Annotated[float, within(-360, 360, "deg")], ...], Field(min_length=3, max_length=12, description="3 … 12 angles")
     ]
     bracing: Literal["crossed", "single"]
+    guide: Annotated[bool, Field(strict=True, description="true where the plates slide on straight rails along the base axis")] = False
 
     @model_validator(mode="after")
     def _distinct_and_spread(self) -> Geometry:

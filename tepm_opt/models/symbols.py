@@ -12,6 +12,7 @@ from tepm_opt.models.effects import STANDARD, Context, Effect, Properties, find_
 from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Edge, Layout
 from tepm_opt.models.model import Model
 
+RAIL = 100.0  # strength of a guide over that of a segment's muscles
 PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "load", "mass")
 """Rows of P: of every edge (three times), axial force of every vertical edge, force on and mass of a node of the upper level."""
 
@@ -100,6 +101,16 @@ class Writer:
         """The symbols of one segment."""
         block, rows = self.layout.block, max(s.stop for s in self.rows.values())
         return Segment(ca.SX.sym("lower", block), ca.SX.sym("upper", block), ca.SX.sym("P", rows))
+
+    def rails(self, upper: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Of a guided robot: offset of a level's nodes from their rails, (block,), and the rails' stiffness and damping, (block,) each.
+
+        Rails are springs and dampers `RAIL` times as strong as a segment's muscles; without a guide all is 0.
+        """
+        layout, ring = self.layout, ca.vec(self.rest_ring())
+        across = ca.repmat(ca.DM([1, 1, 0]), layout.actuators, 1) if layout.guided else ca.DM.zeros(layout.block)
+        stiffness, damping = (RAIL * layout.segments * self.value[name] * across for name in ("K_a", "c_a"))
+        return across * (upper - ring), stiffness, damping
 
     def edge_law(self, index: int, edge: Edge, column: ca.SX) -> Callable[[ca.SX], tuple[ca.SX, ca.SX, ca.SX]]:
         """Energy of an edge and its first two derivatives, as a function of the edge's length."""

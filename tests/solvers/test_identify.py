@@ -94,12 +94,12 @@ class TestPredictions:
     def test_what_cannot_be_predicted_names_the_run(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
         blown_up = replace(runs[0], inputs=runs[0].inputs + np.repeat([1e6, 0.0], 6))
         for static in (False, True):
-            with pytest.raises((PredictionError, InputError), match=rf"{runs[0].file}: .*row 1: pressure_11 = 1e\+06 Pa; valid: 0 … 500000 Pa"):
+            with pytest.raises((PredictionError, InputError), match=rf"{runs[0].file}: .*row 1: pressure_11 = 1e\+06 Pa; valid"):
                 predict(kang, blown_up, static=static)
 
     def test_without_an_equilibrium(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
         """The arm buckles under 3 N from above."""
-        pushed = replace(runs[0], tip_force=runs[0].tip_force + [0.0, 0.0, -3.0])
+        pushed = replace(runs[0], tip_force=runs[0].tip_force + np.array([0.0, 0.0, -3.0]))
         for static in (False, True):
             with pytest.raises(PredictionError, match=rf"{runs[0].file}: .*row 1: .*unstable"):
                 predict(kang, pushed, static=static)

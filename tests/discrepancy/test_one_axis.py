@@ -1,0 +1,81 @@
+"""A machine with one axis — a mass on rails, a spring, a damper, an actuator — with data from its equation of motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tepm_opt.data.datasets import DataSet, write_dataset
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.job import run_discrepancy
+from tepm_opt.discrepancy.verdict import Status
+from tepm_opt.models.compile import compile_model
+from tepm_opt.models.robot import load_robot
+from tepm_opt.recording.robots import channels_of
+from tepm_opt.solvers.statics import solve_statics
+
+FILE = Path(__file__).resolve().parents[2] / "docs" / "one_axis.toml"
+NOISE, STEP = 1e-4, 0.02
+STIFFNESS, DAMPING, AREA, MASS = 3 * 119.62 * 1.02, 3 * 0.8611 * 1.2, 3 * 16.757e-6, 0.3 * 0.98
+
+
+def motion(time: np.ndarray, pressure: np.ndarray, friction: float, filling: float) -> np.ndarray:
+    """Elongation of m q'' + c q' + k q + dry friction = A p, the pressure lagging, LuGre's bristles without Stribeck effect."""
+    bristle = 2e4  # N/m
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        q, v, z, p = y
+        slip = v - bristle * abs(v) / friction * z if friction else 0.0
+        asked = np.interp(t, time, pressure)
+        inside = asked if not filling else p
+        force = AREA * inside - STIFFNESS * q - DAMPING * v - (bristle * z + 2.0 * slip if friction else 0.0)
+        return [v, force / MASS, slip, (asked - p) / filling if filling else 0.0]
+
+    start = [AREA * pressure[0] / STIFFNESS, 0.0, 0.0, pressure[0]]
+    return solve_ivp(rates, time[[0, -1]], start, "LSODA", time, rtol=1e-8, atol=1e-10, max_step=0.01).y[0]
+
+
+def data(folder: Path, friction: float = 0.0, filling: float = 0.0) -> Path:
+    random = np.random.default_rng(5)
+    robot = load_robot(FILE)
+    runs = []
+    for k, role in enumerate(("fit", "fit", "fit", "validation")):
+        time = np.arange(0, 8, STEP)
+        knots = np.concatenate([[0, 0], random.uniform(0.2e5, 3e5, 8), [0.2e5]])
+        pressure = np.interp(time, np.linspace(0, 8, len(knots)), knots)
+        q = motion(time, pressure, friction, filling)
+        points = np.zeros((len(time), 2, 3))
+        points[:, 0, 2], points[:, 1, 2] = (0.2 + q) / 2, 0.2 + q
+        inputs = np.hstack([np.repeat(pressure[:, None], 3, axis=1), np.zeros((len(time), 3))])
+        noisy = points + random.normal(0, NOISE, points.shape)
+        runs.append(Run(f"run{k}.csv", role, time, inputs, np.zeros((len(time), 3)), noisy))  # type: ignore[arg-type]
+    write_dataset(DataSet("one axis", str(FILE), channels_of(robot), tuple(runs), 1 / STEP, NOISE), folder)
+    return folder
+
+
+def test_a_guide_keeps_the_machine_straight_and_the_spring_holds_it() -> None:
+    model = compile_model(FILE, backend="python")
+    found = solve_statics(model, [2e5, 2e5, 2e5, 0, 0, 0], (0.5, 0.0, 0.0))
+    assert found.solved
+    assert found.tip[2] == pytest.approx(0.2 + 3 * 16.757e-6 * 2e5 / (3 * 119.62), rel=1e-4)
+    assert abs(found.tip[0]) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("hidden", "name", "size"),
+    [({"friction": 0.8}, "structural_friction", None), ({"filling": 0.15}, "regulator_lag", 0.15), ({}, None, None)],
+    ids=["friction", "lag", "nothing"],
+)
+def test_what_is_missing_on_one_axis(tmp_path: Path, hidden: dict[str, float], name: str | None, size: float | None) -> None:
+    verdict = run_discrepancy(data(tmp_path / "data", **hidden), tmp_path / "out").verdict
+    if name is None:
+        assert verdict.status is Status.NO_DISCREPANCY, verdict.paragraph
+        return
+    assert verdict.status is Status.NAMED, verdict.paragraph
+    assert [each.candidate.name for each in verdict.effects] == [name], verdict.paragraph
+    assert verdict.errors.closed > 0.9
+    if size is not None:
+        assert verdict.effects[0].parameters["filling_time"].value == pytest.approx(size, rel=0.05)
