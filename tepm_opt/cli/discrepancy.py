@@ -18,6 +18,7 @@ from tepm_opt import plots
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, stderr, stdout
 from tepm_opt.data.metrics import point_errors
 from tepm_opt.discrepancy.job import MODEL, VERDICT, run_discrepancy
+from tepm_opt.discrepancy.search import Hypothesis
 from tepm_opt.discrepancy.verdict import Status
 from tepm_opt.discrepancy.workflow import Result
 from tepm_opt.plots import discrepancy as figures
@@ -49,8 +50,6 @@ def draw(result: Result) -> dict[str, Figure]:
     at = [result.dataset.runs.index(run) for run in runs]
     predictions = {name: [points[k] for k in at] for name, points in result.predictions.items()}
     by_point = {name: _rms_by_point([run.points for run in runs], points) for name, points in predictions.items()}
-    closes = {each.candidate.label: each.closes for each in verdict.effects}
-    rivals = [rival.candidate.label for rival in verdict.rivals if rival.closes is not None]
     errors = {name.replace("_", " "): value for name, value in vars(verdict.errors).items()}
     found = {
         "heat": figures.heat_figure(place.heat, place.runs, place.points),
@@ -59,10 +58,18 @@ def draw(result: Result) -> dict[str, Figure]:
         "over_time": figures.over_time_figure(runs, predictions, verdict.errors.noise_floor),
         "tip": figures.tip_figure(runs, predictions),
     }
-    if closes or rivals:
-        every = closes | {rival.candidate.label: rival.closes for rival in verdict.rivals if rival.closes is not None}
-        found["evidence"] = figures.evidence_figure(every, list(closes), rivals)
+    explanation = result.explanation
+    fitted = [h for h in explanation.tried if len(h.effects) == 1] + [explanation.best] * (len(explanation.best.effects) > 1)
+    if fitted:
+        closes = {_label(h): explanation.closes(h) for h in fitted}
+        sure = {_label(explanation.best), *(effect.label for effect in explanation.best.effects)}
+        named = {each.candidate.label for each in verdict.effects}
+        found["evidence"] = figures.evidence_figure(closes, sure & closes.keys(), (named - sure) & closes.keys())
     return found
+
+
+def _label(hypothesis: Hypothesis) -> str:
+    return " + ".join(effect.label for effect in hypothesis.effects)
 
 
 def _rms_by_point(measured: list[np.ndarray], modelled: list[np.ndarray]) -> np.ndarray:

@@ -111,7 +111,7 @@ class Verdict:
         paragraph: the answer in words.
         effects: named ones; with `INDISTINGUISHABLE` the rivals; with `UNEXPLAINED` those that are sure nevertheless.
         rivals: considered and rejected, most probable first.
-        where: where the nominal model misses, largest first.
+        where: where the recalibrated model misses (the nominal one where nothing is missing), largest first.
         recalibrated: the known parameters by name, as found together with the effects.
         errors: on validation runs (on fit runs where the data set has no others).
         model: with effects and values.

@@ -14,6 +14,7 @@ from tepm_opt.discrepancy.verdict import Errors, Named, Status, Value
 from tepm_opt.solvers.identify import Estimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
+SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 
 
@@ -116,7 +117,11 @@ def _moved(known: Mapping[str, Value]) -> str:
 
 
 def _values(named: Named) -> str:
-    return ", ".join(f"{name} {value.value:.3g} {value.unit}" for name, value in named.parameters.items())
+    parts = []
+    for name, value in named.parameters.items():
+        factor, unit = SHOWN.get(value.unit, (1.0, value.unit))
+        parts.append(f"{name.replace('_', ' ')} {factor * value.value:.3g} {unit}")
+    return ", ".join(parts)
 
 
 def _mm(value: float) -> str:

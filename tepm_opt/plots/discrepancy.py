@@ -41,7 +41,7 @@ def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str]) ->
         color = "white" if value > 0.65 * top else "black"
         axes.text(column, row, _digits(value) if np.isfinite(value) else "–", ha="center", va="center", fontsize=9, color=color)
     figure.colorbar(image, ax=axes, label="mm", pad=0.03)
-    axes.set_title("nominal model: RMS error beyond the noise, in mm", fontsize=11)
+    axes.set_title("RMS error beyond the noise, in mm", fontsize=11)
     return figure
 
 
