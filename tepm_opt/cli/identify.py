@@ -29,6 +29,7 @@ from tepm_opt.solvers.predict import PredictionError, predict_all
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 
 SUMMARY = "identified.json"
+STEP = 0.005  # s; longer ones damp a little by themselves, which biases the damping found
 
 
 def together(folders: Sequence[Path], despite_errors: bool) -> list[DataSet]:
@@ -79,7 +80,7 @@ def identify(
         raise InputError(f"robot {compiled.robot.name} has no priors: name the parameters to fit with --free")
     runs = [(run, noise_of(dataset)) for dataset in sets for run in dataset.fit]
     noise = tuple(sigma for _, sigma in runs)
-    problem = Problem(compiled, tuple(run for run, _ in runs), chosen, noise, sets[0].static, outliers)
+    problem = Problem(compiled, tuple(run for run, _ in runs), chosen, noise, sets[0].static, outliers, STEP)
     try:
         with stderr.status("compiling the motion") as status:
             estimate = multi_start(problem, starts, seed, progress=status.update)

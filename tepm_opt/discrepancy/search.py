@@ -36,7 +36,7 @@ class Settings:
         stands_out: how many times the structure left the part that only this effect takes away must be for even odds that it is
             a cause, not a stand-in for something outside the library.
         worth: part of the best candidate's first-order gain from which others are fitted, too.
-        fits: most candidates fitted in a round.
+        fits, later: most candidates fitted in the first round and in each that follows.
         effects: most effects at once.
         iterations: most Gauss-Newton steps of a fit.
     """
@@ -49,6 +49,7 @@ class Settings:
     stands_out: float = 3.0
     worth: float = 0.25
     fits: int = 5
+    later: int = 3
     effects: int = 3
     iterations: int = 10
 
@@ -198,10 +199,11 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     return Explanation(without, best, widest, list(fits.done.values()), fits.screen(without, missing), shares, groups)
 
 
-def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], most: int | None = None) -> list[Hypothesis]:
+def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
     """Fits of the candidates that promise most beside those of `base`."""
-    scores = fits.screen(base, missing)
-    promising = [score for score in scores if score.gain >= fits.settings.worth * scores[0].gain][: most or fits.settings.fits]
+    scores, settings = fits.screen(base, missing), fits.settings
+    most = settings.later if base.effects else settings.fits
+    promising = [score for score in scores if score.gain >= settings.worth * scores[0].gain][:most]
     trials = [fits.fit((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
     return [trial for trial in trials if trial is not None]
 
@@ -254,6 +256,6 @@ def _alternatives(
 ) -> list[tuple[Hypothesis, float]]:
     """`best` and what it would be with another effect in the place of `effect`, with probabilities."""
     rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
-    others = [] if rest is None else [h for h in _round(fits, rest, missing, None if not rest.effects else 3) if effect not in h.effects]
+    others = [] if rest is None else [h for h in _round(fits, rest, missing) if effect not in h.effects]
     group = [best, *(h for h in others if h is not best)]
     return list(zip(group, weights([h.evidence for h in group], seed).tolist(), strict=True))
