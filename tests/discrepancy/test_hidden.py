@@ -22,7 +22,7 @@ OTHER_FORM = {"tendon_friction", "sticking_tendons"}
 CONFUSED = {"mass_distribution": {"payload", "mass_distribution"}, "payload": {"payload", "mass_distribution"}}
 """What short runs cannot tell apart: all of them may be listed, the right one must be."""
 FEW = {
-    "base_tilt_and_pressure_dead_zone": ("single_pressure.csv", "elongation.csv", "mixed.csv"),
+    "base_tilt_and_pressure_dead_zone": ("single_pressure.csv", "elongation.csv", "tip_load.csv", "mixed.csv"),
     "null": ("single_pressure.csv", "elongation.csv", "mixed.csv"),
     "sagging_supply": ("single_pressure.csv", "elongation.csv", "mixed.csv"),
     "sensor_offset": ("single_pressure.csv", "mixed.csv"),

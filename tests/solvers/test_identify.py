@@ -131,7 +131,7 @@ class TestRecovery:
         assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
         relative_std = dict(zip(found.named, found.std / np.abs(found.values), strict=True))
         assert max(relative_std[name] for name in ("K_a", "c_a", "alpha_2", "r", "m_d")) < 0.03, relative_std
-        assert relative_std["beta_2"] < 0.15, relative_std
+        assert relative_std["beta_2"] < 0.3, relative_std
         words = unidentifiable(found)
         assert any("beta_1" in text for text in words), words
         assert not any(name in text.replace(",", " ").split() for name in ("K_a", "alpha_2", "r", "m_d") for text in words), words
