@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations, pairwise, permutations
 
 import numpy as np
@@ -70,10 +71,18 @@ def wrong_units(subject: Subject) -> Iterator[Finding]:
             ratios = np.nan_to_num(np.nanmax(np.abs(subject.points), axis=(0, 2), initial=0.0) / 10)
     for name, ratio in zip(channels.points, ratios, strict=True):
         if ratio > 8:
-            factor = min(UNITS, key=lambda unit: abs(np.log(ratio / unit)))
+            factor = min(UNITS, key=lambda unit: _mismatch(subject, unit))
             yield subject.found("error", name, f"positions are {ratio:.3g} times what the robot's size allows: in {UNITS[factor]}, not m?")
         elif channels.height is not None and ratio < 0.02:
             yield subject.found("error", name, f"positions are {ratio:.3g} times what the robot's size lets expect: in km, not m?")
+
+
+def _mismatch(subject: Subject, factor: float) -> float:
+    """How far the points are from where the robot's size lets expect them, if a metre is written as `factor`; on a log scale."""
+    run = replace(subject.run, points=subject.run.points / factor)
+    ratios = _distances(Subject(run, subject.channels, subject.rate))
+    known = ratios[np.isfinite(ratios) & (ratios > 0)]
+    return float(np.median(np.abs(np.log(known)))) if known.size else abs(np.log(factor / 1e3))
 
 
 def _places(subject: Subject) -> Iterator[Finding]:
@@ -90,9 +99,7 @@ def _places(subject: Subject) -> Iterator[Finding]:
     if len(start):
         direction = np.median(start, axis=0) - channels.base
         if direction @ channels.axis < np.cos(np.deg2rad(50)) * np.linalg.norm(direction):
-            yield subject.found(
-                "warning", channels.points[0], "not above the base at the start: axes interchanged, or another frame than G?"
-            )
+            yield subject.found("error", channels.points[0], "not above the base at the start: axes interchanged, or another frame than G?")
 
 
 def _order(subject: Subject) -> Iterator[Finding]:

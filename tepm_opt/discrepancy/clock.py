@@ -48,4 +48,6 @@ def _shift(run: Run, modelled: np.ndarray) -> tuple[float, float]:
         error = np.where(seen, measured - moved, np.nan)
         costs[k] = np.nansum((error - np.nanmean(error, axis=0)) ** 2)
     best = int(np.argmin(costs))
+    if best in (0, 2 * most):  # no minimum: the difference is no shift
+        return 0.0, 0.0
     return (best - most) * step, 1 - costs[best] / max(costs[most], 1e-30)

@@ -20,6 +20,7 @@ from tepm_opt.solvers.predict import PredictionError
 CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
 Effects = tuple[Candidate, ...]
 Progress = Callable[[str], None]
+Shares = dict[Candidate, float]
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Settings:
         worth: part of the best candidate's first-order gain from which others are fitted, too.
         fits, later: most candidates fitted in the first round and in each that follows.
         effects: most effects at once.
+        strange: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
         iterations: most Gauss-Newton steps of a fit.
     """
 
@@ -51,6 +53,7 @@ class Settings:
     fits: int = 5
     later: int = 3
     effects: int = 3
+    strange: float = 0.1
     iterations: int = 10
 
 
@@ -68,9 +71,17 @@ class Hypothesis:
         return self.evidence.excess
 
     @property
+    def left(self) -> float:
+        """The smaller of the excess on held-out data and on the data fitted to: what is surely there."""
+        return min(self.excess, max(self.estimate.cost / max(self.estimate.count, 1) - 1, 0.0))
+
+    @property
     def form_error(self) -> np.ndarray:
         """Standard deviation of the free parameters that comes from structure left, (parameters,): scatter over left-out runs."""
         return np.sqrt(self.excess / (1 + self.excess)) * self.evidence.scatter
+
+
+Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +103,8 @@ class Explanation:
     widest: Hypothesis
     tried: list[Hypothesis]
     scores: list[Score]
-    shares: dict[Candidate, float]
-    groups: dict[Candidate, list[tuple[Hypothesis, float]]]
+    shares: Shares
+    groups: Groups
 
     def closes(self, hypothesis: Hypothesis) -> float:
         """Part of the structure left by recalibration that a hypothesis takes away."""
@@ -187,16 +198,40 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
     best = without
-    while len(best.effects) < settings.effects and best.excess > settings.quiet:
+    while len(best.effects) < settings.effects and best.left > settings.quiet:
         trials = _round(fits, best, missing)
         winner = _most_probable([best, *trials], seed)
         if winner is best or winner.excess > (1 - settings.improves) * best.excess or not _beats(winner, best, seed, settings.sure):
             break
         best = winner
     widest = best
-    best, shares = _backward(fits, best)
-    groups = {effect: _alternatives(fits, best, effect, missing, seed) for effect in best.effects}
+    best, shares, groups = _settled(fits, best, missing, seed)
+    for _ in range(settings.effects):
+        weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
+        better, weight = max(weakest, key=lambda pair: pair[1])
+        if better is best or weight < 0.5:
+            break
+        best, shares, groups = _settled(fits, better, missing, seed)
+    if best.excess > settings.strange**2 * _motion(fits.problem):
+        best, shares, groups = without, {}, {}
     return Explanation(without, best, widest, list(fits.done.values()), fits.screen(without, missing), shares, groups)
+
+
+def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int) -> tuple[Hypothesis, Shares, Groups]:
+    """What is left of a hypothesis after the way back, with the shares of its effects and their rivals."""
+    best, shares = _backward(fits, best)
+    return best, shares, {effect: _alternatives(fits, best, effect, missing, seed) for effect in best.effects}
+
+
+def _motion(problem: Problem) -> float:
+    """Mean square of the measured motion about each run's mean position, over the noise's."""
+    noise = problem.noise if isinstance(problem.noise, tuple) else (problem.noise,) * len(problem.runs)
+    total, count = 0.0, 0
+    for run, sigma in zip(problem.runs, noise, strict=True):
+        for column in run.points.reshape(run.rows, -1).T:
+            seen = column[np.isfinite(column)] / sigma
+            total, count = total + float(np.var(seen) if seen.size else 0.0) * seen.size, count + seen.size
+    return total / max(count, 1)
 
 
 def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:

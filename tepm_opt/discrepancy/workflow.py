@@ -25,7 +25,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Estimate, Problem, free_parameters, identify
-from tepm_opt.solvers.predict import PredictionError, predict_all
+from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
 CLEAR = 0.8  # probability among rivals from which one of them is named
@@ -85,7 +85,8 @@ def discover(
     nominal = _predict(compiled, dataset)
     _refuse_shifted_clock(dataset, nominal)
     own = [name for name in compiled.values if "." in name and not any(name in c.parameters for c in missing)]
-    problem = Problem(compiled, dataset.fit, free_parameters(compiled, [*model.robot.priors, *own]), noise, dataset.static)
+    step = _step(compiled, dataset, nominal, noise, settings)
+    problem = Problem(compiled, dataset.fit, free_parameters(compiled, [*model.robot.priors, *own]), noise, dataset.static, step=step)
     try:
         behind = with_measured_inputs(dataset.fit, channels)
         if behind is not None:
@@ -137,6 +138,16 @@ def _predict(model: CompiledModel, dataset: DataSet) -> list[np.ndarray]:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
 
 
+def _step(model: CompiledModel, dataset: DataSet, precise: Sequence[np.ndarray], noise: float, settings: Settings) -> float:
+    """The longest time step whose errors do not count beside the noise."""
+    if dataset.static:
+        return PRECISE_STEP
+    coarse = predict_all(model, dataset.fit)
+    fit = [points for run, points in zip(dataset.runs, precise, strict=True) if run.role == "fit"]
+    square = np.mean([np.mean((a.points - b) ** 2) for a, b in zip(coarse, fit, strict=True)])
+    return LONGEST_STEP if square < settings.quiet / 5 * noise**2 else PRECISE_STEP
+
+
 def _refuse_shifted_clock(dataset: DataSet, nominal: Sequence[np.ndarray]) -> None:
     found = {} if dataset.static else shifts(dataset.runs, nominal)
     if found:
@@ -159,7 +170,7 @@ def _refined(estimate: Estimate) -> Estimate:
 
 def _status(explanation: Explanation, settings: Settings) -> Status:
     if not explanation.best.effects:
-        return Status.NO_DISCREPANCY if explanation.without.excess <= settings.quiet else Status.UNEXPLAINED
+        return Status.NO_DISCREPANCY if explanation.without.left <= settings.quiet else Status.UNEXPLAINED
     unclear = any(weight < CLEAR for group in explanation.groups.values() for hypothesis, weight in group[:1])
     return Status.INDISTINGUISHABLE if unclear else Status.NAMED
 

@@ -296,7 +296,7 @@ def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress 
                 converged, message = bool(np.isfinite(new)), "no shorter step helps"
                 break
         progress(f"step {done}: residuals {np.sqrt(cost / max(count, 1)):.4g} times the noise")
-    return Estimate(problem, values, _covariance(problem, residuals), residuals, cost, done, converged, message)
+    return Estimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, converged, message)
 
 
 def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]:
@@ -355,17 +355,18 @@ def _step(
     return bounded_step(square, slope, problem.low - values, problem.high - values, problem.scale, damping)
 
 
-def _covariance(problem: Problem, residuals: list[Residual]) -> np.ndarray:
+def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.ndarray | None]) -> np.ndarray:
     """Sandwich: curvature and priors outside, scores summed over blocks of time inside (White, Econometrica 50, 1982)."""
     scale, count = problem.scale, len(problem.free)
     if not count:
         return np.zeros((0, 0))
     known = np.diag((scale / np.array([free.spread for free in problem.free])) ** 2)
     square, meat = np.zeros((count, count)), np.zeros((count, count))
-    for r in residuals:
-        by = r.by * scale
+    for r, w in zip(residuals, weights, strict=True):
+        values, by = _weighted(r, w)
+        by = by * scale
         square += by.T @ by
-        terms = (by * r.values.reshape(-1, 1)).reshape(len(r.values), -1, count).sum(axis=1)
+        terms = (by * values[:, None]).reshape(len(r.values), -1, count).sum(axis=1)
         scores = np.stack([np.bincount(r.block, terms[:, k]) for k in range(count)], axis=1)
         meat += scores.T @ scores
     inverse = np.linalg.pinv(square + known, hermitian=True)

@@ -20,7 +20,7 @@ from tepm_opt.solvers.statics import solve_statics
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-LONGEST_STEP = 0.02  # s: 0.01 mm RMS on the reference runs, far below any tracker's noise
+LONGEST_STEP = 0.02  # s: 0.01 mm RMS on the reference runs, up to 0.1 mm where inputs jump within a sample
 
 
 class PredictionError(RuntimeError):
@@ -51,8 +51,8 @@ def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: b
         step: longest time step in s.
 
     Raises:
-        InputError: no such parameter, inputs outside the robot's limits.
-        PredictionError: the model has no stable equilibrium or no motion under these inputs.
+        InputError: no such parameter.
+        PredictionError: the model has no stable equilibrium or no motion under these inputs, or they are outside the robot's limits.
     """
     directions = Directions.of(model, names)
     if static:
@@ -85,7 +85,10 @@ def _equilibria(model: CompiledModel, run: Run, directions: Directions) -> Predi
     by = np.zeros((len(directions.names), run.rows, layout.points, 3))
     last = None
     for row, (inputs, force) in enumerate(zip(run.inputs, run.tip_force, strict=True)):
-        found = solve_statics(model, model.check_inputs(inputs, f"{run.file}: row {row + 1}"), force, start=last)
+        try:
+            found = solve_statics(model, inputs, force, start=last)
+        except InputError as error:
+            raise PredictionError(f"{run.file}: set points: row {row + 1}: {str(error).removeprefix('inputs: ')}") from error
         if not found.solved:
             raise PredictionError(f"{run.file}: row {row + 1}: {found.message}")
         points[row], last = found.points, found

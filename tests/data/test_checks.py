@@ -154,7 +154,7 @@ DOUBTS = {
     ),
     "part of a position": (lambda: moved(lambda p: p.__setitem__((40, 1, 2), np.nan)), "warning", "s2", "line 42: part of the position is"),
     "only noise": (lambda: moved(cold), "error", "s2", "stands still"),
-    "on its side": (lambda: moved(sideways), "warning", "s1", "not above the base at the start"),
+    "on its side": (lambda: moved(sideways), "error", "s1", "not above the base at the start"),
     "slow tracker": (lambda: moved(twice), "warning", "", "every pose stands 2 times"),
     "too far": (lambda: moved(lambda p: p.__iadd__([0, 0, 0.3])), "warning", "s1", "typically 4.12 times as far from the base as at rest"),
     "saturated": (
