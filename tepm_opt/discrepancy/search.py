@@ -237,6 +237,8 @@ def _motion(problem: Problem) -> float:
 def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
     """Fits of the candidates that promise most beside those of `base`."""
     scores, settings = fits.screen(base, missing), fits.settings
+    if not scores:
+        return []
     most = settings.later if base.effects else settings.fits
     promising = [score for score in scores if score.gain >= settings.worth * scores[0].gain][:most]
     trials = [fits.fit((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
@@ -264,6 +266,7 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
         for effect in best.effects:
             rest = tuple(c for c in best.effects if c != effect)
             found = fits.fit(rest, best.estimate.named)
+            shares[effect] = np.inf  # where the model cannot do the runs without it
             if found is not None:
                 smaller[effect] = found
                 taken = found.excess - best.excess
@@ -275,13 +278,16 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
 
 
 def _output(hypothesis: Hypothesis, effect: Candidate) -> float:
-    """Mean square of what one effect of a hypothesis changes in the modelled positions, over the noise's."""
+    """Mean square of what one effect of a hypothesis changes in the modelled positions, over the noise's; 0 where that cannot be told."""
     estimate = hypothesis.estimate
     theta = estimate.model.theta.copy()
     for name, value in effect.null.items():
         theta[estimate.model.network.parameter_names.index(name)] = value
     problem = replace(estimate.problem, model=estimate.model.with_theta(theta), free=())
-    without = problem.residuals(np.zeros(0))
+    try:
+        without = problem.residuals(np.zeros(0))
+    except PredictionError:  # the model cannot do the runs without it
+        return 0.0
     changed = sum(float(np.sum((a.values - b.values) ** 2)) for a, b in zip(without, estimate.residuals, strict=True))
     return changed / max(estimate.count, 1)
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
 from tepm_opt.data.datasets import DataSet
+from tepm_opt.data.metrics import error_over_time
+from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation, Hypothesis
@@ -58,6 +61,7 @@ def notes(dataset: DataSet, explanation: Explanation, best: Estimate, noise: flo
     ]
     if silent:
         found.append(f"{', '.join(silent)}: not measured in any run.")
+    found += repeats(dataset.runs, noise)
     left = explanation.best.excess
     if explanation.best.effects and left > 0.1:
         found.append(
@@ -69,6 +73,19 @@ def notes(dataset: DataSet, explanation: Explanation, best: Estimate, noise: flo
     if bound:
         found.append(f"At the limit of the prior: {', '.join(bound)}. The prior may be too narrow, or an effect takes its place.")
     return tuple(found)
+
+
+def repeats(runs: Sequence[Run], noise: float) -> list[str]:
+    """How well the machine repeats itself, a line for each pair of runs with the same inputs and tip forces."""
+    found = []
+    for one, other in combinations(runs, 2):
+        same = one.inputs.shape == other.inputs.shape and np.array_equal(one.inputs, other.inputs)
+        if same and np.array_equal(one.tip_force, other.tip_force):
+            differ = error_over_time(one.points, other.points) / np.sqrt(2)
+            found.append(
+                f"{one.file} and {other.file} repeat the same inputs: {_mm(differ)} each (noise alone: {_mm(np.sqrt(3) * noise)})."
+            )
+    return found
 
 
 def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> str:

@@ -1,0 +1,18 @@
+"""What the workflow tells in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.words import repeats
+
+
+def run(file: str, seed: int, pressure: float) -> Run:
+    points = np.random.default_rng(seed).normal(0, 1e-3, (500, 4, 3))
+    return Run(file, "fit", np.arange(500) / 50, np.full((500, 12), pressure), np.zeros((500, 3)), points)
+
+
+def test_repeated_runs_tell_the_repeatability() -> None:
+    lines = repeats([run("a.csv", 1, 1e5), run("b.csv", 2, 1e5), run("c.csv", 3, 2e5)], 1e-3)
+    assert lines == ["a.csv and b.csv repeat the same inputs: 1.73 mm each (noise alone: 1.73 mm)."]
