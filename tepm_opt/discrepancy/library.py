@@ -76,9 +76,7 @@ def wide(model: Model, missing: Iterable[Candidate]) -> Model:
 
 def narrow(model: Model, values: dict[str, float], kept: Iterable[Candidate]) -> Model:
     """The model with those candidates only, and all parameters at `values` (full names)."""
-    parameters = {
-        name: values[name] for name in {**model.robot.parameters.model_dump()} if values[name] != getattr(model.robot.parameters, name)
-    }
+    parameters = {name: values[name] for name, nominal in model.robot.parameters.model_dump().items() if values[name] != nominal}
     present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]
     active = []
     for name, detail in present:

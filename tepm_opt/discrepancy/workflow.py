@@ -142,7 +142,10 @@ def _step(model: CompiledModel, dataset: DataSet, precise: Sequence[np.ndarray],
     """The longest time step whose errors do not count beside the noise."""
     if dataset.static:
         return PRECISE_STEP
-    coarse = predict_all(model, dataset.fit)
+    try:
+        coarse = predict_all(model, dataset.fit)
+    except PredictionError:
+        return PRECISE_STEP
     fit = [points for run, points in zip(dataset.runs, precise, strict=True) if run.role == "fit"]
     square = np.mean([np.mean((a.points - b) ** 2) for a, b in zip(coarse, fit, strict=True)])
     return LONGEST_STEP if square < settings.quiet / 5 * noise**2 else PRECISE_STEP
@@ -171,7 +174,7 @@ def _refined(estimate: Estimate) -> Estimate:
 def _status(explanation: Explanation, settings: Settings) -> Status:
     if not explanation.best.effects:
         return Status.NO_DISCREPANCY if explanation.without.left <= settings.quiet else Status.UNEXPLAINED
-    unclear = any(weight < CLEAR for group in explanation.groups.values() for hypothesis, weight in group[:1])
+    unclear = any(group[0][1] < CLEAR for group in explanation.groups.values())
     return Status.INDISTINGUISHABLE if unclear else Status.NAMED
 
 
@@ -198,10 +201,10 @@ def _verdict(
     named.sort(key=lambda each: -each.probability)
     errors = _errors(dataset, noise, explanation, predictions)
     rivals = _rivals(explanation, named, settings)
-    corrected = narrow(model, _named_values(best), explanation.best.effects)
+    corrected = narrow(model, best.model.values, explanation.best.effects)
     notes = words.notes(dataset, explanation, best, noise)
     form_error = explanation.best.form_error
-    known = {f.name: _value(best, form_error, f.name, dict(model.values)[f.name]) for f in best.problem.free if f.name in model.values}
+    known = {f.name: _value(best, form_error, f.name, model.values[f.name]) for f in best.problem.free if f.name in model.values}
     text = words.paragraph(status, named, errors, localisation.sentence, known, explanation)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
     return Verdict(status, text, tuple(named), rivals, where, known, errors, corrected, notes)
@@ -212,10 +215,6 @@ def _only(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -
     rest = tuple(c for c in explanation.best.effects if c != effect)
     without = next((h for h in explanation.tried if h.effects == rest), explanation.without)
     return (without.excess - hypothesis.excess) / max(explanation.without.excess, 1e-12)
-
-
-def _named_values(estimate: Estimate) -> dict[str, float]:
-    return estimate.model.values
 
 
 def _value(estimate: Estimate, form_error: np.ndarray, name: str, nominal: float) -> Value:

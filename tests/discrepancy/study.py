@@ -57,12 +57,11 @@ class Answer:
 
     @property
     def recovered(self) -> dict[str, bool]:
-        """Whether each true size is inside its 95 % interval or within 10 %."""
+        """Whether each true size is inside its 95 % interval or within 10 %; one that is not among what was named is not."""
         found = {f"{each.candidate.label}.{name}": value for each in self.verdict.effects for name, value in each.parameters.items()}
         return {
-            name: abs(found[name].value - true) <= max(1.96 * found[name].std, 0.1 * abs(true))
+            name: name in found and abs(found[name].value - true) <= max(1.96 * found[name].std, 0.1 * abs(true))
             for name, true in self.sizes.items()
-            if name in found
         }
 
     def line(self, name: str) -> str:
@@ -108,6 +107,8 @@ TERMS: dict[tuple[str, str], Any] = {
     ("actuator_gain", "loss"): lambda value: {"loss": value},
     ("sensor_misalignment", "shift"): _vector("shift"),
     ("sensor_misalignment", "rotvec"): _vector("rotation"),
+    ("base_tilt", "ax"): lambda value: {"y": -value},
+    ("base_tilt", "ay"): lambda value: {"x": -value},
     ("tendon_friction", "f0"): lambda value: {"constant": value},
     ("tendon_friction", "mu"): lambda value: {"share": value},
 }

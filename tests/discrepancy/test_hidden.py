@@ -21,6 +21,9 @@ OTHER_FORM = {"tendon_friction", "sticking_tendons"}
 """The rig's friction follows the muscle's motion, or plays in parts of the tension: the model's may not be found, no other may be named."""
 CONFUSED = {"mass_distribution": {"payload", "mass_distribution"}, "payload": {"payload", "mass_distribution"}}
 """What short runs cannot tell apart: all of them may be listed, the right one must be."""
+UNEXPLAINED = "tendon_friction"
+"""Follows the muscle's motion, which no effect of the model does."""
+CLOSED = [key for key in KEYS if BY_KEY[key].names and "foreign" not in BY_KEY[key].names and key != UNEXPLAINED]
 FEW = {
     "base_tilt_and_pressure_dead_zone": ("single_pressure.csv", "elongation.csv", "tip_load.csv", "mixed.csv"),
     "null": ("single_pressure.csv", "elongation.csv", "mixed.csv"),
@@ -95,7 +98,7 @@ class TestFewRuns:
     def test_one_with_its_detail(self, few: Callable[[str], Answer]) -> None:
         answer = few(key := "sensor_offset")
         assert answer.right, answer.line(key)
-        assert all(answer.recovered.values()), answer.line(key)
+        assert answer.recovered == dict.fromkeys(answer.sizes, True), answer.line(key)
         closes(answer, key, 0.75)
 
 
@@ -117,14 +120,16 @@ class TestAllRuns:
         assert key in listed(answer), answer.line(key)
         assert listed(answer) <= CONFUSED[key], answer.line(key)
 
-    @pytest.mark.parametrize("key", [key for key in KEYS if BY_KEY[key].names and "foreign" not in BY_KEY[key].names])
+    @pytest.mark.parametrize("key", CLOSED)
     def test_the_gap_closes(self, answers: Callable[[str], Answer], key: str) -> None:
-        answer = answers(key)
-        if answer.named:
-            closes(answer, key, 0.75)
+        closes(answers(key), key, 0.75)
+
+    def test_what_no_effect_does_is_unexplained(self, answers: Callable[[str], Answer]) -> None:
+        answer = answers(UNEXPLAINED)
+        assert answer.verdict.status is Status.UNEXPLAINED, answer.line(UNEXPLAINED)
 
     def test_the_gap_closes_nearly_to_the_noise(self, answers: Callable[[str], Answer]) -> None:
-        known = {key: answers(key) for key in KEYS if not answers(key).foreign and answers(key).named}
+        known = {key: answers(key) for key in CLOSED}
         closed = {key: answer.verdict.errors.closed for key, answer in known.items()}
         left = {key: answer.verdict.errors.corrected / answer.verdict.errors.noise_floor for key, answer in known.items()}
         assert median(closed.values()) >= 0.9, closed
@@ -133,10 +138,7 @@ class TestAllRuns:
     def test_sizes(self, answers: Callable[[str], Answer]) -> None:
         """Forms differ, so that a size or two may be out; most are within their intervals."""
         inside = {
-            f"{key}: {name}": ok
-            for key in KEYS
-            if key not in OTHER_FORM and answers(key).right
-            for name, ok in answers(key).recovered.items()
+            f"{key}: {name}": ok for key in CLOSED if key not in OTHER_FORM | CONFUSED.keys() for name, ok in answers(key).recovered.items()
         }
         assert sum(inside.values()) >= 0.8 * len(inside), [name for name, ok in inside.items() if not ok]
 
