@@ -80,15 +80,21 @@ def test_killed_at_random_moments(tmp_path: Path, fake: None, kills: int) -> Non
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["tepm_opt.cli"])
     random = np.random.default_rng(kills)
+
+    def start(folder: Path, log: Path) -> BaseProcess:
+        process = context.Process(target=record_slowly, args=(str(plan), str(folder), str(log), 1e-4))
+        process.start()
+        return process
+
+    start(tmp_path / "undisturbed", tmp_path / "whole-log").join()
+    whole = (tmp_path / "whole-log").stat().st_size
     folder, finished, killed, amid = tmp_path / "set-0", 0, 0, 0
     for attempt in range(10 * kills):
         if killed == kills:
             break
         log = tmp_path / f"log-{attempt}"
-        process = context.Process(target=record_slowly, args=(str(plan), str(folder), str(log), 1e-4))
-        process.start()
-        _wait_for(log, process)
-        time.sleep(random.uniform(0.0, 0.6))
+        process = start(folder, log)
+        _wait_for(log, random.uniform(0.0, whole * (1 - finished / 3)), process)
         assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
         process.join()
@@ -103,11 +109,12 @@ def test_killed_at_random_moments(tmp_path: Path, fake: None, kills: int) -> Non
     assert amid > kills / 3, "too few kills in the middle of a run to prove something"
 
 
-def _wait_for(log: Path, process: BaseProcess, patience: float = 60.0) -> None:
+def _wait_for(log: Path, length: float, process: BaseProcess, patience: float = 60.0) -> None:
+    """Until the process has told so many bytes: moments of its progress, not of a clock, so that a slow machine kills at the same ones."""
     end = time.monotonic() + patience
-    while not log.exists() and process.is_alive():
-        assert time.monotonic() < end, "the process does not start"
-        time.sleep(0.002)
+    while process.is_alive() and (not log.exists() or log.stat().st_size < length):
+        assert time.monotonic() < end, "the process does not go on"
+        time.sleep(0.0005)
 
 
 @pytest.mark.slow
