@@ -107,7 +107,7 @@ TERMS: dict[tuple[str, str], Any] = {
     ("actuator_gain", "loss"): lambda value: {"loss": value},
     ("sensor_misalignment", "shift"): _vector("shift"),
     ("sensor_misalignment", "rotvec"): _vector("rotation"),
-    ("base_tilt", "ax"): lambda value: {"y": -value},
+    ("base_tilt", "ax"): lambda value: {"y": value},  # gravity's components along x and y, over g
     ("base_tilt", "ay"): lambda value: {"x": -value},
     ("tendon_friction", "f0"): lambda value: {"constant": value},
     ("tendon_friction", "mu"): lambda value: {"share": value},

@@ -19,7 +19,11 @@ BY_KEY = {case.key: case for case in CASES}
 KEYS = list(BY_KEY)
 OTHER_FORM = {"tendon_friction", "sticking_tendons"}
 """The rig's friction follows the muscle's motion, or plays in parts of the tension: the model's may not be found, no other may be named."""
-CONFUSED = {"mass_distribution": {"payload", "mass_distribution"}, "payload": {"payload", "mass_distribution"}}
+CONFUSED = {
+    "mass_distribution": {"payload", "mass_distribution"},
+    "payload": {"payload", "mass_distribution"},
+    "payload_and_regulator_lag": {"payload", "mass_distribution", "regulator_lag"},
+}
 """What short runs cannot tell apart: all of them may be listed, the right one must be."""
 UNEXPLAINED = "tendon_friction"
 """Follows the muscle's motion, which no effect of the model does."""
@@ -117,7 +121,7 @@ class TestAllRuns:
     @pytest.mark.parametrize("key", CONFUSED)
     def test_what_looks_alike_is_listed(self, answers: Callable[[str], Answer], key: str) -> None:
         answer = answers(key)
-        assert key in listed(answer), answer.line(key)
+        assert set(answer.truth) <= listed(answer), answer.line(key)
         assert listed(answer) <= CONFUSED[key], answer.line(key)
 
     @pytest.mark.parametrize("key", CLOSED)
