@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.hardware import Hardware
 
 SUFFIX = ".toml"
 Checked = TypeVar("Checked", bound=BaseModel)
@@ -143,6 +144,7 @@ class Robot(Section):
     actuation: Actuation
     mount: Mount
     tracker: Tracker
+    hardware: Hardware | None = None
 
     @model_validator(mode="after")
     def _priors_name_parameters(self) -> Robot:

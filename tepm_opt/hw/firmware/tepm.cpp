@@ -1,0 +1,34 @@
+// Firmware of the control board: six pressures out, six tendons held, and a hand on the plug.
+#include <Arduino.h>
+#include <avr/wdt.h>
+
+#include "board.h"
+#include "link.h"
+#include "motors.h"
+
+static uint8_t reset_cause __attribute__((section(".noinit")));
+
+// Before main(): a watchdog that has bitten stays on until it is told otherwise.
+extern "C" void remember_reset(void) __attribute__((naked, used, section(".init3")));
+extern "C" void remember_reset(void) {
+  reset_cause = MCUSR;
+  MCUSR = 0;
+  wdt_disable();
+}
+
+void setup() {
+  board::begin(reset_cause);
+  link::begin();
+  wdt_enable(WDTO_120MS);
+}
+
+__attribute__((noinline)) void loop() {
+  motors::alive();
+  if (!motors::pass_due()) return;
+  wdt_reset();
+  link::receive();
+  motors::alive();
+  board::pass();
+  motors::alive();
+  link::send();
+}

@@ -1,0 +1,87 @@
+"""How a robot's electronics are wired and calibrated: the `[hardware]` part of a robot file. Volts, counts and steps; no bytes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from tepm_opt.data.documents import Number, Section, between
+
+Point = Annotated[tuple[Number, Number, Number], Field(description="three numbers in m")]
+Each = Number | tuple[Number, ...]
+"""One number for all actuators, or a list with one for each."""
+
+
+def each_between(low: float, high: float, unit: str) -> AfterValidator:
+    """Range for every number of an `Each`."""
+
+    def check(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+        if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
+            raise ValueError(f"{value}; valid: {low:g} … {high:g} {unit}, one number or one for each actuator")
+        return value
+
+    return AfterValidator(check)
+
+
+class PressureLines(Section):
+    """From pressure to the regulator's command voltage and back from its monitor output. Both are straight lines.
+
+    A voltage is zero_V + V_per_MPa · pressure; the DAC gives `dac_full_scale_V` at its largest code.
+    """
+
+    dac_full_scale_V: Annotated[Each, each_between(1, 24, "V")] = 5.0
+    zero_V: Annotated[Each, each_between(-1, 5, "V")] = 0.0
+    V_per_MPa: Annotated[Each, each_between(0.1, 100, "V/MPa")] = 5.0 / 0.9
+    monitor_zero_V: Annotated[Each, each_between(-1, 5, "V")] = 1.0
+    monitor_V_per_MPa: Annotated[Each, each_between(0.1, 100, "V/MPa")] = 4.0 / 0.9
+
+
+class TensionLines(Section):
+    """From tension to counts of the dynamometer's converter (zero_counts + counts_per_N · tension) and to steps of the motor."""
+
+    zero_counts: Annotated[Each, each_between(0, 32767, "counts")] = 3277.0
+    counts_per_N: Annotated[Each, each_between(1, 32767, "counts/N")] = 3276.8
+    steps_per_N: Annotated[Each, each_between(1, 1e5, "steps/N")] = 1 / 1.05e-3
+    steps_per_mm: Annotated[Each, each_between(0.1, 1e5, "steps/mm")] = 290e-3 / 1.05e-3
+
+
+class TrackerLink(Section):
+    """Where the tracker's poses come from (OpenIGTLink, as PlusServer gives them) and how the sensors sit on the robot.
+
+    A reference point is R h + t of its sensor's pose (R, t) in G: `holders_m` has an h for each point, from the base to the tip.
+    `holders_m` absent: the sensors sit on the reference points.
+    """
+
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, Field(strict=True, ge=1, le=65535, description="1 … 65535")] = 18944
+    devices: Annotated[tuple[str, ...], Field(description="names of the transforms, from the base to the tip")]
+    holders_m: tuple[Point, ...] | None = None
+    units_per_m: Annotated[float, between(1e-3, 1e6, "(1000: poses are in mm)")] = 1000.0
+    latency_s: Annotated[float, between(0, 1, "s")] = 0.0
+    """Age of a pose when it gets its time stamp."""
+    rate_hz: Annotated[float, between(1, 1000, "Hz a sensor")] = 100.0
+    largest_step_m: Annotated[float, between(1e-4, 1, "m")] = 0.05
+    """Further than this in one frame is a jump, not a motion."""
+
+    @model_validator(mode="after")
+    def _a_holder_for_each(self) -> TrackerLink:
+        if self.holders_m is not None and len(self.holders_m) != len(self.devices):
+            raise ValueError(f"holders_m has {len(self.holders_m)} entries for {len(self.devices)} devices; one for each")
+        if len(set(self.devices)) != len(self.devices):
+            raise ValueError(f"devices: {', '.join(self.devices)}; each sensor has a name of its own")
+        return self
+
+
+class Hardware(Section):
+    """What the host has to know about the board, the regulators, the motors and the tracker."""
+
+    pressure: PressureLines = PressureLines()
+    tension: TensionLines = TensionLines()
+    tracker: TrackerLink | None = None
+
+    @staticmethod
+    def of_each(value: float | tuple[float, ...], count: int) -> np.ndarray:
+        """A calibration constant for each of `count` actuators, (count,)."""
+        return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
