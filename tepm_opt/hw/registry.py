@@ -8,9 +8,9 @@ from pathlib import Path
 from tepm_opt.data.datasets import DESCRIPTION, read_description
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.rig import Rig
-from tepm_opt.models.robot import Robot
+from tepm_opt.models.robot import Robot, load_robot
 
-VALID = "sim, sim:FILE, bench, bench:FILE, replay:FILE"
+VALID = "sim, sim:FILE, bench, bench:FILE, replay:FILE, serial:PORT"
 
 
 def open_rig(text: str, robot: Robot | None = None) -> Rig:
@@ -18,8 +18,9 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
 
     Args:
         text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), `bench` or
-            `bench:FILE` (the single-actuator bench of such a rig), `replay:FILE` (a run of a data set).
-        robot: for recordings; the default is what `dataset.toml` beside the file says, or kang2017.
+            `bench:FILE` (the single-actuator bench of such a rig), `replay:FILE` (a run of a data set), `serial:PORT` or
+            `serial:PORT@BAUD` (the real robot).
+        robot: for recordings and the real robot; the default is what `dataset.toml` beside a recording says, or kang2017.
 
     Raises:
         InputError: not one of these; or the file is wrong, or the rig's package is not installed.
@@ -56,6 +57,14 @@ def _replay(target: str, robot: Robot | None) -> Rig:
     return ReplayRig(target, robot or _recorded_robot(Path(target).parent))
 
 
+def _serial(target: str, robot: Robot | None) -> Rig:
+    from tepm_opt.hw.serial_rig import open_serial
+
+    if not target:
+        raise InputError("rig 'serial' needs a port: serial:PORT, such as serial:/dev/ttyACM0; `tepm hw ports` lists them")
+    return open_serial(target, robot or load_robot("kang2017"))
+
+
 def _recorded_robot(folder: Path) -> str:
     """The robot that the data set in a folder names, where there is one."""
     if not (folder / DESCRIPTION).is_file():
@@ -64,4 +73,9 @@ def _recorded_robot(folder: Path) -> str:
     return str(folder / name) if (folder / name).is_file() else name
 
 
-_OPENERS: Mapping[str, Callable[[str, Robot | None], Rig]] = {"sim": _simulated, "bench": _bench, "replay": _replay}
+_OPENERS: Mapping[str, Callable[[str, Robot | None], Rig]] = {
+    "sim": _simulated,
+    "bench": _bench,
+    "replay": _replay,
+    "serial": _serial,
+}
