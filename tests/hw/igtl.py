@@ -1,0 +1,184 @@
+"""Stand-ins for PlusServer: messages given by hand, and packed ones over a socket, a sample with one stamp, at an exact pace."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+
+import numpy as np
+from pyigtl import TransformMessage
+from scipy.spatial.transform import Rotation
+
+from tepm_opt.hw.tracker import Frame, FrameAssembler, IgtlTracker
+from tepm_opt.models.hardware import TrackerLink
+
+DEVICES = ("BaseToTracker", "LowToTracker", "HighToTracker", "TipToTracker")
+RATE = 240.0
+PERIOD = 1 / RATE
+AHEAD = 1000.0  # the server's clock is ahead of the host's by so many s
+DELAY = 2e-4
+SIZE, STAMP = 58 + 48, 34
+"""Bytes of a TRANSFORM message, and where in it the time stamp is: seconds and 2⁻³² seconds."""
+
+
+def link(**settings: object) -> TrackerLink:
+    """Four sensors at 240 Hz."""
+    return TrackerLink.model_validate({"devices": DEVICES, "rate_hz": RATE, **settings})
+
+
+def still(_: float) -> np.ndarray:
+    """Four sensors at rest, (4, 4, 4) in mm, turned so that none is the identity."""
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec([[0.1 + 0.2 * i, -0.3, 0.2] for i in range(4)]).as_matrix()
+    poses[:, :3, 3] = [[10.0 * i, -5.0, 100.0 * (i + 1)] for i in range(4)]
+    return poses
+
+
+def stamped(data: bytearray, stamp: float) -> bytes:
+    """Messages with a time stamp in s written over theirs."""
+    for place in range(0, len(data), SIZE):
+        struct.pack_into(">II", data, place + STAMP, int(stamp), int(stamp % 1 * 2**32))
+    return bytes(data)
+
+
+class PlusServer:
+    """Sends to whoever connects, one client at a time, from a thread.
+
+    Args:
+        rate: samples a second.
+        poses: (4, 4, 4) in mm at a time in s since the start.
+        port: 0 for any that is free; `port` says which.
+
+    Attributes:
+        sent: stamps of all samples that were handed to the socket.
+        shift: server's clock − `time.monotonic` in s.
+        lost: indices of sensors of which nothing is sent.
+        frozen: nothing is sent (but the connection stays).
+        held: samples are stamped in time, but sent only when this is False again.
+        jump: added to the positions, (4, 3) in mm.
+    """
+
+    def __init__(self, rate: float = 240.0, poses: Callable[[float], np.ndarray] = still, port: int = 0, shift: float = 1000.0) -> None:
+        self.rate, self.poses, self.port, self.shift = rate, poses, port, shift
+        self.sent: list[float] = []
+        self.lost: Sequence[int] = ()
+        self.frozen = self.held = False
+        self.jump = np.zeros((4, 3))
+        self.connections = 0
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> PlusServer:
+        """Listen and send; on the same port as before if it was stopped."""
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", self.port))
+        listener.listen()
+        self.port = listener.getsockname()[1]
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, args=(listener,), daemon=True)
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """Close everything."""
+        self._stop.set()
+        if self._thread:
+            self._thread.join()
+
+    def packed(self, elapsed: float) -> bytearray:
+        """A sample as one piece of bytes, with a time stamp to be written over."""
+        poses = self.poses(elapsed).copy()
+        poses[:, :3, 3] += self.jump
+        sensors = [i for i in range(4) if i not in self.lost]
+        return bytearray(b"".join(TransformMessage(poses[i], timestamp=0.0, device_name=DEVICES[i]).pack() for i in sensors))
+
+    def _run(self, listener: socket.socket) -> None:
+        with listener:
+            while not self._stop.is_set():
+                if not select.select([listener], [], [], 0.02)[0]:
+                    continue
+                client, _ = listener.accept()
+                self.connections += 1
+                with client, contextlib.suppress(OSError):
+                    client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    self._send(client)
+
+    def _send(self, client: socket.socket) -> None:
+        start = due = time.monotonic()
+        backlog: list[tuple[float, bytes]] = []
+        while not self._stop.is_set():
+            due = max(due + 1 / self.rate, time.monotonic())  # a sample that is late is not caught up with
+            time.sleep(max(due - 0.3 / self.rate - time.monotonic(), 0))  # the client's threads have the interpreter meanwhile
+            data = self.packed(due - start)
+            time.sleep(max(due - time.monotonic(), 0))
+            if self.frozen:
+                continue
+            stamp = time.monotonic() + self.shift
+            backlog.append((stamp, stamped(data, stamp)))
+            if not self.held:
+                client.sendall(b"".join(data for _, data in backlog))
+                self.sent += [stamp for stamp, _ in backlog]
+                backlog.clear()
+            if select.select([client], [], [], 0)[0] and not client.recv(1 << 12):
+                return
+
+    def __enter__(self) -> PlusServer:
+        """Started."""
+        return self.start()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Stopped."""
+        self.stop()
+
+
+class Feed:
+    """Messages given to an assembler by hand: sample k is true at k · PERIOD on the host's clock."""
+
+    def __init__(self, **settings: object) -> None:
+        self.frames = FrameAssembler(link(**settings))
+        self.poses = still(0)
+        self.k = 0
+
+    def sample(self, lost: tuple[int, ...] = (), delay: float = DELAY, ahead: float = AHEAD) -> list[Frame]:
+        """One sample, and the frames that can be read when its last message has arrived."""
+        self.k += 1
+        now = self.k * PERIOD
+        for i, (device, pose) in enumerate(zip(DEVICES, self.poses, strict=True)):
+            if i not in lost:
+                self.frames.take(device, now + ahead, pose, now + delay)
+        return self.read(now + delay)
+
+    def read(self, now: float) -> list[Frame]:
+        """All frames that are ready at a time on the host's clock."""
+        frames = []
+        while frame := self.frames.next(now):
+            frames.append(frame)
+        return frames
+
+    def settle(self) -> Feed:
+        """Samples until frames come."""
+        while not self.sample():
+            pass
+        return self
+
+
+def read_for(tracker: IgtlTracker, seconds: float) -> list[Frame]:
+    """All frames of some time."""
+    end, frames = time.monotonic() + seconds, []
+    while (left := end - time.monotonic()) > 0:
+        if frame := tracker.read(left):
+            frames.append(frame)
+    return frames
+
+
+def true_ages(server: PlusServer, frames: list[Frame]) -> np.ndarray:
+    """Each frame's error of time against the nearest stamp the server sent, in s."""
+    stamps = np.array(server.sent) - server.shift
+    return np.array([np.abs(stamps - frame.time).min() for frame in frames])
