@@ -14,7 +14,7 @@ import typer
 from rich.markup import escape
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.cli import data, demo, discrepancy, gain, identify, ik, modes, paper, play, record, robot, simulate, statics
+from tepm_opt.cli import data, demo, discrepancy, gain, hw, identify, ik, modes, paper, play, record, robot, simulate, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
 from tepm_opt.errors import InputError
 
@@ -53,6 +53,7 @@ app.command("identify")(identify.identify)
 app.command("discrepancy")(discrepancy.discrepancy)
 app.add_typer(robot.app, name="robot")
 app.add_typer(data.app, name="data")
+app.add_typer(hw.app, name="hw")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
