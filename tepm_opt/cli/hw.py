@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated
 
 import numpy as np
@@ -181,21 +182,14 @@ def _others(single: moves.Single, values: np.ndarray | None) -> float:
     return 0.0 if values is None else float(np.max(np.delete(values, single.actuator), initial=0.0))
 
 
-class _live:  # noqa: N801
-    """A line on the error stream that is written over, on a terminal."""
-
-    def __enter__(self) -> Callable[[str], None]:
-        """Writes it."""
-        self._live = Live(console=stderr, transient=True, refresh_per_second=10) if stderr.is_terminal else None
-        if self._live is None:
-            return lambda text: None
-        live = self._live.__enter__()
-        return lambda text: live.update(Text(text))
-
-    def __exit__(self, *error: object) -> None:
-        """Take it away."""
-        if self._live is not None:
-            self._live.stop()
+@contextmanager
+def _live() -> Iterator[Callable[[str], None]]:
+    """Writes a line on the error stream over and over, on a terminal."""
+    if not stderr.is_terminal:
+        yield lambda text: None
+        return
+    with Live(console=stderr, transient=True, refresh_per_second=10) as live:
+        yield lambda text: live.update(Text(text))
 
 
 @app.command()

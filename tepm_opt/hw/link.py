@@ -271,6 +271,8 @@ class Link:
         Raises:
             LinkError: the line is gone.
         """
+        if self._failure is not None:
+            raise self._gone(self._failure)
         if self._thread:
             return
         try:

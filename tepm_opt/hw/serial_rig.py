@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from datetime import UTC, datetime
 from types import TracebackType
@@ -113,7 +114,8 @@ class SerialRig:
         self._calibration = Calibration.of(robot)
         self._count = self.layout.inputs // 2
         self._tracker, self._clock, self._tendons = tracker, clock, tendons
-        self._armed: bool | None = None
+        self._armed: bool | None = None  # None: not yet, False: not again
+        self._armed_at = math.inf
         self.frame: Frame | None = None
         rate = robot.hardware.tracker.rate_hz if robot.hardware and robot.hardware.tracker else 100.0
         self._period = 1 / rate
@@ -160,7 +162,6 @@ class SerialRig:
         else:
             frame = self._tracker.read(SILENT_PERIODS * self._period)
             self.frame = frame or self.frame
-            self.link.wait(lambda: True, 0.0)
         self._last = self._clock()
         self.link.listen()
         points = np.full((self.layout.points, 3), np.nan) if frame is None else frame.points
@@ -257,8 +258,12 @@ class SerialRig:
         if self._armed is None:
             if self.board.state is not State.IDLE:
                 raise LinkError(f"the board is in {self.board.describe()}; see to it, then clear it: tepm hw check PORT --clear")
-            self.link.arm()
-            self._armed = True
+            self._armed, self._armed_at = True, math.inf  # from now on stopping disarms, whatever interrupts this
+            try:
+                self.link.arm()
+            except LinkError:
+                self._armed = None
+                raise
             self._armed_at = self._clock()
         elif (status := self.board).time > self._armed_at and status.state is not State.ARMED:
             self._armed = False

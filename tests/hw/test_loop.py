@@ -49,7 +49,7 @@ class Checked(SerialRig):
         self._goal = np.r_[calibration.to_codes(command.pressures, self.hello), calibration.to_steps(command.tensions)]
 
 
-@pytest.mark.parametrize("count", [9, pytest.param(33, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [5, pytest.param(33, marks=pytest.mark.slow)])
 def test_play_reaches_every_pin(board: Board, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`tepm play` of inverse kinematics along the circle, a point every 0.4 s: every DAC and step count, at every set point."""
     assert run(["ik", "circle", "--out", str(tmp_path), "--json"]) == 0
