@@ -21,6 +21,7 @@ from tepm_opt.cli.hw_monitor import monitor
 from tepm_opt.cli.hw_shared import STOPPED, PortArgument, YesOption, confirm, safely, say
 from tepm_opt.errors import InputError
 from tepm_opt.hw import moves
+from tepm_opt.hw.calibration import Calibration
 from tepm_opt.hw.checks import Check, Mark
 from tepm_opt.hw.commissioning import Commissioning, by_hand
 from tepm_opt.hw.line import actuators_of
@@ -163,7 +164,8 @@ def jog(
                 show(f"{single.name}: {commanded / scale:.2f} {unit} commanded, {measured / scale:.2f} {unit} measured{wound}")
             rig.stop()
         mean = float(np.nanmean(kept)) if np.isfinite(kept).any() else float("nan")
-        wound = f", the motor wound {steps} steps" if single.tension else ""
+        travel = steps / Calibration.of(found).steps_mm[single.actuator]
+        wound = f", the motor wound {steps} steps, {travel:.2f} mm of tendon" if single.tension else ""
         say(f"{single.name}: {value / scale:g} {unit} commanded, {mean / scale:.3g} {unit} measured while held{wound}.")
         if not no_tendon and not abs(mean - value) < max(0.1 * value, 0.02 * single.most):
             say("That is far off: is it the right actuator, is the air on, is the calibration right? See tepm hw monitor.", "yellow")

@@ -21,7 +21,7 @@ class Calibration:
         codes, codes_zero: DAC codes a Pa, and at 0.
         monitor, monitor_zero: counts of the monitors a Pa, and at 0.
         counts, counts_zero: counts of the dynamometers a N, and at 0.
-        steps: of the motors a N.
+        steps, steps_mm: of the motors a N, and a mm of tendon.
     """
 
     codes: np.ndarray
@@ -31,6 +31,7 @@ class Calibration:
     counts: np.ndarray
     counts_zero: np.ndarray
     steps: np.ndarray
+    steps_mm: np.ndarray
 
     @staticmethod
     def of(robot: Robot) -> Calibration:
@@ -60,6 +61,7 @@ class Calibration:
             each(tension.counts_per_N, "tension.counts_per_N"),
             each(tension.zero_counts, "tension.zero_counts"),
             each(tension.steps_per_N, "tension.steps_per_N"),
+            each(tension.steps_per_mm, "tension.steps_per_mm"),
         )
 
     def to_codes(self, pressures: np.ndarray, hello: Hello) -> list[int]:

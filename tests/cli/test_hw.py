@@ -158,6 +158,7 @@ class TestJog:
         done = tepm("hw", "jog", "x", "11", "--tension", "1", "--seconds", "2", "--no-tendon", "--yes")
         assert (done.status, done.err) == (0, "")
         assert "the motor wound 95" in done.out
+        assert " steps, 3.45 mm of tendon" in done.out  # 1 N at 290 N/m
         assert "hooked on" not in done.out
         assert bench.world.board.positions[0] == pytest.approx(0, abs=5)
 
