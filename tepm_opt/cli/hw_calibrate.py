@@ -18,7 +18,7 @@ from tepm_opt.data.files import write_atomically
 from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw import calibrate, moves
-from tepm_opt.hw.calibrate import STANDARD_GRAVITY, Line, fit_line
+from tepm_opt.hw.calibrate import STANDARD_GRAVITY, Fit, fit_line
 from tepm_opt.hw.calibration import Calibration
 from tepm_opt.hw.line import actuators_of, tracker_link
 from tepm_opt.hw.registration import Registration
@@ -52,7 +52,7 @@ def tension(
     def work() -> int:
         line = hw_shared.open_line(port)
         link = line.link()
-        lines: dict[int, Line] = {}
+        lines: dict[int, Fit] = {}
         try:
             hello = link.hello()
             for k in which:
@@ -94,8 +94,8 @@ def pressure(
     def work() -> int:
         confirm(f"This moves the robot: {', '.join(names[k] for k in which)} go to {levels[-1]:g} kPa, one after the other.", yes)
         line = hw_shared.open_line(port)
-        monitors: dict[int, Line] = {}
-        commands: dict[int, Line] = {}
+        monitors: dict[int, Fit] = {}
+        commands: dict[int, Fit] = {}
         with line.rig(found) as rig:
             for k in which:
                 single = moves.Single(found, k)
@@ -231,7 +231,7 @@ def _prepared(robot: str | None, actuator: str, out: Path | None) -> tuple[Robot
     return found, actuators_of(actuator, Layout.of(found).actuator_names)
 
 
-def _words(name: str, line: Line, unit: str, of: str, scale: float, small: str) -> str:
+def _words(name: str, line: Fit, unit: str, of: str, scale: float, small: str) -> str:
     """A fitted line: what it is, what is left, how sure it is."""
     std = "" if np.isnan(line.slope_std) else f" (± {_short(line.zero_std)} {unit}, ± {_short(line.slope_std)} {unit}/{of})"
     return f"{name}: {line.zero:.6g} {unit} + {line.slope:.6g} {unit}/{of}{std}, residual {_short(scale * line.rms_x)} {small} rms"

@@ -26,7 +26,7 @@ OTHER_SHARE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class Fit:
     """A least-squares line y = zero + slope · x.
 
     Attributes:
@@ -52,7 +52,7 @@ class Line:
         return self.rms / abs(self.slope) if self.slope else np.inf
 
 
-def fit_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -> Line:
+def fit_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -> Fit:
     """The line through points (x, y).
 
     Raises:
@@ -67,7 +67,7 @@ def fit_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -
     free = len(x) - 2
     covariance = np.linalg.inv(columns.T @ columns) * ((residuals**2).sum() / free if free else np.nan)
     zero_std, slope_std = np.sqrt(np.diag(covariance))
-    return Line(float(solution[0]), float(solution[1]), float(zero_std), float(slope_std), residuals)
+    return Fit(float(solution[0]), float(solution[1]), float(zero_std), float(slope_std), residuals)
 
 
 def increasing(text: str, name: str, least: float, most: float, unit: str) -> list[float]:
@@ -147,7 +147,7 @@ def with_value(value: float | tuple[float, ...], count: int, found: dict[int, fl
     return [float(f"{each:.7g}") for each in values]
 
 
-def tension_part(robot: Robot, lines: dict[int, Line]) -> dict[str, list[float]]:
+def tension_part(robot: Robot, lines: dict[int, Fit]) -> dict[str, list[float]]:
     """Keys of `[hardware.tension]` from lines of counts over N by actuator.
 
     Raises:
@@ -162,7 +162,7 @@ def tension_part(robot: Robot, lines: dict[int, Line]) -> dict[str, list[float]]
     return part
 
 
-def pressure_part(robot: Robot, monitors: dict[int, Line], commands: dict[int, Line]) -> dict[str, list[float]]:
+def pressure_part(robot: Robot, monitors: dict[int, Fit], commands: dict[int, Fit]) -> dict[str, list[float]]:
     """Keys of `[hardware.pressure]` from lines of the monitors' and, if there are any, commands' volts over MPa by actuator.
 
     Raises:
@@ -197,7 +197,7 @@ def snippet(parts: dict[str, dict[str, list]], notes: Sequence[str]) -> str:
     return "\n".join([*lines, ""])
 
 
-def firmware_notes(robot: Robot, hello: Hello, tension: dict[int, Line], command: dict[int, Line]) -> list[str]:
+def firmware_notes(robot: Robot, hello: Hello, tension: dict[int, Fit], command: dict[int, Fit]) -> list[str]:
     """Where the limits compiled into the firmware are more than 5 % off by these lines (counts over N, volts over MPa)."""
     notes, actuation = [], robot.actuation
     for k, line in tension.items():

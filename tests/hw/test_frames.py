@@ -216,6 +216,8 @@ def follow(frames: Frames, host: Host, groups: int) -> None:
             sequence = values["sequence"]
         else:
             refused += 1
+    _, mistaken, _ = check(stream, frames.decoder().feed(stream.data), kinds)
+    assert mistaken <= bound(groups)
     assert host.status["good"] == (before["good"] + len(found)) % 2**16
     assert host.status["bad"] == (before["bad"] + native.bad + len(decoded.lengths) - len(found)) % 2**16
     assert (host.status["sequence"], host.status["refused"]) == (sequence, refused % 256)
