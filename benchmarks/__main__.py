@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from benchmarks import dynamics, gain, kinematics, statics
+from benchmarks import control, dynamics, gain, kinematics, statics
 from benchmarks.limit import Limit
 from benchmarks.report import print_report, write_json
 from benchmarks.scene import Scene
@@ -36,10 +36,12 @@ def main(
     limit: Annotated[Path | None, typer.Option(envvar="TEPM_LIMIT", help="Folder of time_limit.py, the practical limit.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write all figures to this file, too.")] = None,
     reference: Annotated[Path | None, typer.Option(help="Data set to simulate; made-up runs of 177 s otherwise.")] = None,
-    only: Annotated[Literal["still", "motion"] | None, typer.Option(help="Only statics, gain and inverse kinematics, or motion.")] = None,
+    only: Annotated[
+        Literal["still", "motion", "control"] | None, typer.Option(help="Only statics, gain and inverse kinematics, motion, or control.")
+    ] = None,
     quick: Annotated[bool, typer.Option(help="Fewer repetitions, without the slowest peers.")] = False,
 ) -> None:
-    """Statics, gain, inverse kinematics and motion of robot kang2017: ours, peers, the practical limit."""
+    """Statics, gain, inverse kinematics, motion and control of robot kang2017: ours, peers, the practical limit."""
     progress = Console(stderr=True)
     pinned = _pin()
     rounds = 25 if quick else 100
@@ -52,7 +54,7 @@ def main(
             raise typer.BadParameter(str(error)) from error
         practical = Limit(limit, Path(folder))
         tasks: list[Task] = []
-        if only != "motion":
+        if only in (None, "still"):
             peers = statics.Peers.of(scene, workshop)
             tasks += [
                 statics.task("warm", "Statics, warm: +1 kPa in p_11 and p_21", scene, peers, scene.bent, scene.nudged),
@@ -60,11 +62,13 @@ def main(
                 gain.task(scene, peers, workshop),
                 *kinematics.tasks(scene, peers, workshop),
             ]
-        if only != "still":
+        if only in (None, "motion"):
             try:
                 tasks += dynamics.tasks(scene, workshop, reference, quick)
             except InputError as error:
                 raise typer.BadParameter(str(error)) from error
+        if only in (None, "control"):
+            tasks += control.tasks(scene.model)
         for task in tasks:
             if not quick or task is tasks[0]:
                 progress.print("running the limit …")

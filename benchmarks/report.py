@@ -14,7 +14,7 @@ import scipy
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import dynamics, gain, kinematics, statics
+from benchmarks import control, dynamics, gain, kinematics, statics
 from benchmarks.dynamics_report import print_motion
 from benchmarks.limit import Limit
 from benchmarks.timing import Contender, Task
@@ -71,7 +71,7 @@ Goals = list[tuple[Target | dynamics.Goal, Task, float]]
 def _goals(tasks: list[Task], limit: Limit) -> Goals:
     """The targets of the tasks that there are, with what was measured."""
     of = {task.key: task for task in tasks}
-    return [(goal, of[goal.task], goal.measured(tasks, limit)) for goal in (*TARGETS, *dynamics.GOALS) if goal.task in of]
+    return [(goal, of[goal.task], goal.measured(tasks, limit)) for goal in (*TARGETS, *dynamics.GOALS, *control.GOALS) if goal.task in of]
 
 
 def _number(value: float, form: str = ".1f") -> str:
@@ -95,11 +95,14 @@ def _verdict(met: bool | None) -> str:
 
 def print_report(console: Console, tasks: list[Task], limit: Limit, pinned: str, rounds: int) -> None:
     """Print the tables and the targets."""
-    still = [task for task in tasks if np.isnan(task.simulated)]
+    periods = [task for task in tasks if task.key in control.MODES]
+    still = [task for task in tasks if np.isnan(task.simulated) and task not in periods]
     if still:
         _print_still(console, still, limit)
-    if len(still) < len(tasks):
-        print_motion(console, [task for task in tasks if task not in still], limit)
+    if len(still) + len(periods) < len(tasks):
+        print_motion(console, [task for task in tasks if task not in [*still, *periods]], limit)
+    if periods:
+        control.print_control(console, periods)
     console.print(f"{pinned}; contenders take turns, {rounds} rounds ({dynamics.rounds(rounds)} of motion); over ours: over the first")
     console.print("row in the same rounds, median of rounds.")
     if limit.absent:

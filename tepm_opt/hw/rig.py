@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+
+from tepm_opt.data.setpoints import SetPoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,4 +79,19 @@ class Rig(Protocol):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Stop."""
+        ...
+
+
+@runtime_checkable
+class Virtual(Protocol):
+    """A rig of virtual time: rests from the start under what is commanded before the first `read`, and takes set points in advance."""
+
+    time: float
+
+    def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:
+        """Set points from now on, linear between rows."""
+        ...
+
+    def push(self, forces: np.ndarray) -> None:
+        """A known force on the tip, (3,) in N."""
         ...

@@ -42,6 +42,18 @@ static double energy(work *w, double x[][NB]) {
   return total;
 }
 
+/* Add the block columns of segment s (w->first, w->second) to the panels; segments come in turn. */
+static inline void place(work *w, int s) {
+  for (int c = 0; c < NB; c++) {
+    double *lower = w->panel[s][c], *upper = w->panel[s + 1][c];
+    const double *first = w->first + 2 * NB * c, *second = w->second + NB * c;
+    if (s) for (int r = 0; r < NB; r++) lower[r] += first[r];
+    for (int r = NB; r < 2 * NB; r++) lower[r] = first[r];
+    for (int r = 0; r < NB; r++) upper[r] = second[r];
+    for (int r = NB; r < LD; r++) upper[r] = 0;
+  }
+}
+
 /* Energy (returned), its gradient (w->force) and panels of the stiffness, or of the convex one, at w->x. */
 static inline double assemble(work *w, int convex) {
   double total = 0, part, force[2 * NB];
@@ -53,14 +65,7 @@ static inline double assemble(work *w, int convex) {
     else run(segment_stiffness, w, arg, res);
     total += part;
     for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
-    for (int c = 0; c < NB; c++) {
-      double *lower = w->panel[s][c], *upper = w->panel[s + 1][c];
-      const double *first = w->first + 2 * NB * c, *second = w->second + NB * c;
-      if (s) for (int r = 0; r < NB; r++) lower[r] += first[r];
-      for (int r = NB; r < 2 * NB; r++) lower[r] = first[r];
-      for (int r = 0; r < NB; r++) upper[r] = second[r];
-      for (int r = NB; r < LD; r++) upper[r] = 0;
-    }
+    place(w, s);
   }
   return total;
 }
@@ -387,6 +392,33 @@ int sensitivity(const double *x, const double *u, int mapped, const double *exte
   for (int row = 0; row < rows; row += ROWS)
     adjoint(w, u, mapped, external, rows - row < ROWS ? rows - row : ROWS, weights + row * (NPOINT + NLEN), by_u + row * NU,
             by_external + row * NEXT, by_theta ? by_theta + row * NTHETA : 0, 0);
+  free(w);
+  return SOLVED;
+}
+
+/* The matrix of the free levels in the panels in lower banded storage, column by column: (NLEV * NB, 2 * NB). */
+static void store_band(work *w, double *band) {
+  for (int l = 1; l <= NLEV; l++)
+    for (int c = 0; c < NB; c++) for (int r = 0; r < 2 * NB; r++) *band++ = c + r < 2 * NB ? w->panel[l][c][c + r] : 0;
+}
+
+/* Stiffness and damping matrices of the free levels at x in lower banded storage; `mapped`: u is the effective actuation.
+   Returns a status. */
+int matrices(const double *x, const double *u, int mapped, const double *external, const double *theta, double *stiffness,
+             double *damping) {
+  work *w = prepare(u, mapped, external, theta);
+  if (!w) return STALLED;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  assemble(w, 0);
+  store_band(w, stiffness);
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], theta};
+    double *res[] = {w->first, w->second};
+    run(segment_damping, w, arg, res);
+    place(w, s);
+  }
+  store_band(w, damping);
   free(w);
   return SOLVED;
 }

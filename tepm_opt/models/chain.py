@@ -48,6 +48,12 @@ class Chain(Protocol):
         """Status and gradients by u, external forces and parameters, a row for each row of weights (rows, points · 3 + lengths)."""
         ...
 
+    def matrices(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each."""
+        ...
+
     def inverse(
         self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
         largest: float, close: float, tolerance: float, most: int,
@@ -258,6 +264,14 @@ class PythonChain:
                 total = total + self._call("properties_theta_adjoint", *outer, by_P.T, by_level_0)[0].ravel()
             results[0][row], results[1][row], results[2][row] = by_a, by_external, total
         return SOLVED, results[0], results[1], results[2] if by_theta else None
+
+    def matrices(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Chain.matrices`."""
+        _, P, level_0 = self.prepare(u, mapped, external, theta)
+        x = np.concatenate([level_0[None], x[1:]])
+        return self.assemble(x, P, theta).band, self.damping(x, P, theta)
 
     def inverse(
         self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,

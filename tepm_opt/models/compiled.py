@@ -54,6 +54,8 @@ class _Arrays(threading.local):
             "by_u": (observations, layout.inputs),
             "by_external": (observations, 3 * layout.points),
             "by_theta": (observations, parameters),
+            "stiffness": (layout.levels * layout.block, 2 * layout.block),
+            "damping": (layout.levels * layout.block, 2 * layout.block),
         }
         self.array = {name: np.zeros(shape) for name, shape in shapes.items()}
         self.address = {name: array.ctypes.data for name, array in self.array.items()}
@@ -72,6 +74,8 @@ class CompiledChain:
         self._inverse = loaded.inverse
         self._inverse.argtypes = [p, p, p, p, p, p, d, d, d, i, p]
         self._sensitivity.argtypes = [p, p, i, p, p, i, p, p, p, p]
+        self._matrices = loaded.matrices
+        self._matrices.argtypes = [p, p, i, p, p, p, p]
         self._arrays = _Arrays(network)
 
     def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -104,6 +108,15 @@ class CompiledChain:
         return (
             status, array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), array["by_theta"][:rows].copy() if by_theta else None
         )  # fmt: skip
+
+    def matrices(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Chain.matrices`; the storage is column by column, as LAPACK has it."""
+        array, at = self._arrays.array, self._arrays.address
+        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
+        self._matrices(at["x"], at["u"], mapped, at["external"], at["theta"], at["stiffness"], at["damping"])
+        return array["stiffness"].copy().T, array["damping"].copy().T
 
     def inverse(
         self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,

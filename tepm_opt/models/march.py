@@ -75,7 +75,8 @@ class PythonMarch:
         function = self._mapped.get(name) or self.motion.functions[name]
         return function.call([ca.DM(argument.T if np.ndim(argument) == 2 else argument) for argument in arguments])
 
-    def _values(self, name: str, *arguments: Any) -> list[np.ndarray]:
+    def values(self, name: str, *arguments: Any) -> list[np.ndarray]:
+        """Results of a function of the motion that is not one of a segment."""
         return [np.array(result) for result in self._call(name, *arguments)]
 
     def _sparse(self, name: str, *arguments: Any) -> csr_array:
@@ -85,7 +86,7 @@ class PythonMarch:
 
     def value(self, name: str, *arguments: Any) -> np.ndarray:
         """First result of a function of the motion that is not one of a segment."""
-        return self._values(name, *arguments)[0]
+        return self.values(name, *arguments)[0]
 
     def jacobian(self, name: str, *arguments: Any) -> np.ndarray:
         """Jacobian of a function that is not one of a segment, as a full matrix."""
@@ -146,7 +147,7 @@ class _Run:
         self.of, self.drive, self.theta, self.scheme = of, drive, theta, scheme
         self.inputs = of.motion.layout.inputs
         self.thetas = np.broadcast_to(theta, (of.n, len(theta)))
-        self.delay = float(of._values("delay", theta)[0].item())
+        self.delay = float(of.values("delay", theta)[0].item())
         self.d_delay = (of._sparse("delay_by", theta) @ drive.d_theta.T).ravel()
         self.effort = Effort()
         self.P, self.external, self.level_0 = np.zeros((of.n, 1)), np.zeros(0), np.zeros(0)
@@ -170,7 +171,7 @@ class _Run:
         row, slope, along = (part[: self.inputs] for part in self.look(until - self.delay, left))
         rate = (row - state.u) / duration
         arguments = row, rate, state.y_inputs, duration, self.theta
-        a, y = (result.ravel() for result in self.of._values("input_motion", *arguments))
+        a, y = (result.ravel() for result in self.of.values("input_motion", *arguments))
         if state.d:
             along = along - np.outer(slope, self.d_delay)
             stacked = np.concatenate([along, (along - state.d["u"]) / duration, state.d["y_inputs"], self.drive.d_theta.T])
@@ -180,7 +181,7 @@ class _Run:
 
     def set_properties(self, a: np.ndarray, t: float) -> None:
         self.external = self.look(t, False)[0][self.inputs :]
-        columns, level_0 = self.of._values("properties", a, self.external.reshape(-1, 3), self.theta)
+        columns, level_0 = self.of.values("properties", a, self.external.reshape(-1, 3), self.theta)
         self.P, self.level_0 = np.ascontiguousarray(columns.T), level_0.ravel()
 
     @property
@@ -377,7 +378,7 @@ class _Run:
         state.x, state.v, state.y_edges = (start + h * total for start, total in zip((x, v, y), sums, strict=True))
 
     def record(self, state: _State, record: Record, k: int) -> None:
-        points, lengths = self.of._values("observe", state.x.ravel(), self.theta)
+        points, lengths = self.of.values("observe", state.x.ravel(), self.theta)
         record.observed[k] = np.concatenate([points.ravel(), lengths.ravel()])
         record.trajectory[k] = state.x, state.v
         if state.d:

@@ -78,7 +78,11 @@ UNITS: Mapping[str, str] = {
 
 
 class Actuation(Section):
-    """Ranges and resolutions of regulators and tendon motors (SPEC section 1)."""
+    """Ranges and resolutions of regulators and tendon motors (SPEC section 1), and how fast they are as far as a controller knows.
+
+    Of a regulator the time constants of filling and exhausting, of a motor how fast its tension changes (0: at once), of all commands how
+    late they act.
+    """
 
     pressure_max_Pa: Annotated[float, within(1e3, 2e7, "Pa")]
     pressure_full_scale_Pa: Annotated[float, within(1e3, 2e7, "Pa")]
@@ -86,6 +90,10 @@ class Actuation(Section):
     tension_max_N: Annotated[float, within(1e-3, 1e4, "N")]
     tension_full_scale_N: Annotated[float, within(1e-3, 1e4, "N")]
     tension_resolution: Annotated[float, within(0, 0.5, "of full scale")]
+    filling_time_s: Annotated[float, within(0, 10, "s")] = 0.0
+    exhausting_time_s: Annotated[float, within(0, 10, "s")] = 0.0
+    tension_rate_N_per_s: Annotated[float, within(0, 1e5, "N/s")] = 0.0
+    command_delay_s: Annotated[float, within(0, 1, "s")] = 0.0
 
     @property
     def pressure_step(self) -> float:
@@ -129,9 +137,11 @@ class Mount(Section):
 
 
 class Tracker(Section):
-    """The position tracker."""
+    """The position tracker: noise of a position (3-D), frames a second, age of a frame when it is read."""
 
     noise_rms_m: Annotated[float, within(0, 0.1, "m")]
+    rate_Hz: Annotated[float, within(1, 4000, "Hz")] = 100.0
+    latency_s: Annotated[float, within(0, 1, "s")] = 0.0
 
 
 class Robot(Section):

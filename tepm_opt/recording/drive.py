@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.findings import noise_level, spread
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw.rig import Command, Rig, Sample
+from tepm_opt.hw.rig import Command, Rig, Sample, Virtual
 
 FULL_RANGE, SHORTEST = 6.0, 2.0
 """Seconds in which inputs glide over their full range, and the least that a glide takes."""
@@ -28,21 +27,6 @@ Show = Callable[[str, float, float], None]
 
 def silent(stage: str, done: float, of: float) -> None:
     """A `Show` for nobody."""
-
-
-@runtime_checkable
-class Virtual(Protocol):
-    """A rig of virtual time: rests from the start under what is commanded before the first `read`, and takes set points in advance."""
-
-    time: float
-
-    def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:
-        """Set points from now on, linear between rows."""
-        ...
-
-    def push(self, forces: np.ndarray) -> None:
-        """A known force on the tip, (3,) in N."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,6 +85,18 @@ def test_sensitivities(pair, mapped):
             assert max(relative(by_u, expected[1]), relative(by_external, expected[2])) < 1e-8
 
 
+@pytest.mark.parametrize("mapped", [False, True])
+def test_matrices(pair, mapped):
+    """Stiffness and damping at an equilibrium and elsewhere."""
+    c, python = pair
+    for u, external in cases(c, 4):
+        x = python.chain.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
+        for levels in (x, c.rest):
+            found, expected = (m.chain.matrices(levels, u, mapped, external, c.theta) for m in (c, python))
+            assert [matrix.shape for matrix in found] == 2 * [(2 * c.layout.block, c.layout.levels * c.layout.block)]
+            assert max(relative(*both) for both in zip(found, expected, strict=True)) < 1e-12
+
+
 def test_inverse(pair):
     """Levels and pressures at which as many sums of observations as actuators have their targets, from a start nearby."""
     c, python = pair

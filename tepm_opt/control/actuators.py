@@ -1,0 +1,143 @@
+"""What regulators and tendon motors are doing, as far as a controller knows: lags, slew, delay, and the model's input effects."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from tepm_opt.hw.rig import Sample
+from tepm_opt.models.compile import CompiledModel
+
+LAGS = {"regulator_lag.filling_time": "filling", "regulator_lag.exhausting_time": "exhausting", "time_delay.delay": "delay"}
+BELIEF = 0.5  # how far a measured pressure or tension moves the estimate
+
+
+@dataclass(frozen=True)
+class Devices:
+    """How fast the devices between commands and forces are.
+
+    Attributes:
+        filling, exhausting: time constants of the regulators in s; 0 is at once.
+        tension_rate: of the motors in N/s; infinite is at once.
+        delay: by which commands act late in s.
+    """
+
+    filling: float
+    exhausting: float
+    tension_rate: float
+    delay: float
+
+    @staticmethod
+    def of(model: CompiledModel) -> Devices:
+        """From the robot file; a lag or delay named as an effect of the model goes before it."""
+        data = model.robot.actuation
+        known = {"filling": data.filling_time_s, "exhausting": data.exhausting_time_s, "delay": data.command_delay_s}
+        known |= {short: model.values[name] for name, short in LAGS.items() if name in model.values}
+        return Devices(tension_rate=data.tension_rate_N_per_s or np.inf, **known)
+
+    def lag(self, pressure: np.ndarray, command: np.ndarray, duration: float) -> np.ndarray:
+        """Pressure in Pa after some s under a constant command."""
+        filling, exhausting = (math.exp(-duration / time) if time > 0 else 0.0 for time in (self.filling, self.exhausting))
+        more = pressure - command
+        return command + more * np.where(more < 0, filling, exhausting)
+
+
+class Actuators:
+    """Pressures in the muscles and tensions at the motors.
+
+    Attributes:
+        pressure: (actuators,) in Pa.
+        tension: (actuators,) in N.
+        command: [pressures, tensions] in force now, (2 · actuators,).
+    """
+
+    def __init__(self, devices: Devices, area: float, inputs: np.ndarray) -> None:
+        self.devices, self.area = devices, area
+        self.command = np.array(inputs, dtype=float)
+        self.pressure, self.tension = np.split(self.command.copy(), 2)
+
+    def copy(self) -> Actuators:
+        """For looking ahead."""
+        other = Actuators(self.devices, self.area, self.command)
+        other.pressure, other.tension = self.pressure.copy(), self.tension.copy()
+        return other
+
+    @property
+    def forces(self) -> np.ndarray:
+        """F_a = p A − λ, (actuators,) in N."""
+        return self.area * self.pressure - self.tension
+
+    def advance(self, duration: float) -> np.ndarray:
+        """Some s under the command in force; F_a at the start and the end, (2, actuators) in N."""
+        before = self.forces
+        pressure, tension = np.split(self.command, 2)
+        most = self.devices.tension_rate * duration
+        self.pressure = self.devices.lag(self.pressure, pressure, duration)
+        self.tension = self.tension + np.minimum(np.maximum(tension - self.tension, -most), most)
+        return np.array([before, self.forces])
+
+    def correct(self, sample: Sample) -> None:
+        """Take what the rig measures of pressures and tensions, where it does."""
+        for name, measured in (("pressure", sample.pressures), ("tension", sample.tensions)):
+            if measured is not None:
+                error = np.asarray(measured) - getattr(self, name)
+                setattr(self, name, getattr(self, name) + BELIEF * np.where(np.isfinite(error), error, 0.0))
+
+
+class Sent:
+    """Commands on their way: what was sent, and from when on it acts."""
+
+    def __init__(self, inputs: np.ndarray) -> None:
+        self._entries: deque[tuple[float, np.ndarray]] = deque([(-np.inf, inputs)])
+
+    def add(self, acts_at: float, inputs: np.ndarray) -> None:
+        """A command [pressures, tensions] that acts from a time in s on."""
+        self._entries.append((acts_at, inputs))
+
+    def between(self, start: float, end: float) -> np.ndarray:
+        """The command in force at the middle of an interval in s."""
+        middle = (start + end) / 2
+        return next(inputs for at, inputs in reversed(self._entries) if at <= middle)
+
+    def forget(self, before: float) -> None:
+        """Drop what a time in s from `before` on does not need."""
+        while len(self._entries) > 1 and self._entries[1][0] <= before:
+            self._entries.popleft()
+
+
+class InputEffects:
+    """What the model's effects make of pressures and tensions, as forces that come on top of p A − λ.
+
+    Maps (a weaker muscle, crosstalk, a dead zone) and memories (hysteresis, friction of the tendon) alike; lags and delays are the
+    `Devices`' business and left out here.
+
+    Attributes:
+        forces: extra axial forces now, (actuators,) in N.
+    """
+
+    def __init__(self, model: CompiledModel, inputs: np.ndarray) -> None:
+        self.model = model
+        self._area, self._half = model.values["A"], model.layout.inputs // 2
+        self._theta = np.array([0.0 if name in LAGS else value for name, value in model.values.items()])
+        self._inputs, self._memory = inputs, np.zeros(model.moving.motion.input_states)
+        probes = model.input_max * np.array([[0.1], [0.9]])
+        direct = all(np.array_equal(model.chain.actuation(probe, self._theta), probe) for probe in probes)
+        self.none = direct and not len(self._memory)
+        self.forces = self._extra(model.chain.actuation(inputs, self._theta), inputs)
+
+    def advance(self, actuators: Actuators, duration: float) -> None:
+        """To the actuators' present pressures and tensions, some s after the last call."""
+        if self.none:
+            return
+        inputs = np.concatenate([actuators.pressure, actuators.tension])
+        rate = (inputs - self._inputs) / duration
+        found = self.model.moving.values("input_motion", inputs, rate, self._memory, duration, self._theta)
+        effective, self._memory = (value.ravel() for value in found)
+        self._inputs, self.forces = inputs, self._extra(effective, inputs)
+
+    def _extra(self, effective: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        more = effective - inputs
+        return self._area * more[: self._half] - more[self._half :]

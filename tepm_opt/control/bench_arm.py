@@ -1,0 +1,103 @@
+"""The paper's bench (Fig. 5) as an arm for the predictive controller: one muscle written as three equal ones side by side on a guide."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import TracebackType
+
+import numpy as np
+
+from tepm_opt.control.mpc import MpcSettings
+from tepm_opt.control.reference import PERIOD, Reference, reference_by_forces, rising
+from tepm_opt.hw.bench import BenchRig
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.robot import Robot
+
+MUSCLES = 3
+
+
+def guided(robot: Robot) -> Robot:
+    """A robot of one actuator (`BenchRig.robot`) as one whose plates slide on rails, driven by three muscles with a third of all each.
+
+    The tracker measures a length between two sensors, whose noise adds up.
+    """
+    value, actuation = robot.parameters, robot.actuation
+    third = {"A": value.A / MUSCLES, "K_a": value.K_a / MUSCLES, "c_a": value.c_a / MUSCLES, "alpha_2": 1e-6, "beta_1": 0.0, "beta_2": 0.0}
+    tensions = {name: getattr(actuation, name) / MUSCLES for name in ("tension_max_N", "tension_full_scale_N", "tension_rate_N_per_s")}
+    geometry = {"modules": 1, "actuator_angles_deg": [90.0, 210.0, 330.0], "guide": True}
+    mount = {"gravity_m_per_s2": [0.0, 0.0, 0.0], "base_position_m": [0.0, 0.0, 0.0], "base_rotation_deg": [0.0, 0.0, 0.0]}
+    tracker = robot.tracker and robot.tracker.model_copy(update={"noise_rms_m": np.sqrt(2) * robot.tracker.noise_rms_m})
+    parts = {
+        "name": f"{robot.name} on a guide",
+        "parameters": value.model_copy(update=third),
+        "actuation": actuation.model_copy(update=tensions),
+        "geometry": robot.geometry.model_copy(update=geometry),
+        "mount": robot.mount.model_copy(update=mount),
+        "tracker": tracker,
+    }
+    return robot.model_copy(update=parts)
+
+
+def length_reference(model: CompiledModel, lengths: np.ndarray, stay: float, move: float = 0.5, period: float = PERIOD) -> Reference:
+    """Stays at each length (targets,) in m for `stay` s, the first `move` s of which it takes to go there; from the free length on."""
+    part = rising(period * np.arange(round(stay / period)) / move)
+    before = np.append(model.values["L_0"], lengths[:-1])
+    course = np.concatenate([start + part * (end - start) for start, end in zip(before, lengths, strict=True)])
+    forces = model.values["K_a"] * (course - model.values["L_0"])
+    found = reference_by_forces(model, np.repeat(forces[:, None], MUSCLES, axis=1), period)
+    return replace(found, point=np.repeat(np.arange(len(lengths)), len(part)))
+
+
+def bench_settings() -> MpcSettings:
+    """Settings for muscles with a third of the force each: what is meant in N is a third of the arm's.
+
+    The noise of a length is large beside what a force does to it, so unknown forces are followed more slowly.
+    """
+    settings = MpcSettings()
+    weights, estimator = settings.weights, settings.estimator
+    forces = {name: getattr(estimator, name) / MUSCLES for name in ("force", "shock", "friction", "friction_drift", "turning")}
+    forces |= {"force": forces["force"] / 3, "force_memory": 1.0}
+    return replace(
+        settings,
+        weights=replace(weights, force=weights.force / MUSCLES, change=weights.change / MUSCLES),
+        estimator=replace(estimator, **forces),
+    )
+
+
+class BenchArm:
+    """A bench that looks like the guided robot: one point at the actuator's end, three muscles of which each does a third."""
+
+    def __init__(self, bench: BenchRig) -> None:
+        self.bench = bench
+        self.robot = guided(bench.robot)
+
+    def read(self) -> Sample:
+        """The bench's next sample."""
+        sample = self.bench.read()
+        length = np.nan if sample.lengths is None else float(sample.lengths[0])
+        points = np.full((2, 3), np.nan)
+        points[1] = (0.0, 0.0, length) if np.isfinite(length) else np.nan
+        return Sample(sample.time, points, lengths=sample.lengths, status=sample.status)
+
+    def apply(self, command: Command) -> None:
+        """The mean of the pressures, the tensions together."""
+        pressure, tension = np.array([command.pressures.mean()]), np.array([command.tensions.sum()])
+        self.bench.apply(Command(pressure, tension, command.enabled[:1]))
+
+    @property
+    def true_points(self) -> np.ndarray:
+        """Middle and end, (2, 3) in m."""
+        return np.array([[0.0, 0.0, self.bench.true_length / 2], [0.0, 0.0, self.bench.true_length]])
+
+    def stop(self) -> None:
+        """As the bench."""
+        self.bench.stop()
+
+    def __enter__(self) -> BenchArm:
+        """The arm itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Stop."""
+        self.stop()

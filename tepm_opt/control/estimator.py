@@ -1,0 +1,279 @@
+"""Kalman filter for the arm's slow motion, unknown axial forces, friction and what the tracked points are off by.
+
+The state is [q, q', d, c, b]: modal coordinates about an operating point (see `solvers.local`), axial forces that nobody commanded,
+the muscles' dry friction, and biases of the reference points. Forces that wander and a bias of the tip that does not fade make the
+tip free of offset (Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import scipy.linalg as sla
+from scipy.stats import chi2
+
+from tepm_opt.control.friction import turned
+from tepm_opt.errors import InputError
+from tepm_opt.solvers.local import LocalModel
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """What the filter believes; tuned on the virtual prototype with its nominal model.
+
+    Attributes:
+        force: how fast the unknown forces wander, N/√s, and `force_memory`, s, over which they fade.
+        shock: noise of the axial forces, N √s.
+        friction: standard deviation of the friction before anything was seen, N, and `friction_drift`, N/√s.
+        turning: uncertainty of the forces when the friction has turned over once, N.
+        presliding: distance over which it does, m.
+        share: part of the friction that is in proportion to the tension; the friction is meant at the tension's middle.
+        smoothing: of the measured rates that say which way friction pulls, s.
+        bias: standard deviation of the points' bias at the start, m, `bias_drift`, m/√s, and `bias_memory`, s, over which it fades;
+            of the tip `tip_drift`, m/√s, without fading.
+        gate: probability of an innovation of a good point beyond which it is taken for an outlier.
+        patience: frames in a row after which an outlier is believed after all.
+    """
+
+    force: float = 2.5
+    force_memory: float = 0.25
+    shock: float = 0.005
+    friction: float = 2.0
+    friction_drift: float = 0.2
+    turning: float = 0.1
+    presliding: float = 5e-4
+    share: float = 0.5
+    smoothing: float = 0.15
+    bias: float = 5e-3
+    bias_drift: float = 2e-3
+    bias_memory: float = 10.0
+    tip_drift: float = 1e-3
+    gate: float = 1e-6
+    patience: int = 10
+
+
+DEFAULT = EstimatorSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Operating:
+    """A local model in discrete time.
+
+    Attributes:
+        model: in continuous time.
+        forces: axial forces of its equilibrium, (actuators,) in N.
+        A: of [q, q'] over one period, (2 · modes, 2 · modes).
+        start, end: what modal forces at the start and the end of a period add, linear between, (2 · modes, modes).
+        period: s.
+    """
+
+    model: LocalModel
+    forces: np.ndarray
+    A: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    period: float
+
+    @staticmethod
+    def of(model: LocalModel, forces: np.ndarray, period: float) -> Operating:
+        """Exact for forces linear in a period (first-order hold; Franklin, Powell, Workman, Digital Control, 1998, section 6.3)."""
+        count = len(model.stiffness)
+        A = np.zeros((2 * count, 2 * count))
+        A[:count, count:] = np.eye(count)
+        A[count:, :count], A[count:, count:] = -np.diag(model.stiffness), -model.damping
+        moved = sla.expm(A * period)
+        forced = np.zeros((2 * count, count))
+        forced[count:] = np.eye(count)
+        once = np.linalg.solve(A, moved[:, count:] - forced)
+        end = np.linalg.solve(A, once - period * forced) / period
+        return Operating(model, forces, moved, once - end, end, period)
+
+    def doubled(self) -> Operating:
+        """The same over two periods."""
+        start = self.A @ (self.start + self.end / 2) + self.start / 2
+        end = self.A @ (self.end / 2) + self.start / 2 + self.end
+        return replace(self, A=self.A @ self.A, start=start, end=end, period=2 * self.period)
+
+    def advance(self, state: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """[q, q'] one period on under axial forces at its start and end, (2, actuators) in N."""
+        pushed = (forces - self.forces) @ self.model.drive.T
+        return self.A @ state + self.start @ pushed[0] + self.end @ pushed[1]
+
+    def seen_from(self, other: Operating) -> tuple[np.ndarray, np.ndarray]:
+        """Turn T and shift t of modal coordinates q that are meant about `other`: about this one they are T q + t."""
+        weights = self.model.weights
+        return weights @ other.model.shapes, weights @ (other.model.levels - self.model.levels)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The arm as the filter sees it at a sample's time.
+
+    Attributes:
+        operating: about which.
+        motion: [q, q'], (2 · modes,).
+        unknown: axial forces d that nobody commanded, (actuators,) in N.
+        friction: of the muscles c, (actuators,) in N.
+        direction: which way it pulls, −1 … 1, (actuators,).
+        deviation: rates of the actuators' lengths beside the reference's, smoothed, (actuators,) in m/s.
+        bias: of the reference points, (points, 3) in m.
+        points: where they are, bias included, (points, 3) in m in G.
+        nis: normalised innovation squared of the last sample, and `seen`, how many coordinates it had.
+        refused: points taken for outliers, (points,) of bool.
+    """
+
+    operating: Operating
+    motion: np.ndarray
+    unknown: np.ndarray
+    friction: np.ndarray
+    direction: np.ndarray
+    deviation: np.ndarray
+    bias: np.ndarray
+    points: np.ndarray
+    nis: float
+    seen: int
+    refused: np.ndarray
+
+
+class Estimator:
+    """The filter; `predict` and `update` in turns.
+
+    Args:
+        operating: where the arm rests at the start.
+        noise: of a tracked coordinate, 1 sigma in m.
+        middle: tension about which the motors work in N.
+        settings: what it believes.
+
+    Attributes:
+        mean, covariance: of the state.
+    """
+
+    def __init__(self, operating: Operating, noise: float, middle: float, settings: EstimatorSettings = DEFAULT) -> None:
+        self.operating, self.settings, self.noise, self.middle = operating, settings, noise, middle
+        modes, actuators = operating.model.drive.shape
+        outputs = len(operating.model.observe)
+        ends = np.cumsum([0, 2 * modes, actuators, actuators, outputs])
+        self._motion, self._unknown, self._friction, self._bias = (slice(*pair) for pair in pairwise(ends))
+        self._modes, self._tip = modes, slice(ends[-1] - 3, ends[-1])
+        self.mean = np.zeros(ends[-1])
+        spread = np.zeros(ends[-1])
+        spread[self._motion], spread[self._unknown], spread[self._friction] = 1e-2, 0.5, settings.friction
+        spread[self._bias], spread[self._tip] = settings.bias, 1e-3
+        self.covariance = np.diag(spread**2)
+        self._drift = np.zeros(ends[-1])
+        self._drift[self._unknown], self._drift[self._friction] = settings.force, settings.friction_drift
+        self._drift[self._bias], self._drift[self._tip] = settings.bias_drift, settings.tip_drift
+        self._direction, self._deviation = np.zeros(actuators), np.zeros(actuators)
+        self._outlying = np.zeros(outputs // 3, dtype=int)
+        self._nis, self._seen = np.nan, 0
+
+    def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: Operating) -> None:
+        """One period on.
+
+        Args:
+            forces: known axial forces at its start and end, (2, actuators) in N.
+            tension: at the motors, (actuators,) in N.
+            rates: of the actuators' lengths as the reference has them, (actuators,) in m/s.
+            then: operating point at its end.
+        """
+        settings, now = self.settings, self.operating
+        drive, period = now.model.drive, now.period
+        seen = drive.T @ self.mean[self._modes : 2 * self._modes]
+        self._deviation += (1 - np.exp(-period / settings.smoothing)) * (seen - rates - self._deviation)
+        before = self._direction
+        self._direction = turned(before, (rates + self._deviation) * period, settings.presliding)
+        by_force = (now.start + now.end) @ drive
+        A = np.eye(len(self.mean))
+        A[self._motion, self._motion] = now.A
+        A[self._motion, self._unknown] = by_force
+        A[self._motion, self._friction] = -by_force * self.friction_factor(tension)
+        fading = np.arange(self._unknown.start, self._unknown.stop)
+        A[fading, fading] = np.exp(-period / settings.force_memory)
+        fading = np.arange(self._bias.start, self._tip.start)
+        A[fading, fading] = np.exp(-period / settings.bias_memory)
+        pushed = (forces - now.forces) @ drive.T
+        self.mean = A @ self.mean
+        self.mean[self._motion] += now.start @ pushed[0] + now.end @ pushed[1]
+        noise = np.diag(period * self._drift**2)
+        rate = slice(self._modes, 2 * self._modes)
+        noise[rate, rate] += period * settings.shock**2 * (drive @ drive.T)
+        unknown = np.arange(self._unknown.start, self._unknown.stop)
+        noise[unknown, unknown] += settings.turning**2 * np.abs(self._direction - before)
+        self.covariance = A @ self.covariance @ A.T + noise
+        self._turn(then)
+
+    def _turn(self, then: Operating) -> None:
+        """Go over to another operating point."""
+        turn, shift = then.seen_from(self.operating)
+        modes = self._modes
+        for part in (slice(0, modes), slice(modes, 2 * modes)):
+            self.mean[part] = turn @ self.mean[part]
+            self.covariance[part] = turn @ self.covariance[part]
+            self.covariance[:, part] = self.covariance[:, part] @ turn.T
+        self.mean[:modes] += shift
+        self.operating = then
+
+    def friction_factor(self, tension: np.ndarray) -> np.ndarray:
+        """By what the friction is multiplied: its direction, and the tension for its share, (actuators,)."""
+        return self._direction * self.loaded(tension)
+
+    def loaded(self, tension: np.ndarray) -> np.ndarray:
+        """Friction at a tension in N over that at the middle one."""
+        return 1 - self.settings.share + self.settings.share * tension / self.middle
+
+    def update(self, points: np.ndarray) -> Estimate:
+        """Take a sample's points (points, 3) in m in G, NaN where missing.
+
+        Raises:
+            InputError: another shape.
+        """
+        model = self.operating.model
+        centre = model.equilibrium.points
+        if np.shape(points) != centre.shape:
+            raise InputError(f"points: shape {np.shape(points)}; valid: {centre.shape}")
+        C = np.zeros((centre.size, len(self.mean)))
+        C[:, : self._modes] = model.observe
+        C[:, self._bias] = np.eye(centre.size)
+        innovation = (points - centre).ravel() - C @ self.mean
+        S = C @ self.covariance @ C.T + self.noise**2 * np.eye(len(C))
+        there = np.asarray(np.isfinite(points).all(axis=1))
+        good: np.ndarray = there & ~self._outliers(innovation, S, there)
+        rows = np.repeat(good, 3)
+        self._nis, self._seen = np.nan, int(rows.sum())
+        if rows.any():
+            C, S, innovation = C[rows], S[np.ix_(rows, rows)], innovation[rows]
+            inverse = np.linalg.inv(S)
+            gain = (self.covariance @ C.T) @ inverse
+            self._nis = float(innovation @ inverse @ innovation)
+            self.mean = self.mean + gain @ innovation
+            left = -gain @ C
+            left[np.diag_indices(len(left))] += 1
+            self.covariance = left @ self.covariance @ left.T + self.noise**2 * (gain @ gain.T)  # Joseph's form
+        return self.estimate(there & ~good)
+
+    def _outliers(self, innovation: np.ndarray, S: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """Points whose innovation is beyond belief; one that insists is believed."""
+        own = S.reshape(len(there), 3, len(there), 3)[np.arange(len(there)), :, np.arange(len(there))]
+        apart = innovation.reshape(-1, 3, 1)
+        far = (apart * np.linalg.solve(own, apart)).sum(axis=(1, 2))
+        wrong = there & (far > _limit(self.settings.gate))
+        self._outlying = np.where(wrong, self._outlying + 1, 0)
+        return wrong & (self._outlying <= self.settings.patience)
+
+    def estimate(self, refused: np.ndarray) -> Estimate:
+        """The present one."""
+        model, bias = self.operating.model, self.mean[self._bias].reshape(-1, 3)
+        points = model.equilibrium.points + (model.observe @ self.mean[: self._modes]).reshape(-1, 3) + bias
+        return Estimate(
+            self.operating, self.mean[self._motion].copy(), self.mean[self._unknown].copy(), self.mean[self._friction].copy(),
+            self._direction.copy(), self._deviation.copy(), bias.copy(), points, self._nis, self._seen, refused,
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _limit(gate: float) -> float:
+    """Of the squared innovation of three coordinates."""
+    return float(chi2.isf(gate, 3))

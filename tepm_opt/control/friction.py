@@ -1,0 +1,23 @@
+"""Which way dry friction pulls: the direction of motion, turned over within a presliding distance (Dahl)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def turned(direction: np.ndarray, change: np.ndarray, distance: float) -> np.ndarray:
+    """Direction −1 … 1 after a change of length, (…,) each; both in m with the distance.
+
+    ds = dx / distance · (1 − s sgn dx), exactly for a motion one way. Dahl, A solid friction model, Aerospace Corp. TOR-158, 1968.
+    """
+    sign = np.sign(change)
+    return np.where(change == 0, direction, sign + (direction - sign) * np.exp(-np.abs(change) / distance))
+
+
+def course(direction: np.ndarray, changes: np.ndarray, distance: float) -> np.ndarray:
+    """Directions after each of some changes one after the other, (changes, …), from one (…,)."""
+    kept = np.exp(-np.abs(changes) / distance)
+    out = np.sign(changes) * (1 - kept)
+    for k in range(len(out)):
+        direction = out[k] = out[k] + kept[k] * direction
+    return out

@@ -1,0 +1,302 @@
+"""Predictive control of the tip: pressures coarsely, tensions finely, in one control step.
+
+At every sample the arm's motion is estimated, looked ahead until a new command can act, and the network is linearised about the
+reference there. With e the deviation from the reference in modal coordinates and v that of the axial forces,
+
+    e'' + Δ e' + Ω e = B v − r'' − Δ r',      v = F_a − F_ref + d − friction,      F_a = p A − λ,
+
+a quadratic program in the tensions of the next stages minimises the tip's error, with pressures as they have just been planned (see
+`coarse`). What lies beyond the last stage is valued by the Riccati equation of the same problem without limits, one step of which is
+taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control, 2nd ed., 2017, chapters 1 and 2.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
+from tepm_opt.control.coarse import CoarseSettings, PressurePlanner
+from tepm_opt.control.estimator import Estimate, Estimator, EstimatorSettings, Operating
+from tepm_opt.control.friction import course, turned
+from tepm_opt.control.predict import Forecast, Weights
+from tepm_opt.control.qp import QpResult, QpSolver, QpStatus
+from tepm_opt.control.reference import Reference
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.local import LocalModel, local_model
+
+PERIODS = 2  # of control in a stage of the prediction
+
+
+class Use(Enum):
+    """Which actuators a controller uses."""
+
+    BOTH = "both"
+    TENSION = "tension"
+    PRESSURE = "pressure"
+
+
+@dataclass(frozen=True)
+class MpcSettings:
+    """Settings of the controller; tuned on the virtual prototype with its nominal model.
+
+    Attributes:
+        stages: of the prediction, of two control periods each.
+        weights: what errors and efforts cost.
+        middle: of the tension, as part of its range, to which the pressure lets it return; see `mid_ranging`.
+        mid_ranging: whether the pressure takes over what the tension does for longer; else it only follows the reference.
+        rule: whether a motor is enabled only while its muscle's length is near the reference's, as in the paper's mode 2; else always.
+        near, leave: how near in m a motor is enabled, and how far it is disabled again.
+        use: which actuators; those left out keep still.
+        coarse: how pressures are planned.
+        estimator: what the estimator believes.
+        late: s after which a step counts as late and the last plan goes on.
+    """
+
+    stages: int = 15
+    weights: Weights = field(default_factory=Weights)
+    middle: float = 0.5
+    mid_ranging: bool = True
+    rule: bool = False
+    near: float = 3e-3
+    leave: float = 4e-3
+    use: Use = Use.BOTH
+    coarse: CoarseSettings = field(default_factory=CoarseSettings)
+    estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
+    late: float = np.inf
+
+
+DEFAULT = MpcSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What a control step did.
+
+    Attributes:
+        period: number of the sample's reference row.
+        estimate: at the sample's time.
+        pressures, tensions: commanded, (actuators,) in Pa and N.
+        moves: how many pressures were moved.
+        unknown: forces with friction that stand against the known ones, (actuators,) in N.
+        plan: tensions of the coming stages, (stages, actuators) in N.
+        status: of the quadratic program; the last plan goes on where it is not SOLVED.
+        iterations: of the program.
+        seconds: of the whole step and, of these, of the program.
+    """
+
+    period: int
+    estimate: Estimate
+    pressures: np.ndarray
+    tensions: np.ndarray
+    moves: int
+    unknown: np.ndarray
+    plan: np.ndarray
+    status: QpStatus
+    iterations: int
+    seconds: tuple[float, float]
+
+
+class Mpc:
+    """The controller on one reference.
+
+    Args:
+        model: compiled; its effects are compensated.
+        reference: where the tip shall be.
+        settings: how.
+
+    Attributes:
+        last: what the last step did; None before the first one.
+        fallbacks: number of steps that went on with an older plan, by the reason.
+    """
+
+    def __init__(self, model: CompiledModel, reference: Reference, settings: MpcSettings = DEFAULT) -> None:
+        self.model, self.reference, self.settings = model, reference, settings
+        robot, half = model.robot, model.layout.inputs // 2
+        self.area, self.devices = model.values["A"], Devices.of(model)
+        self.period, self.stage = reference.period, PERIODS * reference.period
+        self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
+        self.middle = settings.middle * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
+        age = robot.tracker.latency_s if robot.tracker else 0.0
+        self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
+        step = robot.actuation.pressure_step
+        self._coarse = PressurePlanner(self.devices, self.area, self._pressure_max, step, self.stage, settings.coarse)
+        variables = settings.stages * half
+        self._solver = QpSolver(np.eye(variables) - np.eye(variables, k=-half))
+        self._forecast = Forecast(settings.weights, settings.stages)
+        self._operating: dict[int, Operating] = {}
+        self._newest: LocalModel | None = None
+        self._plan: np.ndarray | None = None
+        self._slow = np.zeros(half)
+        self._planned: np.ndarray | None = None
+        self.fallbacks: dict[str, int] = {}
+        self.last: Step | None = None
+        first = self.start()
+        inputs = np.concatenate([first.pressures, first.tensions])
+        self._enabled = first.enabled.copy()
+        self._actuators, self._sent = Actuators(self.devices, self.area, inputs), Sent(inputs)
+        self._effects = InputEffects(model, inputs)
+        noise = (robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3)
+        middle = settings.middle * float(self._tension_max[0])
+        self._estimator = Estimator(self._point(0), max(noise, 1e-6), middle, settings.estimator)
+        self._zero: float | None = None
+        self._row = 0
+
+    def start(self) -> Command:
+        """Where the robot shall rest before the first sample."""
+        forces, step = self.reference.forces[0], self.model.robot.actuation.pressure_step
+        pressure = np.clip((forces + self.middle) / self.area, 0.0, self._pressure_max)
+        if step > 0:
+            pressure = np.minimum(np.round(pressure / step), np.floor(self._pressure_max / step * (1 + 1e-12))) * step
+        free = self.settings.use is not Use.PRESSURE
+        tension = np.clip(self.area * pressure - forces, 0.0, self._tension_max) * free
+        return Command(pressure, tension, np.full(len(forces), free))
+
+    def command(self, sample: Sample) -> Command:
+        """Set points for a sample; never NaN, always within the limits."""
+        began = time.perf_counter()
+        estimate = self._observe(sample)
+        plan, moves, unknown, result = self._decide(estimate, began)
+        pressures, tensions = self._pressures, plan[0]
+        enabled = self._enabled
+        tensions = np.clip((self._looked.tension + tensions) / 2, 0.0, self._tension_max) * enabled  # half a stage is one period
+        inputs = np.concatenate([pressures, tensions])
+        self._sent.add(sample.time + self.ahead * self.period, inputs)
+        self._sent.forget(sample.time)
+        seconds = (time.perf_counter() - began, result.seconds)
+        self.last = Step(self._row, estimate, pressures, tensions, moves, unknown, plan, result.status, result.iterations, seconds)
+        return Command(pressures, tensions, enabled.copy())
+
+    def _point(self, period: int) -> Operating:
+        """The network about the reference at a period."""
+        row = int(self.reference.at(period))
+        found = self._operating.get(row)
+        if found is None:
+            self._newest = local_model(self.reference.equilibria[row], self._newest)
+            found = self._operating[row] = Operating.of(self._newest, self.reference.forces[row], self.period)
+        for old in [known for known in self._operating if known < row - 2 * self.ahead - 4]:
+            del self._operating[old]
+        return found
+
+    def _observe(self, sample: Sample) -> Estimate:
+        """Estimator and actuators up to the sample."""
+        reference = self.reference
+        self._zero = sample.time if self._zero is None else self._zero
+        row = round((sample.time - self._zero) / self.period)
+        for passed in range(self._row, row):
+            start = self._zero + passed * self.period
+            self._actuators.command = self._sent.between(start, start + self.period)
+            known = self._actuators.advance(self.period) + self._effects.forces
+            a, b = reference.at(np.array([passed, passed + 1]))
+            rates = (reference.lengths[b] - reference.lengths[a]) / self.period
+            self._estimator.predict(known, self._actuators.tension, rates, self._point(passed + 1))
+        self._row = max(row, self._row)
+        self._actuators.correct(sample)
+        self._effects.advance(self._actuators, self.period)
+        return self._estimator.update(sample.points)
+
+    def _decide(self, estimate: Estimate, began: float) -> tuple[np.ndarray, int, np.ndarray, QpResult]:
+        """Plan of the tensions, moves of the pressures, the unknown forces and what the program said."""
+        reference, settings, effects = self.reference, self.settings, self._effects.forces
+        then, now, looked = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
+        motion, direction = estimate.motion, estimate.direction
+        distance = settings.estimator.presliding
+        for k in range(self.ahead):
+            at = self._row + k
+            start = self._zero + at * self.period  # type: ignore[operator]
+            looked.command = self._sent.between(start, start + self.period)
+            a, b = reference.at(np.array([at, at + 1]))
+            direction = turned(direction, reference.lengths[b] - reference.lengths[a] + self.period * estimate.deviation, distance)
+            friction = estimate.friction * direction * self._estimator.loaded(looked.tension)
+            motion = now.advance(motion, looked.advance(self.period) + effects + estimate.unknown - friction)
+        turn, shift = then.seen_from(now)
+        modes = len(shift)
+        motion = np.concatenate([turn @ motion[:modes] + shift, turn @ motion[modes:]])
+        self._looked = looked
+        rows = reference.at(self._row + self.ahead + PERIODS * np.arange(-1, settings.coarse.preview + 2))
+        forecast = self._forecast
+        forecast.about(then, reference, rows, motion, estimate.bias[-1])
+        self._switch(then, motion, rows)
+        # friction over the coming stages: a part that does not depend on the tension and one in proportion to it
+        share, steps = settings.estimator.share, np.diff(reference.lengths[rows[1:]], axis=0)[: settings.coarse.preview]
+        pulled = estimate.friction * course(direction, steps, distance)
+        still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
+        pressures, reached = self._plan_pressures(estimate.unknown, effects, still, factor, rows)
+        moves = int(np.sum(pressures != self._sent_pressure()))
+        self._pressures = pressures
+        unknown = estimate.unknown + effects
+        begin = looked.forces + unknown - estimate.friction * direction * self._estimator.loaded(looked.tension) - forecast.forces[0]
+        stages = settings.stages
+        offset = self.area * reached - forecast.forces[1 : stages + 1] + unknown - still[:stages]
+        result = self._solve(begin, offset, factor[:stages], looked.tension)
+        if result.x is not None and time.perf_counter() - began <= settings.late:
+            plan = result.x.reshape(stages, -1)
+            self._planned = offset - factor[:stages] * plan
+        else:
+            reason = result.status.value if result.x is None else "late"
+            self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
+            plan, self._planned = self._shifted(looked.tension), None
+        self._plan = plan
+        return plan, moves, unknown - estimate.friction * direction, result
+
+    def _sent_pressure(self) -> np.ndarray:
+        return self._sent.between(np.inf, np.inf)[: len(self.middle)]
+
+    def _shifted(self, tension: np.ndarray) -> np.ndarray:
+        """The last plan, half a stage on; as it is where there was none."""
+        if self._plan is None:
+            return np.tile(tension, (self.settings.stages, 1))
+        later = np.vstack([self._plan[1:], self._plan[-1:]])
+        return np.clip((self._plan + later) / 2, 0.0, self._tension_max)
+
+    def _switch(self, then: Operating, motion: np.ndarray, rows: np.ndarray) -> None:
+        """ENA by the rule of mode 2, from the lengths; all on in free mode."""
+        settings = self.settings
+        if settings.use is Use.PRESSURE:
+            self._enabled = np.zeros(len(self.middle), dtype=bool)
+        elif settings.rule:
+            modes = len(motion) // 2
+            error = np.abs(then.model.drive.T @ motion[:modes])  # the actuators' lengths follow the modes as the modes follow their forces
+            self._enabled = error < np.where(self._enabled, settings.leave, settings.near)
+        else:
+            self._enabled = np.ones(len(self.middle), dtype=bool)
+
+    def _plan_pressures(
+        self, unknown: np.ndarray, effects: np.ndarray, still: np.ndarray, factor: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Commands (actuators,) and pressures that they lead to, (stages, actuators), in Pa."""
+        settings, forecast, coarse = self.settings, self._forecast, self.settings.coarse
+        quick = 1 - np.exp(-self.period / coarse.smoothing)
+        self._slow = self._slow + quick * (unknown - self._slow)
+        middle = self.middle * self._enabled
+        now = self._sent_pressure()
+        if settings.use is Use.TENSION:
+            return now, np.tile(now, (settings.stages, 1))
+        need = forecast.forces[1 : coarse.preview + 1] + forecast.dynamic[: coarse.preview] + forecast.rest_force
+        if settings.mid_ranging:
+            need = need - self._slow
+            if self._planned is not None:
+                weight = coarse.share * np.linspace(1, 0, settings.stages)[:, None]
+                moving = forecast.dynamic[: settings.stages]
+                need[: settings.stages] += weight * (self._planned - forecast.rest_force - moving)
+        return self._coarse.plan(need - effects + still + factor * middle, now, self._looked.pressure, settings.stages)
+
+    def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
+        """The program in the tensions λ of the stages: v = offset − factor λ."""
+        stages, most = self.settings.stages, self.devices.tension_rate * self.stage
+        H, f = self._forecast.cost(begin)
+        scale = -factor.ravel()
+        low = np.zeros(H.shape[0])
+        high = np.tile(self._tension_max * self._enabled, stages)
+        if self.settings.use is Use.PRESSURE:
+            low, high = np.tile(-self._tension_max, stages), np.tile(self._tension_max, stages)  # what pressure shall make
+        rate_low, rate_high = np.full(len(low), -most), np.full(len(low), most)
+        count = len(tension)
+        first = tension * self._enabled if self.settings.use is not Use.PRESSURE else tension
+        rate_low[:count] += first
+        rate_high[:count] += first
+        return self._solver.solve(H * scale[:, None] * scale, scale * (f + H @ offset.ravel()), low, high, rate_low, rate_high)

@@ -1,0 +1,156 @@
+"""From axial forces over the coming stages to what they cost: prediction about a reference, with the cost beyond the last stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+
+from tepm_opt.control.estimator import Operating
+from tepm_opt.control.reference import Reference
+
+RIDGE = 2e-3  # m/N: directions of the forces that move the points less are not used to accelerate them
+NOTHING = 1e-6  # m/N: what moves the tip less does not move it (a tip on a guide)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What costs as much as what.
+
+    Attributes:
+        tip: error of the tip in m.
+        shape: error of the other reference points in m.
+        force: deviation of an axial force from the reference's in N.
+        change: of that deviation from stage to stage in N.
+    """
+
+    tip: float = 1e-3
+    shape: float = 2e-2
+    force: float = 2.0
+    change: float = 0.18
+
+
+class Forecast:
+    """Prediction over some stages.
+
+    Args:
+        weights: of the cost.
+        stages: how many.
+
+    Attributes:
+        forces: axial forces of the reference at stages 0 …, (stages and preview, actuators) in N.
+        dynamic: forces that accelerate the arm along the reference at stages 1 …, (preview, actuators) in N.
+        rest_force: deviation of the forces that brings the tip to its target at rest, with the bias it has, (actuators,) in N.
+    """
+
+    def __init__(self, weights: Weights, stages: int) -> None:
+        self.weights, self.stages = weights, stages
+        self._value = np.zeros(0)
+        self._before: Operating | None = None
+        behind = np.arange(stages - 1)[:, None] - np.arange(stages)  # of stages 1 … stages − 1 behind the forces of stages 1 …
+        self._lags, self._later = np.maximum(behind, 0), behind >= 0
+
+    def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
+        """Take a new present.
+
+        Args:
+            operating: local model at stage 0, by control periods.
+            reference: along which.
+            rows: of the reference at stages −1, 0, 1, …
+            motion: [q, q'] about the operating point at stage 0.
+            bias: of the tip in m, (3,).
+        """
+        model, two = operating.model, operating.doubled()
+        path = (reference.levels[rows] - model.levels) @ model.weights.T
+        rate = (path[2:] - path[:-2]) / (2 * two.period)
+        bend = (path[2:] - 2 * path[1:-1] + path[:-2]) / two.period**2
+        drift = -bend - rate @ model.damping.T
+        self.forces = reference.forces[rows[1:-1]]
+        self._tip, self._others = model.observe[-3:], model.observe[:-3]
+        answer = model.observe @ (model.drive / model.stiffness[:, None])  # of the points at rest
+        ridged = answer.T @ answer + RIDGE**2 * np.eye(answer.shape[1])
+        self.dynamic = np.linalg.solve(ridged, answer.T @ (model.observe @ (-drift[1:] / model.stiffness).T)).T
+        by_tip = model.gain[-3:]
+        self.rest_force = -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
+        count = len(model.stiffness)
+        self._rest = np.concatenate([model.static(self.rest_force), np.zeros(count)])
+        start = motion.copy()
+        start[count:] -= rate[0]
+        self._free = np.empty((self.stages + 1, 2 * count))
+        self._free[0] = start
+        pushed = two.start @ drift[: self.stages].T + two.end @ drift[1 : self.stages + 1].T
+        for k in range(self.stages):
+            self._free[k + 1] = two.A @ self._free[k] + pushed[:, k]
+        self._A, self._start, self._end = two.A, two.start @ model.drive, two.end @ model.drive
+        self._turn(operating)
+
+    def _turn(self, operating: Operating) -> None:
+        """The cost beyond the last stage, one step of the Riccati recursion on, about the new operating point."""
+        A, start, end, weights = self._A, self._start, self._end, self.weights
+        states, inputs = start.shape
+        full = np.zeros((states + inputs, states + inputs))
+        full[:states, :states], full[:states, states:] = A, start + end
+        full[states:, states:] = np.eye(inputs)
+        by, modes = np.vstack([end, np.eye(inputs)]), states // 2
+        cost = np.zeros_like(full)
+        rows = self._rows()
+        cost[:modes, :modes] = rows.T @ rows
+        cost[states:, states:] = np.eye(inputs) / weights.force**2
+        change = np.eye(inputs) / weights.change**2
+        value = self._value
+        if self._before is None:
+            value = sla.solve_discrete_are(full, by, cost, change)
+        elif operating is not self._before:
+            turn, _ = operating.seen_from(self._before)
+            both = np.eye(states + inputs)
+            both[:modes, :modes] = both[modes:states, modes:states] = turn
+            value = both @ value @ both.T
+        forward = value @ full
+        gain = np.linalg.solve(change + by.T @ value @ by, by.T @ forward)
+        value = cost + full.T @ (forward - value @ by @ gain)
+        self._value, self._before = (value + value.T) / 2, operating
+
+    def _rows(self) -> np.ndarray:
+        """Weighted outputs by modal coordinates, (outputs, modes)."""
+        return np.vstack([self._tip / self.weights.tip, self._others / self.weights.shape])
+
+    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """H and f of ½ vᵀ H v + fᵀ v for the deviations v of the forces at stages 1 … , (stages · actuators,), in N.
+
+        Args:
+            begin: the deviation at stage 0, (actuators,) in N.
+        """
+        stages, weights = self.stages, self.weights
+        states, inputs = self._start.shape
+        modes = states // 2
+        first = np.empty((stages, states, inputs))  # states after a pulse at stage 0, and after one at a later stage
+        later = np.empty((stages, states, inputs))
+        first[0], later[0] = self._start, self._end
+        for k in range(1, stages):
+            first[k], later[k] = self._A @ first[k - 1], self._A @ later[k - 1]
+            if k == 1:
+                later[k] += self._start
+        rows = self._rows()
+        outputs = len(rows)
+        answer, of_first = rows @ later[: stages - 1, :modes], rows @ first[: stages - 1, :modes]
+        seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)
+        seen = seen.transpose(0, 2, 1, 3).reshape((stages - 1) * outputs, stages * inputs)
+        error = (self._free[1:stages, :modes] - self._rest[:modes]) @ rows.T + of_first @ begin
+        end = np.zeros((states + inputs, stages * inputs))
+        end[:states], end[states:, -inputs:] = later[::-1].transpose(1, 0, 2).reshape(states, -1), np.eye(inputs)
+        at_end = np.concatenate([self._free[-1] - self._rest + first[-1] @ begin, -self.rest_force])
+        value = self._value
+        H = seen.T @ seen + end.T @ (value @ end)
+        f = seen.T @ error.ravel() + end.T @ (value @ at_end)
+        size = stages * inputs
+        change, force = 1 / weights.change**2, 1 / weights.force**2
+        diagonal = np.full(size, 2 * change + force)
+        diagonal[-inputs:] = change  # the last one is in the cost beyond
+        H[np.diag_indices(size)] += diagonal
+        off = np.arange(size - inputs)
+        H[off, off + inputs] -= change
+        H[off + inputs, off] -= change
+        f[:inputs] -= change * begin
+        f[: size - inputs] -= force * np.tile(self.rest_force, stages - 1)
+        return H, f

@@ -1,0 +1,215 @@
+"""Small convex quadratic programs, one after another of one size: what a predictive controller solves in every period.
+
+    minimise ½ xᵀ H x + fᵀ x   subject to   lower ≤ x ≤ upper,   row_lower ≤ R x ≤ row_upper
+
+by the dual active-set method of DAQP (Arnström, Bemporad, Axehill, IEEE TAC 67(8), 2022, p. 4362) in one workspace that lives as long as
+the solver and begins with the active set of the program before. Of the solvers tried (`python -m benchmarks --only control`: PIQP, OSQP,
+ProxQP) it was the fastest on a controller's programs. Most of its time goes into the change of variables u = Lᵀ x + L⁻¹ f, H = L Lᵀ, which
+LAPACK does faster and which stays where H does.
+"""
+
+from __future__ import annotations
+
+import time
+from ctypes import c_int
+from dataclasses import dataclass
+from enum import Enum
+
+import daqp
+import numpy as np
+import scipy.linalg as sla
+import scipy.sparse as sp
+
+from tepm_opt.errors import InputError
+
+WITHIN = 1e-6  # by which a solution may leave its bounds, beside 1 and the bound
+TOLERANCE = 1e-9  # of DAQP, on rows of length 1
+UNBOUNDED = 1e30  # DAQP's infinity
+SINGULAR = 1e-9  # of the largest diagonal element of H: pivot below which H is regularised, first by as much
+MOST = 1e-4  # of the largest diagonal element of H: beyond which regularising is no remedy
+SPARSE = 0.2  # share of elements of R that are not 0, up to which it is stored sparse
+SOFT = 8  # DAQP's mark of a soft row
+
+_factor, _inverse = sla.get_lapack_funcs(("potrf", "trtri"))
+
+
+class QpStatus(Enum):
+    """How a solve ended."""
+
+    SOLVED = "solved"
+    INFEASIBLE = "infeasible"
+    ITERATION_LIMIT = "iteration limit"
+    NOT_FINITE = "not finite"
+    NOT_CONVEX = "not convex"
+    FAILED = "failed"
+
+
+_STATUS = {1: QpStatus.SOLVED, 2: QpStatus.SOLVED, -1: QpStatus.INFEASIBLE, -4: QpStatus.ITERATION_LIMIT}
+
+
+@dataclass(frozen=True, eq=False)
+class QpResult:
+    """What `QpSolver.solve` found.
+
+    Attributes:
+        x: the minimiser, (variables,), checked to be finite and within bounds; None unless `status` is SOLVED.
+        multipliers: of the bounds, then of the rows, (variables + rows,), positive at upper bounds and negative at lower ones, so that
+            H x + f + multipliers[:variables] + Rᵀ multipliers[variables:] = 0; None unless solved.
+        status: how it ended.
+        iterations: changes of the active set.
+        violation: largest amount by which a soft row is beyond its bounds; 0 where rows are not soft.
+        seconds: time taken.
+    """
+
+    x: np.ndarray | None = None
+    multipliers: np.ndarray | None = None
+    status: QpStatus = QpStatus.FAILED
+    iterations: int = 0
+    violation: float = 0.0
+    seconds: float = 0.0
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is an x."""
+        return self.status is QpStatus.SOLVED
+
+
+class QpSolver:
+    """Solves programs with the same rows R, each from the active set of the one before; not for several threads at once."""
+
+    def __init__(self, rows: np.ndarray, soft: float | None = None, iterations: int = 1000) -> None:
+        """A solver for programs of (variables,) = R's columns.
+
+        Args:
+            rows: R, (rows, variables); no rows where there are none.
+            soft: weight w by which rows may be violated: ½ w times the squares of what they are beyond their bounds is added to the
+                cost. None forbids it. Bounds of x are never violated.
+            iterations: most changes of the active set of one solve, some microseconds each.
+
+        Raises:
+            InputError: rows not a finite matrix, weight or iterations not positive.
+        """
+        R = np.array(rows, dtype=float)
+        if R.ndim != 2 or not R.shape[1] or not np.isfinite(R).all():
+            raise InputError(f"rows: shape {R.shape}; valid: a matrix of finite numbers, a column for each variable")
+        if not (iterations >= 1 and (soft is None or 0 < soft < np.inf)):
+            raise InputError(f"soft: {soft!r}, iterations: {iterations!r}; valid: a positive weight or None, at least 1 iteration")
+        m, n = R.shape
+        self.variables, self.rows, self.soft, self.iterations = n, m, soft, iterations
+        self._shapes = [(n, n), (n,), (n,), (n,), (m,), (m,)]
+        self._rows = sp.csr_array(R) if np.count_nonzero(R) <= SPARSE * R.size else R
+        self._sense = np.zeros(n + m, dtype=c_int)
+        self._sense[n:] = 0 if soft is None else SOFT
+        self._identity, self._zero = np.eye(n), np.zeros(n)
+        self._low, self._high, self._rest, self._M = np.zeros(n + m), np.zeros(n + m), np.zeros(n + m), np.zeros((n + m, n))
+        self._inverse: np.ndarray | None = None  # L⁻¹
+        self._scale, self._moved = 1.0, True  # of the cost; whether M is new to the workspace
+        self._workspace: daqp.Model | None = None
+
+    def solve(
+        self,
+        hessian: np.ndarray | None,
+        gradient: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        row_lower: np.ndarray,
+        row_upper: np.ndarray,
+    ) -> QpResult:
+        """Minimiser of one program; a program without one is a status, never an exception.
+
+        A hessian singular to rounding is regularised by as little as makes it definite. What fails from the active set of the program
+        before is tried once more from none.
+
+        Args:
+            hessian: H, positive semidefinite, (variables, variables), of which the lower triangle is read; None for that of the program
+                before, which saves most of the time; FAILED where that one had none of use.
+            gradient: f, (variables,).
+            lower, upper: of x, (variables,); infinite where there is none.
+            row_lower, row_upper: of R x, (rows,); likewise.
+
+        Raises:
+            InputError: wrong shape.
+        """
+        began = time.perf_counter()
+        H = self._identity if hessian is None else np.asarray(hessian, dtype=float)
+        given = [H, *(np.asarray(part, dtype=float) for part in (gradient, lower, upper, row_lower, row_upper))]
+        shapes = [part.shape for part in given]
+        if shapes != self._shapes:
+            raise InputError(f"shapes {shapes}; valid: {self._shapes}")
+        n = self.variables
+        self._low[:n], self._high[:n], self._low[n:], self._high[n:] = given[2:]
+        status, count = self._prepare(None if hessian is None else H, given[1]), 0
+        if status is not QpStatus.SOLVED:
+            return QpResult(status=status, seconds=time.perf_counter() - began)
+        for warm in (True, False) if self._workspace else (False,):
+            flag, u, multipliers, more = self._run(warm)
+            status, count = _STATUS.get(flag, QpStatus.FAILED), count + more
+            if status is QpStatus.SOLVED:
+                x, beyond = self._within(u)
+                if x is not None:
+                    return QpResult(x, self._scale * multipliers, status, count, beyond if self.soft else 0.0, time.perf_counter() - began)
+                status = QpStatus.FAILED
+            self._workspace = None
+        return QpResult(status=status, iterations=count, seconds=time.perf_counter() - began)
+
+    def _prepare(self, H: np.ndarray | None, f: np.ndarray) -> QpStatus:
+        """The change of variables: x and its rows are M u + rest, where u = 0 is the minimiser without bounds; SOLVED if there is one."""
+        low, high, n = self._low, self._high, self.variables
+        if H is not None:
+            self._inverse, self._moved = None, True
+            factor = _definite_factor(H)
+            if factor is None:
+                return QpStatus.NOT_CONVEX if np.isfinite(H).all() else QpStatus.NOT_FINITE
+            self._inverse = inverse = _inverse(factor, lower=1)[0]
+            self._scale = float(factor[0, 0]) ** 2
+            np.multiply(inverse.T, factor[0, 0], out=self._M[:n])  # rows neither long nor short, whatever the unit of the cost
+            self._M[n:] = self._rows @ self._M[:n]
+        if self._inverse is None:
+            return QpStatus.FAILED
+        if not np.isfinite(f).all() or np.isnan(low).any() or np.isnan(high).any():
+            return QpStatus.NOT_FINITE
+        if not ((low <= high) & (low < np.inf) & (high > -np.inf)).all():
+            return QpStatus.INFEASIBLE
+        self._rest[:n] = free = -((self._inverse @ f) @ self._inverse)
+        self._rest[n:] = self._rows @ free
+        return QpStatus.SOLVED if np.isfinite(self._rest).all() else QpStatus.NOT_FINITE
+
+    def _run(self, warm: bool) -> tuple[int, np.ndarray, np.ndarray, int]:
+        """DAQP's flag, minimiser of |u|² / 2 within the bounds, multipliers and iterations."""
+        low, high = np.maximum(self._low - self._rest, -UNBOUNDED), np.minimum(self._high - self._rest, UNBOUNDED)
+        if warm and self._workspace:
+            model = self._workspace
+            flag = model.update(A=self._M if self._moved else None, bupper=high, blower=low)
+        else:
+            model = self._workspace = daqp.Model()
+            flag = model.setup(self._identity, self._zero, self._M, high, low, self._sense.copy())[0]
+            if flag >= 0:
+                model.settings = {"primal_tol": TOLERANCE, "iter_limit": self.iterations}
+        if flag < 0:
+            return flag, self._zero, self._zero, 0
+        self._moved = False
+        if self.soft:
+            rho = np.full(len(low), self._scale / self.soft)
+            model.soft_weights(rho_l=rho, rho_u=rho)
+        u, _, flag, info = model.solve()
+        return flag, u, info["lam"], info["iterations"]
+
+    def _within(self, u: np.ndarray) -> tuple[np.ndarray | None, float]:
+        """x moved by rounding into its bounds, None where more than that is necessary, and how far its rows are beyond theirs."""
+        n, values = self.variables, self._M @ u + self._rest
+        x = np.minimum(np.maximum(values[:n], self._low[:n]), self._high[:n])
+        beyond = np.maximum(self._low - values, values - self._high)
+        of_x, of_rows = float(beyond[:n].max()), float(beyond[n:].max(initial=0.0))
+        allowed = WITHIN * max(1.0, float(np.abs(x).max()))  # the comparisons are false where x is not finite
+        return (x if of_x <= allowed < np.inf and (of_rows <= allowed or self.soft) else None), max(of_rows, 0.0)
+
+
+def _definite_factor(H: np.ndarray) -> np.ndarray | None:
+    """L of L Lᵀ = H, or of H with as little more on its diagonal as makes it definite; None where H is not convex or not finite."""
+    largest, more = float(H.diagonal().max()), 0.0
+    while more <= MOST and 0 < largest < np.inf:
+        factor, failed = _factor(H + more * largest * np.eye(len(H)) if more else H, lower=1)
+        if not failed and factor.diagonal().min() ** 2 >= SINGULAR * largest:
+            return factor
+        more = max(SINGULAR, 100 * more)
+    return None

@@ -1,0 +1,175 @@
+"""Where the tip shall be at every control period, with the equilibria and axial forces that hold it there: what a controller previews."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.kinematics import Configuration, Mode, each_configuration
+from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
+from tepm_opt.solvers.trajectories import Trajectory
+
+PERIOD = 0.01  # s, of control
+START_UP = 1.0  # s, in which a path's speed rises from rest and, at its end, falls to it
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Targets at multiples of the control period; before the first and after the last one the robot rests.
+
+    Attributes:
+        tips: (periods, 3) in m in G.
+        forces: axial forces F_a, (periods, actuators) in N.
+        equilibria: of these, (periods,).
+        counted: over which periods the error counts, (periods,) of bool.
+        point: number of the target at every period, (periods,); paths are one target.
+        period: s.
+    """
+
+    tips: np.ndarray
+    forces: np.ndarray
+    equilibria: list[Equilibrium]
+    counted: np.ndarray
+    point: np.ndarray
+    period: float = PERIOD
+
+    def __len__(self) -> int:
+        """Periods."""
+        return len(self.tips)
+
+    @property
+    def duration(self) -> float:
+        """In s."""
+        return self.period * (len(self) - 1)
+
+    def at(self, periods: np.ndarray | int) -> np.ndarray:
+        """Row numbers of periods, those beyond the ends at the ends."""
+        return np.clip(periods, 0, len(self) - 1)
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """Free levels, (periods, coordinates) in m."""
+        return np.array([at.x[1:].ravel() for at in self.equilibria])
+
+    @cached_property
+    def lengths(self) -> np.ndarray:
+        """Actuator lengths, (periods, actuators) in m."""
+        return np.array([at.lengths.ravel() for at in self.equilibria])
+
+
+def rising(part: np.ndarray) -> np.ndarray:
+    """0 … 1 with speed and acceleration zero at both ends (minimum jerk: Flash and Hogan, J. Neurosci. 5, 1985)."""
+    s = np.clip(part, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)
+
+
+Track = Callable[[Iterable[Configuration]], Iterable[Configuration]]
+
+
+def reference_of(
+    model: CompiledModel, tips: np.ndarray, counted: np.ndarray | None = None, point: np.ndarray | None = None,
+    track: Track = iter, period: float = PERIOD,
+) -> Reference:  # fmt: skip
+    """Inverse kinematics along tips that are already a control period apart.
+
+    Args:
+        model: the controller's.
+        tips: (periods, 3) in m in G.
+        counted, point: see `Reference`; all periods and one target where absent.
+        track: wraps the configurations, for progress.
+        period: s.
+
+    Raises:
+        InputError: a tip is out of reach; names the time and why.
+    """
+    found = []
+    for k, configuration in enumerate(track(each_configuration(model, tips, Mode.HYBRID))):
+        if not configuration.solved:
+            raise InputError(f"reference: at {k * period:.2f} s, {tips[k].round(4).tolist()} m: {configuration.message}")
+        found.append(configuration)
+    counted = np.ones(len(tips), dtype=bool) if counted is None else counted
+    point = np.zeros(len(tips), dtype=int) if point is None else point
+    return Reference(tips, np.array([at.forces for at in found]), [at.equilibrium for at in found], counted, point, period)
+
+
+def reference_by_forces(model: CompiledModel, forces: np.ndarray, period: float = PERIOD) -> Reference:
+    """Equilibria of axial forces that are a control period apart; targets are their tips.
+
+    Args:
+        model: the controller's.
+        forces: (periods, actuators) in N.
+        period: s.
+
+    Raises:
+        InputError: forces without a stable equilibrium; names the time and why.
+    """
+    found: list[Equilibrium] = []
+    for k, row in enumerate(forces):
+        effective = np.concatenate([row / model.values["A"], np.zeros(len(row))])
+        found.append(equilibrium(model, effective, model.check_loads(None), found[-1] if found else None, mapped=True))
+        if not found[-1].solved:
+            raise InputError(f"reference: at {k * period:.2f} s: {found[-1].message}")
+    count = len(forces)
+    tips = np.array([at.tip for at in found])
+    return Reference(tips, np.array(forces), found, np.ones(count, dtype=bool), np.zeros(count, dtype=int), period)
+
+
+def approach(model: CompiledModel, target: np.ndarray, seconds: float, period: float = PERIOD) -> np.ndarray:
+    """Tips from where the robot rests without forces to a target (3,), smoothly, (periods, 3) in m."""
+    rest = solve_statics(model, np.zeros(model.layout.inputs)).tip
+    part = rising(np.arange(0.0, 1.0, period / seconds))[:, None]
+    return rest + part * (target - rest)
+
+
+def along(trajectory: Trajectory, start_up: float = START_UP, laps: float = 1.0, period: float = PERIOD) -> tuple[np.ndarray, np.ndarray]:
+    """Tips along a trajectory, (periods, 3) in m, which speeds up to its timing and slows down from it smoothly; whether they count.
+
+    A closed trajectory is run through before it counts while it speeds up, and on while it slows down, so that what counts has the
+    trajectory's own timing. An open one starts and ends at its ends and counts as a whole.
+    """
+    time, positions = trajectory.time - trajectory.time[0], trajectory.positions
+    if trajectory.closed:
+        lap = 2 * time[-1] - time[-2] if len(time) > 1 else 1.0
+        curve = CubicSpline(np.append(time, lap), np.vstack([positions, positions[:1]]), bc_type="periodic")
+        clock = np.arange(0.0, laps * lap + 2 * start_up + period / 2, period)
+        down = np.maximum(clock - start_up - laps * lap, 0.0)
+        passed = _spun_up(clock, start_up) - _spun_up(down, start_up)
+        tips = curve(np.mod(passed, lap))
+        return tips, (clock >= start_up) & (clock < start_up + laps * lap - period / 2)
+    if len(time) < 2:
+        raise InputError("trajectory: 1 point is no path; valid: at least 2, or point by point")
+    curve = CubicSpline(time, positions)
+    start_up = min(start_up, time[-1] / 2)
+    clock = np.arange(0.0, time[-1] + start_up + period / 2, period)
+    left = clock[-1] - clock
+    passed = np.where(clock < clock[-1] / 2, _spun_up(clock, start_up), time[-1] - _spun_up(left, start_up))
+    return curve(np.clip(passed, 0.0, time[-1])), np.ones(len(clock), dtype=bool)
+
+
+def point_by_point(targets: np.ndarray, move: float, stay: float, taken: float, period: float = PERIOD) -> tuple[np.ndarray, ...]:
+    """Tips that go from each target (targets, 3) to the next in `move` s and stay until `stay` s are over, as in Fig. 12.
+
+    Returns:
+        Tips (periods, 3) in m, whether they count (the last `taken` s at each target), and the number of the target.
+    """
+    each = round(stay / period)
+    inside = period * np.arange(each)
+    parts, before = rising(inside / move)[:, None], targets[0]
+    tips = []
+    for target in targets:
+        tips.append(before + parts * (target - before))
+        before = target
+    count = len(targets)
+    return np.vstack(tips), np.tile(inside >= stay - taken - period / 2, count), np.repeat(np.arange(count), each)
+
+
+def _spun_up(clock: np.ndarray, start_up: float) -> np.ndarray:
+    """Time along a path whose speed rises smoothly from 0 to 1 within `start_up` s: with t³ − t⁴/2 there, at its end half of it."""
+    part = np.clip(clock / start_up, 0.0, 1.0)
+    return start_up * (part**3 - part**4 / 2) + np.maximum(clock - start_up, 0.0)

@@ -1,0 +1,79 @@
+"""Figure of a plan: the way with its obstacles, the tip's speed, the set points with their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET
+from tepm_opt.solvers.plan import Box, Obstacle, Plan, Sphere
+
+VIEWS = ((0, 2), (0, 1))
+MODULES = ("-", "--", ":", "-.")
+
+
+def plan_figure(plan: Plan, obstacles: Sequence[Obstacle] = ()) -> Figure:
+    """Reference points from the side and from above, then speed, pressures and tensions over time."""
+    figure = Figure(figsize=(11.5, 8.2), **STYLE)  # type: ignore[arg-type]
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.2))
+    for k, view in enumerate(VIEWS):
+        _way(figure.add_subplot(grid[:2, 0] if k == 0 else grid[2, 0]), plan, obstacles, view)
+    speed, pressure, tension = (figure.add_subplot(grid[k, 1]) for k in range(3))
+    speed.plot(plan.time, 1e3 * np.linalg.norm(np.gradient(plan.tips, plan.time, axis=0), axis=1), color=REACHED)
+    speed.set_ylabel("tip speed in mm/s")
+    layout, inputs = plan.model.layout, plan.setpoints.inputs
+    half = layout.inputs // 2
+    for k, name in enumerate(layout.actuator_names):
+        module, actuator = divmod(k, layout.actuators)
+        style, color = MODULES[module % len(MODULES)], f"C{actuator}"
+        pressure.plot(plan.time, 1e-3 * inputs[:, k], style, color=color, linewidth=1.2, label=f"A{name}")
+        tension.plot(plan.time, inputs[:, half + k], style, color=color, linewidth=1.2)
+    _limited(pressure, "pressure in kPa", 1e-3 * float(plan.model.input_max[0]))
+    _limited(tension, "tension in N", float(plan.model.input_max[half]))
+    pressure.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    tension.set_xlabel("time in s")
+    for axes in (speed, pressure, tension):
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.01)
+    what = "fastest" if plan.objective.value == "time" else "least effort"
+    figure.suptitle(f"{plan.model.robot.name}: plan of {plan.duration:.3g} s, {what}, from rest to rest")
+    return figure
+
+
+def _limited(axes: Axes, label: str, limit: float) -> None:
+    """Set points between 0 and their limit."""
+    for value in (0.0, limit):
+        axes.axhline(value, color=MISSED, linewidth=0.9, linestyle=":")
+    axes.set_ylabel(label)
+
+
+def _way(axes: Axes, plan: Plan, obstacles: Sequence[Obstacle], view: tuple[int, int]) -> None:
+    """Ways of the reference points and outlines of the obstacles along two axes of G."""
+    points = 1e3 * plan.points[:, :, list(view)]
+    for k, name in enumerate(plan.model.layout.point_names):
+        last = k == points.shape[1] - 1
+        axes.plot(*points[:, k].T, color=REACHED if last else TARGET, linewidth=1.8 if last else 1.0)
+        axes.annotate(name, points[-1, k], fontsize=8, xytext=(3, 3), textcoords="offset points")
+    for row in {0, len(points) - 1}:
+        axes.plot(*points[row].T, ".-", color=PRESSURE, linewidth=0.8, alpha=0.6)
+    for obstacle in obstacles:
+        axes.fill(*(1e3 * _outline(obstacle, view)).T, color=MISSED, alpha=0.3, linewidth=0)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"{'xyz'[view[0]]} in mm")
+    axes.set_ylabel(f"{'xyz'[view[1]]} in mm")
+    axes.grid(alpha=0.3)
+
+
+def _outline(obstacle: Obstacle, view: tuple[int, int]) -> np.ndarray:
+    """Corners of an obstacle's shadow along two axes, (n, 2) in m; none of an unknown kind."""
+    i, j = view
+    if isinstance(obstacle, Sphere):
+        angle = np.linspace(0, 2 * np.pi, 61)
+        return np.array([obstacle.centre[i], obstacle.centre[j]]) + obstacle.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    if isinstance(obstacle, Box):
+        low, high = obstacle.low, obstacle.high
+        return np.array([[low[i], low[j]], [high[i], low[j]], [high[i], high[j]], [low[i], high[j]]])
+    return np.zeros((0, 2))

@@ -1,0 +1,149 @@
+"""The controllers on the virtual prototype: what is run for the figures that the tests assert, and how one is told from the next."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import lru_cache
+from multiprocessing import get_context
+
+import numpy as np
+
+from tepm_opt.control.follow import controller_named
+from tepm_opt.control.mpc import Mpc, MpcSettings
+from tepm_opt.control.reference import Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.track import Guard, Tracked, track
+from tepm_opt.hw.rig import Sample
+from tepm_opt.hw.rigfile import RigFile, load_rig_file
+from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.solvers.trajectories import circle, lissajous
+
+APPROACH, PAUSE = 3.0, 0.5  # s
+SEEDS = tuple(range(1, 11))
+WIDE = Guard(far=np.inf)  # the paper's modes leave fast references by more than a robot should be allowed to
+HOLD_AT, HOLD = 2.0, 8.0  # s after the approach at which something happens, and for how long is held
+
+
+@lru_cache(maxsize=1)
+def model() -> CompiledModel:
+    """The nominal one."""
+    return compile_model("kang2017")
+
+
+@lru_cache(maxsize=4)
+def reference(task: str, points: int = 32) -> Reference:
+    """ "points", "circle", "lissajous" or "hold", from rest."""
+    if task == "points":
+        tips, counted, number = point_by_point(circle().positions[:points], move=1.0, stay=3.0, taken=1.0)
+        lead = approach(model(), tips[0], APPROACH)
+    else:
+        if task == "hold":
+            tips = np.repeat(circle().positions[:1], round((HOLD_AT + HOLD) / 0.01), axis=0)
+            counted = np.ones(len(tips), dtype=bool)
+        else:
+            tips, counted = along(circle(400) if task == "circle" else lissajous(400))
+        lead = approach(model(), tips[0], APPROACH)
+        lead = np.vstack([lead, np.repeat(tips[:1], round(PAUSE / 0.01), axis=0)])
+        number = np.zeros(len(tips), dtype=int)
+    before = len(lead)
+    return reference_of(
+        model(), np.vstack([lead, tips]), np.concatenate([np.zeros(before, dtype=bool), counted]),
+        np.concatenate([np.zeros(before, dtype=int), number]),
+    )  # fmt: skip
+
+
+def prototype(seed: int, file: RigFile | None = None) -> SimulatedRig:
+    """The virtual prototype, or another rig, with the noise of a run."""
+    rig = SimulatedRig(file or load_rig_file())
+    rig.reseed(seed)
+    return rig
+
+
+def follow(task: str, controller: str, seed: int, settings: MpcSettings | None = None, points: int = 32) -> Tracked:
+    """A task by a controller."""
+    path = reference(task, points)
+    return track(prototype(seed), controller_named(controller, model(), path, settings), model().robot, WIDE)
+
+
+class Disturbed(SimulatedRig):
+    """The virtual prototype to which something happens some time after a closed loop began."""
+
+    def __init__(self, file: RigFile, what: str, at: float) -> None:
+        super().__init__(file)
+        self._what, self._at = what, at
+
+    def read(self) -> Sample:
+        """As of the rig, disturbed."""
+        now = self.time - self._at
+        if self._what == "weight" and abs(now) < 0.01:
+            self.push(np.array([0.0, 0.0, -0.0981]))
+        if self._what == "side":
+            self.push(np.array([0.0, 0.1 if 0 <= now < 1 else 0.0, 0.0]))
+        sample = super().read()
+        if (self._what == "lost" and 0 <= now < 0.5) or (self._what.startswith("dead") and now >= 0):
+            points = sample.points.copy()
+            points[slice(None) if self._what == "lost" else int(self._what[-1]) - 1] = np.nan
+            return replace(sample, points=points)
+        return sample
+
+
+DISTURBANCES = ("weight", "side", "tilt", "weak", "lost", "dead1", "dead4")
+
+
+def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict[str, float]:
+    """Holding the circle's first point: errors of the true tip in mm, and how near tensions came to their limits."""
+    file = load_rig_file()
+    found = file.imperfections
+    if what == "tilt":
+        found = found.model_copy(update={"base_tilt": found.base_tilt.model_copy(update={"rotation_deg": (1.0, 0.0)})})
+    if what == "weak":
+        loss = dict(found.actuator_gain.loss)
+        loss["13"] = loss["13"] + 0.10
+        found = found.model_copy(update={"actuator_gain": found.actuator_gain.model_copy(update={"loss": loss})})
+    path = reference("hold")
+    rig = Disturbed(file.model_copy(update={"imperfections": found}), what, APPROACH + PAUSE + HOLD_AT)
+    rig.reseed(seed)
+    done = track(rig, Mpc(model(), path, settings or MpcSettings()), model().robot, WIDE)
+    error = 1e3 * np.linalg.norm(np.array(done.truth) - done.targets, axis=1)
+    time = np.array(done.time) - APPROACH - PAUSE
+    over = HOLD_AT + (1.0 if what == "side" else 0.5 if what == "lost" else 0.0) if what not in ("tilt", "weak") else 0.0
+    tensions = np.array([command.tensions for command in done.commands])
+    pressures = np.array([command.pressures for command in done.commands])
+    inside = float((tensions >= 0).all() and (tensions <= 7.0).all() and (pressures >= 0).all() and (pressures <= 0.5e6).all())
+    return {"worst": float(error[time > 0].max()), "after": float(error[time >= over + 3.0].max()), "inside": inside,
+            "rms_after": float(np.sqrt((error[time >= over + 3.0] ** 2).mean()))}  # fmt: skip
+
+
+def summary(done: Tracked) -> dict[str, float]:
+    """Figures of a run."""
+    tensions = np.array([command.tensions for command in done.commands])[done.counted]
+    pressures = np.array([command.pressures for command in done.commands])[done.counted]
+    moves = (np.diff(pressures, axis=0) != 0).sum() / (0.01 * len(pressures))
+    return {"true": 1e3 * done.error(), "tracked": 1e3 * done.error(False), "moves": float(moves), "tension": float(tensions.mean()),
+            "fallbacks": float(sum(done.fallbacks.values())), "samples": float(len(done.rows))}  # fmt: skip
+
+
+def run(job: tuple) -> tuple[tuple, dict[str, float]]:
+    """A job: ("disturbed", what, seed) or (task, controller, seed)."""
+    if job[0] == "disturbed":
+        return job, disturbed(*job[1:])
+    return job, summary(follow(*job))
+
+
+def everything(jobs: Iterable[tuple], workers: int = 2, show: Callable[[str], None] = lambda _: None) -> dict[tuple, dict[str, float]]:
+    """All jobs, beside each other."""
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        done = {}
+        for job, result in pool.map(run, jobs):
+            done[job] = result
+            show(json.dumps([job, result]))
+        return done
+
+
+if __name__ == "__main__":
+    tasks = [job.split(":") for job in sys.argv[2:]]
+    everything([(a, b, seed) for a, b in tasks for seed in SEEDS], int(sys.argv[1]), lambda text: print(text, flush=True))
