@@ -24,7 +24,9 @@ class CoarseSettings:
         window: stages over which the slope of the need is taken, for the lead.
         worth: steps of the regulator by which a pressure has to be off before it moves.
         on_grid: whether the regulator's grid is known and moves are spared; else pressures are continuous and move in every period.
-        share: of the feedback's planned forces that the pressure takes part in.
+        share: of the feedback's planned forces that the pressure takes part in where the reference is quick; where it stands, the
+            tension alone reacts and the regulators are spared.
+        quick: speed of the tip in m/s from which the whole share is taken.
         smoothing: of the unknown forces, which the pressure takes over, s.
     """
 
@@ -33,6 +35,7 @@ class CoarseSettings:
     worth: float = 3.0
     on_grid: bool = True
     share: float = 0.7
+    quick: float = 0.1
     smoothing: float = 0.3
 
 

@@ -280,9 +280,9 @@ class Mpc:
         if settings.mid_ranging:
             need = need - self._slow
             if self._planned is not None:
-                weight = coarse.share * np.linspace(1, 0, settings.stages)[:, None]
-                moving = forecast.dynamic[: settings.stages]
-                need[: settings.stages] += weight * (self._planned - forecast.rest_force - moving)
+                extra = self._planned - forecast.rest_force - forecast.dynamic[: settings.stages]
+                share = coarse.share * min(1.0, forecast.speed / coarse.quick)
+                need[: settings.stages] += share * np.linspace(1, 0, settings.stages)[:, None] * extra
         return self._coarse.plan(need - effects + still + factor * middle, now, self._looked.pressure, settings.stages)
 
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:

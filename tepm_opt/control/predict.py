@@ -41,6 +41,7 @@ class Forecast:
     Attributes:
         forces: axial forces of the reference at stages 0 …, (stages and preview, actuators) in N.
         dynamic: forces that accelerate the arm along the reference at stages 1 …, (preview, actuators) in N.
+        speed: of the reference's tip over the stages in m/s.
         rest_force: deviation of the forces that brings the tip to its target at rest, with the bias it has, (actuators,) in N.
     """
 
@@ -64,6 +65,8 @@ class Forecast:
         model, two = operating.model, operating.doubled()
         path = (reference.levels[rows] - model.levels) @ model.weights.T
         rate = (path[2:] - path[:-2]) / (2 * two.period)
+        way = np.diff(reference.tips[rows[1 : self.stages + 2]], axis=0)
+        self.speed = float(np.sqrt((way**2).sum(axis=1)).mean() / two.period)
         bend = (path[2:] - 2 * path[1:-1] + path[:-2]) / two.period**2
         drift = -bend - rate @ model.damping.T
         self.forces = reference.forces[rows[1:-1]]

@@ -1,0 +1,192 @@
+"""Offline: the motion and the unknown forces of a recorded run, from all of its samples, before and after.
+
+A moving-horizon estimator whose horizon is the run, or a window of it: the states s and disturbances w that minimise
+
+    |s_0 − s̄|²_P⁻¹ + Σ |w_k|² + Σ |z_k − C s_k|² / σ²     with     s_{k+1} = A_k s_k + u_k + G_k w_k     and friction ≥ 0,
+
+with model, noise and outliers as the Kalman filter has them, which runs ahead and linearises. A sparse quadratic program: its optimality
+conditions are solved directly, the bounds by a primal-dual active set (Hintermüller, Ito, Kunisch, SIAM J. Optim. 13, 2003). Without
+active bounds it is the Rauch-Tung-Striebel smoother. Rao, Rawlings, Mayne, IEEE TAC 48 (2003), p. 246.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from tepm_opt.control.estimator import DEFAULT, Estimator, EstimatorSettings, Operating
+from tepm_opt.control.track import Tracked
+from tepm_opt.errors import InputError
+
+SETS = 40  # active sets that are tried
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What is known of a run, a control period apart.
+
+    Attributes:
+        operating: about which it is linearised, one a sample.
+        points: tracked, (samples, points, 3) in m in G; NaN where lost.
+        forces: known axial forces, linear between samples, (samples, actuators) in N.
+        tensions: at the motors, (samples, actuators) in N.
+        rates: of the actuators' lengths from each sample to the next, as the reference has them, (samples − 1, actuators) in m/s.
+    """
+
+    operating: Sequence[Operating]
+    points: np.ndarray
+    forces: np.ndarray
+    tensions: np.ndarray
+    rates: np.ndarray
+
+    @staticmethod
+    def of(done: Tracked, area: float) -> Recorded:
+        """A run of the predictive controller, with pressures and tensions as measured; area of a muscle in m².
+
+        Raises:
+            InputError: no such run, a period without a sample, or inputs that were not measured.
+        """
+        rows, inputs = np.array(done.rows), np.array(done.measured)
+        if len(done.steps) < 2 or len(done.steps) != len(rows) or (np.diff(rows) != 1).any() or not np.isfinite(inputs).all():
+            raise InputError("run: valid: one of the predictive controller, with a sample in every period and measured inputs")
+        pressures, tensions = np.split(inputs, 2, axis=1)
+        rates = np.diff(done.reference.lengths[rows], axis=0) / done.reference.period
+        return Recorded(
+            [step.estimate.operating for step in done.steps], np.array(done.points), area * pressures - tensions, tensions, rates
+        )
+
+    def between(self, start: int, end: int) -> Recorded:
+        """A window from one sample to another, which is left out."""
+        part = slice(start, end)
+        return Recorded(self.operating[part], self.points[part], self.forces[part], self.tensions[part], self.rates[start : end - 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """The arm at every sample.
+
+    Attributes:
+        motion: [q, q'] about the sample's operating point, (samples, 2 · modes).
+        unknown: axial forces that nobody commanded, (samples, actuators) in N.
+        friction: of the muscles, (samples, actuators) in N, not negative.
+        bias: of the reference points, (samples, points, 3) in m.
+        points: where they are, bias included, (samples, points, 3) in m in G.
+        filtered: where the filter had them, (samples, points, 3) in m in G.
+        solved: whether the active set was found.
+    """
+
+    motion: np.ndarray
+    unknown: np.ndarray
+    friction: np.ndarray
+    bias: np.ndarray
+    points: np.ndarray
+    filtered: np.ndarray
+    solved: bool
+
+
+def smooth(recorded: Recorded, noise: float, middle: float, settings: EstimatorSettings = DEFAULT, bounded: bool = True) -> Smoothed:
+    """Smooth a run or a window.
+
+    Args:
+        recorded: what is known.
+        noise, middle, settings: as for `Estimator`.
+        bounded: whether friction cannot be negative.
+
+    Raises:
+        InputError: shapes that do not fit.
+    """
+    count = len(recorded.operating)
+    points, drive = recorded.operating[0].model.equilibrium.points.shape, recorded.operating[0].model.drive
+    given = [np.shape(part) for part in (recorded.points, recorded.forces, recorded.tensions, recorded.rates)]
+    modes, actuators = drive.shape
+    wanted = [(count, *points), (count, actuators), (count, actuators), (count - 1, actuators)]
+    if given != wanted or count < 2:
+        raise InputError(f"recorded: shapes {given}; valid: {wanted}, at least 2 samples")
+    size = 2 * modes + 2 * actuators + recorded.points[0].size
+    filtered = Estimator(recorded.operating[0], noise, middle, settings)
+    scale, first = np.sqrt(np.diag(filtered.covariance)), filtered.mean
+    hessian, pull, moves, pushes, seen = [], [], [], [], []
+    for k, operating in enumerate(recorded.operating):
+        if k:
+            move, push, kick = _step(filtered, recorded, k)
+            moves.append((move, kick))
+            pushes.append(push)
+        estimate = filtered.update(recorded.points[k])
+        seen.append(estimate.points)
+        good = np.isfinite(recorded.points[k]).all(axis=1) & ~estimate.refused
+        C = np.hstack([operating.model.observe, np.zeros((len(good) * 3, size - modes - 3 * len(good))), np.eye(3 * len(good))])
+        C = C[np.repeat(good, 3)] / noise
+        off = (recorded.points[k] - operating.model.equilibrium.points)[good].ravel() / noise
+        hessian.append(C.T @ C + (np.diag(scale**-2.0) if k == 0 else 0.0))
+        pull.append(C.T @ off + (first / scale**2 if k == 0 else 0.0))
+    states, solved = _minimised(hessian, pull, moves, pushes, scale, slice(2 * modes + actuators, 2 * modes + 2 * actuators), bounded)
+    motion, unknown, friction, bias = np.split(states, [2 * modes, 2 * modes + actuators, 2 * modes + 2 * actuators], axis=1)
+    models = [operating.model for operating in recorded.operating]
+    at = [model.equilibrium.points.ravel() + model.observe @ q[:modes] for model, q in zip(models, motion, strict=True)]
+    return Smoothed(
+        motion, unknown, friction, bias.reshape(count, *points), (np.array(at) + bias).reshape(count, *points), np.array(seen), solved
+    )  # fmt: skip
+
+
+def _step(filtered: Estimator, recorded: Recorded, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The filter's A, u and G from the sample before to sample k, in the coordinates of sample k; the filter is taken along."""
+    settings, now, then = filtered.settings, recorded.operating[k - 1], recorded.operating[k]
+    before = filtered.estimate(np.zeros(0)).direction
+    filtered.predict(recorded.forces[k - 1 : k + 1], recorded.tensions[k - 1], recorded.rates[k - 1], then)
+    turning = settings.turning * np.sqrt(np.abs(filtered.estimate(np.zeros(0)).direction - before))
+    drive, size, period, root = now.model.drive, len(filtered.mean), now.period, np.sqrt(now.period)
+    modes, actuators = drive.shape
+    motion, unknown = slice(0, 2 * modes), slice(2 * modes, 2 * modes + actuators)
+    friction, bias = slice(unknown.stop, unknown.stop + actuators), np.arange(unknown.stop + actuators, size)
+    A, by_force = np.eye(size), (now.start + now.end) @ drive
+    A[motion, motion], A[motion, unknown] = now.A, by_force
+    A[motion, friction] = -by_force * filtered.friction_factor(recorded.tensions[k - 1])
+    A[unknown, unknown] *= np.exp(-period / settings.force_memory)
+    A[bias[:-3], bias[:-3]] = np.exp(-period / settings.bias_memory)
+    kick = np.zeros((size, size - 2 * modes + actuators))
+    kick[modes : 2 * modes, :actuators] = root * settings.shock * drive
+    drift = [np.hypot(root * settings.force, turning), np.full(actuators, root * settings.friction_drift)]
+    drift += [np.full(len(bias) - 3, root * settings.bias_drift), np.full(3, root * settings.tip_drift)]
+    kick[2 * modes :, actuators:] = np.diag(np.concatenate(drift))
+    push = np.zeros(size)
+    pushed = (recorded.forces[k - 1 : k + 1] - now.forces) @ drive.T
+    push[motion] = now.start @ pushed[0] + now.end @ pushed[1]
+    turn, shift = then.seen_from(now)
+    both = np.eye(size)
+    both[:modes, :modes] = both[modes : 2 * modes, modes : 2 * modes] = turn
+    push = both @ push
+    push[:modes] += shift
+    return both @ A, push, both @ kick
+
+
+def _minimised(
+    hessian: list, pull: list, moves: list, pushes: list, scale: np.ndarray, bounded_part: slice, bounded: bool
+) -> tuple[np.ndarray, bool]:
+    """States (samples, states) and whether the active set was found; unknowns are [s / scale, w] and multipliers of the motion."""
+    count, size, kicks = len(hessian), len(scale), moves[0][1].shape[1]
+    H = sp.block_diag([scale[:, None] * part * scale for part in hessian] + [sp.eye_array(kicks * (count - 1))])
+    f = np.concatenate([scale * part for part in pull] + [np.zeros(kicks * (count - 1))])
+    along = sp.block_diag([move * scale / scale[:, None] for move, _ in moves])
+    stay = sp.eye_array(size * (count - 1))
+    empty = sp.csr_array((size * (count - 1), size))
+    motion = sp.hstack([empty, stay]) - sp.hstack([along, empty])
+    R = sp.hstack([motion, -sp.block_diag([kick / scale[:, None] for _, kick in moves])])
+    right = np.concatenate([push / scale for push in pushes])
+    whole, target = sp.csr_array(sp.block_array([[H, R.T], [R, None]])), np.concatenate([f, right])
+    inside = (size * np.arange(count)[:, None] + np.arange(size)[bounded_part]).ravel()
+    fixed, x = np.zeros(len(target), dtype=bool), np.zeros(len(target))
+    for _ in range(SETS):
+        x[fixed] = 0.0
+        x[~fixed] = splu(whole[~fixed][:, ~fixed].tocsc()).solve(target[~fixed])
+        wrong = np.zeros(len(target), dtype=bool)
+        if bounded:
+            pressed = (whole[inside] @ x - target[inside]) > 0
+            wrong[inside] = np.where(fixed[inside], ~pressed, x[inside] < -1e-9)
+        if not wrong.any():
+            return x[: size * count].reshape(count, size) * scale, True
+        fixed ^= wrong
+    return x[: size * count].reshape(count, size) * scale, False
