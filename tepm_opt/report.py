@@ -10,6 +10,7 @@ from pathlib import Path
 import jinja2
 import numpy as np
 
+from tepm_opt.closed_loops.result import ClosedLoop
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.localise import Localisation
 from tepm_opt.discrepancy.verdict import Status, Value, Verdict
@@ -24,8 +25,24 @@ HEADINGS = {
 RIVALS = 15  # listed on the page
 
 
-def write_page(path: str | Path, hybrid: IkRun, pressure: IkRun, gains: GainRun, figures: Mapping[str, Path]) -> None:
-    """Write the page; `figures` are PNG files by name ("ik", "gain"), put into it.
+def write_page(
+    path: str | Path,
+    hybrid: IkRun,
+    pressure: IkRun,
+    gains: GainRun,
+    loops: Mapping[str, ClosedLoop],
+    note: str,
+    figures: Mapping[str, Path],
+) -> None:
+    """Write the page of the main job.
+
+    Args:
+        path: of the page.
+        hybrid, pressure: inverse kinematics of the circle.
+        gains: along it.
+        loops: closed loops by what they are called; none where there are none.
+        note: why there are none.
+        figures: PNG files by name, put into the page: "ik", "gain" and, with loops, "path", "distance", "inputs".
 
     Raises:
         InputError: the folder cannot be written to.
@@ -44,6 +61,8 @@ def write_page(path: str | Path, hybrid: IkRun, pressure: IkRun, gains: GainRun,
         pressure=pressure.summary(),
         images=images,
         spans=spans,
+        loops={name: loop.summary(timing=False) for name, loop in loops.items()},
+        note=note,
         version=version("tepm-opt"),
     )
     write_atomically(path, page)

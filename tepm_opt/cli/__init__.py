@@ -14,7 +14,7 @@ import typer
 from rich.markup import escape
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.cli import data, demo, discrepancy, gain, hw, identify, ik, modes, paper, play, record, robot, simulate, statics
+from tepm_opt.cli import data, demo, discrepancy, gain, hw, identify, ik, modes, mpc, paper, plan, play, record, robot, simulate, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
 from tepm_opt.errors import InputError
 
@@ -45,8 +45,10 @@ app.command("gain")(gain.gain)
 app.command("statics")(statics.statics)
 app.command("simulate")(simulate.simulate)
 app.command("modes")(modes.modes_command)
+app.command("mpc")(mpc.mpc)
 app.command("demo")(demo.demo)
 app.command("paper")(paper.paper)
+app.command("plan")(plan.plan)
 app.command("record")(record.record)
 app.command("play")(play.play)
 app.command("identify")(identify.identify)

@@ -15,6 +15,7 @@ from tepm_opt.control.reference import Reference, rising
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Rig, Sample, Virtual
+from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
 Show = Callable[[str, float, float], None]
@@ -41,7 +42,7 @@ class Guard:
     Attributes:
         glide: s in which a rig that stands at zero is taken to the start; 0 for one that rests from the start where it is commanded to.
         rest: s for which it rests there before the loop is closed.
-        agree: m by which points at the start may miss the model's, on average.
+        agree: m by which points at the start may miss the model's, in the median.
         far: m by which the tip may be off the reference while the loop is closed, for `patience` s.
         blind: s without any tracked point.
         beyond: part of its range by which a measured tension or pressure may exceed its limit.
@@ -118,8 +119,8 @@ def track(
 ) -> Tracked:  # fmt: skip
     """Follow a controller's reference on a rig, which is stopped at the end whatever happens.
 
-    A rig of virtual time rests from the start where the controller wants it; any other is taken there slowly first, rests, and is
-    refused if the tracked points are not where the model has them.
+    A rig of virtual time rests from the start where the controller wants it; any other is taken there slowly first, rests, is refused
+    if the tracked points are not where the model has them, and goes back to zero slowly in the end.
 
     Args:
         rig: any; it is entered and left here.
@@ -134,10 +135,16 @@ def track(
         InputError: a rig that does not fit the robot, or that disagrees with the model before the loop is closed.
     """
     guard, done = guard or Guard(), keep or Tracked(controller.reference)
+    rests = isinstance(rig, Virtual) or guard.glide <= 0
+    watch = _Watch(guard, robot)
     with rig:
         try:
-            first = _prepared(rig, controller, robot, guard, show)
-            _closed(rig, controller, robot, guard, show, look, done, first)
+            first = _prepared(rig, controller, robot, guard, watch, show, rests)
+            _closed(rig, controller, watch, show, look, done, first)
+            if done.end is End.DONE and not rests:
+                _down(rig, done.commands[-1], guard, show)
+        except Stopped as stop:
+            done.end, done.message = stop.end, str(stop)
         except KeyboardInterrupt:
             done.end, done.message = End.INTERRUPTED, "interrupted by the user"
         except EOFError as error:
@@ -147,11 +154,50 @@ def track(
     return done
 
 
-def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, show: Show) -> Sample:
+class Stopped(Exception):  # noqa: N818  it says what happened
+    """The guard has stopped a loop."""
+
+    def __init__(self, end: End, message: str) -> None:
+        super().__init__(message)
+        self.end = end
+
+
+class _Watch:
+    """Looks at every sample and stops what must not go on."""
+
+    def __init__(self, guard: Guard, robot: Robot) -> None:
+        self._guard, self._limits = guard, robot.input_max
+        names = Layout.of(robot).actuator_names
+        self._names = [f"{kind}_{name}" for kind in ("pressure", "tension") for name in names]
+        self._seen: float | None = None
+        self._near: float | None = None
+
+    def check(self, sample: Sample, target: np.ndarray | None = None) -> None:
+        """A sample, and where the tip shall be (3,) in m while the loop is closed.
+
+        Raises:
+            Stopped: it must not go on.
+        """
+        guard, now = self._guard, sample.time
+        if self._seen is None or np.isfinite(sample.points).all(axis=1).any():
+            self._seen = now
+        off = 0.0 if target is None else float(np.linalg.norm(sample.points[-1] - target))
+        if self._near is None or not off > guard.far:  # a lost tip is not far
+            self._near = now
+        part = _measured(sample, len(self._limits)) / self._limits
+        if (part > 1 + guard.beyond).any():
+            at = int(np.nanargmax(part))
+            raise Stopped(End.LIMIT, f"measured {self._names[at]} is {100 * part[at]:.0f} % of its limit")
+        if now - self._seen > guard.blind:
+            raise Stopped(End.BLIND, f"no tracked point for {guard.blind:g} s")
+        if now - self._near > guard.patience:
+            raise Stopped(End.DISAGREED, f"the tip was more than {1e3 * guard.far:.0f} mm off for {guard.patience:g} s")
+
+
+def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watch: _Watch, show: Show, rests: bool) -> Sample:
     """The first sample, with the robot at rest where the controller starts."""
     start = controller.start()
     check_command(start, robot)
-    rests = isinstance(rig, Virtual) or guard.glide <= 0
     rig.apply(start if rests else _part(start, 0.0))
     sample = rig.read()
     expected = controller.reference.equilibria[0].points
@@ -160,20 +206,20 @@ def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, show
     if rests:
         return sample
     began, whole = sample.time, guard.glide + guard.rest
-    missed: list[float] = []
-    while sample.time - began < whole:
-        passed = sample.time - began
+    missed: list[np.ndarray] = []
+    while (passed := sample.time - began) < whole:
+        watch.check(sample)
         rig.apply(_part(start, float(rising(np.array(passed / guard.glide)))))
         show("to the start", passed, whole)
-        sample = rig.read()
         if passed > guard.glide + guard.rest / 2:
-            missed.append(float(np.nanmean(np.linalg.norm(sample.points - expected, axis=1))))
-    miss = float(np.nanmedian(missed)) if np.isfinite(missed).any() else np.inf
+            missed.append(np.linalg.norm(sample.points - expected, axis=1))
+        sample = rig.read()
+    known = np.concatenate(missed)[np.isfinite(np.concatenate(missed))] if missed else np.zeros(0)
+    miss = float(np.median(known)) if len(known) else np.inf
     if not miss <= guard.agree:
-        saw = f"the tracked points miss the model's by {1e3 * miss:.0f} mm" if np.isfinite(miss) else "the tracker sees nothing"
-        raise InputError(
-            f"at the start {saw}; valid: at most {1e3 * guard.agree:.0f} mm. Is the tracker registered (tepm hw calibrate base)?"
-        )
+        saw = f"the tracked points miss the model's by {1e3 * miss:.0f} mm" if len(known) else "the tracker sees nothing"
+        need = f"valid: at most {1e3 * guard.agree:.0f} mm. Is the tracker registered (tepm hw calibrate base)?"
+        raise InputError(f"at the start {saw}; {need}")
     return sample
 
 
@@ -181,17 +227,18 @@ def _part(command: Command, part: float) -> Command:
     return Command(part * command.pressures, part * command.tensions * command.enabled, command.enabled)
 
 
-def _closed(
-    rig: Rig, controller: Controller, robot: Robot, guard: Guard, show: Show, look: Look | None, done: Tracked, sample: Sample
-) -> None:
+def _down(rig: Rig, last: Command, guard: Guard, show: Show) -> None:
+    """From the last command slowly to nothing."""
+    began = rig.read().time
+    while (passed := rig.read().time - began) < guard.glide:
+        rig.apply(_part(last, 1 - float(rising(np.array(passed / guard.glide)))))
+        show("back to zero", passed, guard.glide)
+
+
+def _closed(rig: Rig, controller: Controller, watch: _Watch, show: Show, look: Look | None, done: Tracked, sample: Sample) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
     reference, zero, row = controller.reference, sample.time, -1
-    limits = robot.input_max * (1 + guard.beyond)
-    seen = near = sample.time
-    while True:
-        now = round((sample.time - zero) / reference.period)
-        if now >= len(reference):
-            return
+    while (now := round((sample.time - zero) / reference.period)) < len(reference):
         if now > row:  # a rig may be faster than the control period
             row = now
             began = time.perf_counter()
@@ -202,22 +249,7 @@ def _closed(
             show("tracking", sample.time - zero, reference.duration)
             if look:
                 look(sample, reference.tips[row])
-        tracked = np.isfinite(sample.points).all(axis=1)
-        seen = sample.time if tracked.any() else seen
-        off = np.linalg.norm(sample.points[-1] - reference.tips[row])
-        near = near if off > guard.far else sample.time
-        measured = _measured(sample, len(limits))
-        if sample.time - seen > guard.blind:
-            done.end, done.message = End.BLIND, f"no tracked point for {guard.blind:g} s"
-        elif sample.time - near > guard.patience:
-            done.end, done.message = End.DISAGREED, f"the tip was more than {1e3 * guard.far:.0f} mm off for {guard.patience:g} s"
-        elif (measured > limits).any():
-            done.end, done.message = (
-                End.LIMIT,
-                f"input {int(np.argmax(measured > limits)) + 1} is at {np.nanmax(measured / limits):.2f} of it",
-            )
-        if done.end is not End.DONE:
-            return
+        watch.check(sample, reference.tips[row])
         sample = rig.read()
 
 

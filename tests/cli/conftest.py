@@ -17,6 +17,8 @@ import pytest
 
 from tepm_opt import plots
 from tepm_opt.cli import demo, gain, run
+from tepm_opt.closed_loops.compare import compare
+from tepm_opt.closed_loops.course import Course
 from tepm_opt.solvers.gain import Map, workspace_map
 from tepm_opt.solvers.trajectories import circle
 
@@ -94,8 +96,15 @@ def coarse_map(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def quick(coarse_map: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four points and a coarse map in the demo, for what does not depend on how many there are."""
+def short_loops(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Closed loops of the demo over a small part of the circle, in this process."""
+    monkeypatch.setattr(demo, "COURSE", Course(approach=0.3, pause=0.02, laps=0.02, start_up=0.05))
+    monkeypatch.setattr(demo, "compare", lambda tasks, workers, show: compare(tasks, 1, show))
+
+
+@pytest.fixture
+def quick(coarse_map: None, short_loops: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four points, a coarse map and short closed loops in the demo, for what does not depend on how many there are."""
     monkeypatch.setattr(demo, "circle", lambda: circle(4))
 
 

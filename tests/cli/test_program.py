@@ -46,7 +46,7 @@ class TestJson:
             ("gain CIRCLE/inputs.csv", {"robot", "reference_point", "normalised"}),
             ("statics", {"tip_m", "smallest_stiffness_eigenvalue_N_per_m"}),
             ("statics CIRCLE/inputs.csv --out out", {"tip_m"}),
-            ("demo", {"ik", "ik_pressure", "gain"}),
+            ("demo", {"ik", "ik_pressure", "gain", "closed_loop"}),
             ("robot show", {"name", "geometry", "parameters", "actuation", "mount", "tracker"}),
             ("robot check kang2017", {"robot", "modules", "actuators", "levels"}),
             ("robot new mine.toml", {"file"}),
@@ -93,13 +93,14 @@ class TestRobotFiles:
 
 
 class TestDemo:
-    @pytest.mark.usefixtures("coarse_map", "drawn")
+    @pytest.mark.usefixtures("coarse_map", "short_loops", "drawn")
     def test_files_page_and_status(self, tepm: Command, here: Path) -> None:
         done = tepm("demo", "--out", "out")
         assert (done.status, done.err) == (0, "")
         assert "out/index.html" in done.out
-        assert names_in(here / "out") == IK_FILES | {"gain.csv", "gain.png", "gain_map.csv", "index.html"}
-        assert {"ik", "gain"} <= json.loads((here / "out" / "summary.json").read_text()).keys()
+        loops = {"loop_path.png", "loop_distance.png", "loop_inputs.png"}
+        assert names_in(here / "out") == IK_FILES | {"gain.csv", "gain.png", "gain_map.csv", "index.html"} | loops
+        assert {"ik", "gain", "closed_loop"} <= json.loads((here / "out" / "summary.json").read_text()).keys()
 
         text = (here / "out" / "index.html").read_text(encoding="utf-8")
         page = Page(text)
@@ -107,12 +108,15 @@ class TestDemo:
         assert not re.search(r"https?://|//[a-z]+\.|url\(|@import", re.sub(r"base64,[A-Za-z0-9+/=]+", "", text))
         sources = [attributes["src"] or "" for _, attributes in page.elements if "src" in attributes]
         figures = {base64.b64decode(source.removeprefix("data:image/png;base64,"), validate=True) for source in sources}
-        assert figures == {(here / "out" / name).read_bytes() for name in ("ik.png", "gain.png")}
+        assert figures == {(here / "out" / name).read_bytes() for name in {"ik.png", "gain.png"} | loops}
         assert all(attributes.get("alt") for tag, attributes in page.elements if tag == "img")
 
         words = " ".join(page.text.split())
         told = summary(here / "out", "ik")
         assert words.count("32 of 32") == 2
+        assert list(summary(here / "out", "closed_loop")) == ["mode 1", "mode 2", "MPC"]
+        for name, run in summary(here / "out", "closed_loop").items():
+            assert f"{name} {1e3 * run['errors']['true']['rms_m']:#.3g}".rstrip(".") + " mm" in words
         assert f"{1e3 * told['largest_rounded_tip_error_m']:.3f} mm" in words
         assert "358.86" in words
 
@@ -126,6 +130,8 @@ class TestDemo:
         page = Page((here / "out" / "index.html").read_text(encoding="utf-8"))
         assert "0 of 4" in page.text
         assert "out of reach" in page.text
+        assert "Not run: not all points of the circle were solved." in page.text
+        assert not {name for name in names_in(here / "out") if name.startswith("loop_")}
 
     @pytest.mark.usefixtures("quick")
     def test_a_point_that_fails(self, tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,7 +177,7 @@ class TestReproducibility:
 
 
 class TestHelp:
-    @pytest.mark.parametrize("command", ["", "ik", "gain", "statics", "demo", "robot", "robot new"])
+    @pytest.mark.parametrize("command", ["", "ik", "gain", "statics", "mpc", "demo", "robot", "robot new"])
     def test_help(self, tepm: Command, command: str) -> None:
         done = tepm(*command.split(), "--help")
         assert (done.status, done.err) == (0, "")

@@ -12,14 +12,18 @@ from multiprocessing import get_context
 
 import numpy as np
 
+from tepm_opt.control.bench_arm import BenchArm, bench_settings, guided, length_reference
+from tepm_opt.control.coarse import CoarseSettings
 from tepm_opt.control.follow import controller_named
-from tepm_opt.control.mpc import Mpc, MpcSettings
+from tepm_opt.control.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.reference import Reference, along, approach, point_by_point, reference_of
 from tepm_opt.control.track import Guard, Tracked, track
+from tepm_opt.hw.bench import BenchRig
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.rigfile import RigFile, load_rig_file
 from tepm_opt.hw.simulated import SimulatedRig
 from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.paper.single import SET_POINTS, STAY, TAKEN
 from tepm_opt.solvers.trajectories import circle, lissajous
 
 APPROACH, PAUSE = 3.0, 0.5  # s
@@ -118,19 +122,56 @@ def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict
             "rms_after": float(np.sqrt((error[time >= over + 3.0] ** 2).mean()))}  # fmt: skip
 
 
+ABLATIONS = {
+    "all": MpcSettings(),
+    "resolution ignored": MpcSettings(coarse=CoarseSettings(on_grid=False)),
+    "no mid-ranging": MpcSettings(mid_ranging=False),
+    "tension only": MpcSettings(use=Use.TENSION),
+    "pressure only": MpcSettings(use=Use.PRESSURE),
+    "rule of mode 2": MpcSettings(rule=True),
+}
+
+
+@lru_cache(maxsize=1)
+def bench_model() -> CompiledModel:
+    """Of the bench as an arm."""
+    return compile_model(guided(BenchRig().robot))
+
+
+def on_bench(seed: int) -> dict[str, float]:
+    """Fig. 6's set points by the predictive controller: mean error and SD of the true length at each over the last 5 of 6 s, in mm."""
+    bench = BenchRig()
+    bench.reseed(seed)
+    arm, path = BenchArm(bench), length_reference(bench_model(), np.array(SET_POINTS), STAY)
+    done = track(arm, Mpc(bench_model(), path, bench_settings()), arm.robot, replace(WIDE, glide=0.0))
+    error, time = 1e3 * (np.array(done.truth) - done.targets)[:, 2], np.array(done.time)
+    found = {}
+    for k, length in enumerate(SET_POINTS):
+        late = (path.point[done.rows] == k) & (time - STAY * k >= STAY - TAKEN)
+        found |= {f"mean{1e3 * length:.0f}": float(np.abs(error[late]).mean()), f"sd{1e3 * length:.0f}": float(error[late].std())}
+    return found
+
+
 def summary(done: Tracked) -> dict[str, float]:
     """Figures of a run."""
     tensions = np.array([command.tensions for command in done.commands])[done.counted]
     pressures = np.array([command.pressures for command in done.commands])[done.counted]
-    moves = (np.diff(pressures, axis=0) != 0).sum() / (0.01 * len(pressures))
-    return {"true": 1e3 * done.error(), "tracked": 1e3 * done.error(False), "moves": float(moves), "tension": float(tensions.mean()),
-            "fallbacks": float(sum(done.fallbacks.values())), "samples": float(len(done.rows))}  # fmt: skip
+    on_grid = np.round(pressures / model().robot.actuation.pressure_step)  # as the regulators take them
+    moves = (np.diff(on_grid, axis=0) != 0).sum() / (0.01 * len(pressures))
+    return {
+        "true": 1e3 * done.error(), "tracked": 1e3 * done.error(False), "moves": float(moves), "tension": float(tensions.mean()),
+        "least": float(tensions.min()), "most": float(tensions.max()), "fallbacks": float(sum(done.fallbacks.values())),
+    }  # fmt: skip
 
 
 def run(job: tuple) -> tuple[tuple, dict[str, float]]:
-    """A job: ("disturbed", what, seed) or (task, controller, seed)."""
+    """A job: ("disturbed", what, seed), ("bench", "", seed) or (task, controller or ablation, seed)."""
     if job[0] == "disturbed":
         return job, disturbed(*job[1:])
+    if job[0] == "bench":
+        return job, on_bench(job[2])
+    if job[1] in ABLATIONS:
+        return job, summary(follow(job[0], "mpc", job[2], ABLATIONS[job[1]]))
     return job, summary(follow(*job))
 
 

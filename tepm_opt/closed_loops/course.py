@@ -1,0 +1,77 @@
+"""How a trajectory is driven: from rest, along it or point by point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tepm_opt.control.reference import PERIOD, START_UP, Reference, Track, along, approach, point_by_point, reference_of
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.trajectories import Trajectory
+
+AT_REST = 0.05  # of a path's largest speed, below which its ends are at rest
+AT_ONCE = 1e-6  # s
+SHORTEST_STAY, LONGEST_STAY, MOST_LAPS = 0.3, 1000.0, 1000.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a trajectory is driven.
+
+    Attributes:
+        approach: s from rest to its first point.
+        pause: s there.
+        laps: of a closed trajectory that count.
+        stay: s for each of its points, of which a third goes into moving there and the last third counts; None: along the path.
+        start_up: s in which the path's speed rises and falls, outside what counts.
+    """
+
+    approach: float = 3.0
+    pause: float = 0.5
+    laps: float = 1.0
+    stay: float | None = None
+    start_up: float = START_UP
+
+
+FULL = Course()
+
+
+def whole_reference(
+    model: CompiledModel, trajectory: Trajectory, course: Course = FULL, progress: Callable[[int], Track] = lambda count: iter
+) -> Reference:
+    """From rest without forces to the trajectory's first point, a pause, then along it or point by point.
+
+    Args:
+        model: the controller's.
+        trajectory: targets.
+        course: how. An open path that starts and ends at rest by itself keeps its own timing.
+        progress: given the number of periods, wraps their configurations.
+
+    Raises:
+        InputError: laps or a stay that do not fit; a path of one point; a tip out of reach.
+    """
+    if course.stay is not None and not SHORTEST_STAY <= course.stay <= LONGEST_STAY:
+        raise InputError(f"stay = {course.stay:g} s; valid: {SHORTEST_STAY:g} … {LONGEST_STAY:g} s")
+    if not 0 < course.laps <= MOST_LAPS:
+        raise InputError(f"laps = {course.laps:g}; valid: more than 0 … {MOST_LAPS:g}")
+    if course.laps != 1 and (course.stay is not None or not trajectory.closed):
+        raise InputError(f"laps = {course.laps:g}: only a closed path has laps, such as circle or lissajous; leave them out")
+    if course.stay is not None:
+        tips, counted, point = point_by_point(trajectory.positions, course.stay / 3, course.stay, course.stay / 3)
+    else:
+        rests = not trajectory.closed and len(trajectory.time) > 2 and _rests(trajectory)
+        tips, counted = along(trajectory, AT_ONCE if rests else course.start_up, course.laps)
+        point = np.zeros(len(tips), dtype=int)
+    lead = approach(model, tips[0], course.approach)
+    lead = np.vstack([lead, np.repeat(tips[:1], round(course.pause / PERIOD), axis=0)])
+    tips = np.vstack([lead, tips])
+    counted = np.concatenate([np.zeros(len(lead), dtype=bool), counted])
+    return reference_of(model, tips, counted, np.concatenate([np.zeros(len(lead), dtype=int), point]), progress(len(tips)))
+
+
+def _rests(trajectory: Trajectory) -> bool:
+    speeds = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1) / np.diff(trajectory.time)
+    return bool(max(speeds[0], speeds[-1]) < AT_REST * speeds.max())

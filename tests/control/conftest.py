@@ -1,0 +1,32 @@
+"""The emulated board for closed loops (see `tests.hw.conftest`), a short reference and a run on it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tepm_opt.control.mpc import Mpc
+from tepm_opt.control.reference import Reference, along, approach, reference_of
+from tepm_opt.control.track import Tracked, track
+from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.trajectories import circle
+from tests.hw.conftest import board, board_factory, firmware, library
+
+__all__ = ["board", "board_factory", "firmware", "library"]
+
+
+@pytest.fixture(scope="session")
+def short(kang: CompiledModel) -> Reference:
+    """To the circle in 3 s and 1.5 s along it, of which the last second counts."""
+    tips = along(circle(400))[0][:150]
+    lead = approach(kang, tips[0], 3.0)
+    return reference_of(kang, np.vstack([lead, tips]), np.arange(450) >= 350)
+
+
+@pytest.fixture(scope="session")
+def followed(kang: CompiledModel, short: Reference) -> Tracked:
+    """The predictive controller on it, on the virtual prototype, which differs from the model."""
+    rig = SimulatedRig()
+    rig.reseed(1)
+    return track(rig, Mpc(kang, short), kang.robot)

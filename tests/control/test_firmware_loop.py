@@ -1,0 +1,58 @@
+"""The predictive controller through line, firmware and drivers, against the same controller on the simulated rig, in virtual time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tepm_opt.control.mpc import Mpc
+from tepm_opt.control.track import End, track
+from tepm_opt.hw.serial_rig import SerialRig, Tendons
+from tepm_opt.hw.simulated import SimulatedRig
+from tests.control import study
+from tests.hw.emulator import Board
+from tests.hw.emulator.world import World
+
+
+class Witnessed(World):
+    """Also notes where the points were in truth.
+
+    Attributes:
+        truth: (points, 3) in m in G by the time in s of the frame.
+    """
+
+    def __init__(self, board: Board, rig: SimulatedRig) -> None:
+        self.truth: dict[float, np.ndarray] = {}
+        super().__init__(board, rig)
+
+    def _couple(self) -> None:
+        due = self._due
+        super()._couple()
+        if self._due > due and self.rig is not None:
+            self.truth[self.time] = self.rig.true_points
+
+
+class Emulated(SerialRig):
+    """The virtual prototype behind the emulated board, with the truth of which the controller knows nothing."""
+
+    def __init__(self, world: Witnessed, tendons: Tendons) -> None:
+        super().__init__(world.port, study.model().robot, world.tracker, clock=world.clock, threaded=False, tendons=tendons)
+        self.world = world
+
+    @property
+    def true_points(self) -> np.ndarray:
+        """At the last frame's time, in G, (points, 3) in m."""
+        return np.full((4, 3), np.nan) if self.frame is None else self.world.truth[self.frame.time]
+
+
+@pytest.mark.slow
+def test_circle_through_the_firmware_as_on_the_simulated_rig(board: Board) -> None:
+    """Root mean square error of the true tip on the 8 s circle: within 10 % of the same controller's without board and line."""
+    world = Witnessed(board, study.prototype(1))
+    through = track(Emulated(world, "tension"), Mpc(study.model(), study.reference("circle")), study.model().robot)
+    direct = study.follow("circle", "mpc", 1)
+    assert through.end is direct.end is End.DONE
+    assert not through.fallbacks
+    assert len(through.rows) == len(through.reference)
+    assert board.safe
+    assert through.error() == pytest.approx(direct.error(), rel=0.10)

@@ -1,0 +1,256 @@
+"""The predictive controller: its cost against sums written out, its value against scipy, and what it does when something fails."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from tepm_opt.control.estimator import Operating
+from tepm_opt.control.mpc import Mpc, MpcSettings, Use
+from tepm_opt.control.predict import Forecast, Weights
+from tepm_opt.control.qp import QpResult, QpStatus
+from tepm_opt.control.reference import Reference
+from tepm_opt.control.track import End
+from tepm_opt.hw.commands import check_command
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.robot import load_robot
+from tepm_opt.solvers.local import local_model
+
+ROBOT = load_robot("kang2017")
+STAGES, ROW = 4, 330
+WEIGHTS = Weights()
+
+
+@pytest.fixture(scope="module")
+def operating(short: Reference) -> Operating:
+    """On the circle, in motion."""
+    return Operating.of(local_model(short.equilibria[ROW]), short.forces[ROW], short.period)
+
+
+def forecast_of(operating: Operating, reference: Reference, stages: int = STAGES, still: bool = False, seed: int = 5) -> Forecast:
+    """About a point of a reference, from a random motion and with a random bias of the tip."""
+    random = np.random.default_rng(seed)
+    rows = np.full(stages + 9, ROW) if still else ROW + 2 * np.arange(-1, stages + 8)
+    forecast = Forecast(WEIGHTS, stages)
+    motion = np.append(4e-3 * random.normal(size=10), 1e-2 * random.normal(size=10))
+    forecast.about(operating, reference, rows, motion, 2e-3 * random.normal(size=3))
+    return forecast
+
+
+def written_out(
+    forecast: Forecast, operating: Operating, begin: np.ndarray, plan: np.ndarray, value: np.ndarray, path: np.ndarray
+) -> float:
+    """Cost of deviations (stages, actuators): the arm stage by stage, and a sum of squares.
+
+    Args:
+        path: modal coordinates of the reference at stages −1, 0, 1, …
+    """
+    model, two = operating.model, operating.doubled()
+    deviations = np.vstack([begin, plan])
+    state, cost = forecast._free[0], 0.0
+    aim = model.static(forecast.rest_force)
+    lever = np.vstack([model.observe[-3:] / WEIGHTS.tip, model.observe[:-3] / WEIGHTS.shape])
+    step = two.period
+    for k in range(len(plan)):
+        pushed = []
+        for stage in (k, k + 1):
+            rate = (path[stage + 2] - path[stage]) / (2 * step)
+            bend = (path[stage + 2] - 2 * path[stage + 1] + path[stage]) / step**2
+            pushed.append(model.drive @ deviations[stage] - bend - model.damping @ rate)
+        state = two.A @ state + two.start @ pushed[0] + two.end @ pushed[1]
+        cost += ((deviations[k + 1] - deviations[k]) ** 2).sum() / WEIGHTS.change**2
+        if k + 1 < len(plan):
+            cost += ((lever @ (state[:10] - aim)) ** 2).sum()
+            cost += ((deviations[k + 1] - forecast.rest_force) ** 2).sum() / WEIGHTS.force**2
+    left = np.concatenate([state[:10] - aim, state[10:], deviations[-1] - forecast.rest_force])
+    return float(cost + left @ value @ left) / 2
+
+
+@pytest.mark.parametrize("still", [True, False])
+def test_cost_is_the_sum_over_the_stages(short, operating, still):
+    """½ vᵀ H v + fᵀ v differs between plans as sums do that are written out naively."""
+    forecast, random = forecast_of(operating, short, still=still), np.random.default_rng(6)
+    rows = np.full(STAGES + 3, ROW) if still else ROW + 2 * np.arange(-1, STAGES + 2)
+    path = (short.levels[rows] - operating.model.levels) @ operating.model.weights.T
+    begin = random.normal(size=6)
+    H, f = forecast.cost(begin)
+    np.testing.assert_allclose(H, H.T, rtol=1e-9, atol=1e-9)
+    plans = random.normal(size=(5, STAGES, 6))
+    condensed = [plan.ravel() @ (H @ plan.ravel() / 2 + f) for plan in plans]
+    summed = [written_out(forecast, operating, begin, plan, forecast._value, path) for plan in plans]
+    np.testing.assert_allclose(np.diff(condensed), np.diff(summed), rtol=1e-7)
+
+
+def riccati(operating: Operating) -> np.ndarray:
+    """Value of the problem without limits about a point, by scipy."""
+    model, two = operating.model, operating.doubled()
+    A, B = np.eye(26), np.vstack([two.end @ model.drive, np.eye(6)])
+    A[:20, :20], A[:20, 20:] = two.A, (two.start + two.end) @ model.drive
+    cost = np.zeros((26, 26))
+    tip, others = model.observe[-3:], model.observe[:-3]
+    cost[:10, :10] = tip.T @ tip / WEIGHTS.tip**2 + others.T @ others / WEIGHTS.shape**2
+    cost[20:, 20:] = np.eye(6) / WEIGHTS.force**2
+    return solve_discrete_are(A, B, cost, np.eye(6) / WEIGHTS.change**2)
+
+
+def test_value_beyond_the_horizon_converges(short, operating):
+    """From the value about a point further on, by a step a period, to that of scipy about the one at which the robot stays."""
+    rows, motion = np.full(STAGES + 9, ROW), np.zeros(20)
+    far = Operating.of(local_model(short.equilibria[200], operating.model), short.forces[200], short.period)
+    forecast = Forecast(WEIGHTS, STAGES)
+    forecast.about(far, short, rows, motion, np.zeros(3))
+    wanted, off = riccati(operating), []
+    for _ in range(200):
+        forecast.about(operating, short, rows, motion, np.zeros(3))
+        off.append(np.abs(forecast._value - wanted).max() / np.abs(wanted).max())
+    assert off[0] > 1e-3
+    assert off[-1] < 1e-6
+
+
+def test_horizon_does_not_matter_without_limits(short, operating):
+    """At a point where the robot stays, the first forces of a plan over 3 stages are those of one over 20."""
+    begin, plans = np.linspace(-1, 1, 6), []
+    for stages in (3, 20):
+        H, f = forecast_of(operating, short, stages, still=True).cost(begin)
+        plans.append(np.linalg.solve(H, -f)[:18])
+    np.testing.assert_allclose(plans[0], plans[1], atol=1e-5)
+    assert np.abs(plans[0]).max() > 0.1
+
+
+def test_forces_at_rest_undo_the_bias(short, operating):
+    """The static answer of the tip to `rest_force`, exactly, is minus its bias."""
+    forecast = Forecast(WEIGHTS, STAGES)
+    bias = np.array([2e-3, -1e-3, 3e-3])
+    forecast.about(operating, short, np.full(STAGES + 9, ROW), np.zeros(20), bias)
+    assert operating.model.gain[-3:] @ forecast.rest_force == pytest.approx(-bias)
+
+
+def sample_at(reference: Reference, row: int, random: np.random.Generator, noise: float = 5e-4) -> Sample:
+    """As if the arm were where it shall be."""
+    points = reference.equilibria[min(row, len(reference) - 1)].points
+    return Sample(reference.period * row, points + noise * random.normal(size=points.shape))
+
+
+def in_order(command: Command) -> None:
+    """Checks that all is finite and within the limits."""
+    check_command(command, ROBOT)
+    assert np.isfinite(command.tensions).all()
+
+
+def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, status: QpStatus, when) -> SimpleNamespace:
+    """The quadratic program fails when asked to; counts how often."""
+    solve, count = controller._solver.solve, SimpleNamespace(failed=0)
+
+    def unreliable(*args) -> QpResult:
+        if not when():
+            return solve(*args)
+        count.failed += 1
+        return QpResult(status=status)
+
+    monkeypatch.setattr(controller._solver, "solve", unreliable)
+    return count
+
+
+@pytest.mark.parametrize("status", [QpStatus.INFEASIBLE, QpStatus.NOT_FINITE, QpStatus.ITERATION_LIMIT])
+def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, status):
+    """Shifted by a period, half a stage; counted by its reason; when the program works again, its plan counts again."""
+    controller, random = Mpc(kang, short), np.random.default_rng(1)
+    for row in range(20):
+        controller.command(sample_at(short, row, random))
+    assert not controller.fallbacks
+    plan = controller.last.plan
+    with monkeypatch.context() as broken:
+        failing(controller, broken, status, lambda: True)
+        for row in range(20, 25):
+            in_order(controller.command(sample_at(short, row, random)))
+            plan = (plan + np.vstack([plan[1:], plan[-1:]])) / 2
+            np.testing.assert_allclose(controller.last.plan, plan, atol=1e-12)
+            assert controller.last.status is status
+    assert controller.fallbacks == {status.value: 5}
+    controller.command(sample_at(short, 25, random))
+    assert controller.last.status is QpStatus.SOLVED
+    assert controller.fallbacks == {status.value: 5}
+
+
+def test_first_program_fails(kang, short, monkeypatch):
+    """Without any plan yet the tensions stay where they are."""
+    controller = Mpc(kang, short)
+    failing(controller, monkeypatch, QpStatus.FAILED, lambda: True)
+    first = controller.start().tensions
+    for row in range(5):
+        command = controller.command(sample_at(short, row, np.random.default_rng(2)))
+        np.testing.assert_allclose(command.tensions, first, atol=1e-9)
+
+
+def test_program_that_fails_now_and_then(kang, short, monkeypatch):
+    """One of twenty, at random, with half of the points lost or wrong: commands are finite and within the limits, all failures counted."""
+    controller, random = Mpc(kang, short), np.random.default_rng(3)
+    count = failing(controller, monkeypatch, QpStatus.INFEASIBLE, lambda: random.random() < 0.05)
+    for row in range(120):
+        sample = sample_at(short, row, random)
+        sample.points[random.random(4) < 0.3] = np.nan
+        sample.points[random.random(4) < 0.2] += 0.1
+        in_order(controller.command(sample))
+    assert count.failed >= 3
+    assert sum(controller.fallbacks.values()) == count.failed
+
+
+def test_late_step_goes_on_with_the_last_plan(kang, short):
+    """A program that is not solved in time is not used."""
+    controller, random = Mpc(kang, short, MpcSettings(late=0.0)), np.random.default_rng(1)
+    for row in range(3):
+        in_order(controller.command(sample_at(short, row, random)))
+    assert controller.fallbacks == {"late": 3}
+
+
+@pytest.mark.parametrize("use", list(Use))
+@pytest.mark.parametrize("seed", range(2))
+def test_any_points_make_commands_within_the_limits(kang, short, use, seed):
+    """From random states, points of any size, some or all of them lost, measured inputs too, frames left out: for 80 steps."""
+    controller, random = Mpc(kang, short, MpcSettings(use=use, rule=seed == 1)), np.random.default_rng(seed)
+    check_command(controller.start(), ROBOT)
+    row = 0
+    for k in range(80):
+        row += int(random.integers(1, 4)) if k % 10 == 9 else 1
+        sample = sample_at(short, row, random, noise=10 ** random.uniform(-4, 0))
+        points = sample.points
+        points[random.random(4) < 0.3] = np.nan
+        points[:] = np.nan if 40 <= k < 55 else points
+        measured = [limit * random.uniform(-0.1, 1.2, 6) for limit in (0.5e6, 7.0)]
+        measured[0][random.random(6) < 0.2] = np.nan
+        if random.random() < 0.5:
+            sample = dataclasses.replace(sample, pressures=measured[0], tensions=measured[1])
+        command = controller.command(sample)
+        in_order(command)
+        assert np.isfinite(controller.last.plan).all()
+        if use is Use.PRESSURE:
+            assert not command.enabled.any()
+            assert not command.tensions.any()
+        if use is Use.TENSION:
+            assert (command.pressures == controller.start().pressures).all()
+
+
+def test_blind_from_the_start(kang, short):
+    """Without a single point the reference's forces go on, with pressures on the regulators' grid."""
+    controller = Mpc(kang, short)
+    for row in range(0, 300, 2):
+        command = controller.command(Sample(short.period * row, np.full((4, 3), np.nan)))
+        in_order(command)
+        assert command.pressures / 4500 == pytest.approx(np.round(command.pressures / 4500), abs=1e-6)
+    made = kang.values["A"] * command.pressures - command.tensions
+    assert made == pytest.approx(short.forces[300], abs=0.7)
+    assert np.ptp(short.forces[300]) > 3
+
+
+def test_loop_on_the_virtual_prototype(short, followed):
+    """To the circle and along it for 1.5 s: 1.5 mm over the last second when this was written."""
+    assert followed.end is End.DONE
+    assert not followed.fallbacks
+    assert len(followed.steps) == len(short)
+    assert followed.error() < 2e-3
+    commanded = np.array([command.pressures for command in followed.commands])
+    assert (np.diff(commanded, axis=0) != 0).sum() < 0.2 * commanded.size
