@@ -150,7 +150,7 @@ def mpc(
     with folder_for(out) as folder:
         compiled = load(robot, model)
         device = opener(rig, compiled.robot, seed)(seed)
-        course = Course(COURSE.approach, COURSE.pause, laps, stay, COURSE.start_up)
+        course = Course(COURSE.approach, COURSE.pause, laps, stay, COURSE.start_up, steps=controller != "mpc")
         reference = whole_reference(compiled, targets, course, lambda count: progress("inverse kinematics", count, as_json))
         try:
             loop = _run(compiled, reference, device, setup, folder, view, as_json)

@@ -25,8 +25,9 @@ class Course:
         approach: s from rest to its first point.
         pause: s there.
         laps: of a closed trajectory that count.
-        stay: s for each of its points, of which a third goes into moving there and the last third counts; None: along the path.
+        stay: s for each of its points, of which the last third counts; None: along the path.
         start_up: s in which the path's speed rises and falls, outside what counts.
+        steps: whether the target jumps from point to point, as the paper's; else a third of the stay goes into moving there smoothly.
     """
 
     approach: float = 3.0
@@ -34,6 +35,7 @@ class Course:
     laps: float = 1.0
     stay: float | None = None
     start_up: float = START_UP
+    steps: bool = False
 
 
 FULL = Course()
@@ -60,7 +62,8 @@ def whole_reference(
     if course.laps != 1 and (course.stay is not None or not trajectory.closed):
         raise InputError(f"laps = {course.laps:g}: only a closed path has laps, such as circle or lissajous; leave them out")
     if course.stay is not None:
-        tips, counted, point = point_by_point(trajectory.positions, course.stay / 3, course.stay, course.stay / 3)
+        move = PERIOD if course.steps else course.stay / 3
+        tips, counted, point = point_by_point(trajectory.positions, move, course.stay, course.stay / 3)
     else:
         rests = not trajectory.closed and len(trajectory.time) > 2 and _rests(trajectory)
         tips, counted = along(trajectory, AT_ONCE if rests else course.start_up, course.laps)

@@ -16,7 +16,6 @@ import numpy as np
 
 from tepm_opt.closed_loops.result import LOG, ClosedLoop, Setup
 from tepm_opt.control.follow import controller_named
-from tepm_opt.control.mpc import MpcSettings
 from tepm_opt.control.reference import Reference
 from tepm_opt.control.track import End, Guard, Show, Tracked, track
 from tepm_opt.data.files import output_folder
@@ -115,7 +114,7 @@ def run_closed_loop(
         raise InputError(
             f"the rig's robot is {known.name!r}, the model's {model.robot.name!r}; name the one that is there (--robot, --model)"
         )
-    settings = setup.settings or MpcSettings()
+    settings = setup.settings
     if not isinstance(rig, Virtual):  # there time does not wait for a step
         settings = replace(settings, late=min(settings.late, reference.period))
     controller = controller_named(setup.controller, model, reference, settings)

@@ -68,8 +68,8 @@ def prototype(seed: int, file: RigFile | None = None) -> SimulatedRig:
 
 
 def follow(task: str, controller: str, seed: int, settings: MpcSettings | None = None, points: int = 32) -> Tracked:
-    """A task by a controller."""
-    path = reference(task, points)
+    """A task by a controller; points are steps for the paper's modes, as they were for the paper."""
+    path = reference(task, points, 1.0 if controller == "mpc" else 0.01)
     return track(prototype(seed), controller_named(controller, model(), path, settings), model().robot, WIDE)
 
 

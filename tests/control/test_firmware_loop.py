@@ -55,4 +55,4 @@ def test_circle_through_the_firmware_as_on_the_simulated_rig(board: Board) -> No
     assert not through.fallbacks
     assert len(through.rows) == len(through.reference)
     assert board.safe
-    assert through.error() == pytest.approx(direct.error(), rel=0.10)
+    assert through.error() < 1.1 * direct.error()

@@ -113,7 +113,7 @@ def broken(now: float, sample: Sample) -> Sample:
 
 
 def test_reference_is_followed_to_its_end(short):
-    """Every period once, after a glide to the start from nothing; the rig is stopped at the end."""
+    """Every period once, after a glide to the start from nothing; in the end slowly back to nothing, and the rig is stopped."""
     rig = Fake(short)
     done = track(rig, Still(short), ROBOT, GUARD)
     assert done.end is End.DONE
@@ -128,6 +128,22 @@ def test_reference_is_followed_to_its_end(short):
     assert np.diff(glide).max() < 2e5 * 1.875 * 0.01 / 0.5 * 1.01
     assert glide[-1] == pytest.approx(2e5)
     assert all(command.tensions[0] == 0 for command in rig.commands[:80])  # of a motor that is off
+    back = np.array([command.pressures[0] for command in rig.commands[-50:]])
+    assert (np.diff(back) <= 0).all()
+    assert np.diff(back).min() > -2e5 * 1.875 * 0.01 / 0.5 * 1.01
+    assert back[-1] < 0.01 * back[0]
+    assert rig.stopped == 1
+
+
+def test_rig_that_rests_at_the_start_is_not_taken_there(short):
+    """Without a glide the first command is the start, and the first sample closes the loop."""
+    rig = Fake(short)
+    rig.now = round(CLOSED / 0.01) - 1
+    done = track(rig, Still(short), ROBOT, replace(GUARD, glide=0.0))
+    assert done.end is End.DONE
+    assert done.rows == list(range(len(short)))
+    assert (rig.commands[0].pressures == 2e5).all()
+    assert len(rig.commands) == 1 + len(short)
     assert rig.stopped == 1
 
 
@@ -202,7 +218,7 @@ def test_measured_inputs_look_and_progress(short):
     rig = Fake(short)
     done = track(rig, Still(short), ROBOT, GUARD, lambda *what: told.append(what), lambda sample, target: seen.append(target))
     assert np.array(done.measured).shape == (450, 12)
-    assert {stage for stage, _, _ in told} == {"to the start", "tracking"}
+    assert {stage for stage, _, _ in told} == {"to the start", "tracking", "back to zero"}
     np.testing.assert_array_equal(seen, short.tips)
     without = track(Fake(short, lambda _, sample: replace(sample, tensions=None)), Still(short), ROBOT, GUARD)
     assert np.isnan(without.measured).all()
