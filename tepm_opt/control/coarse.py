@@ -27,6 +27,7 @@ class CoarseSettings:
         share: of the feedback's planned forces that the pressure takes part in where the reference is quick; where it stands, the
             tension alone reacts and the regulators are spared.
         quick: speed of the tip in m/s from which the whole share is taken.
+        calming: smoothing of that share, s.
         smoothing: of the unknown forces, which the pressure takes over, s.
     """
 
@@ -36,6 +37,7 @@ class CoarseSettings:
     on_grid: bool = True
     share: float = 0.7
     quick: float = 0.1
+    calming: float = 0.1
     smoothing: float = 0.3
 
 

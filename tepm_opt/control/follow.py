@@ -65,7 +65,7 @@ class LengthFollower:
 
 
 def controller_named(name: str, model: CompiledModel, reference: Reference, settings: MpcSettings | None = None) -> Controller:
-    """ "mpc", "mode1" or "mode2" on a reference.
+    """The controller of a name, one of `CONTROLLERS`, on a reference.
 
     Raises:
         InputError: no such controller.

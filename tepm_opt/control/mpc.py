@@ -131,7 +131,7 @@ class Mpc:
         self._operating: dict[int, Operating] = {}
         self._newest: LocalModel | None = None
         self._plan: np.ndarray | None = None
-        self._slow = np.zeros(half)
+        self._slow, self._extra = np.zeros(half), np.zeros((settings.stages, half))
         self._planned: np.ndarray | None = None
         self.fallbacks: dict[str, int] = {}
         self.last: Step | None = None
@@ -281,8 +281,9 @@ class Mpc:
             need = need - self._slow
             if self._planned is not None:
                 extra = self._planned - forecast.rest_force - forecast.dynamic[: settings.stages]
+                self._extra = self._extra + (1 - np.exp(-self.period / coarse.calming)) * (extra - self._extra)
                 share = coarse.share * min(1.0, forecast.speed / coarse.quick)
-                need[: settings.stages] += share * np.linspace(1, 0, settings.stages)[:, None] * extra
+                need[: settings.stages] += share * np.linspace(1, 0, settings.stages)[:, None] * self._extra
         return self._coarse.plan(need - effects + still + factor * middle, now, self._looked.pressure, settings.stages)
 
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -141,8 +142,8 @@ def track(
         try:
             first = _prepared(rig, controller, robot, guard, watch, show, rests)
             _closed(rig, controller, watch, show, look, done, first)
-            if done.end is End.DONE and not rests:
-                _down(rig, done.commands[-1], guard, show)
+            if not rests:
+                _down(rig, done.commands[-1], guard, watch, show)
         except Stopped as stop:
             done.end, done.message = stop.end, str(stop)
         except KeyboardInterrupt:
@@ -227,12 +228,14 @@ def _part(command: Command, part: float) -> Command:
     return Command(part * command.pressures, part * command.tensions * command.enabled, command.enabled)
 
 
-def _down(rig: Rig, last: Command, guard: Guard, show: Show) -> None:
-    """From the last command slowly to nothing."""
-    began = rig.read().time
-    while (passed := rig.read().time - began) < guard.glide:
-        rig.apply(_part(last, 1 - float(rising(np.array(passed / guard.glide)))))
-        show("back to zero", passed, guard.glide)
+def _down(rig: Rig, last: Command, guard: Guard, watch: _Watch, show: Show) -> None:
+    """From the last command slowly to nothing; what ends that early is stopped, which is no worse than what was to come."""
+    with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
+        began = rig.read().time
+        while (passed := (sample := rig.read()).time - began) < guard.glide:
+            watch.check(sample)
+            rig.apply(_part(last, 1 - float(rising(np.array(passed / guard.glide)))))
+            show("back to zero", passed, guard.glide)
 
 
 def _closed(rig: Rig, controller: Controller, watch: _Watch, show: Show, look: Look | None, done: Tracked, sample: Sample) -> None:

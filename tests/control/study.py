@@ -39,10 +39,10 @@ def model() -> CompiledModel:
 
 
 @lru_cache(maxsize=4)
-def reference(task: str, points: int = 32) -> Reference:
-    """ "points", "circle", "lissajous" or "hold", from rest."""
+def reference(task: str, points: int = 32, move: float = 1.0) -> Reference:
+    """From rest: "points" (from each to the next in `move` s), "circle", "lissajous" or "hold"."""
     if task == "points":
-        tips, counted, number = point_by_point(circle().positions[:points], move=1.0, stay=3.0, taken=1.0)
+        tips, counted, number = point_by_point(circle().positions[:points], move, stay=3.0, taken=1.0)
         lead = approach(model(), tips[0], APPROACH)
     else:
         if task == "hold":
