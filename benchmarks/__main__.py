@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from benchmarks import control, dynamics, gain, kinematics, statics
+from benchmarks import control, control_loop, dynamics, gain, kinematics, statics
 from benchmarks.limit import Limit
 from benchmarks.report import print_report, write_json
 from benchmarks.scene import Scene
@@ -68,14 +68,18 @@ def main(
             except InputError as error:
                 raise typer.BadParameter(str(error)) from error
         if only in (None, "control"):
-            tasks += control.tasks(scene.model)
+            tasks += control.tasks(scene.model, control_loop.recorded_step(scene.model))
         for task in tasks:
             if not quick or task is tasks[0]:
                 progress.print("running the limit …")
                 practical.run()
             progress.print(f"timing {task.title} …")
             measure(task, rounds if np.isnan(task.simulated) else dynamics.rounds(rounds), quick)
-    print_report(Console(width=max(Console().width, WIDTH)), tasks, practical, pinned, rounds)
+    console = Console(width=max(Console().width, WIDTH))
+    print_report(console, tasks, practical, pinned, rounds)
+    if only in (None, "control"):
+        progress.print("closing the loop …")
+        control_loop.keep_pace(scene.model, console, 8.0 if quick else 60.0)
     if json:
         write_json(json, tasks, practical, pinned)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.hw.rig import Sample
+from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 
 LAGS = {"regulator_lag.filling_time": "filling", "regulator_lag.exhausting_time": "exhausting", "time_delay.delay": "delay"}
@@ -51,13 +51,12 @@ class Actuators:
     Attributes:
         pressure: (actuators,) in Pa.
         tension: (actuators,) in N.
-        command: [pressures, tensions] in force now, (2 · actuators,).
+        command: in force now.
     """
 
-    def __init__(self, devices: Devices, area: float, inputs: np.ndarray) -> None:
-        self.devices, self.area = devices, area
-        self.command = np.array(inputs, dtype=float)
-        self.pressure, self.tension = np.split(self.command.copy(), 2)
+    def __init__(self, devices: Devices, area: float, command: Command) -> None:
+        self.devices, self.area, self.command = devices, area, command
+        self.pressure, self.tension = command.pressures.astype(float), command.tensions * command.enabled
 
     def copy(self) -> Actuators:
         """For looking ahead."""
@@ -72,11 +71,11 @@ class Actuators:
 
     def advance(self, duration: float) -> np.ndarray:
         """Some s under the command in force; F_a at the start and the end, (2, actuators) in N."""
-        before = self.forces
-        pressure, tension = np.split(self.command, 2)
+        before, command = self.forces, self.command
         most = self.devices.tension_rate * duration
-        self.pressure = self.devices.lag(self.pressure, pressure, duration)
-        self.tension = self.tension + np.minimum(np.maximum(tension - self.tension, -most), most)
+        self.pressure = self.devices.lag(self.pressure, command.pressures, duration)
+        wound = self.tension + np.minimum(np.maximum(command.tensions - self.tension, -most), most)
+        self.tension = np.where(command.enabled, wound, 0.0)  # a motor that is off lets go at once
         return np.array([before, self.forces])
 
     def correct(self, sample: Sample) -> None:
@@ -90,17 +89,22 @@ class Actuators:
 class Sent:
     """Commands on their way: what was sent, and from when on it acts."""
 
-    def __init__(self, inputs: np.ndarray) -> None:
-        self._entries: deque[tuple[float, np.ndarray]] = deque([(-np.inf, inputs)])
+    def __init__(self, first: Command) -> None:
+        self._entries: deque[tuple[float, Command]] = deque([(-np.inf, first)])
 
-    def add(self, acts_at: float, inputs: np.ndarray) -> None:
-        """A command [pressures, tensions] that acts from a time in s on."""
-        self._entries.append((acts_at, inputs))
+    @property
+    def last(self) -> Command:
+        """The one sent last."""
+        return self._entries[-1][1]
 
-    def between(self, start: float, end: float) -> np.ndarray:
+    def add(self, acts_at: float, command: Command) -> None:
+        """A command that acts from a time in s on."""
+        self._entries.append((acts_at, command))
+
+    def between(self, start: float, end: float) -> Command:
         """The command in force at the middle of an interval in s."""
         middle = (start + end) / 2
-        return next(inputs for at, inputs in reversed(self._entries) if at <= middle)
+        return next(command for at, command in reversed(self._entries) if at <= middle)
 
     def forget(self, before: float) -> None:
         """Drop what a time in s from `before` on does not need."""

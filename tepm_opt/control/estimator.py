@@ -2,7 +2,7 @@
 
 The state is [q, q', d, c, b]: modal coordinates about an operating point (see `solvers.local`), axial forces that nobody commanded,
 the muscles' dry friction, and biases of the reference points. Forces that wander and a bias of the tip that does not fade make the
-tip free of offset (Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003).
+tip nearly free of offset (Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003).
 """
 
 from __future__ import annotations

@@ -52,6 +52,8 @@ class MpcSettings:
         rule: whether a motor is enabled only while its muscle's length is near the reference's, as in the paper's mode 2; else always.
         near, leave: how near in m a motor is enabled, and how far it is disabled again.
         use: which actuators; those left out keep still.
+        corridor: error of the tip along an axis, in m, beyond which it costs a hundred times as much: a soft constraint; infinite for
+            none.
         coarse: how pressures are planned.
         estimator: what the estimator believes.
         late: s after which a step counts as late and the last plan goes on.
@@ -65,6 +67,7 @@ class MpcSettings:
     near: float = 3e-3
     leave: float = 4e-3
     use: Use = Use.BOTH
+    corridor: float = np.inf
     coarse: CoarseSettings = field(default_factory=CoarseSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     late: float = np.inf
@@ -126,7 +129,10 @@ class Mpc:
         step = robot.actuation.pressure_step
         self._coarse = PressurePlanner(self.devices, self.area, self._pressure_max, step, self.stage, settings.coarse)
         variables = settings.stages * half
-        self._solver = QpSolver(np.eye(variables) - np.eye(variables, k=-half))
+        self._rates = np.eye(variables) - np.eye(variables, k=-half)
+        kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
+        soft = np.append(np.full(variables, np.inf), np.full(kept, (10 / settings.weights.tip) ** 2)) if kept else None
+        self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
         self._forecast = Forecast(settings.weights, settings.stages)
         self._operating: dict[int, Operating] = {}
         self._newest: LocalModel | None = None
@@ -138,7 +144,7 @@ class Mpc:
         first = self.start()
         inputs = np.concatenate([first.pressures, first.tensions])
         self._enabled = first.enabled.copy()
-        self._actuators, self._sent = Actuators(self.devices, self.area, inputs), Sent(inputs)
+        self._actuators, self._sent = Actuators(self.devices, self.area, first), Sent(first)
         self._effects = InputEffects(model, inputs)
         noise = (robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3)
         middle = settings.middle * float(self._tension_max[0])
@@ -164,12 +170,12 @@ class Mpc:
         pressures, tensions = self._pressures, plan[0]
         enabled = self._enabled
         tensions = np.clip((self._looked.tension + tensions) / 2, 0.0, self._tension_max) * enabled  # half a stage is one period
-        inputs = np.concatenate([pressures, tensions])
-        self._sent.add(sample.time + self.ahead * self.period, inputs)
+        command = Command(pressures, tensions, enabled.copy())
+        self._sent.add(sample.time + self.ahead * self.period, command)
         self._sent.forget(sample.time)
         seconds = (time.perf_counter() - began, result.seconds)
         self.last = Step(self._row, estimate, pressures, tensions, moves, unknown, plan, result.status, result.iterations, seconds)
-        return Command(pressures, tensions, enabled.copy())
+        return command
 
     def _point(self, period: int) -> Operating:
         """The network about the reference at a period."""
@@ -226,7 +232,7 @@ class Mpc:
         pulled = estimate.friction * course(direction, steps, distance)
         still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
         pressures, reached = self._plan_pressures(estimate.unknown, effects, still, factor, rows)
-        moves = int(np.sum(pressures != self._sent_pressure()))
+        moves = int(np.sum(pressures != self._sent.last.pressures))
         self._pressures = pressures
         unknown = estimate.unknown + effects
         begin = looked.forces + unknown - estimate.friction * direction * self._estimator.loaded(looked.tension) - forecast.forces[0]
@@ -242,9 +248,6 @@ class Mpc:
             plan, self._planned = self._shifted(looked.tension), None
         self._plan = plan
         return plan, moves, unknown - estimate.friction * direction, result
-
-    def _sent_pressure(self) -> np.ndarray:
-        return self._sent.between(np.inf, np.inf)[: len(self.middle)]
 
     def _shifted(self, tension: np.ndarray) -> np.ndarray:
         """The last plan, half a stage on; as it is where there was none."""
@@ -273,7 +276,7 @@ class Mpc:
         quick = 1 - np.exp(-self.period / coarse.smoothing)
         self._slow = self._slow + quick * (unknown - self._slow)
         middle = self.middle * self._enabled
-        now = self._sent_pressure()
+        now = self._sent.last.pressures
         if settings.use is Use.TENSION:
             return now, np.tile(now, (settings.stages, 1))
         need = forecast.forces[1 : coarse.preview + 1] + forecast.dynamic[: coarse.preview] + forecast.rest_force
@@ -300,4 +303,11 @@ class Mpc:
         first = tension * self._enabled if self.settings.use is not Use.PRESSURE else tension
         rate_low[:count] += first
         rate_high[:count] += first
-        return self._solver.solve(H * scale[:, None] * scale, scale * (f + H @ offset.ravel()), low, high, rate_low, rate_high)
+        H, f = H * scale[:, None] * scale, scale * (f + H @ offset.ravel())
+        if not np.isfinite(self.settings.corridor):
+            return self._solver.solve(H, f, low, high, rate_low, rate_high)
+        forecast, width = self._forecast, self.settings.corridor
+        centre = forecast.tip_free + forecast.tip_answer @ offset.ravel()
+        rows = np.vstack([self._rates, forecast.tip_answer * scale])
+        row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
+        return self._solver.solve(H, f, low, high, row_low, row_high, rows)

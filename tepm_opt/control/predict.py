@@ -42,6 +42,8 @@ class Forecast:
         forces: axial forces of the reference at stages 0 …, (stages and preview, actuators) in N.
         dynamic: forces that accelerate the arm along the reference at stages 1 …, (preview, actuators) in N.
         speed: of the reference's tip over the stages in m/s.
+        tip_answer, tip_free: of the tip's error at stages 1 … stages − 1, what the forces at stages 1 … make of it and what is there
+            without them, (3 · (stages − 1), stages · actuators) in m/N and (3 · (stages − 1),) in m; as of the last `cost`.
         rest_force: deviation of the forces that brings the tip to its target at rest, with the bias it has, (actuators,) in N.
     """
 
@@ -139,7 +141,9 @@ class Forecast:
         answer, of_first = rows @ later[: stages - 1, :modes], rows @ first[: stages - 1, :modes]
         seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)
         seen = seen.transpose(0, 2, 1, 3).reshape((stages - 1) * outputs, stages * inputs)
+        self.tip_answer = self.weights.tip * seen.reshape(stages - 1, outputs, -1)[:, :3].reshape(-1, stages * inputs)
         error = (self._free[1:stages, :modes] - self._rest[:modes]) @ rows.T + of_first @ begin
+        self.tip_free = self.weights.tip * error[:, :3].ravel()
         end = np.zeros((states + inputs, stages * inputs))
         end[:states], end[states:, -inputs:] = later[::-1].transpose(1, 0, 2).reshape(states, -1), np.eye(inputs)
         at_end = np.concatenate([self._free[-1] - self._rest + first[-1] @ begin, -self.rest_force])

@@ -77,13 +77,13 @@ class QpResult:
 class QpSolver:
     """Solves programs with the same rows R, each from the active set of the one before; not for several threads at once."""
 
-    def __init__(self, rows: np.ndarray, soft: float | None = None, iterations: int = 1000) -> None:
+    def __init__(self, rows: np.ndarray, soft: float | np.ndarray | None = None, iterations: int = 1000) -> None:
         """A solver for programs of (variables,) = R's columns.
 
         Args:
             rows: R, (rows, variables); no rows where there are none.
             soft: weight w by which rows may be violated: ½ w times the squares of what they are beyond their bounds is added to the
-                cost. None forbids it. Bounds of x are never violated.
+                cost; one for all or one a row, infinite where a row is hard. None forbids it. Bounds of x are never violated.
             iterations: most changes of the active set of one solve, some microseconds each.
 
         Raises:
@@ -92,14 +92,16 @@ class QpSolver:
         R = np.array(rows, dtype=float)
         if R.ndim != 2 or not R.shape[1] or not np.isfinite(R).all():
             raise InputError(f"rows: shape {R.shape}; valid: a matrix of finite numbers, a column for each variable")
-        if not (iterations >= 1 and (soft is None or 0 < soft < np.inf)):
-            raise InputError(f"soft: {soft!r}, iterations: {iterations!r}; valid: a positive weight or None, at least 1 iteration")
         m, n = R.shape
-        self.variables, self.rows, self.soft, self.iterations = n, m, soft, iterations
+        weights = np.full(m, np.inf) if soft is None else np.asarray(soft, dtype=float)
+        if not (iterations >= 1 and weights.shape in ((), (m,)) and (weights > 0).all() and (soft is None or np.isfinite(weights).any())):
+            raise InputError(f"soft: {soft!r}, iterations: {iterations!r}; valid: positive weights or None, at least 1 iteration")
+        self.variables, self.rows, self.iterations = n, m, iterations
+        self._soft = np.broadcast_to(weights, (m,))
         self._shapes = [(n, n), (n,), (n,), (n,), (m,), (m,)]
         self._rows = sp.csr_array(R) if np.count_nonzero(R) <= SPARSE * R.size else R
         self._sense = np.zeros(n + m, dtype=c_int)
-        self._sense[n:] = 0 if soft is None else SOFT
+        self._sense[n:] = np.where(np.isfinite(self._soft), SOFT, 0)
         self._identity, self._zero = np.eye(n), np.zeros(n)
         self._low, self._high, self._rest, self._M = np.zeros(n + m), np.zeros(n + m), np.zeros(n + m), np.zeros((n + m, n))
         self._inverse: np.ndarray | None = None  # L⁻¹
@@ -114,6 +116,7 @@ class QpSolver:
         upper: np.ndarray,
         row_lower: np.ndarray,
         row_upper: np.ndarray,
+        rows: np.ndarray | None = None,
     ) -> QpResult:
         """Minimiser of one program; a program without one is a status, never an exception.
 
@@ -126,11 +129,16 @@ class QpSolver:
             gradient: f, (variables,).
             lower, upper: of x, (variables,); infinite where there is none.
             row_lower, row_upper: of R x, (rows,); likewise.
+            rows: another R of the same shape from now on; with it goes another hessian.
 
         Raises:
             InputError: wrong shape.
         """
         began = time.perf_counter()
+        if rows is not None:
+            if np.shape(rows) != (self.rows, self.variables):
+                raise InputError(f"rows: shape {np.shape(rows)}; valid: {(self.rows, self.variables)}")
+            self._rows = np.asarray(rows, dtype=float)
         H = self._identity if hessian is None else np.asarray(hessian, dtype=float)
         given = [H, *(np.asarray(part, dtype=float) for part in (gradient, lower, upper, row_lower, row_upper))]
         shapes = [part.shape for part in given]
@@ -147,7 +155,7 @@ class QpSolver:
             if status is QpStatus.SOLVED:
                 x, beyond = self._within(u)
                 if x is not None:
-                    return QpResult(x, self._scale * multipliers, status, count, beyond if self.soft else 0.0, time.perf_counter() - began)
+                    return QpResult(x, self._scale * multipliers, status, count, beyond, time.perf_counter() - began)
                 status = QpStatus.FAILED
             self._workspace = None
         return QpResult(status=status, iterations=count, seconds=time.perf_counter() - began)
@@ -188,8 +196,9 @@ class QpSolver:
         if flag < 0:
             return flag, self._zero, self._zero, 0
         self._moved = False
-        if self.soft:
-            rho = np.full(len(low), self._scale / self.soft)
+        if self._sense.any():
+            rho = np.full(len(low), self._scale)
+            rho[self.variables :] = self._scale / self._soft
             model.soft_weights(rho_l=rho, rho_u=rho)
         u, _, flag, info = model.solve()
         return flag, u, info["lam"], info["iterations"]
@@ -199,9 +208,10 @@ class QpSolver:
         n, values = self.variables, self._M @ u + self._rest
         x = np.minimum(np.maximum(values[:n], self._low[:n]), self._high[:n])
         beyond = np.maximum(self._low - values, values - self._high)
-        of_x, of_rows = float(beyond[:n].max()), float(beyond[n:].max(initial=0.0))
+        soft = np.isfinite(self._soft)
+        of_x, of_rows = float(beyond[:n].max()), float(beyond[n:][~soft].max(initial=0.0))
         allowed = WITHIN * max(1.0, float(np.abs(x).max()))  # the comparisons are false where x is not finite
-        return (x if of_x <= allowed < np.inf and (of_rows <= allowed or self.soft) else None), max(of_rows, 0.0)
+        return (x if max(of_x, of_rows) <= allowed < np.inf else None), float(beyond[n:][soft].max(initial=0.0))
 
 
 def _definite_factor(H: np.ndarray) -> np.ndarray | None:

@@ -6,7 +6,7 @@ import pytest
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
 from tepm_opt.control.coarse import CoarseSettings, PressurePlanner
 from tepm_opt.control.friction import course, turned
-from tepm_opt.hw.rig import Sample
+from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 
@@ -83,8 +83,8 @@ def test_devices_of_the_robot_file_and_of_a_model_with_a_lag_of_its_own():
 
 def test_actuators_lag_and_slew():
     """Pressures exponentially, tensions at the motors' rate; F_a at the start and the end; a look ahead changes nothing."""
-    actuators = Actuators(DEVICES, AREA, np.append(np.full(6, 1e5), np.full(6, 2.0)))
-    actuators.command = np.append(np.full(6, 2e5), np.full(6, 2.05))
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 2.0))))
+    actuators.command = Command.of(np.append(np.full(6, 2e5), np.full(6, 2.05)))
     ahead = actuators.copy()
     before, after = ahead.advance(0.01)
     assert before == pytest.approx(AREA * 1e5 - 2.0)
@@ -92,14 +92,17 @@ def test_actuators_lag_and_slew():
     assert ahead.tension == pytest.approx(2.05)
     assert after == pytest.approx(AREA * ahead.pressure - 2.05)
     assert actuators.pressure == pytest.approx(1e5)
-    actuators.command[6:] = 7.0
+    actuators.command.tensions[:] = 7.0
     actuators.advance(0.01)
     assert actuators.tension == pytest.approx(2.1)
+    actuators.command.enabled[0] = False
+    actuators.advance(0.01)
+    assert actuators.tension == pytest.approx([0.0, *[2.2] * 5])
 
 
 def test_measurements_correct_where_there_are_any():
     """Half-way; NaN and what is not measured change nothing."""
-    actuators = Actuators(DEVICES, AREA, np.append(np.full(6, 1e5), np.full(6, 2.0)))
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 2.0))))
     actuators.correct(Sample(0.0, np.zeros((4, 3)), pressures=np.array([2e5, np.nan, 1e5, 1e5, 1e5, 0.0])))
     assert actuators.pressure == pytest.approx([1.5e5, 1e5, 1e5, 1e5, 1e5, 0.5e5])
     assert actuators.tension == pytest.approx(2.0)
@@ -126,7 +129,7 @@ def test_no_effects_no_extra_forces(kang):
     lagging = compile_model(NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.3), backend="python")
     for model in (kang, lagging):
         effects = InputEffects(model, inputs)
-        actuators = Actuators(DEVICES, AREA, inputs)
+        actuators = Actuators(DEVICES, AREA, Command.of(inputs))
         actuators.pressure = np.full(6, 3e5)
         effects.advance(actuators, 0.01)
         assert effects.forces == pytest.approx(np.zeros(6), abs=1e-9)
@@ -135,8 +138,8 @@ def test_no_effects_no_extra_forces(kang):
 def test_weaker_muscle_lacks_its_share():
     """A tenth of muscle 13's p A, from the start and after a change."""
     model = compile_model(NOMINAL.with_effect("actuator_gain", "13", loss=0.1), backend="python")
-    actuators = Actuators(DEVICES, AREA, np.append(np.full(6, 2e5), np.full(6, 3.0)))
-    effects = InputEffects(model, actuators.command)
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 2e5), np.full(6, 3.0))))
+    effects = InputEffects(model, np.concatenate([actuators.pressure, actuators.tension]))
     assert effects.forces == pytest.approx([0, 0, -0.1 * AREA * 2e5, 0, 0, 0])
     actuators.pressure = np.full(6, 3e5)
     effects.advance(actuators, 0.01)
@@ -147,8 +150,8 @@ def test_hysteresis_trails_by_its_width():
     """After a long way up the force lacks A · width, after the way back it has as much too much."""
     width = 8e3
     model = compile_model(NOMINAL.with_effect("pressure_hysteresis", width=width, distance=1e4), backend="python")
-    actuators = Actuators(DEVICES, AREA, np.append(np.full(6, 1e5), np.full(6, 3.0)))
-    effects = InputEffects(model, actuators.command)
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 3.0))))
+    effects = InputEffects(model, np.concatenate([actuators.pressure, actuators.tension]))
     assert effects.forces == pytest.approx(np.zeros(6))
     for change, sign in ((1e3, -1), (-1e3, 1)):
         for _ in range(100):

@@ -254,3 +254,17 @@ def test_loop_on_the_virtual_prototype(short, followed):
     assert followed.error() < 2e-3
     commanded = np.array([command.pressures for command in followed.commands])
     assert (np.diff(commanded, axis=0) != 0).sum() < 0.2 * commanded.size
+
+
+def test_soft_corridor_pulls_the_tip_in(kang, short):
+    """From 8 mm beside it and with the error itself cheap: less is planned beyond a corridor that cannot be kept at once; nothing fails."""
+    beyond = {}
+    for corridor in (np.inf, 1e-3):
+        controller = Mpc(kang, short, MpcSettings(weights=Weights(tip=1e-2), corridor=corridor))
+        for k in range(60):
+            controller.command(Sample(k * short.period, short.equilibria[k].points + np.array([8e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4))
+        forecast = controller._forecast
+        planned = (forecast.tip_free + forecast.tip_answer @ controller._planned.ravel()).reshape(-1, 3)
+        beyond[corridor] = float(np.maximum(np.abs(planned) - 1e-3, 0).sum())
+        assert controller.fallbacks == {}
+    assert beyond[1e-3] < 0.7 * beyond[np.inf]
