@@ -8,6 +8,7 @@ from tepm_opt.models.robot import UNITS, Parameters, builtin_robots, load_robot,
 from tests.tools import variant
 
 TEXT = robot_text("kang2017")
+TRACKER = TEXT[TEXT.index("[tracker]") : TEXT.index("[hardware.pressure]")]
 
 
 def test_the_built_in_robot_is_the_papers():
@@ -49,7 +50,7 @@ MALFORMED = {
     ),
     "unknown table": ("[tracker]", "[camera]\nnoise = 1\n[tracker]", "unknown key 'camera': ", "tracker"),
     "missing key": ("m_d = 0.22 ", "", "missing key 'parameters.m_d'", "0.0001 … 100 kg"),
-    "missing table": ("[tracker]\nnoise_rms_m = 1.0e-3", "", "missing key 'tracker'", ""),
+    "missing table": (TRACKER, "", "missing key 'tracker'", ""),
     "pressure in MPa": ("pressure_max_Pa = 0.5e6", "pressure_max_Pa = 0.5", "actuation.pressure_max_Pa = 0.5: ", "1000 … 2e+07 Pa"),
     "length in mm": ("L_0 = 0.200", "L_0 = 200", "parameters.L_0 = 200: ", "0.001 … 10 m"),
     "area in mm2": ("A = 50.27e-6", "A = 50.27", "parameters.A = 50.27: ", "1e-07 … 0.01 m^2"),
