@@ -160,7 +160,7 @@ def tendon_ends(path, steps=20, **parameters):
     for before, after in pairwise(commanded):
         u, rate = np.zeros(12), np.zeros(12)
         u[6], rate[6] = after, (after - before) / duration
-        a, y = (part.ravel() for part in model.moving._values("input_motion", u, rate, y, duration, model.theta))
+        a, y = (part.ravel() for part in model.moving.values("input_motion", u, rate, y, duration, model.theta))
         found.append(a[6])
     return commanded, np.array(found)
 
