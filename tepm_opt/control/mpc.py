@@ -13,7 +13,7 @@ taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control, 2nd ed.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -104,6 +104,16 @@ class Step:
     seconds: tuple[float, float]
 
 
+@dataclass(frozen=True, eq=False)
+class _Ahead:
+    """What will be when a new command can act: the operating point, [q, q'] about it, the actuators, which way friction pulls."""
+
+    operating: Operating
+    motion: np.ndarray
+    actuators: Actuators
+    direction: np.ndarray
+
+
 class Mpc:
     """The controller on one reference.
 
@@ -166,15 +176,11 @@ class Mpc:
         """Set points for a sample; never NaN, always within the limits."""
         began = time.perf_counter()
         estimate = self._observe(sample)
-        plan, moves, unknown, result = self._decide(estimate, began)
-        pressures, tensions = self._pressures, plan[0]
-        enabled = self._enabled
-        tensions = np.clip((self._looked.tension + tensions) / 2, 0.0, self._tension_max) * enabled  # half a stage is one period
-        command = Command(pressures, tensions, enabled.copy())
+        ahead = self._look_ahead(estimate)
+        command, step = self._decide(estimate, ahead, began)
         self._sent.add(sample.time + self.ahead * self.period, command)
         self._sent.forget(sample.time)
-        seconds = (time.perf_counter() - began, result.seconds)
-        self.last = Step(self._row, estimate, pressures, tensions, moves, unknown, plan, result.status, result.iterations, seconds)
+        self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
         return command
 
     def _point(self, period: int) -> Operating:
@@ -205,49 +211,52 @@ class Mpc:
         self._effects.advance(self._actuators, self.period)
         return self._estimator.update(sample.points)
 
-    def _decide(self, estimate: Estimate, began: float) -> tuple[np.ndarray, int, np.ndarray, QpResult]:
-        """Plan of the tensions, moves of the pressures, the unknown forces and what the program said."""
-        reference, settings, effects = self.reference, self.settings, self._effects.forces
-        then, now, looked = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
-        motion, direction = estimate.motion, estimate.direction
-        distance = settings.estimator.presliding
-        for k in range(self.ahead):
-            at = self._row + k
-            start = self._zero + at * self.period  # type: ignore[operator]
-            looked.command = self._sent.between(start, start + self.period)
-            a, b = reference.at(np.array([at, at + 1]))
-            direction = turned(direction, reference.lengths[b] - reference.lengths[a] + self.period * estimate.deviation, distance)
-            friction = estimate.friction * direction * self._estimator.loaded(looked.tension)
-            motion = now.advance(motion, looked.advance(self.period) + effects + estimate.unknown - friction)
+    def _look_ahead(self, estimate: Estimate) -> _Ahead:
+        """From the sample's time to when a new command can act, under the commands that are on their way."""
+        then, now, actuators = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
+        motion, direction, lengths = estimate.motion, estimate.direction, self.reference.lengths
+        for at in range(self._row, self._row + self.ahead):
+            start = (self._zero or 0.0) + at * self.period
+            actuators.command = self._sent.between(start, start + self.period)
+            a, b = self.reference.at(np.array([at, at + 1]))
+            change = lengths[b] - lengths[a] + self.period * estimate.deviation
+            direction = turned(direction, change, self.settings.estimator.presliding)
+            friction = estimate.friction * direction * self._estimator.loaded(actuators.tension)
+            motion = now.advance(motion, actuators.advance(self.period) + self._effects.forces + estimate.unknown - friction)
         turn, shift = then.seen_from(now)
         modes = len(shift)
-        motion = np.concatenate([turn @ motion[:modes] + shift, turn @ motion[modes:]])
-        self._looked = looked
-        rows = reference.at(self._row + self.ahead + PERIODS * np.arange(-1, settings.coarse.preview + 2))
-        forecast = self._forecast
-        forecast.about(then, reference, rows, motion, estimate.bias[-1])
-        self._switch(then, motion, rows)
+        return _Ahead(then, np.concatenate([turn @ motion[:modes] + shift, turn @ motion[modes:]]), actuators, direction)
+
+    def _decide(self, estimate: Estimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
+        """Pressures, then tensions that know them."""
+        reference, settings, forecast = self.reference, self.settings, self._forecast
+        stages, preview, actuators = settings.stages, settings.coarse.preview, ahead.actuators
+        rows = reference.at(self._row + self.ahead + PERIODS * np.arange(-1, preview + 2))
+        forecast.about(ahead.operating, reference, rows, ahead.motion, estimate.bias[-1])
+        self._enabled = self._switched(ahead)
         # friction over the coming stages: a part that does not depend on the tension and one in proportion to it
-        share, steps = settings.estimator.share, np.diff(reference.lengths[rows[1:]], axis=0)[: settings.coarse.preview]
-        pulled = estimate.friction * course(direction, steps, distance)
+        steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.estimator.share
+        pulled = estimate.friction * course(ahead.direction, steps, settings.estimator.presliding)
         still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
-        pressures, reached = self._plan_pressures(estimate.unknown, effects, still, factor, rows)
-        moves = int(np.sum(pressures != self._sent.last.pressures))
-        self._pressures = pressures
-        unknown = estimate.unknown + effects
-        begin = looked.forces + unknown - estimate.friction * direction * self._estimator.loaded(looked.tension) - forecast.forces[0]
-        stages = settings.stages
+        before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
+        pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators.pressure)
+        begin = actuators.forces + unknown - forecast.forces[0]
+        begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
         offset = self.area * reached - forecast.forces[1 : stages + 1] + unknown - still[:stages]
-        result = self._solve(begin, offset, factor[:stages], looked.tension)
+        result = self._solve(begin, offset, factor[:stages], actuators.tension)
         if result.x is not None and time.perf_counter() - began <= settings.late:
             plan = result.x.reshape(stages, -1)
             self._planned = offset - factor[:stages] * plan
         else:
             reason = result.status.value if result.x is None else "late"
             self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
-            plan, self._planned = self._shifted(looked.tension), None
+            plan, self._planned = self._shifted(actuators.tension), None
         self._plan = plan
-        return plan, moves, unknown - estimate.friction * direction, result
+        tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
+        against, moves = unknown - estimate.friction * ahead.direction, int(np.sum(pressures != before))
+        seconds = (0.0, result.seconds)
+        step = Step(self._row, estimate, pressures, tensions, moves, against, plan, result.status, result.iterations, seconds)
+        return Command(pressures, tensions, self._enabled.copy()), step
 
     def _shifted(self, tension: np.ndarray) -> np.ndarray:
         """The last plan, half a stage on; as it is where there was none."""
@@ -256,26 +265,24 @@ class Mpc:
         later = np.vstack([self._plan[1:], self._plan[-1:]])
         return np.clip((self._plan + later) / 2, 0.0, self._tension_max)
 
-    def _switch(self, then: Operating, motion: np.ndarray, rows: np.ndarray) -> None:
-        """ENA by the rule of mode 2, from the lengths; all on in free mode."""
-        settings = self.settings
-        if settings.use is Use.PRESSURE:
-            self._enabled = np.zeros(len(self.middle), dtype=bool)
-        elif settings.rule:
-            modes = len(motion) // 2
-            error = np.abs(then.model.drive.T @ motion[:modes])  # the actuators' lengths follow the modes as the modes follow their forces
-            self._enabled = error < np.where(self._enabled, settings.leave, settings.near)
-        else:
-            self._enabled = np.ones(len(self.middle), dtype=bool)
+    def _switched(self, ahead: _Ahead) -> np.ndarray:
+        """ENA, (actuators,): by the rule of mode 2, from the lengths; all on in free mode."""
+        settings, count = self.settings, len(self.middle)
+        if settings.use is Use.PRESSURE or not settings.rule:
+            return np.full(count, settings.use is not Use.PRESSURE)
+        drive = ahead.operating.model.drive  # lengths follow the modes as the modes follow the axial forces
+        return np.abs(drive.T @ ahead.motion[: len(drive)]) < np.where(self._enabled, settings.leave, settings.near)
 
-    def _plan_pressures(
-        self, unknown: np.ndarray, effects: np.ndarray, still: np.ndarray, factor: np.ndarray, rows: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Commands (actuators,) and pressures that they lead to, (stages, actuators), in Pa."""
+    def _plan_pressures(self, unknown: np.ndarray, pulled: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Commands (actuators,) and pressures that they lead to, (stages, actuators), in Pa.
+
+        Args:
+            unknown: forces that nobody commanded, (actuators,) in N.
+            pulled: what tensions and friction shall take away over the preview, (preview, actuators) in N.
+            pressure: in the muscles when the command begins to act, (actuators,) in Pa.
+        """
         settings, forecast, coarse = self.settings, self._forecast, self.settings.coarse
-        quick = 1 - np.exp(-self.period / coarse.smoothing)
-        self._slow = self._slow + quick * (unknown - self._slow)
-        middle = self.middle * self._enabled
+        self._slow = self._slow + (1 - np.exp(-self.period / coarse.smoothing)) * (unknown - self._slow)
         now = self._sent.last.pressures
         if settings.use is Use.TENSION:
             return now, np.tile(now, (settings.stages, 1))
@@ -287,7 +294,7 @@ class Mpc:
                 self._extra = self._extra + (1 - np.exp(-self.period / coarse.calming)) * (extra - self._extra)
                 share = coarse.share * min(1.0, forecast.speed / coarse.quick)
                 need[: settings.stages] += share * np.linspace(1, 0, settings.stages)[:, None] * self._extra
-        return self._coarse.plan(need - effects + still + factor * middle, now, self._looked.pressure, settings.stages)
+        return self._coarse.plan(need - self._effects.forces + pulled, now, pressure, settings.stages)
 
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
         """The program in the tensions λ of the stages: v = offset − factor λ."""
