@@ -138,6 +138,21 @@ class Estimate:
     refused: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """From a sample's state s to the next one's, each about its own operating point: A s + push + kick w, with w of unit covariance.
+
+    Attributes:
+        A: (states, states).
+        push: what is known, (states,).
+        kick: what is not, (states, disturbances).
+    """
+
+    A: np.ndarray
+    push: np.ndarray
+    kick: np.ndarray
+
+
 class Estimator:
     """The filter; `predict` and `update` in turns.
 
@@ -170,8 +185,8 @@ class Estimator:
         self._outlying = np.zeros(outputs // 3, dtype=int)
         self._nis, self._seen = np.nan, 0
 
-    def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: Operating) -> None:
-        """One period on.
+    def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: Operating) -> Transition:
+        """One period on; how.
 
         Args:
             forces: known axial forces at its start and end, (2, actuators) in N.
@@ -179,46 +194,38 @@ class Estimator:
             rates: of the actuators' lengths as the reference has them, (actuators,) in m/s.
             then: operating point at its end.
         """
-        settings, now = self.settings, self.operating
+        settings, now, before = self.settings, self.operating, self._direction
+        seen = now.model.drive.T @ self.mean[self._modes : 2 * self._modes]
+        self._deviation += (1 - np.exp(-now.period / settings.smoothing)) * (seen - rates - self._deviation)
+        self._direction = turned(before, (rates + self._deviation) * now.period, settings.presliding)
+        done = self._transition(forces, tension, np.abs(self._direction - before), then)
+        self.mean = done.A @ self.mean + done.push
+        self.covariance = done.A @ self.covariance @ done.A.T + done.kick @ done.kick.T
+        self.operating = then
+        return done
+
+    def _transition(self, forces: np.ndarray, tension: np.ndarray, turning: np.ndarray, then: Operating) -> Transition:
+        """Of one period in which frictions turned over by so much, (actuators,)."""
+        settings, now, size, modes = self.settings, self.operating, len(self.mean), self._modes
         drive, period = now.model.drive, now.period
-        seen = drive.T @ self.mean[self._modes : 2 * self._modes]
-        self._deviation += (1 - np.exp(-period / settings.smoothing)) * (seen - rates - self._deviation)
-        before = self._direction
-        self._direction = turned(before, (rates + self._deviation) * period, settings.presliding)
-        by_force = (now.start + now.end) @ drive
-        A = np.eye(len(self.mean))
+        by_force, pushed = (now.start + now.end) @ drive, (forces - now.forces) @ drive.T
+        A, push = np.eye(size), np.zeros(size)
         A[self._motion, self._motion] = now.A
         A[self._motion, self._unknown] = by_force
-        A[self._motion, self._friction] = -by_force * self.friction_factor(tension)
-        fading = np.arange(self._unknown.start, self._unknown.stop)
-        A[fading, fading] = np.exp(-period / settings.force_memory)
-        fading = np.arange(self._bias.start, self._tip.start)
-        A[fading, fading] = np.exp(-period / settings.bias_memory)
-        pushed = (forces - now.forces) @ drive.T
-        self.mean = A @ self.mean
-        self.mean[self._motion] += now.start @ pushed[0] + now.end @ pushed[1]
-        noise = np.diag(period * self._drift**2)
-        rate = slice(self._modes, 2 * self._modes)
-        noise[rate, rate] += period * settings.shock**2 * (drive @ drive.T)
-        unknown = np.arange(self._unknown.start, self._unknown.stop)
-        noise[unknown, unknown] += settings.turning**2 * np.abs(self._direction - before)
-        self.covariance = A @ self.covariance @ A.T + noise
-        self._turn(then)
-
-    def _turn(self, then: Operating) -> None:
-        """Go over to another operating point."""
-        turn, shift = then.seen_from(self.operating)
-        modes = self._modes
+        A[self._motion, self._friction] = -by_force * self._direction * self.loaded(tension)
+        for part, memory in ((self._unknown, settings.force_memory), (slice(self._bias.start, self._tip.start), settings.bias_memory)):
+            A[part, part] *= np.exp(-period / memory)
+        push[self._motion] = now.start @ pushed[0] + now.end @ pushed[1]
+        variance = period * self._drift**2
+        variance[self._unknown] += settings.turning**2 * turning
+        kick = np.zeros((size, len(turning) + size - 2 * modes))
+        kick[modes : 2 * modes, : len(turning)] = np.sqrt(period) * settings.shock * drive
+        kick[2 * modes :, len(turning) :] = np.diag(np.sqrt(variance[2 * modes :]))
+        turn, shift = then.seen_from(now)
         for part in (slice(0, modes), slice(modes, 2 * modes)):
-            self.mean[part] = turn @ self.mean[part]
-            self.covariance[part] = turn @ self.covariance[part]
-            self.covariance[:, part] = self.covariance[:, part] @ turn.T
-        self.mean[:modes] += shift
-        self.operating = then
-
-    def friction_factor(self, tension: np.ndarray) -> np.ndarray:
-        """By what the friction is multiplied: its direction, and the tension for its share, (actuators,)."""
-        return self._direction * self.loaded(tension)
+            A[part], push[part], kick[part] = turn @ A[part], turn @ push[part], turn @ kick[part]
+        push[:modes] += shift
+        return Transition(A, push, kick)
 
     def loaded(self, tension: np.ndarray) -> np.ndarray:
         """Friction at a tension in N over that at the middle one."""

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from tepm_opt.control.estimator import DEFAULT, Estimator, EstimatorSettings, Operating
+from tepm_opt.control.estimator import DEFAULT, Estimator, EstimatorSettings, Operating, Transition
 from tepm_opt.control.track import Tracked
 from tepm_opt.errors import InputError
 
@@ -109,12 +109,10 @@ def smooth(recorded: Recorded, noise: float, middle: float, settings: EstimatorS
     size = 2 * modes + 2 * actuators + recorded.points[0].size
     filtered = Estimator(recorded.operating[0], noise, middle, settings)
     scale, first = np.sqrt(np.diag(filtered.covariance)), filtered.mean
-    hessian, pull, moves, pushes, seen = [], [], [], [], []
+    hessian, pull, moved, seen = [], [], [], []
     for k, operating in enumerate(recorded.operating):
         if k:
-            move, push, kick = _step(filtered, recorded, k)
-            moves.append((move, kick))
-            pushes.append(push)
+            moved.append(filtered.predict(recorded.forces[k - 1 : k + 1], recorded.tensions[k - 1], recorded.rates[k - 1], operating))
         estimate = filtered.update(recorded.points[k])
         seen.append(estimate.points)
         good = np.isfinite(recorded.points[k]).all(axis=1) & ~estimate.refused
@@ -123,7 +121,7 @@ def smooth(recorded: Recorded, noise: float, middle: float, settings: EstimatorS
         off = (recorded.points[k] - operating.model.equilibrium.points)[good].ravel() / noise
         hessian.append(C.T @ C + (np.diag(scale**-2.0) if k == 0 else 0.0))
         pull.append(C.T @ off + (first / scale**2 if k == 0 else 0.0))
-    states, solved = _minimised(hessian, pull, moves, pushes, scale, slice(2 * modes + actuators, 2 * modes + 2 * actuators), bounded)
+    states, solved = _minimised(hessian, pull, moved, scale, slice(2 * modes + actuators, 2 * modes + 2 * actuators), bounded)
     motion, unknown, friction, bias = np.split(states, [2 * modes, 2 * modes + actuators, 2 * modes + 2 * actuators], axis=1)
     models = [operating.model for operating in recorded.operating]
     at = [model.equilibrium.points.ravel() + model.observe @ q[:modes] for model, q in zip(models, motion, strict=True)]
@@ -132,50 +130,19 @@ def smooth(recorded: Recorded, noise: float, middle: float, settings: EstimatorS
     )  # fmt: skip
 
 
-def _step(filtered: Estimator, recorded: Recorded, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The filter's A, u and G from the sample before to sample k, in the coordinates of sample k; the filter is taken along."""
-    settings, now, then = filtered.settings, recorded.operating[k - 1], recorded.operating[k]
-    before = filtered.estimate(np.zeros(0)).direction
-    filtered.predict(recorded.forces[k - 1 : k + 1], recorded.tensions[k - 1], recorded.rates[k - 1], then)
-    turning = settings.turning * np.sqrt(np.abs(filtered.estimate(np.zeros(0)).direction - before))
-    drive, size, period, root = now.model.drive, len(filtered.mean), now.period, np.sqrt(now.period)
-    modes, actuators = drive.shape
-    motion, unknown = slice(0, 2 * modes), slice(2 * modes, 2 * modes + actuators)
-    friction, bias = slice(unknown.stop, unknown.stop + actuators), np.arange(unknown.stop + actuators, size)
-    A, by_force = np.eye(size), (now.start + now.end) @ drive
-    A[motion, motion], A[motion, unknown] = now.A, by_force
-    A[motion, friction] = -by_force * filtered.friction_factor(recorded.tensions[k - 1])
-    A[unknown, unknown] *= np.exp(-period / settings.force_memory)
-    A[bias[:-3], bias[:-3]] = np.exp(-period / settings.bias_memory)
-    kick = np.zeros((size, size - 2 * modes + actuators))
-    kick[modes : 2 * modes, :actuators] = root * settings.shock * drive
-    drift = [np.hypot(root * settings.force, turning), np.full(actuators, root * settings.friction_drift)]
-    drift += [np.full(len(bias) - 3, root * settings.bias_drift), np.full(3, root * settings.tip_drift)]
-    kick[2 * modes :, actuators:] = np.diag(np.concatenate(drift))
-    push = np.zeros(size)
-    pushed = (recorded.forces[k - 1 : k + 1] - now.forces) @ drive.T
-    push[motion] = now.start @ pushed[0] + now.end @ pushed[1]
-    turn, shift = then.seen_from(now)
-    both = np.eye(size)
-    both[:modes, :modes] = both[modes : 2 * modes, modes : 2 * modes] = turn
-    push = both @ push
-    push[:modes] += shift
-    return both @ A, push, both @ kick
-
-
 def _minimised(
-    hessian: list, pull: list, moves: list, pushes: list, scale: np.ndarray, bounded_part: slice, bounded: bool
+    hessian: list[np.ndarray], pull: list[np.ndarray], moved: list[Transition], scale: np.ndarray, bounded_part: slice, bounded: bool
 ) -> tuple[np.ndarray, bool]:
     """States (samples, states) and whether the active set was found; unknowns are [s / scale, w] and multipliers of the motion."""
-    count, size, kicks = len(hessian), len(scale), moves[0][1].shape[1]
+    count, size, kicks = len(hessian), len(scale), moved[0].kick.shape[1]
     H = sp.block_diag([scale[:, None] * part * scale for part in hessian] + [sp.eye_array(kicks * (count - 1))])
     f = np.concatenate([scale * part for part in pull] + [np.zeros(kicks * (count - 1))])
-    along = sp.block_diag([move * scale / scale[:, None] for move, _ in moves])
+    along = sp.block_diag([one.A * scale / scale[:, None] for one in moved])
     stay = sp.eye_array(size * (count - 1))
     empty = sp.csr_array((size * (count - 1), size))
     motion = sp.hstack([empty, stay]) - sp.hstack([along, empty])
-    R = sp.hstack([motion, -sp.block_diag([kick / scale[:, None] for _, kick in moves])])
-    right = np.concatenate([push / scale for push in pushes])
+    R = sp.hstack([motion, -sp.block_diag([one.kick / scale[:, None] for one in moved])])
+    right = np.concatenate([one.push / scale for one in moved])
     whole, target = sp.csr_array(sp.block_array([[H, R.T], [R, None]])), np.concatenate([f, right])
     inside = (size * np.arange(count)[:, None] + np.arange(size)[bounded_part]).ravel()
     fixed, x = np.zeros(len(target), dtype=bool), np.zeros(len(target))
