@@ -52,9 +52,10 @@ class Actuators:
         pressure: (actuators,) in Pa.
         tension: (actuators,) in N.
         command: in force now.
+        area: by which pressure pulls, of all muscles or (actuators,) in m².
     """
 
-    def __init__(self, devices: Devices, area: float, command: Command) -> None:
+    def __init__(self, devices: Devices, area: float | np.ndarray, command: Command) -> None:
         self.devices, self.area, self.command = devices, area, command
         self.pressure, self.tension = command.pressures.astype(float), command.tensions * command.enabled
 

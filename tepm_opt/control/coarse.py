@@ -24,10 +24,9 @@ class CoarseSettings:
         window: stages over which the slope of the need is taken, for the lead.
         worth: steps of the regulator by which a pressure has to be off before it moves.
         on_grid: whether the regulator's grid is known and moves are spared; else pressures are continuous and move in every period.
-        share: of the feedback's planned forces that the pressure takes part in where the reference is quick; where it stands, the
-            tension alone reacts and the regulators are spared.
-        quick: speed of the tip in m/s from which the whole share is taken.
-        calming: smoothing of that share, s.
+        quick: speed of the reference's tip in m/s from which the pressure takes its whole part in the feedback's planned forces; where
+            the reference stands, the tension alone reacts and the regulators are spared.
+        calming: smoothing of that part, s.
         smoothing: of the unknown forces, which the pressure takes over, s.
     """
 
@@ -35,9 +34,8 @@ class CoarseSettings:
     window: int = 3
     worth: float = 3.0
     on_grid: bool = True
-    share: float = 0.7
     quick: float = 0.1
-    calming: float = 0.1
+    calming: float = 0.05
     smoothing: float = 0.3
 
 
@@ -46,29 +44,27 @@ class PressurePlanner:
 
     Args:
         devices: lags of the regulators.
-        area: of a muscle in m².
         limits: largest pressure of each muscle, (actuators,) in Pa.
         step: of the regulators' grid in Pa, 0 where continuous.
         stage: duration of one in s.
         settings: how.
     """
 
-    def __init__(self, devices: Devices, area: float, limits: np.ndarray, step: float, stage: float, settings: CoarseSettings) -> None:
-        self.devices, self.area, self.stage, self.settings = devices, area, stage, settings
+    def __init__(self, devices: Devices, limits: np.ndarray, step: float, stage: float, settings: CoarseSettings) -> None:
+        self.devices, self.stage, self.settings = devices, stage, settings
         self.step = step if settings.on_grid else 0.0
         self.limits = np.floor(limits / self.step * (1 + 1e-12)) * self.step if self.step else limits
 
-    def plan(self, need: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int) -> tuple[np.ndarray, np.ndarray]:
+    def plan(self, wanted: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int) -> tuple[np.ndarray, np.ndarray]:
         """New commands (actuators,) in Pa and the pressures in the muscles that they lead to, (stages, actuators) in Pa.
 
         Args:
-            need: what p A shall be at the coming stages, (preview, actuators) in N.
+            wanted: pressures at the coming stages, (preview, actuators) in Pa.
             command: in force, (actuators,) in Pa.
             pressure: in the muscles, (actuators,) in Pa.
             stages: how far ahead.
         """
         window, devices = self.settings.window, self.devices
-        wanted = need / self.area
         slope = (wanted[window:] - wanted[:-window]) / (window * self.stage)
         lag = np.where(slope > 0, devices.filling, devices.exhausting)
         lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + lag * slope, 0.0), self.limits)

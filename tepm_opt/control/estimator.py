@@ -1,8 +1,9 @@
-"""Kalman filter for the arm's slow motion, unknown axial forces, friction and what the tracked points are off by.
+"""Kalman filter for the arm's slow motion, unknown axial forces, strength, friction and what the tracked points are off by.
 
-The state is [q, q', d, c, b]: modal coordinates about an operating point (see `solvers.local`), axial forces that nobody commanded,
-the muscles' dry friction, and biases of the reference points. Forces that wander and a bias of the tip that does not fade make the
-tip nearly free of offset (Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003).
+The state is [q, q', d, g, c, b]: modal coordinates about an operating point (see `solvers.local`), axial forces that nobody commanded,
+by what part each muscle is stronger than the model has it, its dry friction, and biases of the reference points. Forces that wander
+and a bias of the tip that does not fade make the tip nearly free of offset (Pannocchia and Rawlings, Disturbance models for
+offset-free model-predictive control, AIChE J. 49, 2003).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ class EstimatorSettings:
     Attributes:
         force: how fast the unknown forces wander, N/√s, and `force_memory`, s, over which they fade.
         shock: noise of the axial forces, N √s.
+        strength: standard deviation of the strength before anything was seen, part of p A, and `strength_drift`, 1/√s.
         friction: standard deviation of the friction before anything was seen, N, and `friction_drift`, N/√s.
         turning: uncertainty of the forces when the friction has turned over once, N.
         presliding: distance over which it does, m.
@@ -41,6 +43,8 @@ class EstimatorSettings:
     force: float = 2.5
     force_memory: float = 0.25
     shock: float = 0.005
+    strength: float = 0.05
+    strength_drift: float = 0.005
     friction: float = 2.0
     friction_drift: float = 0.2
     turning: float = 0.1
@@ -116,6 +120,7 @@ class Estimate:
         operating: about which.
         motion: [q, q'], (2 · modes,).
         unknown: axial forces d that nobody commanded, (actuators,) in N.
+        strength: by what part of p A the muscles pull more, g, (actuators,).
         friction: of the muscles c, (actuators,) in N.
         direction: which way it pulls, −1 … 1, (actuators,).
         deviation: rates of the actuators' lengths beside the reference's, smoothed, (actuators,) in m/s.
@@ -128,6 +133,7 @@ class Estimate:
     operating: Operating
     motion: np.ndarray
     unknown: np.ndarray
+    strength: np.ndarray
     friction: np.ndarray
     direction: np.ndarray
     deviation: np.ndarray
@@ -170,16 +176,17 @@ class Estimator:
         self.operating, self.settings, self.noise, self.middle = operating, settings, noise, middle
         modes, actuators = operating.model.drive.shape
         outputs = len(operating.model.observe)
-        ends = np.cumsum([0, 2 * modes, actuators, actuators, outputs])
-        self._motion, self._unknown, self._friction, self._bias = (slice(*pair) for pair in pairwise(ends))
+        ends = np.cumsum([0, 2 * modes, actuators, actuators, actuators, outputs])
+        self._motion, self._unknown, self._strength, self._friction, self._bias = (slice(*pair) for pair in pairwise(ends))
         self._modes, self._tip = modes, slice(ends[-1] - 3, ends[-1])
         self.mean = np.zeros(ends[-1])
         spread = np.zeros(ends[-1])
         spread[self._motion], spread[self._unknown], spread[self._friction] = 1e-2, 0.5, settings.friction
-        spread[self._bias], spread[self._tip] = settings.bias, 1e-3
+        spread[self._strength], spread[self._bias], spread[self._tip] = settings.strength, settings.bias, 1e-3
         self.covariance = np.diag(spread**2)
         self._drift = np.zeros(ends[-1])
         self._drift[self._unknown], self._drift[self._friction] = settings.force, settings.friction_drift
+        self._drift[self._strength] = settings.strength_drift
         self._drift[self._bias], self._drift[self._tip] = settings.bias_drift, settings.tip_drift
         self._direction, self._deviation = np.zeros(actuators), np.zeros(actuators)
         self._outlying = np.zeros(outputs // 3, dtype=int)
@@ -212,6 +219,7 @@ class Estimator:
         A, push = np.eye(size), np.zeros(size)
         A[self._motion, self._motion] = now.A
         A[self._motion, self._unknown] = by_force
+        A[self._motion, self._strength] = by_force * (forces.mean(axis=0) + tension)  # p A
         A[self._motion, self._friction] = -by_force * self._direction * self.loaded(tension)
         for part, memory in ((self._unknown, settings.force_memory), (slice(self._bias.start, self._tip.start), settings.bias_memory)):
             A[part, part] *= np.exp(-period / memory)
@@ -275,8 +283,9 @@ class Estimator:
         model, bias = self.operating.model, self.mean[self._bias].reshape(-1, 3)
         points = model.equilibrium.points + (model.observe @ self.mean[: self._modes]).reshape(-1, 3) + bias
         return Estimate(
-            self.operating, self.mean[self._motion].copy(), self.mean[self._unknown].copy(), self.mean[self._friction].copy(),
-            self._direction.copy(), self._deviation.copy(), bias.copy(), points, self._nis, self._seen, refused,
+            self.operating, self.mean[self._motion].copy(), self.mean[self._unknown].copy(), self.mean[self._strength].copy(),
+            self.mean[self._friction].copy(), self._direction.copy(), self._deviation.copy(), bias.copy(), points,
+            self._nis, self._seen, refused,
         )  # fmt: skip
 
 

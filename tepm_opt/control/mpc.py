@@ -137,7 +137,7 @@ class Mpc:
         age = robot.tracker.latency_s if robot.tracker else 0.0
         self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
         step = robot.actuation.pressure_step
-        self._coarse = PressurePlanner(self.devices, self.area, self._pressure_max, step, self.stage, settings.coarse)
+        self._coarse = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.coarse)
         variables = settings.stages * half
         self._rates = np.eye(variables) - np.eye(variables, k=-half)
         kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
@@ -214,6 +214,7 @@ class Mpc:
     def _look_ahead(self, estimate: Estimate) -> _Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
         then, now, actuators = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
+        actuators.area = self.area * (1 + estimate.strength)
         motion, direction, lengths = estimate.motion, estimate.direction, self.reference.lengths
         for at in range(self._row, self._row + self.ahead):
             start = (self._zero or 0.0) + at * self.period
@@ -239,10 +240,10 @@ class Mpc:
         pulled = estimate.friction * course(ahead.direction, steps, settings.estimator.presliding)
         still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
         before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
-        pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators.pressure)
+        pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators)
         begin = actuators.forces + unknown - forecast.forces[0]
         begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
-        offset = self.area * reached - forecast.forces[1 : stages + 1] + unknown - still[:stages]
+        offset = actuators.area * reached - forecast.forces[1 : stages + 1] + unknown - still[:stages]
         result = self._solve(begin, offset, factor[:stages], actuators.tension)
         if result.x is not None and time.perf_counter() - began <= settings.late:
             plan = result.x.reshape(stages, -1)
@@ -253,7 +254,8 @@ class Mpc:
             plan, self._planned = self._shifted(actuators.tension), None
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
-        against, moves = unknown - estimate.friction * ahead.direction, int(np.sum(pressures != before))
+        against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
+        moves = int(np.sum(pressures != before))
         seconds = (0.0, result.seconds)
         step = Step(self._row, estimate, pressures, tensions, moves, against, plan, result.status, result.iterations, seconds)
         return Command(pressures, tensions, self._enabled.copy()), step
@@ -273,13 +275,13 @@ class Mpc:
         drive = ahead.operating.model.drive  # lengths follow the modes as the modes follow the axial forces
         return np.abs(drive.T @ ahead.motion[: len(drive)]) < np.where(self._enabled, settings.leave, settings.near)
 
-    def _plan_pressures(self, unknown: np.ndarray, pulled: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _plan_pressures(self, unknown: np.ndarray, pulled: np.ndarray, actuators: Actuators) -> tuple[np.ndarray, np.ndarray]:
         """Commands (actuators,) and pressures that they lead to, (stages, actuators), in Pa.
 
         Args:
             unknown: forces that nobody commanded, (actuators,) in N.
             pulled: what tensions and friction shall take away over the preview, (preview, actuators) in N.
-            pressure: in the muscles when the command begins to act, (actuators,) in Pa.
+            actuators: when the command begins to act.
         """
         settings, forecast, coarse = self.settings, self._forecast, self.settings.coarse
         self._slow = self._slow + (1 - np.exp(-self.period / coarse.smoothing)) * (unknown - self._slow)
@@ -292,9 +294,10 @@ class Mpc:
             if self._planned is not None:
                 extra = self._planned - forecast.rest_force - forecast.dynamic[: settings.stages]
                 self._extra = self._extra + (1 - np.exp(-self.period / coarse.calming)) * (extra - self._extra)
-                share = coarse.share * min(1.0, forecast.speed / coarse.quick)
-                need[: settings.stages] += share * np.linspace(1, 0, settings.stages)[:, None] * self._extra
-        return self._coarse.plan(need - self._effects.forces + pulled, now, pressure, settings.stages)
+                part = min(1.0, forecast.speed / coarse.quick)
+                need[: settings.stages] += part * np.linspace(1, 0, settings.stages)[:, None] * self._extra
+        wanted = (need - self._effects.forces + pulled) / actuators.area
+        return self._coarse.plan(wanted, now, actuators.pressure, settings.stages)
 
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
         """The program in the tensions λ of the stages: v = offset − factor λ."""

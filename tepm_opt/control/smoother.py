@@ -72,6 +72,7 @@ class Smoothed:
     Attributes:
         motion: [q, q'] about the sample's operating point, (samples, 2 · modes).
         unknown: axial forces that nobody commanded, (samples, actuators) in N.
+        strength: by what part of p A the muscles pull more, (samples, actuators).
         friction: of the muscles, (samples, actuators) in N, not negative.
         bias: of the reference points, (samples, points, 3) in m.
         points: where they are, bias included, (samples, points, 3) in m in G.
@@ -81,6 +82,7 @@ class Smoothed:
 
     motion: np.ndarray
     unknown: np.ndarray
+    strength: np.ndarray
     friction: np.ndarray
     bias: np.ndarray
     points: np.ndarray
@@ -106,7 +108,7 @@ def smooth(recorded: Recorded, noise: float, middle: float, settings: EstimatorS
     wanted = [(count, *points), (count, actuators), (count, actuators), (count - 1, actuators)]
     if given != wanted or count < 2:
         raise InputError(f"recorded: shapes {given}; valid: {wanted}, at least 2 samples")
-    size = 2 * modes + 2 * actuators + recorded.points[0].size
+    size = 2 * modes + 3 * actuators + recorded.points[0].size
     filtered = Estimator(recorded.operating[0], noise, middle, settings)
     scale, first = np.sqrt(np.diag(filtered.covariance)), filtered.mean
     hessian, pull, moved, seen = [], [], [], []
@@ -121,13 +123,12 @@ def smooth(recorded: Recorded, noise: float, middle: float, settings: EstimatorS
         off = (recorded.points[k] - operating.model.equilibrium.points)[good].ravel() / noise
         hessian.append(C.T @ C + (np.diag(scale**-2.0) if k == 0 else 0.0))
         pull.append(C.T @ off + (first / scale**2 if k == 0 else 0.0))
-    states, solved = _minimised(hessian, pull, moved, scale, slice(2 * modes + actuators, 2 * modes + 2 * actuators), bounded)
-    motion, unknown, friction, bias = np.split(states, [2 * modes, 2 * modes + actuators, 2 * modes + 2 * actuators], axis=1)
+    states, solved = _minimised(hessian, pull, moved, scale, slice(2 * modes + 2 * actuators, 2 * modes + 3 * actuators), bounded)
+    motion, unknown, strength, friction, bias = np.split(states, 2 * modes + actuators * np.arange(4), axis=1)
     models = [operating.model for operating in recorded.operating]
     at = [model.equilibrium.points.ravel() + model.observe @ q[:modes] for model, q in zip(models, motion, strict=True)]
-    return Smoothed(
-        motion, unknown, friction, bias.reshape(count, *points), (np.array(at) + bias).reshape(count, *points), np.array(seen), solved
-    )  # fmt: skip
+    there, bias = (np.array(at) + bias).reshape(count, *points), bias.reshape(count, *points)
+    return Smoothed(motion, unknown, strength, friction, bias, there, np.array(seen), solved)
 
 
 def _minimised(

@@ -73,6 +73,9 @@ def follow(task: str, controller: str, seed: int, settings: MpcSettings | None =
     return track(prototype(seed), controller_named(controller, model(), path, settings), model().robot, WIDE)
 
 
+WEIGHTS = {"weight": 0.010, "heavy": 0.060}  # kg, put on the tip
+
+
 class Disturbed(SimulatedRig):
     """The virtual prototype to which something happens some time after a closed loop began."""
 
@@ -83,8 +86,8 @@ class Disturbed(SimulatedRig):
     def read(self) -> Sample:
         """As of the rig, disturbed."""
         now = self.time - self._at
-        if self._what == "weight" and abs(now) < 0.01:
-            self.push(np.array([0.0, 0.0, -0.0981]))
+        if self._what in WEIGHTS and abs(now) < 0.01:
+            self.push(np.array([0.0, 0.0, -9.81 * WEIGHTS[self._what]]))
         if self._what == "side":
             self.push(np.array([0.0, 0.1 if 0 <= now < 1 else 0.0, 0.0]))
         sample = super().read()
@@ -118,8 +121,12 @@ def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict
     tensions = np.array([command.tensions for command in done.commands])
     pressures = np.array([command.pressures for command in done.commands])
     inside = float((tensions >= 0).all() and (tensions <= 7.0).all() and (pressures >= 0).all() and (pressures <= 0.5e6).all())
-    return {"worst": float(error[time > 0].max()), "after": float(error[time >= over + 3.0].max()), "inside": inside,
-            "rms_after": float(np.sqrt((error[time >= over + 3.0] ** 2).mean()))}  # fmt: skip
+    late = time >= over + 3.0
+    return {
+        "worst": float(error[time > 0].max()), "after": float(error[late].max()), "inside": inside,
+        "rms_after": float(np.sqrt((error[late] ** 2).mean())),
+        "least": float(tensions[late].mean(axis=0).min()), "most": float(tensions[late].mean(axis=0).max()),
+    }  # fmt: skip
 
 
 ABLATIONS = {

@@ -18,7 +18,7 @@ LIMITS = np.full(6, 0.5e6)
 
 def planner(**settings) -> PressurePlanner:
     """For the usual devices."""
-    return PressurePlanner(DEVICES, AREA, LIMITS, STEP, STAGE, CoarseSettings(**settings))
+    return PressurePlanner(DEVICES, LIMITS, STEP, STAGE, CoarseSettings(**settings))
 
 
 def test_pressures_stay_on_the_grid_and_within_the_limits():
@@ -26,25 +26,25 @@ def test_pressures_stay_on_the_grid_and_within_the_limits():
     random, coarse = np.random.default_rng(4), planner()
     command, pressure = np.zeros(6), np.zeros(6)
     for _ in range(200):
-        command, reached = coarse.plan(40 * random.normal(size=(29, 6)), command, pressure, 15)
+        command, reached = coarse.plan(8e5 * random.normal(size=(29, 6)), command, pressure, 15)
         pressure = reached[0]
         assert command / STEP == pytest.approx(np.round(command / STEP), abs=1e-9)
         assert ((command >= 0) & (command <= 0.5e6)).all()
         assert ((reached >= 0) & (reached <= 0.5e6)).all()
-    assert coarse.plan(np.full((29, 6), 1e3), command, pressure, 15)[0] == pytest.approx(111 * STEP)
+    assert coarse.plan(np.full((29, 6), 2e7), command, pressure, 15)[0] == pytest.approx(111 * STEP)
 
 
 @pytest.mark.parametrize(("steps", "moves"), [(0.4, False), (2.9, False), (3.1, True), (-2.9, False), (-3.1, True)])
 def test_pressure_moves_only_when_it_is_worth_a_move(steps, moves):
     """By whole steps, to the nearest to what is needed; less than `worth` steps off is left alone."""
     command = np.full(6, 20 * STEP)
-    new, _ = planner(worth=3.0).plan(np.full((29, 6), AREA * (20 + steps) * STEP), command, command, 15)
+    new, _ = planner(worth=3.0).plan(np.full((29, 6), (20 + steps) * STEP), command, command, 15)
     assert new == pytest.approx((20 + round(steps)) * STEP if moves else command)
 
 
 def test_continuous_pressures_move_freely():
     """Without the grid to what is needed, to the Pa."""
-    new, _ = planner(on_grid=False).plan(np.full((29, 6), AREA * 12345.6), np.zeros(6), np.zeros(6), 15)
+    new, _ = planner(on_grid=False).plan(np.full((29, 6), 12345.6), np.zeros(6), np.zeros(6), 15)
     assert new == pytest.approx(12345.6)
 
 
@@ -56,18 +56,18 @@ def test_pressure_leads_its_lag(slope):
     pressure, command, off, without = np.full(6, start), np.full(6, start), [], []
     for k in range(50):
         time = STAGE * (k + np.arange(29))
-        need = AREA * np.repeat((start + slope * time)[:, None], 6, axis=1)
+        need = np.repeat((start + slope * time)[:, None], 6, axis=1)
         command, _ = coarse.plan(need, command, pressure, 15)
-        pressure, lagging = DEVICES.lag(pressure, command, STAGE), DEVICES.lag(lagging, need[0] / AREA, STAGE)
-        off.append(np.abs(pressure - need[1] / AREA).max())
-        without.append(np.abs(lagging - need[1] / AREA).max())
+        pressure, lagging = DEVICES.lag(pressure, command, STAGE), DEVICES.lag(lagging, need[0], STAGE)
+        off.append(np.abs(pressure - need[1]).max())
+        without.append(np.abs(lagging - need[1]).max())
     assert max(off[25:]) < 1.5 * STEP
     assert min(without[25:]) > 4 * STEP
 
 
 def test_reached_pressures_are_what_the_lag_makes_of_the_commands():
     """When nothing changes any more: exponentially to the new command, faster up than down."""
-    need = AREA * np.tile(np.array([3e5, 1e5, 2e5, 2e5, 2e5, 2e5]), (29, 1))
+    need = np.tile(np.array([3e5, 1e5, 2e5, 2e5, 2e5, 2e5]), (29, 1))
     new, reached = planner().plan(need, np.full(6, 2e5), np.full(6, 2e5), 15)
     passed = STAGE * np.arange(1, 16)
     assert reached[:, 0] == pytest.approx(new[0] + (2e5 - new[0]) * np.exp(-passed / 0.12))

@@ -11,7 +11,7 @@ import pytest
 from tepm_opt.control.estimator import Estimator, Operating
 from tepm_opt.control.smoother import Recorded, smooth
 from tepm_opt.errors import InputError
-from tests.control.test_estimator import DIRECTION, KNOWN, MIDDLE, NOISE, RATES, TENSION, Arm, circle_points
+from tests.control.test_estimator import DIRECTION, KNOWN, MIDDLE, NOISE, PARTS, RATES, TENSION, Arm, circle_points
 
 __all__ = ["circle_points"]
 
@@ -54,7 +54,7 @@ def test_last_state_is_the_filters(circle_points, moving):
     recorded, _, _ = simulated(circle_points if moving else circle_points[:1], 60, 1)
     found, last = smooth(recorded, NOISE, MIDDLE, KNOWN, bounded=False), filtered(recorded)
     assert found.solved
-    means = np.concatenate([found.motion[-1], found.unknown[-1], found.friction[-1], found.bias[-1].ravel()])
+    means = np.concatenate([found.motion[-1], found.unknown[-1], found.strength[-1], found.friction[-1], found.bias[-1].ravel()])
     np.testing.assert_allclose(means, last.mean, atol=1e-6 * np.abs(last.mean).max())
     np.testing.assert_allclose(found.points[-1], found.filtered[-1], atol=1e-8)
 
@@ -62,7 +62,7 @@ def test_last_state_is_the_filters(circle_points, moving):
 def test_all_states_are_those_of_the_exact_smoother(circle_points):
     """Rauch, Tung and Striebel's recursion, on transitions that are found by moving unit vectors with the arm's own model."""
     recorded, _, _ = simulated(circle_points[:1], 40, 2)
-    at, size = circle_points[0], 44
+    at, size = circle_points[0], 50
     estimator = Estimator(at, NOISE, MIDDLE, KNOWN)
     before, after = [], []
     for k, points in enumerate(recorded.points):
@@ -71,29 +71,34 @@ def test_all_states_are_those_of_the_exact_smoother(circle_points):
         before.append((estimator.mean.copy(), estimator.covariance.copy()))
         estimator.update(points)
         after.append((estimator.mean.copy(), estimator.covariance.copy()))
-    move = np.empty((size, size))
-    for column in range(size):
+
+    def moved(state: np.ndarray, forces: np.ndarray) -> np.ndarray:
         arm = Arm(at, KNOWN)
-        arm.motion, arm.unknown, arm.friction, arm.bias = np.split(np.eye(size)[column], [20, 26, 32])
+        arm.motion, arm.unknown, arm.strength, arm.friction, arm.bias = np.split(state, PARTS)
         arm.direction = DIRECTION
-        arm.advance(np.tile(at.forces, (2, 1)), at)
-        move[:, column] = arm.state
+        arm.advance(forces, at)
+        return arm.state
+
     means = [after[-1][0]]
     for k in range(len(after) - 2, -1, -1):
+        forces = recorded.forces[k : k + 2]
+        move = (np.array([moved(unit, forces) for unit in np.eye(size)]) - moved(np.zeros(size), forces)).T
         gain = after[k][1] @ move.T @ np.linalg.pinv(before[k + 1][1], rcond=1e-13, hermitian=True)
         means.insert(0, after[k][0] + gain @ (means[0] - before[k + 1][0]))
     found = smooth(recorded, NOISE, MIDDLE, KNOWN, bounded=False)
     exact = np.array(means)
     np.testing.assert_allclose(found.unknown, exact[:, 20:26], atol=1e-3)
-    np.testing.assert_allclose(found.friction, exact[:, 26:32], atol=1e-3)
-    np.testing.assert_allclose(found.bias.reshape(-1, 12), exact[:, 32:], atol=1e-5)
+    np.testing.assert_allclose(found.strength, exact[:, 26:32], atol=1e-4)
+    np.testing.assert_allclose(found.friction, exact[:, 32:38], atol=1e-3)
+    np.testing.assert_allclose(found.bias.reshape(-1, 12), exact[:, 38:], atol=1e-5)
     np.testing.assert_allclose(found.motion[:, :4], exact[:, :4], atol=1e-5)
 
 
 def test_better_than_the_filter(circle_points):
-    """Root mean square over some runs of the tip, of the forces that nobody commanded (with friction, from which they cannot be told
-    while it pulls one way) and of the rates of the slowest modes: by a third, a twentieth and a half at least."""
-    pulled = np.hstack([np.eye(6), -np.diag(DIRECTION * (1 - KNOWN.share + KNOWN.share * TENSION / MIDDLE))])
+    """Root mean square over some runs of the tip, of the forces that nobody commanded (with strength and friction, from which they
+    can hardly be told) and of the rates of the slowest modes: by a third, a twentieth and a half at least."""
+    loaded = DIRECTION * (1 - KNOWN.share + KNOWN.share * TENSION / MIDDLE)
+    pulled = np.hstack([np.eye(6), np.diag(circle_points[0].forces + TENSION), -np.diag(loaded)])
     tips, forces, rates = np.zeros(2), np.zeros(2), np.zeros(2)
     for seed in range(3):
         recorded, states, truth = simulated(circle_points, 60, seed)
@@ -106,8 +111,8 @@ def test_better_than_the_filter(circle_points):
             means.append(estimator.mean)
         means = np.array(means)
         tips += [off(found.points, truth) ** 2, off(found.filtered, truth) ** 2]
-        smoothed = np.hstack([found.unknown, found.friction]) - states[:, 20:32]
-        forces += [((part @ pulled.T) ** 2).mean() for part in (smoothed, means[:, 20:32] - states[:, 20:32])]
+        smoothed = np.hstack([found.unknown, found.strength, found.friction]) - states[:, 20:38]
+        forces += [((part @ pulled.T) ** 2).mean() for part in (smoothed, means[:, 20:38] - states[:, 20:38])]
         rates += [((found.motion - states[:, :20])[:, 10:12] ** 2).mean(), ((means - states)[:, 10:12] ** 2).mean()]
     parts = [float(np.sqrt(better / filters)) for better, filters in (tips, forces, rates)]
     assert (np.array(parts) < [0.7, 0.95, 0.5]).all(), parts
@@ -132,7 +137,7 @@ def test_friction_is_not_negative(circle_points):
     assert free.friction.min() < -0.1
     assert bound.friction.min() > -1e-6
     assert (bound.friction < 1e-6).any()
-    true = np.abs(states[:, 26:32])
+    true = np.abs(states[:, 32:38])
     assert np.abs(bound.friction - true).mean() < np.abs(free.friction - true).mean()
     recorded, _, _ = simulated(circle_points[:1], 40, 7, friction=12.0)
     free, bound = (smooth(recorded, NOISE, MIDDLE, KNOWN, bounded) for bounded in (False, True))
