@@ -60,6 +60,14 @@ def reference(task: str, points: int = 32, move: float = 1.0) -> Reference:
     )  # fmt: skip
 
 
+def weaker(file: RigFile, part: float) -> RigFile:
+    """The same rig with one muscle weaker by a part of its strength."""
+    found = file.imperfections
+    loss = {**found.actuator_gain.loss, "13": found.actuator_gain.loss["13"] + part}
+    gain = found.actuator_gain.model_copy(update={"loss": loss})
+    return file.model_copy(update={"imperfections": found.model_copy(update={"actuator_gain": gain})})
+
+
 def prototype(seed: int, file: RigFile | None = None) -> SimulatedRig:
     """The virtual prototype, or another rig, with the noise of a run."""
     rig = SimulatedRig(file or load_rig_file())
@@ -68,9 +76,10 @@ def prototype(seed: int, file: RigFile | None = None) -> SimulatedRig:
 
 
 def follow(task: str, controller: str, seed: int, settings: MpcSettings | None = None, points: int = 32) -> Tracked:
-    """A task by a controller; points are steps for the paper's modes, as they were for the paper."""
-    path = reference(task, points, 1.0 if controller == "mpc" else 0.01)
-    return track(prototype(seed), controller_named(controller, model(), path, settings), model().robot, WIDE)
+    """A task by a controller; points are steps for the paper's modes, as they were for the paper. "weak circle": a muscle 20 % weaker."""
+    path = reference(task.removeprefix("weak "), points, 1.0 if controller == "mpc" else 0.01)
+    rig = prototype(seed, weaker(load_rig_file(), 0.20) if task.startswith("weak") else None)
+    return track(rig, controller_named(controller, model(), path, settings), model().robot, WIDE)
 
 
 WEIGHTS = {"weight": 0.010, "heavy": 0.060}  # kg, put on the tip
@@ -103,16 +112,13 @@ DISTURBANCES = ("weight", "side", "tilt", "weak", "lost", "dead1", "dead4")
 
 def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict[str, float]:
     """Holding the circle's first point: errors of the true tip in mm, and how near tensions came to their limits."""
-    file = load_rig_file()
-    found = file.imperfections
+    file = weaker(load_rig_file(), 0.10) if what == "weak" else load_rig_file()
     if what == "tilt":
+        found = file.imperfections
         found = found.model_copy(update={"base_tilt": found.base_tilt.model_copy(update={"rotation_deg": (1.0, 0.0)})})
-    if what == "weak":
-        loss = dict(found.actuator_gain.loss)
-        loss["13"] = loss["13"] + 0.10
-        found = found.model_copy(update={"actuator_gain": found.actuator_gain.model_copy(update={"loss": loss})})
+        file = file.model_copy(update={"imperfections": found})
     path = reference("hold")
-    rig = Disturbed(file.model_copy(update={"imperfections": found}), what, APPROACH + PAUSE + HOLD_AT)
+    rig = Disturbed(file, what, APPROACH + PAUSE + HOLD_AT)
     rig.reseed(seed)
     done = track(rig, Mpc(model(), path, settings or MpcSettings()), model().robot, WIDE)
     error = 1e3 * np.linalg.norm(np.array(done.truth) - done.targets, axis=1)
