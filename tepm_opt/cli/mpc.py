@@ -98,7 +98,7 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
     return text
 
 
-def setup_of(controller: str, rig: str, seed: int, rule: bool, use: str) -> Setup:
+def setup_of(controller: str, rig: str, seed: int, rule: bool, nonlinear: bool, use: str) -> Setup:
     """What the options ask for.
 
     Raises:
@@ -109,9 +109,10 @@ def setup_of(controller: str, rig: str, seed: int, rule: bool, use: str) -> Setu
     kinds = [kind.value for kind in Use]
     if use not in kinds:
         raise unknown_name("use", use, kinds)
-    if controller != "mpc" and (rule or use != Use.BOTH.value):
-        raise InputError(f"--{'rule' if rule else 'use'} belongs to the predictive controller; leave it out with --controller {controller}")
-    return Setup(controller, rig, seed, MpcSettings(rule=rule, use=Use(use)))
+    asked = [name for name, given in (("rule", rule), ("nonlinear", nonlinear), ("use", use != Use.BOTH.value)) if given]
+    if controller != "mpc" and asked:
+        raise InputError(f"--{asked[0]} belongs to the predictive controller; leave it out with --controller {controller}")
+    return Setup(controller, rig, seed, MpcSettings(rule=rule, nonlinear=nonlinear, use=Use(use)))
 
 
 def mpc(
@@ -132,6 +133,7 @@ def mpc(
     height: Annotated[float | None, typer.Option("--height", help="Of circle and lissajous, z in G, m.")] = None,
     start: Annotated[str | None, typer.Option("--from", help="Start of a line, x,y,z in m.")] = None,
     end: Annotated[str | None, typer.Option("--to", help="End of a line, x,y,z in m.")] = None,
+    nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False,
     rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
     use: Annotated[str, typer.Option("--use", help="MPC: both, tension or pressure.")] = Use.BOTH.value,
     view: Annotated[bool, typer.Option("--view", help="Live 3-D view in rerun.")] = False,
@@ -145,7 +147,7 @@ def mpc(
     A real robot is brought to the start slowly and refused if it is not where the model has it. The loop stops on a limit, a blind
     tracker or a tip that is far off, and with Ctrl-C.
     """
-    setup = setup_of(controller, rig, seed, rule, use)
+    setup = setup_of(controller, rig, seed, rule, nonlinear, use)
     targets = trajectory(path, points, duration, radius, height, start, end)
     with folder_for(out) as folder:
         compiled = load(robot, model)

@@ -45,6 +45,13 @@ class Setup:
     seed: int = 0
     settings: MpcSettings = field(default_factory=MpcSettings)
 
+    @property
+    def asked(self) -> dict[str, str | bool]:
+        """What was asked of the predictive controller; nothing of others."""
+        if self.controller != "mpc":
+            return {}
+        return {"use": self.settings.use.value, "rule": self.settings.rule, "nonlinear": self.settings.nonlinear}
+
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
@@ -208,7 +215,7 @@ class ClosedLoop:
             "robot": self.model.robot.name,
             "effects": [effect.name for effect in self.model.effects],
             "seed": self.setup.seed,
-            "settings": {"use": self.setup.settings.use.value, "rule": self.setup.settings.rule} if self.setup.controller == "mpc" else {},
+            "settings": self.setup.asked,
             "end": "the rig failed" if self.failure else self.end.value,
             "message": self.failure or self.message,
             "interrupted": self.end is End.INTERRUPTED,

@@ -22,6 +22,7 @@ from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
 from tepm_opt.control.coarse import CoarseSettings, PressurePlanner
 from tepm_opt.control.estimator import Estimate, Estimator, EstimatorSettings, Operating
 from tepm_opt.control.friction import course, turned
+from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.predict import Forecast, Weights
 from tepm_opt.control.qp import QpResult, QpSolver, QpStatus
 from tepm_opt.control.reference import Reference
@@ -54,6 +55,7 @@ class MpcSettings:
         use: which actuators; those left out keep still.
         corridor: error of the tip along an axis, in m, beyond which it costs a hundred times as much: a soft constraint; infinite for
             none.
+        nonlinear: whether the program is linearised about its own last plan (the real-time iteration) instead of about the reference.
         coarse: how pressures are planned.
         estimator: what the estimator believes.
         late: s after which a step counts as late and the last plan goes on.
@@ -68,6 +70,7 @@ class MpcSettings:
     leave: float = 4e-3
     use: Use = Use.BOTH
     corridor: float = np.inf
+    nonlinear: bool = False
     coarse: CoarseSettings = field(default_factory=CoarseSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     late: float = np.inf
@@ -143,7 +146,7 @@ class Mpc:
         kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
         soft = np.append(np.full(variables, np.inf), np.full(kept, (10 / settings.weights.tip) ** 2)) if kept else None
         self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
-        self._forecast = Forecast(settings.weights, settings.stages)
+        self._forecast = (NonlinearForecast if settings.nonlinear else Forecast)(settings.weights, settings.stages)
         self._operating: dict[int, Operating] = {}
         self._newest: LocalModel | None = None
         self._plan: np.ndarray | None = None
@@ -252,6 +255,7 @@ class Mpc:
             reason = result.status.value if result.x is None else "late"
             self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
+        forecast.take(self._planned)
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
         against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction

@@ -75,7 +75,8 @@ class Forecast:
         self._tip, self._others = model.observe[-3:], model.observe[:-3]
         answer = model.observe @ (model.drive / model.stiffness[:, None])  # of the points at rest
         ridged = answer.T @ answer + RIDGE**2 * np.eye(answer.shape[1])
-        self.dynamic = np.linalg.solve(ridged, answer.T @ (model.observe @ (-drift[1:] / model.stiffness).T)).T
+        self._holding = np.linalg.solve(ridged, answer.T)  # forces that hold the points where they are displaced to
+        self.dynamic = (-drift[1:] / model.stiffness) @ (self._holding @ model.observe).T
         by_tip = model.gain[-3:]
         self.rest_force = -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
         count = len(model.stiffness)
@@ -87,12 +88,12 @@ class Forecast:
         pushed = two.start @ drift[: self.stages].T + two.end @ drift[1 : self.stages + 1].T
         for k in range(self.stages):
             self._free[k + 1] = two.A @ self._free[k] + pushed[:, k]
-        self._A, self._start, self._end = two.A, two.start @ model.drive, two.end @ model.drive
+        self._two, self._start, self._end = two, two.start @ model.drive, two.end @ model.drive
         self._turn(operating)
 
     def _turn(self, operating: Operating) -> None:
         """The cost beyond the last stage, one step of the Riccati recursion on, about the new operating point."""
-        A, start, end, weights = self._A, self._start, self._end, self.weights
+        A, start, end, weights = self._two.A, self._start, self._end, self.weights
         states, inputs = start.shape
         full = np.zeros((states + inputs, states + inputs))
         full[:states, :states], full[:states, states:] = A, start + end
@@ -126,31 +127,18 @@ class Forecast:
         Args:
             begin: the deviation at stage 0, (actuators,) in N.
         """
-        stages, weights = self.stages, self.weights
-        states, inputs = self._start.shape
-        modes = states // 2
-        first = np.empty((stages, states, inputs))  # states after a pulse at stage 0, and after one at a later stage
-        later = np.empty((stages, states, inputs))
-        first[0], later[0] = self._start, self._end
-        for k in range(1, stages):
-            first[k], later[k] = self._A @ first[k - 1], self._A @ later[k - 1]
-            if k == 1:
-                later[k] += self._start
-        rows = self._rows()
-        outputs = len(rows)
-        answer, of_first = rows @ later[: stages - 1, :modes], rows @ first[: stages - 1, :modes]
-        seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)
-        seen = seen.transpose(0, 2, 1, 3).reshape((stages - 1) * outputs, stages * inputs)
-        self.tip_answer = self.weights.tip * seen.reshape(stages - 1, outputs, -1)[:, :3].reshape(-1, stages * inputs)
-        error = (self._free[1:stages, :modes] - self._rest[:modes]) @ rows.T + of_first @ begin
-        self.tip_free = self.weights.tip * error[:, :3].ravel()
-        end = np.zeros((states + inputs, stages * inputs))
-        end[:states], end[states:, -inputs:] = later[::-1].transpose(1, 0, 2).reshape(states, -1), np.eye(inputs)
-        at_end = np.concatenate([self._free[-1] - self._rest + first[-1] @ begin, -self.rest_force])
+        weights, rows, inputs = self.weights, self._rows(), len(begin)
+        seen, error, at_last, last = self._responses(begin)
+        states = len(last)
+        tips = np.column_stack([seen, error]).reshape(self.stages - 1, len(rows), -1)[:, :3].reshape(3 * self.stages - 3, -1)
+        self.tip_answer, self.tip_free = weights.tip * tips[:, :-1], weights.tip * tips[:, -1]
+        end = np.zeros((states + inputs, seen.shape[1]))
+        end[:states], end[states:, -inputs:] = at_last, np.eye(inputs)
+        at_end = np.concatenate([last - self._rest, -self.rest_force])
         value = self._value
         H = seen.T @ seen + end.T @ (value @ end)
-        f = seen.T @ error.ravel() + end.T @ (value @ at_end)
-        size = stages * inputs
+        f = seen.T @ error + end.T @ (value @ at_end)
+        size = self.stages * inputs
         change, force = 1 / weights.change**2, 1 / weights.force**2
         diagonal = np.full(size, 2 * change + force)
         diagonal[-inputs:] = change  # the last one is in the cost beyond
@@ -159,5 +147,28 @@ class Forecast:
         H[off, off + inputs] -= change
         H[off + inputs, off] -= change
         f[:inputs] -= change * begin
-        f[: size - inputs] -= force * np.tile(self.rest_force, stages - 1)
+        f[: size - inputs] -= force * np.tile(self.rest_force, self.stages - 1)
         return H, f
+
+    def take(self, forces: np.ndarray | None) -> None:
+        """Told what was planned: deviations of the forces at stages 1 …, (stages, actuators) in N, or None; not needed here."""
+
+    def _responses(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What the forces at stages 1 … make of the weighted errors at stages 1 … stages − 1, (errors, forces), these errors without them,
+        (errors,); the same for the state at the last stage, (states, forces) and (states,)."""
+        stages = self.stages
+        states, inputs = self._start.shape
+        first = np.empty((stages, states, inputs))  # states after a pulse at stage 0, and after one at a later stage
+        later = np.empty((stages, states, inputs))
+        first[0], later[0] = self._start, self._end
+        for k in range(1, stages):
+            first[k], later[k] = self._two.A @ first[k - 1], self._two.A @ later[k - 1]
+            if k == 1:
+                later[k] += self._start
+        rows, modes = self._rows(), states // 2
+        answer = rows @ later[: stages - 1, :modes]
+        seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)
+        seen = seen.transpose(0, 2, 1, 3).reshape(-1, stages * inputs)
+        free = self._free[1:] + first @ begin
+        error = (free[:-1, :modes] - self._rest[:modes]) @ rows.T
+        return seen, error.ravel(), later[::-1].transpose(1, 0, 2).reshape(states, -1), free[-1]

@@ -149,7 +149,7 @@ def test_options_of_the_predictive_controller(tepm: Command, here: Path, option:
     path = ("line", "--from", "0.0,0,0.35", "--to", "0.001,0,0.35", "--duration", 0.05)
     assert tepm("mpc", *path, *option, "--out", "out").status == 0
     told = summary(here / "out", "mpc")
-    assert told["settings"] == {"use": option[1] if len(option) > 1 else "both", "rule": option == ("--rule",)}
+    assert told["settings"] == {"use": option[1] if len(option) > 1 else "both", "rule": option == ("--rule",), "nonlinear": False}
     assert enabled is None or told["motors_enabled"] == enabled
 
 
@@ -301,6 +301,7 @@ WRONG = [
     (("mpc", *SHORT, "--controller", "mode3"), "unknown controller 'mode3': did you mean"),
     (("mpc", *SHORT, "--use", "tensions"), "unknown use 'tensions': did you mean 'tension'?"),
     (("mpc", *SHORT, "--controller", "mode1", "--rule"), "--rule belongs to the predictive controller"),
+    (("mpc", *SHORT, "--controller", "mode2", "--nonlinear"), "--nonlinear belongs to the predictive controller"),
     (("mpc", *SHORT, "--rig", "sin"), "unknown rig 'sin': did you mean 'sim'?"),
     (("mpc", *SHORT, "--rig", "bench"), "the rig's robot is"),
     (("mpc", *SHORT, "--rig", "serial"), "rig 'serial' needs a port"),
