@@ -47,7 +47,7 @@ def test_without_a_plan_it_is_the_linear_one_where_the_reference_stands(short, o
 
 
 def test_large_motion_is_foreseen(kang: CompiledModel, short: Reference, operating: Operating):
-    """From rest by forces that move the tip by 86 mm in 0.28 s: beside the moving network the linear forecast is off by three times more."""
+    """From rest by forces that move the tip by 86 mm in 0.28 s: beside the moving network the linear forecast is off three times more."""
     part = np.minimum(np.arange(1, STAGES + 1) / 12, 1.0)
     plan, at = part[:, None] * PUSH, short.equilibria[ROW]
     more = np.vstack([np.zeros(6), plan])
