@@ -176,8 +176,14 @@ def refused(done: Any, says: tuple[str, ...]) -> None:
     assert all(text in line for text in says), line
 
 
+# one of each kind; the others with `pytest -m slow`
+ALWAYS = {"payload", "stiffness_hardening", "pressure_hysteresis", "tendon_friction", "time_delay", "sensor_misalignment"}
+
+
 @pytest.mark.usefixtures("coarse_map")
-@pytest.mark.parametrize("effect", effects(), ids=lambda effect: effect.name)
+@pytest.mark.parametrize(
+    "effect", [pytest.param(kind, id=kind.name, marks=() if kind.name in ALWAYS else pytest.mark.slow) for kind in effects()]
+)
 def test_every_effect_in_every_command(tepm: Command, here: Path, effect: Any) -> None:
     """`ik`, `gain`, `statics` and `simulate` take the effect; G with it agrees with differences of `statics`."""
     write_model(with_effect(NOMINAL, effect), here / "m.toml")
