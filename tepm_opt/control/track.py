@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -138,7 +139,7 @@ def track(
     guard, done = guard or Guard(), keep or Tracked(controller.reference)
     rests = isinstance(rig, Virtual) or guard.glide <= 0
     watch = _Watch(guard, robot)
-    with rig:
+    with rig, _uncollected():
         try:
             first = _prepared(rig, controller, robot, guard, watch, show, rests)
             _closed(rig, controller, watch, show, look, done, first)
@@ -153,6 +154,18 @@ def track(
         finally:
             done.fallbacks = dict(getattr(controller, "fallbacks", {}))
     return done
+
+
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Python's search for cyclic garbage waits until the loop is over: it stops everything for up to some ten milliseconds."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 class Stopped(Exception):  # noqa: N818  it says what happened

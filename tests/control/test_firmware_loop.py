@@ -51,6 +51,7 @@ def test_circle_through_the_firmware_as_on_the_simulated_rig(board: Board) -> No
     world = Witnessed(board, study.prototype(1))
     through = track(Emulated(world, "tension"), Mpc(study.model(), study.reference("circle")), study.model().robot)
     direct = study.follow("circle", "mpc", 1)
+    print(f"through the firmware {1e3 * through.error():.2f} mm, direct {1e3 * direct.error():.2f} mm")
     assert through.end is direct.end is End.DONE
     assert not through.fallbacks
     assert len(through.rows) == len(through.reference)

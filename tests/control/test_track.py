@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
@@ -230,3 +232,19 @@ def test_controllers_by_name(kang, short):
     assert kinds == [Mpc, LengthFollower, LengthFollower]
     with pytest.raises(InputError, match="mode3"):
         controller_named("mode3", kang, short)
+
+
+@pytest.mark.parametrize("change", [lambda time, sample: sample, lambda time, sample: 1 / (time < 0.1) and sample])
+def test_nothing_is_collected_while_the_loop_is_closed(short, change):
+    """Python's collector pauses; it is on again afterwards, whatever is raised."""
+    seen = []
+
+    def noted(time: float, sample: Sample) -> Sample:
+        seen.append(gc.isenabled())
+        return change(time, sample)
+
+    with contextlib.suppress(ZeroDivisionError):
+        track(Fake(short, noted), Still(short), ROBOT, GUARD)
+    assert len(seen) > 50
+    assert not any(seen)
+    assert gc.isenabled()
