@@ -55,17 +55,17 @@ def test_bench() -> None:
     assert max(found.values()) <= 0.3
 
 
-@pytest.mark.parametrize("what", study.DISTURBANCES)
+MISSED = pytest.mark.xfail(reason="without the tip's own sensor peaks are up to 4.3 mm in two seeds of ten", strict=True)
+
+
+@pytest.mark.parametrize("what", [pytest.param(what, marks=MISSED if what == "dead4" else ()) for what in study.DISTURBANCES])
 def test_disturbed(what: str) -> None:
-    """Held within 2 mm from 3 s after the change on, without a sensor root mean square within 4 mm, and within all limits."""
+    """Held within 2 mm from 3 s after the change on (4 mm without a sensor), at every moment and within all limits."""
     done = list(study.everything(("disturbed", what, seed) for seed in study.SEEDS).values())
     print(what, {key: [round(row[key], 2) for row in done] for key in done[0]})
-    if what.startswith("dead"):  # without the tip's own, single peaks are up to 4.3 mm
-        assert max(row["rms_after"] for row in done) <= 4.0
-    else:
-        assert max(row["after"] for row in done) <= 2.0
     assert all(row["inside"] == 1 for row in done)
     assert max(row["worst"] for row in done) < 31  # 0.1 N sideways moves the tip by that much without control
+    assert max(row["after"] for row in done) <= (4.0 if what.startswith("dead") else 2.0)
 
 
 def test_every_piece_earns_its_place() -> None:
