@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from rich.console import Console
 
+from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc import Mpc
 from tepm_opt.control.reference import Reference, along, approach, reference_of
-from tepm_opt.control.track import track
 from tepm_opt.hw.rig import Sample
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.trajectories import circle
 
@@ -47,7 +47,7 @@ def recorded_step(model: CompiledModel) -> Callable[[], None]:
 def keep_pace(model: CompiledModel, console: Console, seconds: float = 60.0) -> None:
     """Print how many periods a closed loop with the simulated rig, on one core, missed."""
     reference = _course(model, seconds / 8)
-    done = track(SimulatedRig(), Mpc(model, reference), model.robot)
+    done = close_loop(SimulatedRig(), Mpc(model, reference), model.robot)
     taken = np.array(done.seconds[-round(seconds / reference.period) :])
     missed = int((taken > reference.period).sum())
     figures = f"median {1e3 * np.median(taken):.2f} ms, 99 % {1e3 * np.quantile(taken, 0.99):.2f} ms, longest {1e3 * taken.max():.2f} ms"

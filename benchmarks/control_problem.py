@@ -1,6 +1,6 @@
 """A predictive controller's problem, in states and inputs and condensed to the inputs, and the programs of a closed loop.
 
-The slow motion of robot kang2017 at a point of the circle (`local_model`), six tensions held for 20 ms each, N = 15 of them; the tip
+The slow motion of robot kang2017 at a point of the circle (`modal_model`), six tensions held for 20 ms each, N = 15 of them; the tip
 follows a reference, tensions stay within 0 … 7 N and change by at most 0.2 N a stage.
 """
 
@@ -15,7 +15,7 @@ import scipy.linalg as sla
 from tepm_opt.control.qp import QpSolver
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.kinematics import Mode, solve_trajectory
-from tepm_opt.solvers.local import local_model
+from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.trajectories import circle
 
 STAGE, STAGES = 0.02, 15  # s
@@ -71,7 +71,7 @@ class Problem:
     def of(model: CompiledModel, modes: int) -> Problem:
         """At the first point of the circle; disturbed, so that some tensions meet their bounds."""
         at = solve_trajectory(model, circle().positions[:1], Mode.HYBRID)[0].equilibrium
-        local = local_model(at, modes=modes)
+        local = modal_model(at, modes=modes)
         actuators = local.drive.shape[1]
         continuous = np.block([[np.zeros((modes, modes)), np.eye(modes)], [-np.diag(local.stiffness), -local.damping]])
         enter = np.concatenate([np.zeros((modes, actuators)), -local.drive])

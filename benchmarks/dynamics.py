@@ -17,8 +17,8 @@ from benchmarks.workshop import Workshop
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.models.backends.interface import EXPLICIT, Drive, Record, Scheme
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.marching import EXPLICIT, Drive, Record, Scheme
 from tepm_opt.solvers.simulate import Directions, Simulation, simulate
 from tepm_opt.solvers.statics import solve_statics
 
@@ -29,7 +29,7 @@ PEER_STEPS = (20, 10, 5)  # ms, beside the peers
 STEPS = (20, 10, 20 / 3, 5, 4, 2.5, 2)  # ms; each divides a sample
 SEGMENTS = (2, 4, 6, 12, 24)
 DIRECTIONS = 20
-MARCH = "tepm_opt model.march, rk4"
+STEPPER = "tepm_opt model.stepper, rk4"
 LENGTHS = (22, 24, 20, 31, 31, 25, 24)  # s, of runs that are made up
 IMPLICIT, RK4, CVODES, MUJOCO = "tepm_opt simulate, implicit", "tepm_opt simulate, rk4", "CVODES", "MuJoCo, RK4"
 IMPLICIT_LIMITS = ("midpoint", "alpha")
@@ -87,9 +87,9 @@ class _Step:
         drive, scheme = Drive(self.setpoints.time, rows, True, np.zeros((0, len(model.theta)))), Scheme(EXPLICIT, RK4_STEP)
         rest, last = solve_statics(model, rows[0, : model.layout.inputs]), len(rows) - 1
 
-        def march() -> np.ndarray:
-            record = Record.empty(model.march.motion, len(rows), 0)
-            model.march.march(model.march.start(rest.x, 0), drive, 0, last, scheme, model.theta, record)
+        def stepped() -> np.ndarray:
+            record = Record.empty(model.stepper.dynamics, len(rows), 0)
+            model.stepper.integrate(model.stepper.start(rest.x, 0), drive, 0, last, scheme, model.theta, record)
             return record.observed[2:, 3 * model.layout.points - 3 : 3 * model.layout.points]
 
         yield Contender(
@@ -98,7 +98,7 @@ class _Step:
             lambda found: self.error(found.tip[2:]),
             ours=True,
         )
-        yield Contender(f"{MARCH}, 1/3 ms: no check of the step", march, self.error, ours=True)
+        yield Contender(f"{STEPPER}, 1/3 ms: no check of the step", stepped, self.error, ours=True)
 
 
 def _beside_peers(scene: Scene, workshop: Workshop, step: _Step, quick: bool) -> Task:
@@ -262,7 +262,7 @@ GOALS = (
     Goal("motion", "implicit: at most 3 times the limit's faster implicit scheme at 5 ms, fastest within 1 mm", _over_limit, 3),
     Goal("motion", "the same, ours at 5 ms, too", _over_limit_alike, 3),
     Goal("motion", "RK4: at least 12 times faster than MuJoCo RK4", _speed_up(RK4, MUJOCO), 12, True),
-    Goal("motion", "the same without the check of the step", _speed_up(MARCH, MUJOCO), 12, True),
+    Goal("motion", "the same without the check of the step", _speed_up(STEPPER, MUJOCO), 12, True),
     Goal("sensitivities", "at most 6 times a plain simulation", lambda task, _: task.contenders[1].over(task.contenders[0]), 6),
     Goal("segments", "linear: exponent of cost over n_e at most 1.1", lambda task, _: exponents(task)[0], 1.1),
     Goal("data", "in less than 1 s at the default step", lambda task, _: task.contenders[0].median, 1),

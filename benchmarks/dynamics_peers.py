@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.scene import Scene, free
 from benchmarks.workshop import Workshop
-from tepm_opt.hw.imperfections import Body
-from tepm_opt.hw.mujoco_network import MujocoNetwork
+from tepm_opt.hw.simulation.imperfections import Body
+from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 
 TOLERANCES: dict[str, dict[str, float]] = {
     "1e-4": {"reltol": 1e-4, "abstol": 1e-4},

@@ -128,15 +128,15 @@ def task(key: str, title: str, scene: Scene, peers: Peers, start: Equilibrium, g
     newton = Buffered(peers.plain)
     trust, hybrid = _scipy(peers, x, force)
 
-    def chain() -> Any:
-        return model.chain.statics(start.x, goal.inputs, False, nothing, model.theta, TOLERANCE, DEFAULT.iterations)
+    def statics() -> Any:
+        return model.statics.statics(start.x, goal.inputs, False, nothing, model.theta, TOLERANCE, DEFAULT.iterations)
 
     def peer(name: str, solve: Callable[[], Any], found: Callable[[Any], Any] = lambda x: x, slow: bool = False) -> Contender:
         return Contender(name, solve, lambda result: scene.tip_of(found(result)), slow=slow)
 
     contenders = [
         Contender(OURS, lambda: solve_statics(model, goal.inputs, start=start), lambda result: result.tip, ours=True),
-        Contender("tepm_opt model.chain.statics", chain, lambda result: scene.tip_of(result.x[1:].ravel()), ours=True),
+        Contender("tepm_opt model.statics.statics", statics, lambda result: scene.tip_of(result.x[1:].ravel()), ours=True),
         peer(FAST_NEWTON, lambda: peers.fast(x, force)),
         peer(f"{FAST_NEWTON}, plain call", lambda: peers.fast_unbuffered(x, force)),
         peer("CasADi newton, virtual machine", lambda: newton(x, force)),

@@ -10,11 +10,11 @@ G = solve_gain(held).matrix
 
 from tepm_opt.data.setpoints import SetPoints, read_setpoints, write_setpoints
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.runs import run_gain, run_ik, run_statics
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.models.robot import Robot, load_robot
-from tepm_opt.runs import run_gain, run_ik, run_statics
-from tepm_opt.solvers.allocation import Mode, allocate
+from tepm_opt.solvers.allocation import ActuationMode, allocate
 from tepm_opt.solvers.gain import Gain, input_curve, solve_gain, workspace_map
 from tepm_opt.solvers.kinematics import Configuration, solve_ik, solve_trajectory
 from tepm_opt.solvers.linear import Linear, linearise
@@ -25,6 +25,7 @@ from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory, circle, line, lissajous, read_trajectory
 
 __all__ = [
+    "ActuationMode",
     "CompiledModel",
     "Configuration",
     "Directions",
@@ -32,7 +33,6 @@ __all__ = [
     "Gain",
     "InputError",
     "Linear",
-    "Mode",
     "Model",
     "Robot",
     "SetPoints",

@@ -10,17 +10,17 @@ from pathlib import Path
 import jinja2
 import numpy as np
 
-from tepm_opt.closed_loops.result import ClosedLoop
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.localise import Localisation
-from tepm_opt.discrepancy.verdict import Status, Value, Verdict
-from tepm_opt.runs import GainRun, IkRun
+from tepm_opt.discrepancy.verdict import Value, Verdict, VerdictStatus
+from tepm_opt.jobs.closed_loop import ClosedLoop
+from tepm_opt.jobs.runs import GainRun, IkRun
 
 HEADINGS = {
-    Status.NAMED: "The missing effect is named",
-    Status.NO_DISCREPANCY: "No discrepancy",
-    Status.INDISTINGUISHABLE: "Several effects explain the data equally well",
-    Status.UNEXPLAINED: "Not explained by any known effect",
+    VerdictStatus.NAMED: "The missing effect is named",
+    VerdictStatus.NO_DISCREPANCY: "No discrepancy",
+    VerdictStatus.INDISTINGUISHABLE: "Several effects explain the data equally well",
+    VerdictStatus.UNEXPLAINED: "Not explained by any known effect",
 }
 RIVALS = 15  # listed on the page
 

@@ -11,9 +11,9 @@ from tepm_opt.models.effects import Effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import Robot, load_robot
-from tepm_opt.solvers.statics import Equilibrium, Settings
+from tepm_opt.solvers.statics import Equilibrium, StaticsSettings
 
-PRECISE = Settings(tolerance=1e-10)
+PRECISE = StaticsSettings(tolerance=1e-10)
 """For differences of equilibria: ten times the rounding noise of the forces."""
 
 

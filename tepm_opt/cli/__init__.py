@@ -14,8 +14,9 @@ import typer
 from rich.markup import escape
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.cli import data, demo, discrepancy, gain, hw, identify, ik, modes, mpc, paper, plan, play, record, robot, simulate, statics
+from tepm_opt.cli import data, demo, discrepancy, gain, identify, ik, modes, mpc, paper, plan, play, record, robot, simulate, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
+from tepm_opt.cli.hw import commands as hw
 from tepm_opt.errors import InputError
 
 

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from tepm_opt.cli.common import JsonOption, stdout
-from tepm_opt.recording.robots import check as check_dataset
+from tepm_opt.models.channels import check as check_dataset
 
 app = typer.Typer(help="Data sets of experiments: check.", no_args_is_help=True)
 

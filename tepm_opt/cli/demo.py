@@ -14,17 +14,17 @@ from tepm_opt import plots
 from tepm_opt.cli import gain as gain_command
 from tepm_opt.cli import ik as ik_command
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, stderr
-from tepm_opt.closed_loops.compare import Task, compare
-from tepm_opt.closed_loops.course import Course
-from tepm_opt.closed_loops.result import ClosedLoop, Setup
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
-from tepm_opt.hw.rigfile import RigFile, load_rig_file
+from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
+from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
+from tepm_opt.jobs.compare import LoopTask, compare
+from tepm_opt.jobs.course import Course
+from tepm_opt.jobs.runs import IkRun, run_gain, run_ik, save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.plots import control
 from tepm_opt.report import write_page
-from tepm_opt.runs import IkRun, run_gain, run_ik, save_summary
-from tepm_opt.solvers.allocation import Mode
+from tepm_opt.solvers.allocation import ActuationMode
 from tepm_opt.solvers.trajectories import Trajectory, circle
 
 CONTROLLERS = ("mpc", "mode2", "mode1")  # the one that takes longest first
@@ -54,7 +54,7 @@ def closed_loops(model: CompiledModel, path: Trajectory, run: IkRun, quiet: bool
         return {}, "not all points of the circle were solved"
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     try:
-        tasks = [Task(model.model, path, COURSE, rig_of(model), Setup(controller, seed=SEED)) for controller in CONTROLLERS]
+        tasks = [LoopTask(model.model, path, COURSE, rig_of(model), LoopSetup(controller, seed=SEED)) for controller in CONTROLLERS]
         with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as bar:
             shown = {name: bar.add_task(f"closed loop, {NAMES[name]}", total=None) for name in CONTROLLERS}
 
@@ -84,10 +84,10 @@ def demo(
 ) -> int:
     """The main job: the paper's circle, set points for every actuator, G at every point, closed loops, figures and one HTML page."""
     folder, compiled, path = output_folder(out), load(robot, model), circle()
-    coarse = run_ik(compiled, path, Mode.PRESSURE, track=progress("pressure alone", len(path.time), as_json))
+    coarse = run_ik(compiled, path, ActuationMode.PRESSURE, track=progress("pressure alone", len(path.time), as_json))
     if coarse.interrupted:
         raise KeyboardInterrupt
-    run = run_ik(compiled, path, Mode.HYBRID, track=progress("pressure and tension", len(path.time), as_json))
+    run = run_ik(compiled, path, ActuationMode.HYBRID, track=progress("pressure and tension", len(path.time), as_json))
     run.save(folder)
     if run.interrupted:
         raise KeyboardInterrupt

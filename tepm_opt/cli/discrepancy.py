@@ -17,15 +17,20 @@ from rich.markup import escape
 from tepm_opt import plots
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, stderr, stdout
 from tepm_opt.data.metrics import point_errors
-from tepm_opt.discrepancy.job import MODEL, VERDICT, run_discrepancy
 from tepm_opt.discrepancy.search import Hypothesis
-from tepm_opt.discrepancy.verdict import Status
-from tepm_opt.discrepancy.workflow import Result
+from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.jobs.discrepancy import MODEL, VERDICT, run_discrepancy
 from tepm_opt.plots import discrepancy as figures
 from tepm_opt.report import write_discrepancy_page
 
 PAGE = "report.html"
-COLOUR = {Status.NAMED: "green", Status.NO_DISCREPANCY: "green", Status.INDISTINGUISHABLE: "yellow", Status.UNEXPLAINED: "yellow"}
+COLOUR = {
+    VerdictStatus.NAMED: "green",
+    VerdictStatus.NO_DISCREPANCY: "green",
+    VerdictStatus.INDISTINGUISHABLE: "yellow",
+    VerdictStatus.UNEXPLAINED: "yellow",
+}
 
 
 @contextmanager
@@ -42,7 +47,7 @@ def told(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield tell
 
 
-def draw(result: Result) -> dict[str, Figure]:
+def draw(result: Discovery) -> dict[str, Figure]:
     """Figures by the name that the page gives them."""
     verdict, place = result.verdict, result.localisation
     runs = result.dataset.validation or result.dataset.runs
@@ -117,4 +122,4 @@ def discrepancy(
         stdout.print(f"[bold {COLOUR[verdict.status]}]{verdict.status.value}[/]")
         for line in (verdict.paragraph, *verdict.notes, f"{verdict.seconds:.0f} s; {out / PAGE}, {out / MODEL}, {out / VERDICT}"):
             stdout.print(escape(line), soft_wrap=True, highlight=False)
-    return 0 if verdict.status in (Status.NAMED, Status.NO_DISCREPANCY) else 1
+    return 0 if verdict.status in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY) else 1

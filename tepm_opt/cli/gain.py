@@ -15,9 +15,9 @@ from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.data.tables import write_table
 from tepm_opt.errors import unknown_name
+from tepm_opt.jobs.runs import GainRun, run_gain
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.runs import GainRun, run_gain
-from tepm_opt.solvers.gain import Curve, Map, input_curve, workspace_map
+from tepm_opt.solvers.gain import Curve, WorkspaceMap, input_curve, workspace_map
 
 INTERVALS = {"10–20 %": (0.10, 0.20), "45–55 %": (0.45, 0.55)}
 
@@ -34,7 +34,7 @@ def curves(model: CompiledModel) -> dict[tuple[str, str], Curve]:
     return found
 
 
-def grid_map(model: CompiledModel, quiet: bool) -> Map:
+def grid_map(model: CompiledModel, quiet: bool) -> WorkspaceMap:
     """G over a vertical plane that holds the robot's workspace; a coarser grid where no C compiler makes it quick."""
     count = 17 if model.is_c else 9
     height = model.layout.modules * model.values["L_0"]
@@ -42,7 +42,7 @@ def grid_map(model: CompiledModel, quiet: bool) -> Map:
     return workspace_map(model, across, up, track=progress("workspace", count**2, quiet))
 
 
-def save_map(workspace: Map, path: Path) -> None:
+def save_map(workspace: WorkspaceMap, path: Path) -> None:
     """Write the map: tip position and, where in reach, singular values of pressure and tension."""
     rows = []
     for z, gains in zip(workspace.height, workspace.gains, strict=True):

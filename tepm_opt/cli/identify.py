@@ -17,14 +17,14 @@ from tepm_opt.cli.common import INTERRUPTED, JsonOption, ModelOption, RobotOptio
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.metrics import error_over_time
-from tepm_opt.discrepancy.job import MODEL, refuse_errors
 from tepm_opt.discrepancy.library import narrow
 from tepm_opt.discrepancy.workflow import noise_of
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import MODEL, refuse_errors
+from tepm_opt.models.channels import open_dataset
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import write_model
-from tepm_opt.recording.robots import open_dataset
-from tepm_opt.solvers.identify import Estimate, Problem, free_parameters
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters
 from tepm_opt.solvers.predict import PredictionError, predict_all
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 
@@ -101,7 +101,7 @@ def identify(
     return 0 if estimate.converged else 1
 
 
-def _summary(estimate: Estimate, before: CompiledModel, sets: Sequence[DataSet], intervals: bool) -> dict[str, Any]:
+def _summary(estimate: ParameterEstimate, before: CompiledModel, sets: Sequence[DataSet], intervals: bool) -> dict[str, Any]:
     values = {}
     correlation = estimate.covariance / np.maximum(np.outer(estimate.std, estimate.std), 1e-300)
     for k, free in enumerate(estimate.problem.free):

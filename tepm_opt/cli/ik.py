@@ -13,8 +13,8 @@ from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, unsolved_lines, vector
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
-from tepm_opt.runs import IkRun, run_ik
-from tepm_opt.solvers.allocation import Mode
+from tepm_opt.jobs.runs import IkRun, run_ik
+from tepm_opt.solvers.allocation import ActuationMode
 from tepm_opt.solvers.trajectories import FARTHEST, Trajectory, circle, line, lissajous, read_trajectory
 
 SHAPES = ("circle", "line", "lissajous")
@@ -64,7 +64,9 @@ def lines(run: IkRun, out: Path) -> list[str]:
 def ik(
     path: Annotated[str, typer.Argument(metavar="TRAJECTORY", help="circle, line, lissajous or a CSV file with x, y, z in m in frame G.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("ik"),
-    mode: Annotated[Mode, typer.Option("--mode", help="Pressure alone, or coarse pressure and fine tension.")] = Mode.HYBRID,
+    mode: Annotated[
+        ActuationMode, typer.Option("--mode", help="Pressure alone, or coarse pressure and fine tension.")
+    ] = ActuationMode.HYBRID,
     points: Annotated[int | None, typer.Option("--points", help="Number of points; files are resampled.")] = None,
     duration: Annotated[float | None, typer.Option("--duration", help="Duration in s where the trajectory has no time.")] = None,
     radius: Annotated[float | None, typer.Option("--radius", help="Of circle and lissajous, m.")] = None,

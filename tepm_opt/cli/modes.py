@@ -19,9 +19,9 @@ from tepm_opt.data.files import atomic_path, output_folder
 from tepm_opt.data.setpoints import point_columns, read_setpoints
 from tepm_opt.data.tables import write_columns
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.runs import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.plots import linear as linear_plots
-from tepm_opt.runs import save_summary
 from tepm_opt.solvers.linear import Linear, linearise
 from tepm_opt.solvers.modes import Mode, modes
 from tepm_opt.solvers.reduction import Reduced, balanced

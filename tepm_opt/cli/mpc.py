@@ -15,13 +15,13 @@ from tepm_opt.cli.common import INTERRUPTED, UNSOLVED, JsonOption, ModelOption, 
 from tepm_opt.cli.ik import trajectory
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
 from tepm_opt.cli.simulate import folder_for
-from tepm_opt.closed_loops.course import Course, whole_reference
-from tepm_opt.closed_loops.result import LOG, ClosedLoop, Setup
-from tepm_opt.closed_loops.run import Look, run_closed_loop
-from tepm_opt.control.follow import CONTROLLERS
+from tepm_opt.control.controllers import CONTROLLERS
 from tepm_opt.control.mpc import MpcSettings, Use
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.rig import Command, Rig, Sample
+from tepm_opt.jobs.closed_loop import LOG, ClosedLoop, LoopSetup
+from tepm_opt.jobs.course import Course, whole_reference
+from tepm_opt.jobs.mpc import Look, run_closed_loop
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.plots import control
 
@@ -44,7 +44,7 @@ def live(wanted: bool, rig: Rig) -> Iterator[Look | None]:
     if not wanted:
         yield None
         return
-    from tepm_opt.hw.view import RerunStream
+    from tepm_opt.hw.simulation.view import RerunStream
 
     stream = RerunStream("tepm mpc")
 
@@ -98,7 +98,7 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
     return text
 
 
-def setup_of(controller: str, rig: str, seed: int, rule: bool, nonlinear: bool, use: str) -> Setup:
+def setup_of(controller: str, rig: str, seed: int, rule: bool, nonlinear: bool, use: str) -> LoopSetup:
     """What the options ask for.
 
     Raises:
@@ -112,7 +112,7 @@ def setup_of(controller: str, rig: str, seed: int, rule: bool, nonlinear: bool, 
     asked = [name for name, given in (("rule", rule), ("nonlinear", nonlinear), ("use", use != Use.BOTH.value)) if given]
     if controller != "mpc" and asked:
         raise InputError(f"--{asked[0]} belongs to the predictive controller; leave it out with --controller {controller}")
-    return Setup(controller, rig, seed, MpcSettings(rule=rule, nonlinear=nonlinear, use=Use(use)))
+    return LoopSetup(controller, rig, seed, MpcSettings(rule=rule, nonlinear=nonlinear, use=Use(use)))
 
 
 def mpc(
@@ -170,7 +170,7 @@ def mpc(
     return status
 
 
-def _run(compiled: CompiledModel, reference: Any, device: Rig, setup: Setup, folder: Path, view: bool, quiet: bool) -> ClosedLoop:
+def _run(compiled: CompiledModel, reference: Any, device: Rig, setup: LoopSetup, folder: Path, view: bool, quiet: bool) -> ClosedLoop:
     show: Callable[[str, float, float], None]
     with stopped_by_signals(), live(view, device) as look, stages(quiet) as (of_run, _):
         show = of_run(setup.controller)

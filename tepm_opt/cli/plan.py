@@ -15,9 +15,9 @@ from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, repo
 from tepm_opt.cli.ik import trajectory
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.runs import save_summary
 from tepm_opt.plots.plan import plan_figure
-from tepm_opt.runs import save_summary
-from tepm_opt.solvers.plan import Box, Objective, Obstacle, Plan, Progress, Settings, Sphere, plan_move, plan_path
+from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, Obstacle, PlanSettings, Progress, Sphere, plan_move, plan_path
 
 FIGURE = "plan.png"
 OBSTACLES = "sphere:x,y,z,radius or box:x0,y0,z0,x1,y1,z1"
@@ -53,7 +53,7 @@ def stages(quiet: bool) -> Iterator[Progress]:
         yield lambda stage: status.update(f"planning: {stage}")
 
 
-def lines(plan: Plan, out: Path) -> list[str]:
+def lines(plan: MotionPlan, out: Path) -> list[str]:
     """What a plan says to people."""
     if not plan.solved:
         return [f"[yellow]no plan: {escape(plan.message)}[/]"]
@@ -93,7 +93,7 @@ def plan(
     """Plan a motion from rest to rest under all limits: set points to play, the tip's reference, figure."""
     first, last = vector(start, "--from"), vector(end, "--to")
     kept = [obstacle(text) for text in obstacles or ()]
-    settings = Settings(stability=margin, mid_tension=mid_tension, frequency_doubt=doubt)
+    settings = PlanSettings(stability=margin, mid_tension=mid_tension, frequency_doubt=doubt)
     targets = None if path is None else trajectory(path, None, None, None, None, start, end)
     if targets is None and (first is None or last is None):
         raise InputError("a plan needs --from and --to, or --path")

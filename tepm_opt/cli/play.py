@@ -12,11 +12,11 @@ from rich.markup import escape
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, RobotOption, stderr, stdout
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
 from tepm_opt.data.setpoints import read_setpoints
+from tepm_opt.jobs.play import play as play_setpoints
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
 from tepm_opt.recording.drive import refuse_unplayable
 from tepm_opt.recording.measure import UNFINISHED
-from tepm_opt.recording.play import play as play_setpoints
 
 
 def play(

@@ -12,9 +12,9 @@ from rich.markup import escape
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, stderr, stdout
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
 from tepm_opt.data.datasets import DESCRIPTION, read_description
+from tepm_opt.jobs.record import record as record_plan
 from tepm_opt.recording.measure import UNFINISHED
-from tepm_opt.recording.plan import Plan, read_plan
-from tepm_opt.recording.record import record as record_plan
+from tepm_opt.recording.plan import RecordingPlan, read_plan
 
 
 def record(
@@ -45,7 +45,7 @@ def record(
     return 0
 
 
-def kept(plan: Plan, out: Path) -> str:
+def kept(plan: RecordingPlan, out: Path) -> str:
     """What is there where a recording ended early."""
     finished = len(read_description(out).runs) if (out / DESCRIPTION).is_file() else 0
     rest = f", what there is of the next one in {out / UNFINISHED}" if (out / UNFINISHED).is_dir() else ""

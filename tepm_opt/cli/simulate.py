@@ -16,10 +16,10 @@ from tepm_opt import plots
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, ModelOption, RobotOption, load, report, stderr
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.jobs.simulate import LENGTHS, TRAJECTORY, SimulateRun, read_task, run_simulation
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.plots import film as film_maker
 from tepm_opt.plots import motion
-from tepm_opt.simulations import LENGTHS, TRAJECTORY, SimulateRun, read_task, run_simulation
 from tepm_opt.solvers.simulate import METHODS, Directions, Method
 
 SHORTEST, LONGEST = 0.02, 1000.0  # ms; a step that was meant in s is below
@@ -117,7 +117,7 @@ def simulate(
     if inputs.resolve() in {(out / name).resolve() for name in (TRAJECTORY, LENGTHS)}:
         raise InputError(f"--out {out}: {inputs} would be overwritten; name another folder")
     with stderr.status("compiling the motion"):
-        _ = compiled.march  # here, so that it does not count as simulating
+        _ = compiled.stepper  # here, so that it does not count as simulating
     kept = "nothing was finished"
     try:
         with folder_for(out) as folder:

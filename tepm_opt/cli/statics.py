@@ -14,7 +14,7 @@ from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, prog
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import SetPoints, read_setpoints
 from tepm_opt.errors import InputError
-from tepm_opt.runs import run_statics
+from tepm_opt.jobs.runs import run_statics
 
 
 def statics(

@@ -127,11 +127,11 @@ class InputEffects:
         self.model = model
         self._area, self._half = model.values["A"], model.layout.inputs // 2
         self._theta = np.array([0.0 if name in LAGS else value for name, value in model.values.items()])
-        self._inputs, self._memory = inputs, np.zeros(model.moving.motion.input_states)
+        self._inputs, self._memory = inputs, np.zeros(model.reference_stepper.dynamics.input_states)
         probes = model.input_max * np.array([[0.1], [0.9]])
-        direct = all(np.array_equal(model.chain.actuation(probe, self._theta), probe) for probe in probes)
+        direct = all(np.array_equal(model.statics.actuation(probe, self._theta), probe) for probe in probes)
         self.none = direct and not len(self._memory)
-        self.forces = self._extra(model.chain.actuation(inputs, self._theta), inputs)
+        self.forces = self._extra(model.statics.actuation(inputs, self._theta), inputs)
 
     def advance(self, actuators: Actuators, duration: float) -> None:
         """To the actuators' present pressures and tensions, some s after the last call."""
@@ -139,7 +139,7 @@ class InputEffects:
             return
         inputs = np.concatenate([actuators.pressure, actuators.tension])
         rate = (inputs - self._inputs) / duration
-        found = self.model.moving.values("input_motion", inputs, rate, self._memory, duration, self._theta)
+        found = self.model.reference_stepper.values("input_motion", inputs, rate, self._memory, duration, self._theta)
         effective, self._memory = (value.ravel() for value in found)
         self._inputs, self.forces = inputs, self._extra(effective, inputs)
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from tepm_opt.control.mpc import MpcSettings
 from tepm_opt.control.reference import PERIOD, Reference, reference_by_forces, rising
-from tepm_opt.hw.bench import BenchRig
 from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import Robot
 

@@ -18,11 +18,11 @@ from scipy.stats import chi2
 
 from tepm_opt.control.friction import turned
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.local import LocalModel
+from tepm_opt.solvers.modal_model import ModalModel
 
 
 @dataclass(frozen=True)
-class EstimatorSettings:
+class FilterSettings:
     """What the filter believes; tuned on the virtual prototype with its nominal model.
 
     Attributes:
@@ -59,7 +59,7 @@ class EstimatorSettings:
     patience: int = 10
 
 
-DEFAULT = EstimatorSettings()
+DEFAULT = FilterSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Operating:
         period: s.
     """
 
-    model: LocalModel
+    model: ModalModel
     forces: np.ndarray
     A: np.ndarray
     start: np.ndarray
@@ -82,7 +82,7 @@ class Operating:
     period: float
 
     @staticmethod
-    def of(model: LocalModel, forces: np.ndarray, period: float) -> Operating:
+    def of(model: ModalModel, forces: np.ndarray, period: float) -> Operating:
         """Exact for forces linear in a period (first-order hold; Franklin, Powell, Workman, Digital Control, 1998, section 6.3)."""
         count = len(model.stiffness)
         A = np.zeros((2 * count, 2 * count))
@@ -113,7 +113,7 @@ class Operating:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class StateEstimate:
     """The arm as the filter sees it at a sample's time.
 
     Attributes:
@@ -172,7 +172,7 @@ class Estimator:
         mean, covariance: of the state.
     """
 
-    def __init__(self, operating: Operating, noise: float, middle: float, settings: EstimatorSettings = DEFAULT) -> None:
+    def __init__(self, operating: Operating, noise: float, middle: float, settings: FilterSettings = DEFAULT) -> None:
         self.operating, self.settings, self.noise, self.middle = operating, settings, noise, middle
         modes, actuators = operating.model.drive.shape
         outputs = len(operating.model.observe)
@@ -239,7 +239,7 @@ class Estimator:
         """Friction at a tension in N over that at the middle one."""
         return 1 - self.settings.share + self.settings.share * tension / self.middle
 
-    def update(self, points: np.ndarray) -> Estimate:
+    def update(self, points: np.ndarray) -> StateEstimate:
         """Take a sample's points (points, 3) in m in G, NaN where missing.
 
         Raises:
@@ -278,11 +278,11 @@ class Estimator:
         self._outlying = np.where(wrong, self._outlying + 1, 0)
         return wrong & (self._outlying <= self.settings.patience)
 
-    def estimate(self, refused: np.ndarray) -> Estimate:
+    def estimate(self, refused: np.ndarray) -> StateEstimate:
         """The present one."""
         model, bias = self.operating.model, self.mean[self._bias].reshape(-1, 3)
         points = model.equilibrium.points + (model.observe @ self.mean[: self._modes]).reshape(-1, 3) + bias
-        return Estimate(
+        return StateEstimate(
             self.operating, self.mean[self._motion].copy(), self.mean[self._unknown].copy(), self.mean[self._strength].copy(),
             self.mean[self._friction].copy(), self._direction.copy(), self._deviation.copy(), bias.copy(), points,
             self._nis, self._seen, refused,

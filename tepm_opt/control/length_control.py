@@ -154,7 +154,7 @@ class LengthController:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HoldRecord:
     """What a rig did while its lengths were controlled.
 
     Attributes:
@@ -182,7 +182,7 @@ def hold(
     seconds: float,
     approach: float = 0.0,
     show: Callable[[float], None] = lambda _: None,
-) -> Held:
+) -> HoldRecord:
     """Hold one target after the other on a rig, each for some seconds; works on every rig.
 
     Args:
@@ -212,7 +212,7 @@ def hold(
         inputs = np.concatenate([command.pressures, command.tensions])
         rows.append((passed, number, np.array(lengths), sample.points, inputs, command.enabled))  # a copy: views keep their owners
         show(passed)
-    return Held(*(np.array(column) for column in zip(*rows, strict=True)))
+    return HoldRecord(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def _between(first: LengthTarget, last: LengthTarget, part: float) -> LengthTarget:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.errors import InputError
-from tepm_opt.models.chain import SOLVED
+from tepm_opt.models.backends.statics import SOLVED
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
 
 
 @dataclass(frozen=True)
-class EstimatorSettings:
+class LengthEstimatorSettings:
     """Settings of the estimator.
 
     Attributes:
@@ -31,7 +31,7 @@ class EstimatorSettings:
     largest_step: float = 4.0
 
 
-DEFAULT = EstimatorSettings()
+DEFAULT = LengthEstimatorSettings()
 
 
 class LengthEstimator:
@@ -51,7 +51,7 @@ class LengthEstimator:
         residual: root mean square distance of the fitted from the tracked points in m; NaN before the first sample.
     """
 
-    def __init__(self, model: CompiledModel, loads: np.ndarray | None = None, settings: EstimatorSettings = DEFAULT) -> None:
+    def __init__(self, model: CompiledModel, loads: np.ndarray | None = None, settings: LengthEstimatorSettings = DEFAULT) -> None:
         self.model, self.settings = model, settings
         self._loads = model.check_loads(loads)
         self._half, self._area = model.layout.inputs // 2, model.values["A"]
@@ -88,7 +88,7 @@ class LengthEstimator:
     def _step(self, tracked: np.ndarray, used: np.ndarray, before: np.ndarray) -> bool:
         """One step; whether another one is worth it."""
         at, settings = self.equilibrium, self.settings
-        status, by_u, _, _ = self.model.chain.sensitivity(
+        status, by_u, _, _ = self.model.statics.sensitivity(
             at.x, at.inputs, True, self._loads.ravel(), self.model.theta, self._coordinates, False
         )
         if status != SOLVED:

@@ -19,16 +19,16 @@ from enum import Enum
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
-from tepm_opt.control.coarse import CoarseSettings, PressurePlanner
-from tepm_opt.control.estimator import Estimate, Estimator, EstimatorSettings, Operating
+from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
+from tepm_opt.control.forecast import Forecast, Weights
 from tepm_opt.control.friction import course, turned
 from tepm_opt.control.nonlinear import NonlinearForecast
-from tepm_opt.control.predict import Forecast, Weights
+from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.qp import QpResult, QpSolver, QpStatus
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.local import LocalModel, local_model
+from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 PERIODS = 2  # of control in a stage of the prediction
 
@@ -71,8 +71,8 @@ class MpcSettings:
     use: Use = Use.BOTH
     corridor: float = np.inf
     nonlinear: bool = False
-    coarse: CoarseSettings = field(default_factory=CoarseSettings)
-    estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
+    coarse: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
+    estimator: FilterSettings = field(default_factory=FilterSettings)
     late: float = np.inf
 
 
@@ -96,7 +96,7 @@ class Step:
     """
 
     period: int
-    estimate: Estimate
+    estimate: StateEstimate
     pressures: np.ndarray
     tensions: np.ndarray
     moves: int
@@ -148,7 +148,7 @@ class Mpc:
         self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
         self._forecast = (NonlinearForecast if settings.nonlinear else Forecast)(settings.weights, settings.stages)
         self._operating: dict[int, Operating] = {}
-        self._newest: LocalModel | None = None
+        self._newest: ModalModel | None = None
         self._plan: np.ndarray | None = None
         self._slow, self._extra = np.zeros(half), np.zeros((settings.stages, half))
         self._planned: np.ndarray | None = None
@@ -191,13 +191,13 @@ class Mpc:
         row = int(self.reference.at(period))
         found = self._operating.get(row)
         if found is None:
-            self._newest = local_model(self.reference.equilibria[row], self._newest)
+            self._newest = modal_model(self.reference.equilibria[row], self._newest)
             found = self._operating[row] = Operating.of(self._newest, self.reference.forces[row], self.period)
         for old in [known for known in self._operating if known < row - 2 * self.ahead - 4]:
             del self._operating[old]
         return found
 
-    def _observe(self, sample: Sample) -> Estimate:
+    def _observe(self, sample: Sample) -> StateEstimate:
         """Estimator and actuators up to the sample."""
         reference = self.reference
         self._zero = sample.time if self._zero is None else self._zero
@@ -214,7 +214,7 @@ class Mpc:
         self._effects.advance(self._actuators, self.period)
         return self._estimator.update(sample.points)
 
-    def _look_ahead(self, estimate: Estimate) -> _Ahead:
+    def _look_ahead(self, estimate: StateEstimate) -> _Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
         then, now, actuators = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
         actuators.area = self.area * (1 + estimate.strength)
@@ -231,7 +231,7 @@ class Mpc:
         modes = len(shift)
         return _Ahead(then, np.concatenate([turn @ motion[:modes] + shift, turn @ motion[modes:]]), actuators, direction)
 
-    def _decide(self, estimate: Estimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
+    def _decide(self, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
         reference, settings, forecast = self.reference, self.settings, self._forecast
         stages, preview, actuators = settings.stages, settings.coarse.preview, ahead.actuators

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.control.estimator import Operating
-from tepm_opt.control.predict import Forecast, Weights
+from tepm_opt.control.forecast import Forecast, Weights
 from tepm_opt.control.reference import Reference
-from tepm_opt.solvers.local import local_model
+from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
 
 STRETCH = 3  # stages
@@ -50,7 +50,7 @@ class NonlinearForecast(Forecast):
             middle = (first + last + 1) // 2
             at = reference.equilibria[rows[middle + 1]]
             there, change = self._planned(at, middle)
-            before = model = local_model(there, before)
+            before = model = modal_model(there, before)
             period, offset = self._two.period, model.weights @ (model.levels - at.x[1:].ravel())
             path = reference.levels[rows[first : last + 3]] @ model.weights.T
             rate, bend = (path[2:] - path[:-2]) / (2 * period), (path[2:] - 2 * path[1:-1] + path[:-2]) / period**2

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.kinematics import Configuration, Mode, each_configuration
+from tepm_opt.solvers.kinematics import ActuationMode, Configuration, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 
@@ -89,7 +89,7 @@ def reference_of(
         InputError: a tip is out of reach; names the time and why.
     """
     found = []
-    for k, configuration in enumerate(track(each_configuration(model, tips, Mode.HYBRID))):
+    for k, configuration in enumerate(track(each_configuration(model, tips, ActuationMode.HYBRID))):
         if not configuration.solved:
             raise InputError(f"reference: at {k * period:.2f} s, {tips[k].round(4).tolist()} m: {configuration.message}")
         found.append(configuration)

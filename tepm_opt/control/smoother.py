@@ -18,15 +18,15 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from tepm_opt.control.estimator import DEFAULT, Estimator, EstimatorSettings, Operating, Transition
-from tepm_opt.control.track import Tracked
+from tepm_opt.control.estimator import DEFAULT, Estimator, FilterSettings, Operating, Transition
+from tepm_opt.control.loop import LoopRecord
 from tepm_opt.errors import InputError
 
 SETS = 40  # active sets that are tried
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedMotion:
     """What is known of a run, a control period apart.
 
     Attributes:
@@ -44,7 +44,7 @@ class Recorded:
     rates: np.ndarray
 
     @staticmethod
-    def of(done: Tracked, area: float) -> Recorded:
+    def of(done: LoopRecord, area: float) -> RecordedMotion:
         """A run of the predictive controller, with pressures and tensions as measured; area of a muscle in m².
 
         Raises:
@@ -55,14 +55,14 @@ class Recorded:
             raise InputError("run: valid: one of the predictive controller, with a sample in every period and measured inputs")
         pressures, tensions = np.split(inputs, 2, axis=1)
         rates = np.diff(done.reference.lengths[rows], axis=0) / done.reference.period
-        return Recorded(
+        return RecordedMotion(
             [step.estimate.operating for step in done.steps], np.array(done.points), area * pressures - tensions, tensions, rates
         )
 
-    def between(self, start: int, end: int) -> Recorded:
+    def between(self, start: int, end: int) -> RecordedMotion:
         """A window from one sample to another, which is left out."""
         part = slice(start, end)
-        return Recorded(self.operating[part], self.points[part], self.forces[part], self.tensions[part], self.rates[start : end - 1])
+        return RecordedMotion(self.operating[part], self.points[part], self.forces[part], self.tensions[part], self.rates[start : end - 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class Smoothed:
     solved: bool
 
 
-def smooth(recorded: Recorded, noise: float, middle: float, settings: EstimatorSettings = DEFAULT, bounded: bool = True) -> Smoothed:
+def smooth(recorded: RecordedMotion, noise: float, middle: float, settings: FilterSettings = DEFAULT, bounded: bool = True) -> Smoothed:
     """Smooth a run or a window.
 
     Args:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.solvers.identify import Estimate, bounded_step
+from tepm_opt.solvers.identify import ParameterEstimate, bounded_step
 
 DRAWS = 2000
 FOLDS = 4  # parts a run is cut into where there are too few runs to leave one out
@@ -45,7 +45,7 @@ class Evidence:
         return max(float(self.squares.sum()) / max(self.count, 1), 1.0)
 
 
-def leave_out(estimate: Estimate) -> Evidence:
+def leave_out(estimate: ParameterEstimate) -> Evidence:
     """Cross-validation: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
 
     The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step.

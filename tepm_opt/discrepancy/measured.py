@@ -10,7 +10,7 @@ import numpy as np
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.library import Candidate
-from tepm_opt.discrepancy.search import Explanation, Settings
+from tepm_opt.discrepancy.search import Explanation, SearchSettings
 
 
 def with_measured_inputs(runs: Sequence[Run], channels: Channels) -> tuple[Run, ...] | None:
@@ -44,7 +44,7 @@ def _usable(values: np.ndarray) -> bool:
     return values.dtype.kind == "f" and bool(np.isfinite(values).mean() > 0.5)
 
 
-def separated(body: Explanation, missing: Sequence[Candidate], settings: Settings) -> tuple[Candidate, ...]:
+def separated(body: Explanation, missing: Sequence[Candidate], settings: SearchSettings) -> tuple[Candidate, ...]:
     """The candidates that are left once a search with measured inputs has looked at what happens behind them.
 
     What that search found, and what acts on inputs; all candidates where it left structure that nothing explains.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.discrepancy.library import Candidate
-from tepm_opt.solvers.identify import Estimate, Residual, bounded_step, free_parameters, normal_equations
+from tepm_opt.solvers.identify import ParameterEstimate, Residual, bounded_step, free_parameters, normal_equations
 from tepm_opt.solvers.predict import PredictionError
 
 
@@ -27,7 +27,7 @@ class Score:
     start: dict[str, float]
 
 
-def screen(estimate: Estimate, missing: Sequence[Candidate]) -> list[Score]:
+def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Score]:
     """Scores of candidates, largest gain first.
 
     Effects that are nearly linear in their parameters are judged by the outputs' derivatives at the null, others by a finite probe of
@@ -53,7 +53,7 @@ def screen(estimate: Estimate, missing: Sequence[Candidate]) -> list[Score]:
     return sorted(scores, key=lambda score: -score.gain)
 
 
-def _probed(estimate: Estimate, at_null: list[Residual], free: int, candidate: Candidate) -> Score | None:
+def _probed(estimate: ParameterEstimate, at_null: list[Residual], free: int, candidate: Candidate) -> Score | None:
     """Score of a candidate by its probe, as a direction."""
     moved = estimate.problem.with_values(estimate.values)
     theta = moved.theta.copy()
@@ -74,7 +74,9 @@ def _probed(estimate: Estimate, at_null: list[Residual], free: int, candidate: C
     return Score(candidate, gain, start)
 
 
-def _gain(estimate: Estimate, residuals: list[Residual], low: np.ndarray, high: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
+def _gain(
+    estimate: ParameterEstimate, residuals: list[Residual], low: np.ndarray, high: np.ndarray, scale: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Part of the excess that the last columns could take away, and the step of all parameters."""
     problem, values = estimate.problem, estimate.values
     square, slope = normal_equations(residuals)

@@ -14,7 +14,7 @@ from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
 from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.discrepancy.screen import Score, screen
-from tepm_opt.solvers.identify import Estimate, Free, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import Free, ParameterEstimate, Problem, free_parameters, identify
 from tepm_opt.solvers.predict import PredictionError
 
 CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
@@ -24,7 +24,7 @@ Shares = dict[Candidate, float]
 
 
 @dataclass(frozen=True)
-class Settings:
+class SearchSettings:
     """When structure counts, when an effect is believed.
 
     Attributes:
@@ -62,7 +62,7 @@ class Hypothesis:
     """Effects with their fit and how well it predicts held-out data."""
 
     effects: Effects
-    estimate: Estimate
+    estimate: ParameterEstimate
     evidence: Evidence
 
     @property
@@ -124,7 +124,7 @@ class Fits:
     """
 
     problem: Problem
-    settings: Settings
+    settings: SearchSettings
     store: Path | None = None
     key: str = ""
     progress: Progress = lambda text: None

@@ -11,7 +11,7 @@ from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.models.model import Model
 
 
-class Status(Enum):
+class VerdictStatus(Enum):
     """What became of the question which effect is missing."""
 
     NAMED = "named"
@@ -119,7 +119,7 @@ class Verdict:
         seconds: it took.
     """
 
-    status: Status
+    status: VerdictStatus
     paragraph: str
     effects: tuple[Named, ...]
     rivals: tuple[Rival, ...]

@@ -13,8 +13,8 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation, Hypothesis
-from tepm_opt.discrepancy.verdict import Errors, Named, Status, Value
-from tepm_opt.solvers.identify import Estimate
+from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus
+from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
@@ -22,23 +22,23 @@ COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 
 
 def paragraph(
-    status: Status, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation
+    status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation
 ) -> str:
     """The answer in one paragraph."""
     shrinks = f"On validation runs the error falls from {_mm(errors.nominal)} (nominal) over {_mm(errors.recalibrated)} (recalibrated)"
     floor = f"noise {_mm(errors.noise_floor)}"
-    if status is Status.NO_DISCREPANCY:
+    if status is VerdictStatus.NO_DISCREPANCY:
         return (
             f"Nothing is missing: with the known parameters recalibrated within their priors ({_moved(known)}) only noise is left. "
             f"On validation runs the error falls from {_mm(errors.nominal)} to {_mm(errors.recalibrated)} ({floor})."
         )
-    if status is Status.NAMED:
+    if status is VerdictStatus.NAMED:
         names = " and ".join(f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f})" for each in named)
         return (
             f"Missing: {names}. {where} {shrinks} to {_mm(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
             f"in the model ({floor}), which closes {100 * errors.closed:.0f} % of the gap."
         )
-    if status is Status.INDISTINGUISHABLE:
+    if status is VerdictStatus.INDISTINGUISHABLE:
         return f"{_groups(named, explanation)}. {where} {shrinks} to {_mm(errors.corrected)} with the most probable in the model ({floor})."
     best = max((h for h in explanation.tried if len(h.effects) == 1), key=explanation.closes, default=None)
     nearest = f"; {best.effects[0].label} alone would close {_percent(explanation.closes(best))}" if best else ""
@@ -49,7 +49,7 @@ def paragraph(
     )
 
 
-def notes(dataset: DataSet, explanation: Explanation, best: Estimate, noise: float) -> tuple[str, ...]:
+def notes(dataset: DataSet, explanation: Explanation, best: ParameterEstimate, noise: float) -> tuple[str, ...]:
     """What a reader should know besides."""
     found = []
     if not dataset.validation:

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.data.channels import Channels
+from tepm_opt.data.checks.findings import Subject
 from tepm_opt.data.datasets import DataSet
-from tepm_opt.data.findings import Subject
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.discrepancy import words
 from tepm_opt.discrepancy.black_box import black_box
@@ -19,12 +19,12 @@ from tepm_opt.discrepancy.clock import shifts
 from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.localise import Localisation, localise
 from tepm_opt.discrepancy.measured import separated, with_measured_inputs
-from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, Settings, explain
-from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Status, Value, Verdict
+from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, SearchSettings, explain
+from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.identify import Estimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
@@ -35,7 +35,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Discovery:
     """What the workflow found, with what figures need.
 
     Attributes:
@@ -57,8 +57,8 @@ class Result:
 
 def discover(
     dataset: DataSet, model: Model, channels: Channels, seed: int = 0, store: Path | None = None, key: str = "",
-    settings: Settings | None = None, progress: Progress = lambda text: None,
-) -> Result:  # fmt: skip
+    settings: SearchSettings | None = None, progress: Progress = lambda text: None,
+) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
     Args:
@@ -74,7 +74,7 @@ def discover(
     Raises:
         InputError: no run to fit to, the model cannot do the runs, or positions and inputs do not tell the same time.
     """
-    began, settings = time.monotonic(), settings or Settings()
+    began, settings = time.monotonic(), settings or SearchSettings()
     if not dataset.fit:
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
     noise = noise_of(dataset)
@@ -106,12 +106,12 @@ def discover(
         "corrected": _predict(best.model, dataset),
     }
     localisation = localise(
-        dataset.runs, predictions["nominal" if _status(explanation, settings) is Status.NO_DISCREPANCY else "recalibrated"],
+        dataset.runs, predictions["nominal" if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else "recalibrated"],
         noise, channels, dataset.static, seed,
     )  # fmt: skip
     verdict = _verdict(dataset, model, noise, explanation, best, predictions, localisation, settings)
     verdict = replace(verdict, seconds=time.monotonic() - began)
-    return Result(verdict, dataset, noise, localisation, predictions, explanation)
+    return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
 
 
 def noise_of(dataset: DataSet) -> float:
@@ -138,7 +138,7 @@ def _predict(model: CompiledModel, dataset: DataSet) -> list[np.ndarray]:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
 
 
-def _step(model: CompiledModel, dataset: DataSet, precise: Sequence[np.ndarray], noise: float, settings: Settings) -> float:
+def _step(model: CompiledModel, dataset: DataSet, precise: Sequence[np.ndarray], noise: float, settings: SearchSettings) -> float:
     """The longest time step whose errors do not count beside the noise."""
     if dataset.static:
         return PRECISE_STEP
@@ -162,7 +162,7 @@ def _refuse_shifted_clock(dataset: DataSet, nominal: Sequence[np.ndarray]) -> No
         )
 
 
-def _refined(estimate: Estimate) -> Estimate:
+def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
     """The fit with the precise step, from its values."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
     try:
@@ -171,21 +171,21 @@ def _refined(estimate: Estimate) -> Estimate:
         return estimate
 
 
-def _status(explanation: Explanation, settings: Settings) -> Status:
+def _status(explanation: Explanation, settings: SearchSettings) -> VerdictStatus:
     if not explanation.best.effects:
-        return Status.NO_DISCREPANCY if explanation.without.left <= settings.quiet else Status.UNEXPLAINED
+        return VerdictStatus.NO_DISCREPANCY if explanation.without.left <= settings.quiet else VerdictStatus.UNEXPLAINED
     unclear = any(group[0][1] < CLEAR for group in explanation.groups.values())
-    return Status.INDISTINGUISHABLE if unclear else Status.NAMED
+    return VerdictStatus.INDISTINGUISHABLE if unclear else VerdictStatus.NAMED
 
 
-def _belief(share: float, settings: Settings) -> float:
+def _belief(share: float, settings: SearchSettings) -> float:
     """Probability that an effect is a cause: even odds where what only it takes away is `stands_out` times what is left."""
     return 1 / (1 + (settings.stands_out / max(share, 1e-9)) ** 2)
 
 
 def _verdict(
-    dataset: DataSet, model: Model, noise: float, explanation: Explanation, best: Estimate, predictions: dict[str, list[np.ndarray]],
-    localisation: Localisation, settings: Settings,
+    dataset: DataSet, model: Model, noise: float, explanation: Explanation, best: ParameterEstimate,
+    predictions: dict[str, list[np.ndarray]], localisation: Localisation, settings: SearchSettings,
 ) -> Verdict:  # fmt: skip
     status = _status(explanation, settings)
     named: list[Named] = []
@@ -193,7 +193,7 @@ def _verdict(
         belief = _belief(explanation.shares[effect], settings)
         for hypothesis, weight in explanation.groups[effect]:
             other = next((c for c in hypothesis.effects if c not in explanation.best.effects), effect)
-            if hypothesis is explanation.best or (weight > POSSIBLE and status is Status.INDISTINGUISHABLE):
+            if hypothesis is explanation.best or (weight > POSSIBLE and status is VerdictStatus.INDISTINGUISHABLE):
                 estimate = best if hypothesis is explanation.best else hypothesis.estimate
                 named.append(
                     Named(other, belief * weight, _values(estimate, hypothesis.form_error, other), _only(explanation, effect, hypothesis))
@@ -217,17 +217,17 @@ def _only(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -
     return (without.excess - hypothesis.excess) / max(explanation.without.excess, 1e-12)
 
 
-def _value(estimate: Estimate, form_error: np.ndarray, name: str, nominal: float) -> Value:
+def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nominal: float) -> Value:
     at = [f.name for f in estimate.problem.free].index(name)
     std = float(np.hypot(estimate.std[at], form_error[at]))
     return Value(float(estimate.values[at]), std, estimate.problem.free[at].unit, nominal)
 
 
-def _values(estimate: Estimate, form_error: np.ndarray, candidate: Candidate) -> dict[str, Value]:
+def _values(estimate: ParameterEstimate, form_error: np.ndarray, candidate: Candidate) -> dict[str, Value]:
     return {name.rsplit(".", 1)[1]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
 
 
-def _rivals(explanation: Explanation, named: Sequence[Named], settings: Settings) -> tuple[Rival, ...]:
+def _rivals(explanation: Explanation, named: Sequence[Named], settings: SearchSettings) -> tuple[Rival, ...]:
     """One entry for every effect that was not named: its best detail, fitted or not."""
     taken = {each.candidate.name for each in named}
     found: dict[str, Rival] = {}

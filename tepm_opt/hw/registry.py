@@ -35,7 +35,7 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
 
 def _simulated(target: str, robot: Robot | None) -> Rig:
     try:
-        from tepm_opt.hw.simulated import SimulatedRig
+        from tepm_opt.hw.simulation.rig import SimulatedRig
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "mujoco":
             raise
@@ -44,7 +44,7 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
 
 
 def _bench(target: str, robot: Robot | None) -> Rig:
-    from tepm_opt.hw.bench import BenchRig
+    from tepm_opt.hw.simulation.bench import BenchRig
 
     return BenchRig(target) if target else BenchRig()
 
@@ -58,7 +58,7 @@ def _replay(target: str, robot: Robot | None) -> Rig:
 
 
 def _serial(target: str, robot: Robot | None) -> Rig:
-    from tepm_opt.hw.serial_rig import open_serial
+    from tepm_opt.hw.board.rig import open_serial
 
     if not target:
         raise InputError("rig 'serial' needs a port: serial:PORT, such as serial:/dev/ttyACM0; `tepm hw ports` lists them")

@@ -11,14 +11,14 @@ from typing import Literal
 import numpy as np
 
 from tepm_opt.errors import InputError
-from tepm_opt.models import ccode
-from tepm_opt.models.chain import Chain, PythonChain
-from tepm_opt.models.compiled import CompiledChain, CompiledMarch, chain_unit, march_unit
+from tepm_opt.models.backends import ccode
+from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
+from tepm_opt.models.backends.interface import TimeStepper
+from tepm_opt.models.backends.statics import PythonStatics, StaticsBackend
+from tepm_opt.models.backends.time_stepping import PythonTimeStepper
+from tepm_opt.models.dynamics import write_dynamics
 from tepm_opt.models.layout import Layout
-from tepm_opt.models.march import PythonMarch
-from tepm_opt.models.marching import March
 from tepm_opt.models.model import Model
-from tepm_opt.models.motion import write_motion
 from tepm_opt.models.network import Network, write_network
 from tepm_opt.models.robot import Robot
 
@@ -31,15 +31,15 @@ class CompiledModel:
         model: what was compiled.
         network: its CasADi functions.
         theta: values of its parameters, in the order of `network.parameter_names`.
-        chain: statics and sensitivities, compiled C or Python.
+        statics: equilibria and sensitivities, compiled C or Python.
         reference: the Python backend, which also serves what need not be fast.
     """
 
     model: Model
     network: Network
     theta: np.ndarray
-    chain: Chain
-    reference: PythonChain
+    statics: StaticsBackend
+    reference: PythonStatics
 
     @property
     def robot(self) -> Robot:
@@ -54,18 +54,18 @@ class CompiledModel:
     @property
     def is_c(self) -> bool:
         """Whether compiled C is in use."""
-        return self.chain is not self.reference
+        return self.statics is not self.reference
 
     @cached_property
-    def moving(self) -> PythonMarch:
+    def reference_stepper(self) -> PythonTimeStepper:
         """Functions of the moving network, not compiled: what need not be fast."""
-        return PythonMarch(write_motion(self.model))
+        return PythonTimeStepper(write_dynamics(self.model))
 
     @cached_property
-    def march(self) -> March:
-        """Motion in time, compiled when first used: C if the chain is C."""
-        library = ccode.build(march_unit(self.moving.motion)) if self.is_c else None
-        return CompiledMarch(self.moving.motion, library) if library else self.moving
+    def stepper(self) -> TimeStepper:
+        """Motion in time, compiled when first used: C if the statics are C."""
+        library = ccode.build(stepping_unit(self.reference_stepper.dynamics)) if self.is_c else None
+        return CompiledTimeStepper(self.reference_stepper.dynamics, library) if library else self.reference_stepper
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -79,7 +79,7 @@ class CompiledModel:
             InputError: wrong number of values, or not finite.
         """
         other = replace(self, theta=finite_array(theta, self.theta.shape, "theta"))
-        other.__dict__.update({name: self.__dict__[name] for name in ("moving", "march") if name in self.__dict__})
+        other.__dict__.update({name: self.__dict__[name] for name in ("reference_stepper", "stepper") if name in self.__dict__})
         return other
 
     @cached_property
@@ -158,9 +158,9 @@ def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c
     """
     model = model if isinstance(model, Model) else Model.of(model)
     network = write_network(model)
-    reference = PythonChain(network)
-    library = None if backend == "python" else ccode.build(chain_unit(network))
+    reference = PythonStatics(network)
+    library = None if backend == "python" else ccode.build(statics_unit(network))
     if backend == "c" and library is None:
         raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")
-    chain = CompiledChain(network, library) if library else reference
-    return CompiledModel(model, network, np.array(list(model.values.values())), chain, reference)
+    statics = CompiledStatics(network, library) if library else reference
+    return CompiledModel(model, network, np.array(list(model.values.values())), statics, reference)

@@ -136,7 +136,7 @@ class Mount(Section):
         return self
 
 
-class Tracker(Section):
+class TrackerSpec(Section):
     """The position tracker: noise of a position (3-D), frames a second, age of a frame when it is read."""
 
     noise_rms_m: Annotated[float, within(0, 0.1, "m")]
@@ -153,7 +153,7 @@ class Robot(Section):
     priors: dict[str, Annotated[float, within(0, 10, "relative half-width")]] = Field(default_factory=dict)
     actuation: Actuation
     mount: Mount
-    tracker: Tracker
+    tracker: TrackerSpec
     hardware: Hardware | None = None
 
     @model_validator(mode="after")

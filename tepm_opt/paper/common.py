@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.hw.rigfile import RigFile
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tepm_opt.paper.published import PUBLISHED
-from tepm_opt.paper.result import Result
+from tepm_opt.paper.result import ExperimentResult
 from tepm_opt.plots import MISSED, PRESSURE, STYLE, TARGET, TENSION
 from tepm_opt.solvers.backbone import backbone
 
@@ -17,7 +17,7 @@ MODEL, PROTOTYPE = PRESSURE, MISSED
 POINTS = ("C0", "C1", "C2", "C3")
 
 
-def draw(result: Result, base: np.ndarray) -> Figure:
+def draw(result: ExperimentResult, base: np.ndarray) -> Figure:
     """The figure of a result; `base` is the base plate's centre in G, (3,) in m."""
     return _DRAWN[result.figure](result, base)
 
@@ -36,7 +36,7 @@ def _label(axes: Axes, x: str, y: str, title: str = "", legend: bool = True) -> 
         axes.legend(fontsize=8)
 
 
-def _table1(result: Result, base: np.ndarray) -> Figure:
+def _table1(result: ExperimentResult, base: np.ndarray) -> Figure:
     data = result.data
     figure, (left, right) = _panels(2)
     count = len(data["pressures"]) // 2 + 1
@@ -50,7 +50,7 @@ def _table1(result: Result, base: np.ndarray) -> Figure:
     return figure
 
 
-def _fig6(result: Result, base: np.ndarray) -> Figure:
+def _fig6(result: ExperimentResult, base: np.ndarray) -> Figure:
     figure, panels = _panels(2)
     for axes, mode in zip(panels, (1, 2), strict=True):
         rounds = result.data[f"mode{mode}"]
@@ -80,7 +80,7 @@ def _shape(axes: Axes, model: np.ndarray, prototype: np.ndarray, base: np.ndarra
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _errors(axes: Axes, result: Result) -> None:
+def _errors(axes: Axes, result: ExperimentResult) -> None:
     errors, figure = result.data["errors"], result.figure
     names = [f"s{k + 1}" for k in range(len(errors))]
     axes.bar(names, errors, color=PROTOTYPE, alpha=0.75, label="ours")
@@ -91,7 +91,7 @@ def _errors(axes: Axes, result: Result) -> None:
     _label(axes, "reference point", "error in mm", f"RMSE {result.numbers[f'{figure}_rmse']:.2f} mm, published {rmse:.2f} mm")
 
 
-def _static(result: Result, base: np.ndarray) -> Figure:
+def _static(result: ExperimentResult, base: np.ndarray) -> Figure:
     figure, panels = _panels(3)
     for axes, across in zip(panels, (0, 1), strict=False):
         _shape(axes, result.data["model"], result.data["prototype"], base, across)
@@ -99,7 +99,7 @@ def _static(result: Result, base: np.ndarray) -> Figure:
     return figure
 
 
-def _fig9(result: Result, base: np.ndarray) -> Figure:
+def _fig9(result: ExperimentResult, base: np.ndarray) -> Figure:
     figure, (left, right) = _panels(2)
     time, model, prototype = (result.data[name] for name in ("time", "model", "prototype"))
     for k, instant in enumerate((0.0, 1.0, 2.0, 3.0)):
@@ -120,7 +120,7 @@ def _fig9(result: Result, base: np.ndarray) -> Figure:
     return figure
 
 
-def _fig10(result: Result, base: np.ndarray) -> Figure:
+def _fig10(result: ExperimentResult, base: np.ndarray) -> Figure:
     figure, panels = _panels(3)
     _shape(panels[0], result.data["model"], result.data["prototype"], base, 0)
     panels[0].set_title("2.5 N along x", fontsize=11)
@@ -134,7 +134,7 @@ def _fig10(result: Result, base: np.ndarray) -> Figure:
     return figure
 
 
-def _fig11(result: Result, base: np.ndarray) -> Figure:
+def _fig11(result: ExperimentResult, base: np.ndarray) -> Figure:
     figure, panels = _panels(2)
     for axes, interval in zip(panels, ("10–20 %", "45–55 %"), strict=True):
         low, high = (float(word) / 100 for word in interval.removesuffix(" %").split("–"))
@@ -148,7 +148,7 @@ def _fig11(result: Result, base: np.ndarray) -> Figure:
     return figure
 
 
-def _fig12(result: Result, base: np.ndarray) -> Figure:
+def _fig12(result: ExperimentResult, base: np.ndarray) -> Figure:
     figure = Figure(figsize=(11.0, 8.2), **STYLE)  # type: ignore[arg-type]
     panels = figure.subplots(2, 2)
     target = result.data["target"]
@@ -171,6 +171,6 @@ def _fig12(result: Result, base: np.ndarray) -> Figure:
     return figure
 
 
-_DRAWN: dict[str, Callable[[Result, np.ndarray], Figure]] = {
+_DRAWN: dict[str, Callable[[ExperimentResult, np.ndarray], Figure]] = {
     "table1": _table1, "fig6": _fig6, "fig7": _static, "fig8": _static, "fig9": _fig9, "fig10": _fig10, "fig11": _fig11, "fig12": _fig12,
 }  # fmt: skip

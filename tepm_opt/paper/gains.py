@@ -6,7 +6,7 @@ import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.paper.common import Setting, inputs_of, play
-from tepm_opt.paper.result import Result
+from tepm_opt.paper.result import ExperimentResult
 from tepm_opt.solvers.gain import input_curve
 
 LAST, DURATION = 0.60, 12.0  # part of the range, s
@@ -24,7 +24,7 @@ def sweep(setting: Setting, actuation: str, noise: int) -> tuple[np.ndarray, np.
     return LAST * time / DURATION, points[:, -1, 2]
 
 
-def open_loop_gain(setting: Setting) -> Result:
+def open_loop_gain(setting: Setting) -> ExperimentResult:
     """Fig. 11."""
     curves: dict[str, tuple[np.ndarray, np.ndarray]] = {kind: sweep(setting, kind, 1) for kind in ("pressure", "tension")}
     spread: dict[tuple[str, str], float] = {}
@@ -54,4 +54,4 @@ def open_loop_gain(setting: Setting) -> Result:
     )
     tables = {f"fig11_{kind}": {"part": part, "tip_z_m": height} for kind, (part, height) in curves.items()}
     model = {(k, i): input_curve(setting.model, k, "13", *INTERVALS[i]) for k in ("pressure", "tension") for i in INTERVALS}  # type: ignore[arg-type]
-    return Result("fig11", "Open-loop gain", method, numbers, checks, tables, {"curves": curves, "model": model})
+    return ExperimentResult("fig11", "Open-loop gain", method, numbers, checks, tables, {"curves": curves, "model": model})

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tepm_opt.data.metrics import point_errors
-from tepm_opt.hw.plant import Plant
-from tepm_opt.hw.rigfile import RigFile, load_rig_file
+from tepm_opt.hw.simulation.machine import Machine
+from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import compile_model
 from tepm_opt.paper.common import Setting
 from tepm_opt.paper.load import FORCE
@@ -91,7 +91,7 @@ class Identification:
         """Reference points at rest without friction, by figure."""
         found = {}
         for name, (inputs, force) in self.cases.items():
-            plant = Plant(rig_with(self.base, values))
+            plant = Machine(rig_with(self.base, values))
             forces = np.zeros((self.setting.model.layout.points, 3))
             forces[-1] = force
             plant.settle(np.concatenate([inputs, np.ones(len(inputs) // 2)]), forces)

@@ -6,9 +6,9 @@ import numpy as np
 
 from tepm_opt.data.metrics import point_errors, shape_error
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.paper.common import Setting, middle
-from tepm_opt.paper.result import Result
+from tepm_opt.paper.result import ExperimentResult
 from tepm_opt.paper.shapes import settled_points, shape_table
 from tepm_opt.solvers.statics import solve_statics
 
@@ -56,7 +56,7 @@ def hysteresis(force: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
     return float(np.abs(down - up).max() / bent.max()), float(abs(bent[-1]) / bent.max())
 
 
-def loaded(setting: Setting) -> Result:
+def loaded(setting: Setting) -> ExperimentResult:
     """Fig. 10, both parts."""
     nothing = np.zeros(setting.model.layout.inputs)
     at = solve_statics(setting.model, nothing, FORCE)
@@ -82,4 +82,4 @@ def loaded(setting: Setting) -> Result:
         "fig10b": {"time_s": time, "tip_force_N": force, "bending_angle_rad": angle},
     }
     data = {"model": at.points, "prototype": shown, "errors": 1e3 * point_errors(shown, at.points), "force": force, "angle": angle}
-    return Result("fig10", "Elastic deformation and return", method, numbers, checks, tables, data)
+    return ExperimentResult("fig10", "Elastic deformation and return", method, numbers, checks, tables, data)

@@ -11,8 +11,8 @@ from typing import Any
 import jinja2
 
 from tepm_opt.data.files import write_atomically
-from tepm_opt.hw.rigfile import RigFile
-from tepm_opt.paper.result import Result
+from tepm_opt.hw.simulation.rigfile import RigFile
+from tepm_opt.paper.result import ExperimentResult
 
 
 def sizes(rig: RigFile) -> list[tuple[str, str]]:
@@ -30,7 +30,9 @@ def _text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def write_paper_page(path: Path, summary: Mapping[str, Any], results: Sequence[Result], figures: Mapping[str, Path], rig: RigFile) -> None:
+def write_paper_page(
+    path: Path, summary: Mapping[str, Any], results: Sequence[ExperimentResult], figures: Mapping[str, Path], rig: RigFile
+) -> None:
     """Write the page; `figures` are PNG files by the results' names, put into it.
 
     Raises:

@@ -10,7 +10,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class ExperimentResult:
     """An experiment on the rig, beside the model where the paper compares.
 
     Attributes:

@@ -6,7 +6,7 @@ import numpy as np
 
 from tepm_opt.data.metrics import point_errors, shape_error
 from tepm_opt.paper.common import SWAY, Setting, inputs_of, middle, play, ramp
-from tepm_opt.paper.result import Result
+from tepm_opt.paper.result import ExperimentResult
 from tepm_opt.solvers.statics import solve_statics
 
 RISE, HOLD = 2.0, 3.0  # s
@@ -34,17 +34,17 @@ def settled_points(setting: Setting, inputs: np.ndarray, noise: int, force: np.n
     return np.nanmean(points[time > RISE + HOLD - SWAY], axis=0)
 
 
-def elongation(setting: Setting) -> Result:
+def elongation(setting: Setting) -> ExperimentResult:
     """Fig. 7."""
     return _static(setting, "fig7", "Elongation", elongation_inputs(setting))
 
 
-def double_bend(setting: Setting) -> Result:
+def double_bend(setting: Setting) -> ExperimentResult:
     """Fig. 8."""
     return _static(setting, "fig8", "Double bend", double_bend_inputs(setting))
 
 
-def _static(setting: Setting, figure: str, title: str, inputs: np.ndarray) -> Result:
+def _static(setting: Setting, figure: str, title: str, inputs: np.ndarray) -> ExperimentResult:
     model = solve_statics(setting.model, inputs).points
     runs = [settled_points(setting, inputs, noise) for noise in range(1, setting.runs + 1)]
     errors = [float(shape_error(points, model)) for points in runs]
@@ -57,7 +57,7 @@ def _static(setting: Setting, figure: str, title: str, inputs: np.ndarray) -> Re
     )
     tables = {figure: shape_table(setting, model, runs[shown])}
     checks = {"the error grows from the base to the tip": bool((np.diff(each) > 0).all())}
-    return Result(figure, title, method, numbers, checks, tables, {"model": model, "prototype": runs[shown], "errors": each})
+    return ExperimentResult(figure, title, method, numbers, checks, tables, {"model": model, "prototype": runs[shown], "errors": each})
 
 
 def shape_table(setting: Setting, model: np.ndarray, prototype: np.ndarray) -> dict[str, np.ndarray]:
@@ -68,7 +68,7 @@ def shape_table(setting: Setting, model: np.ndarray, prototype: np.ndarray) -> d
     return {**columns, "error_m": point_errors(prototype, model)}
 
 
-def dynamic_bend(setting: Setting) -> Result:
+def dynamic_bend(setting: Setting) -> ExperimentResult:
     """Fig. 9."""
     setpoints = ramp(dynamic_bend_inputs(setting), BEND)
     time, model = play(setting.twin(), setpoints, BEND, setting.show)
@@ -87,4 +87,4 @@ def dynamic_bend(setting: Setting) -> Result:
     for label, points in (("model", model), ("prototype", shown)):
         columns |= {f"{label}_{name}_{axis}_m": points[:, k, i] for k, name in enumerate(names) for i, axis in enumerate("xyz")}
     data = {"time": time, "errors": errors, "model": model, "prototype": shown}
-    return Result("fig9", "Dynamic bend", method, numbers, {}, {"fig9": columns}, data)
+    return ExperimentResult("fig9", "Dynamic bend", method, numbers, {}, {"fig9": columns}, data)

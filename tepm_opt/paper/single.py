@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from tepm_opt.control.length_control import Held, LengthController, LengthTarget, TendonUse, hold
-from tepm_opt.hw.bench import BenchRig
+from tepm_opt.control.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
 from tepm_opt.hw.rig import Command
+from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.paper.common import Setting
-from tepm_opt.paper.result import Result
+from tepm_opt.paper.result import ExperimentResult
 
 SET_POINTS = (0.220, 0.230, 0.240)  # m
 STAY, TAKEN = 6.0, 5.0  # s at a set point, and at its end for error and SD
@@ -82,7 +82,7 @@ def damping(setting: Setting, stiff: float, time: np.ndarray, length: np.ndarray
     return float(found.x[2] * robot.geometry.segments_per_module), course(found.x)
 
 
-def identification(setting: Setting) -> Result:
+def identification(setting: Setting) -> ExperimentResult:
     """III.B: the free actuator, K_a and c_v."""
     pressures, lengths = staircase(setting, 1)
     area = setting.model.values["A"]
@@ -101,10 +101,10 @@ def identification(setting: Setting) -> Result:
         "table1_release": {"time_s": time, "length_m": length, "fitted_m": fitted},
     }
     data = {"pressures": pressures, "grown": grown, "time": time, "length": length, "fitted": fitted}
-    return Result("table1", "Identification of one actuator", method, numbers, {}, tables, data)
+    return ExperimentResult("table1", "Identification of one actuator", method, numbers, {}, tables, data)
 
 
-def regulate(setting: Setting, use: TendonUse, noise: int) -> Held:
+def regulate(setting: Setting, use: TendonUse, noise: int) -> HoldRecord:
     """The three set points, one after the other, from the actuator's rest."""
     rig = bench(setting, noise)
     value = rig.robot.parameters
@@ -116,7 +116,7 @@ def regulate(setting: Setting, use: TendonUse, noise: int) -> Held:
     return held
 
 
-def set_points(setting: Setting) -> Result:
+def set_points(setting: Setting) -> ExperimentResult:
     """Fig. 6, both modes."""
     numbers, tables, data = {}, {}, {}
     for use in TendonUse:
@@ -139,4 +139,6 @@ def set_points(setting: Setting) -> Result:
     better = all(
         numbers[f"fig6_{kind}_mode2_{n}"] <= numbers[f"fig6_{kind}_mode1_{n}"] for kind in ("error", "sd") for n in (220, 230, 240)
     )
-    return Result("fig6", "Set points of one actuator", method, numbers, {"mode 2 is better at every set point": better}, tables, data)
+    return ExperimentResult(
+        "fig6", "Set points of one actuator", method, numbers, {"mode 2 is better at every set point": better}, tables, data
+    )

@@ -15,14 +15,14 @@ from tepm_opt import plots
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.tables import write_columns
 from tepm_opt.errors import unknown_name
-from tepm_opt.hw.rigfile import load_rig_file
+from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tepm_opt.models.compile import compile_model
 from tepm_opt.paper import gains, load, shapes, single, tracking
 from tepm_opt.paper.common import Setting
 from tepm_opt.paper.figures import draw
 from tepm_opt.paper.page import write_paper_page
 from tepm_opt.paper.published import PUBLISHED, within
-from tepm_opt.paper.result import Result
+from tepm_opt.paper.result import ExperimentResult
 
 QUICK_POINTS = 8  # of the circle
 
@@ -31,7 +31,7 @@ QUICK_POINTS = 8  # of the circle
 class Experiment:
     """An experiment and how long it takes on the rig: seconds of virtual time, once and with every run, full and quick."""
 
-    run: Callable[[Setting, bool], Result]
+    run: Callable[[Setting, bool], ExperimentResult]
     once: float
     a_run: float
     quick_run: float
@@ -84,7 +84,7 @@ class Study:
     """
 
     setting: Setting
-    results: list[Result]
+    results: list[ExperimentResult]
     asked: list[str]
     quick: bool
     interrupted: bool

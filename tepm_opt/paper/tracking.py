@@ -7,13 +7,13 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from tepm_opt.control.length_control import Held, LengthController, LengthTarget, TendonUse, hold
+from tepm_opt.control.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
 from tepm_opt.control.lengths import LengthEstimator
-from tepm_opt.hw.rigfile import RigFile
+from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.compile import compile_model
 from tepm_opt.paper.common import Setting
-from tepm_opt.paper.result import Result
-from tepm_opt.solvers.kinematics import Mode, solve_trajectory
+from tepm_opt.paper.result import ExperimentResult
+from tepm_opt.solvers.kinematics import ActuationMode, solve_trajectory
 from tepm_opt.solvers.trajectories import circle
 
 APPROACH, STAY, TAKEN = 3.0, 3.0, 1.0  # s: to the first point; at each point; at its end, for the error (SPEC section 6)
@@ -22,11 +22,11 @@ APPROACH, STAY, TAKEN = 3.0, 3.0, 1.0  # s: to the first point; at each point; a
 def targets(setting: Setting, points: int = 32) -> tuple[np.ndarray, list[LengthTarget]]:
     """Tip positions (points, 3) in m and the lengths of the equal-curvature configurations there."""
     positions = circle().positions[:points]
-    found = solve_trajectory(setting.model, positions, Mode.PRESSURE)
+    found = solve_trajectory(setting.model, positions, ActuationMode.PRESSURE)
     return positions, [LengthTarget(c.equilibrium.lengths.ravel(), c.forces) for c in found]
 
 
-def follow(setting: Setting, use: TendonUse, noise: int, wanted: list[LengthTarget]) -> Held:
+def follow(setting: Setting, use: TendonUse, noise: int, wanted: list[LengthTarget]) -> HoldRecord:
     """One round on the prototype; lengths are estimated from the tracked points."""
     estimator = LengthEstimator(setting.model)
     rig = setting.prototype(noise)
@@ -41,12 +41,12 @@ def follow(setting: Setting, use: TendonUse, noise: int, wanted: list[LengthTarg
         return hold(rig, controller, lambda sample: estimator.update(sample.points), wanted, STAY, APPROACH, show)
 
 
-def _follow_alone(file: RigFile, use: TendonUse, noise: int, wanted: list[LengthTarget]) -> Held:
+def _follow_alone(file: RigFile, use: TendonUse, noise: int, wanted: list[LengthTarget]) -> HoldRecord:
     """`follow` in a process of its own, which compiles (or finds) the model for itself."""
     return follow(Setting(compile_model(file.robot), file), use, noise, wanted)
 
 
-def rounds(setting: Setting, wanted: list[LengthTarget]) -> dict[TendonUse, list[Held]]:
+def rounds(setting: Setting, wanted: list[LengthTarget]) -> dict[TendonUse, list[HoldRecord]]:
     """All rounds of both modes, beside each other where there are processors for it; the result does not depend on that."""
     jobs = [(use, noise) for use in TendonUse for noise in range(1, setting.runs + 1)]
     if setting.workers < 2:
@@ -64,14 +64,14 @@ def rounds(setting: Setting, wanted: list[LengthTarget]) -> dict[TendonUse, list
     return {use: [held for (of, _), held in zip(jobs, done, strict=True) if of is use] for use in TendonUse}
 
 
-def reached(held: Held, count: int) -> tuple[np.ndarray, np.ndarray]:
+def reached(held: HoldRecord, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Which samples are of the last second at a point, (samples,), and the mean tip at each point, (count, 3) in m."""
     at_end = (held.target >= 0) & ((held.time - APPROACH) % STAY > STAY - TAKEN)
     tips = np.array([np.nanmean(held.points[at_end & (held.target == k), -1], axis=0) for k in range(count)])
     return at_end, tips
 
 
-def tracking(setting: Setting, points: int = 32) -> Result:
+def tracking(setting: Setting, points: int = 32) -> ExperimentResult:
     """Fig. 12, both modes."""
     positions, wanted = targets(setting, points)
     numbers, tables, share = {}, {}, {}
@@ -98,4 +98,4 @@ def tracking(setting: Setting, points: int = 32) -> Result:
         f"motors were enabled {100 * share[TendonUse.ADJUSTS]:.0f} % of that time."
     )
     checks = {"mode 2 tracks better than mode 1": numbers["fig12_mode2"] < numbers["fig12_mode1"]}
-    return Result("fig12", "Position tracking", method, numbers, checks, tables, data)
+    return ExperimentResult("fig12", "Position tracking", method, numbers, checks, tables, data)

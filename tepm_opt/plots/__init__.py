@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from tepm_opt.data.files import atomic_path
-from tepm_opt.runs import GainRun, IkRun, StaticsRun
+from tepm_opt.jobs.runs import GainRun, IkRun, StaticsRun
 from tepm_opt.solvers.backbone import backbone
-from tepm_opt.solvers.gain import Curve, Map
-from tepm_opt.solvers.kinematics import Mode
+from tepm_opt.solvers.gain import Curve, WorkspaceMap
+from tepm_opt.solvers.kinematics import ActuationMode
 from tepm_opt.solvers.statics import Equilibrium
 
 PRESSURE, TENSION, TARGET, REACHED, MISSED = "#1f5fa8", "#c8571b", "#8a8a8a", "#1b7f4b", "#b3202c"
@@ -50,7 +50,7 @@ def ik_figure(run: IkRun) -> Figure:
     _input_axes(pressure, setpoints.time, setpoints.inputs[:, :half] / 1e3, run, joined=True)
     pressure.set_ylabel("pressure in kPa")
     tension.set_ylabel("tension in N")
-    if run.mode is Mode.HYBRID:
+    if run.mode is ActuationMode.HYBRID:
         _input_axes(tension, setpoints.time, setpoints.inputs[:, half:], run, joined=False)
         tension.set_title("what the pressure grid leaves to the tendons")
         tension.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -123,7 +123,7 @@ def _input_axes(axes: Axes, time: np.ndarray, values: np.ndarray, run: IkRun, jo
     axes.grid(alpha=0.3)
 
 
-def gain_figure(run: GainRun, curves: Mapping[tuple[str, str], Curve], workspace: Map | None = None) -> Figure:
+def gain_figure(run: GainRun, curves: Mapping[tuple[str, str], Curve], workspace: WorkspaceMap | None = None) -> Figure:
     """Singular values along the set points, G at the first, Fig. 11's curves and, where given, a map of the workspace.
 
     `curves` are by actuation ("pressure" or "tension") and interval ("10–20 %").
@@ -192,7 +192,7 @@ def _curve_axes(axes: Axes, interval: str, curves: Mapping[tuple[str, str], Curv
     axes.legend(fontsize=8, loc="best")
 
 
-def _map_axes(figure: Figure, axes: Axes, workspace: Map) -> None:
+def _map_axes(figure: Figure, axes: Axes, workspace: WorkspaceMap) -> None:
     values = workspace.values(lambda gain: 1e3 * float(gain.singular_values("tension")[-1]))
     image = axes.pcolormesh(1e3 * workspace.across, 1e3 * workspace.height, values, shading="nearest", cmap="viridis")
     axes.set_xlabel("across the base's axis in mm")

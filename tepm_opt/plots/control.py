@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from tepm_opt.closed_loops.result import BANDS, ClosedLoop
+from tepm_opt.jobs.closed_loop import BANDS, ClosedLoop
 from tepm_opt.models.layout import Layout
 from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
 

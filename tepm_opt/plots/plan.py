@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET
-from tepm_opt.solvers.plan import Box, Obstacle, Plan, Sphere
+from tepm_opt.solvers.planning.plan import Box, MotionPlan, Obstacle, Sphere
 
 VIEWS = ((0, 2), (0, 1))
 MODULES = ("-", "--", ":", "-.")
 
 
-def plan_figure(plan: Plan, obstacles: Sequence[Obstacle] = ()) -> Figure:
+def plan_figure(plan: MotionPlan, obstacles: Sequence[Obstacle] = ()) -> Figure:
     """Reference points from the side and from above, then speed, pressures and tensions over time."""
     figure = Figure(figsize=(11.5, 8.2), **STYLE)  # type: ignore[arg-type]
     grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.2))
@@ -50,7 +50,7 @@ def _limited(axes: Axes, label: str, limit: float) -> None:
     axes.set_ylabel(label)
 
 
-def _way(axes: Axes, plan: Plan, obstacles: Sequence[Obstacle], view: tuple[int, int]) -> None:
+def _way(axes: Axes, plan: MotionPlan, obstacles: Sequence[Obstacle], view: tuple[int, int]) -> None:
     """Ways of the reference points and outlines of the obstacles along two axes of G."""
     points = 1e3 * plan.points[:, :, list(view)]
     for k, name in enumerate(plan.model.layout.point_names):

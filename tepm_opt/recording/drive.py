@@ -11,7 +11,7 @@ from statistics import median
 import numpy as np
 
 from tepm_opt.data.channels import Channels
-from tepm_opt.data.findings import noise_level, spread
+from tepm_opt.data.checks.findings import noise_level, spread
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Rig, Sample, Virtual

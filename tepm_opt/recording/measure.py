@@ -15,16 +15,16 @@ from tepm_opt.data.setpoints import SetPoints, length_columns
 from tepm_opt.data.tables import field_text
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig, Sample
+from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import Robot
 from tepm_opt.recording.drive import Driver, Row, Show, Virtual, silent
-from tepm_opt.recording.robots import channels_of
 
 STATUS, GOOD = "status", "ok"
 UNFINISHED = "unfinished"
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredRun:
     """A run that was measured, and what a person should know of it."""
 
     run: Run
@@ -41,7 +41,7 @@ def measure(
     rate: float,
     show: Show = silent,
     at_once: bool = False,
-) -> Measured:
+) -> MeasuredRun:
     """Bring a rig to rest under the first row, send the set points, bring it back to zero, and write what was measured meanwhile.
 
     The rig is stopped whatever happens; the journal has all samples until then. It stays: the caller removes it.
@@ -82,7 +82,7 @@ def measure(
     if STATUS in run.extra:
         odd = run.extra[STATUS][run.extra[STATUS] != GOOD]
         notes.append(f"{len(odd)} samples with a status, the first: {odd[0]}")
-    return Measured(run, tuple(notes))
+    return MeasuredRun(run, tuple(notes))
 
 
 def journal_path(folder: Path, file: str) -> Path:

@@ -17,20 +17,20 @@ from tepm_opt.data.documents import Number, Section, between
 from tepm_opt.data.run import Role
 from tepm_opt.data.setpoints import FORCE_COLUMNS, SetPoints, read_setpoints
 from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import Robot
 from tepm_opt.recording.drive import refuse_unplayable
-from tepm_opt.recording.robots import channels_of
 
 Seconds = Annotated[float, between(0, 3600, "s")]
 Lead = Annotated[float, between(0.5, 60, "s")]
 Hertz = Annotated[float, between(1e-3, 1e3, "Hz")]
 Count = Annotated[int, Field(strict=True, ge=1, le=10000, description="1 … 10000")]
 Level = dict[str, Number]
-"""Values of inputs and tip forces by name; see `Setup.level`."""
+"""Values of inputs and tip forces by name; see `PatternContext.level`."""
 
 
 @dataclass(frozen=True)
-class Setup:
+class PatternContext:
     """What a run of a plan is worked out for.
 
     Attributes:
@@ -86,7 +86,7 @@ class RunPlan(Section):
     lead_s: Lead = 1.0
 
     @abstractmethod
-    def setpoints(self, setup: Setup) -> SetPoints:
+    def setpoints(self, setup: PatternContext) -> SetPoints:
         """The set points of the run: steady for `lead_s`, then what it is about.
 
         Raises:
@@ -99,7 +99,7 @@ class FileRun(RunPlan):
 
     inputs: Annotated[str, Field(min_length=1, description="the path of a set-point file")]
 
-    def setpoints(self, setup: Setup) -> SetPoints:
+    def setpoints(self, setup: PatternContext) -> SetPoints:
         """The rows of the file; see `RunPlan.setpoints`."""
         path, robot = setup.folder / self.inputs, setup.robot
         found = read_setpoints(path, channels_of(robot).actuators, robot.input_max)
@@ -119,7 +119,7 @@ class Pattern(RunPlan):
     rest_s: Seconds = 2.0
     repeats: Count = 1
 
-    def setpoints(self, setup: Setup) -> SetPoints:
+    def setpoints(self, setup: PatternContext) -> SetPoints:
         """Linear between the pattern's knots, which stand on the grid of the samples; see `RunPlan.setpoints`."""
         rest = setup.level(self.rest, np.zeros(len(setup.columns)), "rest")
         cycle = [*self.knots(rest, setup), (self.rest_s, rest)]
@@ -136,17 +136,17 @@ class Pattern(RunPlan):
         return SetPoints(time, np.clip(inputs, 0.0, limits), force)
 
     @abstractmethod
-    def knots(self, rest: np.ndarray, setup: Setup) -> Knots:
+    def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """What happens between `rest` (columns,) and `rest`."""
 
 
-class Held(Pattern):
+class HeldPattern(Pattern):
     """What `steps` and `random` share: from level to level, each reached within `rise_s` and held for `hold_s`."""
 
     rise_s: Seconds
     hold_s: Seconds
 
-    def knots(self, rest: np.ndarray, setup: Setup) -> Knots:
+    def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """See `Pattern.knots`."""
         knots: Knots = []
         for target in self.targets(rest, setup):
@@ -156,11 +156,11 @@ class Held(Pattern):
         return [*knots, (self.rise_s, rest)]
 
     @abstractmethod
-    def targets(self, rest: np.ndarray, setup: Setup) -> list[np.ndarray]:
+    def targets(self, rest: np.ndarray, setup: PatternContext) -> list[np.ndarray]:
         """The levels, (columns,) each; what a plan does not name is at `rest` (columns,)."""
 
 
-class Steps(Held):
+class Steps(HeldPattern):
     """Levels that the plan names: steps, ramps and, with `hold_s` 0, triangles."""
 
     pattern: Literal["steps"] = "steps"
@@ -168,12 +168,12 @@ class Steps(Held):
     rise_s: Seconds = 0.0
     hold_s: Seconds = 3.0
 
-    def targets(self, rest: np.ndarray, setup: Setup) -> list[np.ndarray]:
-        """See `Held.targets`."""
+    def targets(self, rest: np.ndarray, setup: PatternContext) -> list[np.ndarray]:
+        """See `HeldPattern.targets`."""
         return [setup.level(level, rest, f"levels entry {k + 1}") for k, level in enumerate(self.levels)]
 
 
-class Random(Held):
+class Random(HeldPattern):
     """`count` levels drawn evenly between `low` and `high`; `seed` and the file's name say which."""
 
     pattern: Literal["random"] = "random"
@@ -184,8 +184,8 @@ class Random(Held):
     rise_s: Seconds = 0.2
     hold_s: Seconds = 2.0
 
-    def targets(self, rest: np.ndarray, setup: Setup) -> list[np.ndarray]:
-        """See `Held.targets`."""
+    def targets(self, rest: np.ndarray, setup: PatternContext) -> list[np.ndarray]:
+        """See `HeldPattern.targets`."""
         low, high = setup.level(self.low, rest, "low"), setup.level(self.high, rest, "high")
         share = np.random.default_rng([self.seed, crc32(self.file.encode())]).random((self.count, len(rest)))
         return list(low + (high - low) * share)
@@ -203,7 +203,7 @@ class Sweep(Pattern):
     to_hz: Hertz = 2.0
     duration_s: Annotated[float, between(1, 3600, "s")] = 30.0
 
-    def knots(self, rest: np.ndarray, setup: Setup) -> Knots:
+    def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """See `Pattern.knots`."""
         fastest = max(self.from_hz, self.to_hz)
         if fastest > setup.rate / 4:
@@ -225,7 +225,7 @@ class Circle(Pattern):
     period_s: Annotated[float, between(0.1, 3600, "s")] = 10.0
     turns: Annotated[float, between(1, 1e4, "turns")] = 3.0
 
-    def knots(self, rest: np.ndarray, setup: Setup) -> Knots:
+    def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """See `Pattern.knots`."""
         robot = setup.robot
         moved = self.modules or list(range(1, robot.modules + 1))

@@ -14,7 +14,7 @@ from tepm_opt.data.run import Role
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.robot import Robot, builtin_robots, load_robot
-from tepm_opt.recording.patterns import PATTERNS, FileRun, RunPlan, Setup
+from tepm_opt.recording.patterns import PATTERNS, FileRun, PatternContext, RunPlan
 
 
 class _PlanFile(Section):
@@ -43,7 +43,7 @@ class PlannedRun:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class RecordingPlan:
     """A plan, its inputs worked out and checked.
 
     Attributes:
@@ -73,7 +73,7 @@ class Plan:
             raise InputError(f"plan {self.name!r}: the file {twice[0]!r} is named twice; every run has its own")
 
 
-def read_plan(path: str | Path) -> Plan:
+def read_plan(path: str | Path) -> RecordingPlan:
     """A plan with all its inputs; paths in it are relative to it.
 
     Raises:
@@ -87,9 +87,9 @@ def read_plan(path: str | Path) -> Plan:
     for k, entry in enumerate(content.runs):
         where = f"{path}: runs entry {k + 1}"
         planned = _planned(entry, where)
-        setup = Setup(robot, content.sample_rate_hz, path.parent, f"{where} ({planned.file})")
+        setup = PatternContext(robot, content.sample_rate_hz, path.parent, f"{where} ({planned.file})")
         runs.append(PlannedRun(planned.file, planned.role, planned.setpoints(setup)))
-    return Plan(content.name, robot, source, content.sample_rate_hz, content.position_noise_m, tuple(runs))
+    return RecordingPlan(content.name, robot, source, content.sample_rate_hz, content.position_noise_m, tuple(runs))
 
 
 def _planned(entry: dict[str, Any], where: str) -> RunPlan:

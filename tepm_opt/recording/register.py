@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw.registration import Registration, register_base
 from tepm_opt.hw.rig import Rig
+from tepm_opt.hw.service.registration import Registration, register_base
+from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, Robot
 from tepm_opt.recording.drive import Driver, Show, silent
-from tepm_opt.recording.robots import channels_of
 from tepm_opt.solvers.statics import solve_statics
 
 FEWEST = 5

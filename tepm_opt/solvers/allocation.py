@@ -13,7 +13,7 @@ PRECISION = 1e-10  # N
 ITERATIONS = 200
 
 
-class Mode(StrEnum):
+class ActuationMode(StrEnum):
     """How axial forces are made."""
 
     PRESSURE = "pressure"
@@ -39,7 +39,7 @@ class Allocation:
 
 def axial_forces(model: CompiledModel, inputs: np.ndarray) -> np.ndarray:
     """Axial forces F_a (modules · actuators,) in N under inputs, through the effects' input maps."""
-    effective = model.chain.actuation(inputs, model.theta)
+    effective = model.statics.actuation(inputs, model.theta)
     half = len(effective) // 2
     return model.values["A"] * effective[:half] - effective[half:]
 
@@ -52,17 +52,17 @@ def on_grid(model: CompiledModel, inputs: np.ndarray) -> np.ndarray:
     return np.where(step > 0, np.clip(np.round(inputs / safe), 0, highest) * safe, inputs)
 
 
-def force_range(model: CompiledModel, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
+def force_range(model: CompiledModel, mode: ActuationMode) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest axial forces (modules · actuators,) in N that a mode can make with all actuators alike."""
     half, limit = model.layout.inputs // 2, model.input_max
     full_pressure, full_tension = limit.copy(), limit.copy()
     full_pressure[half:], full_tension[:half] = 0.0, 0.0
-    if mode is Mode.PRESSURE:
+    if mode is ActuationMode.PRESSURE:
         return axial_forces(model, 0 * limit), axial_forces(model, full_pressure)
     return axial_forces(model, full_tension), axial_forces(model, on_grid(model, full_pressure))
 
 
-def allocate(model: CompiledModel, forces: np.ndarray, mode: Mode, mid_tension: float | None = None) -> Allocation:
+def allocate(model: CompiledModel, forces: np.ndarray, mode: ActuationMode, mid_tension: float | None = None) -> Allocation:
     """Set points that make the axial forces.
 
     Effects bend the way from set points to forces, so it is inverted by iterating with the nominal one, F_a = p A - lambda;
@@ -76,10 +76,10 @@ def allocate(model: CompiledModel, forces: np.ndarray, mode: Mode, mid_tension: 
     """
     area, limit, half = model.values["A"], model.input_max, len(forces)
     inputs = np.zeros(2 * half)
-    if mode is Mode.HYBRID:
+    if mode is ActuationMode.HYBRID:
         inputs[half:] = limit[half:] / 2 if mid_tension is None else mid_tension
     _correct(model, inputs, forces, slice(0, half), 1 / area)
-    if mode is Mode.HYBRID:
+    if mode is ActuationMode.HYBRID:
         inputs[:half] = on_grid(model, inputs)[:half]
         _correct(model, inputs, forces, slice(half, None), -1.0)
     error = float(np.abs(forces - axial_forces(model, inputs)).max())

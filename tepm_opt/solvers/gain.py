@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from tepm_opt.errors import unknown_name
-from tepm_opt.models.chain import SOLVED
+from tepm_opt.models.backends.statics import SOLVED
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
-from tepm_opt.solvers.kinematics import Configuration, Mode, each_configuration
+from tepm_opt.solvers.kinematics import ActuationMode, Configuration, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 
 Actuation = Literal["pressure", "tension", "both"]
@@ -82,7 +82,7 @@ def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = Fal
     if not equilibrium.solved:
         raise ValueError(f"no gain at this operating point: {equilibrium.message}")
     point %= points
-    status, by_u, by_load, by_theta = model.chain.sensitivity(
+    status, by_u, by_load, by_theta = model.statics.sensitivity(
         equilibrium.x,
         equilibrium.inputs,
         equilibrium.mapped,
@@ -135,7 +135,7 @@ def input_curve(
 
 
 @dataclass(frozen=True, eq=False)
-class Map:
+class WorkspaceMap:
     """G over equal-curvature configurations in a plane through the base axis.
 
     Attributes:
@@ -159,9 +159,9 @@ def workspace_map(
     across: Sequence[float] | np.ndarray,
     height: Sequence[float] | np.ndarray,
     direction: float = 0.0,
-    mode: Mode = Mode.HYBRID,
+    mode: ActuationMode = ActuationMode.HYBRID,
     track: Callable[[Iterable[Configuration]], Iterable[Configuration]] = iter,
-) -> Map:
+) -> WorkspaceMap:
     """G on a grid of tip positions: `across` m from the base axis in the direction (rad about it), `height` m along it.
 
     `track` wraps the configurations, for progress.
@@ -172,7 +172,7 @@ def workspace_map(
     found = each_configuration(model, local @ mount.rotation.T + mount.base_position_m, mode)
     gains = [gain_at(configuration) for configuration in track(found)]
     rows = [gains[k * len(across) : (k + 1) * len(across)] for k in range(len(height))]
-    return Map(across, height, np.array([[gain is not None for gain in row] for row in rows]), rows)
+    return WorkspaceMap(across, height, np.array([[gain is not None for gain in row] for row in rows]), rows)
 
 
 def gain_at(configuration: Configuration) -> Gain | None:

@@ -197,7 +197,7 @@ class Residual:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class ParameterEstimate:
     """Parameters found.
 
     Attributes:
@@ -253,7 +253,9 @@ class Estimate:
         return sum((r.by.T @ r.by for r in self.residuals), np.zeros((len(scale), len(scale)))) * np.outer(scale, scale)
 
 
-def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress = lambda text: None, tolerance: float = 1e-5) -> Estimate:
+def identify(
+    problem: Problem, iterations: int = ITERATIONS, progress: Progress = lambda text: None, tolerance: float = 1e-5
+) -> ParameterEstimate:
     """Least squares by Gauss-Newton steps within the bounds, damped where they fail (Levenberg-Marquardt; Nocedal and Wright 2006, ch. 10).
 
     Args:
@@ -296,7 +298,7 @@ def identify(problem: Problem, iterations: int = ITERATIONS, progress: Progress 
                 converged, message = bool(np.isfinite(new)), "no shorter step helps"
                 break
         progress(f"step {done}: residuals {np.sqrt(cost / max(count, 1)):.4g} times the noise")
-    return Estimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, converged, message)
+    return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, converged, message)
 
 
 def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]:

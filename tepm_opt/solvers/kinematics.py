@@ -14,10 +14,10 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import minimize
 
-from tepm_opt.models.chain import SOLVED
+from tepm_opt.models.backends.statics import SOLVED
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.layout import Layout
-from tepm_opt.solvers.allocation import Allocation, Mode, allocate, force_range
+from tepm_opt.solvers.allocation import ActuationMode, Allocation, allocate, force_range
 from tepm_opt.solvers.constant_curvature import lengths_from_tip
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
 
@@ -31,7 +31,7 @@ class Reach(Enum):
 
 
 @dataclass(frozen=True)
-class Settings:
+class IkSettings:
     """Settings of the inverse kinematics.
 
     Attributes:
@@ -51,7 +51,7 @@ class Settings:
     beyond: float = 0.5
 
 
-DEFAULT = Settings()
+DEFAULT = IkSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +102,10 @@ def _weights(layout: Layout) -> np.ndarray:
     return np.concatenate([tip, differences])
 
 
-class _Problem:
+class _IkProblem:
     """Tip error and length differences as functions of the axial forces, with derivatives."""
 
-    def __init__(self, model: CompiledModel, loads: np.ndarray, mode: Mode) -> None:
+    def __init__(self, model: CompiledModel, loads: np.ndarray, mode: ActuationMode) -> None:
         self.model, self.loads = model, loads
         self.low, self.high = _range(model, mode)
         self.area, self.half = model.values["A"], model.layout.inputs // 2
@@ -127,7 +127,9 @@ class _Problem:
         Raises:
             LinAlgError: the equilibrium is not stable.
         """
-        status, by_u, _, _ = self.model.chain.sensitivity(at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False)
+        status, by_u, _, _ = self.model.statics.sensitivity(
+            at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False
+        )
         if status != SOLVED:
             raise np.linalg.LinAlgError("stiffness not positive definite")
         return by_u[:, : self.half] / self.area
@@ -136,11 +138,11 @@ class _Problem:
 def solve_ik(
     model: CompiledModel,
     target: Sequence[float] | np.ndarray,
-    mode: Mode = Mode.HYBRID,
+    mode: ActuationMode = ActuationMode.HYBRID,
     loads: Sequence[float] | np.ndarray | None = None,
     start: Configuration | None = None,
     mid_tension: float | None = None,
-    settings: Settings = DEFAULT,
+    settings: IkSettings = DEFAULT,
 ) -> Configuration:
     """The equal-curvature configuration whose tip is at the target, and the set points that hold it.
 
@@ -159,24 +161,24 @@ def solve_ik(
     Raises:
         InputError: target or loads of a wrong shape or not finite.
     """
-    problem = _Problem(model, model.check_loads(loads), mode)
+    problem = _IkProblem(model, model.check_loads(loads), mode)
     return _solve(problem, finite_array(target, (3,), "target"), mode, start, mid_tension, settings)
 
 
 def each_configuration(
     model: CompiledModel,
     targets: np.ndarray,
-    mode: Mode = Mode.HYBRID,
+    mode: ActuationMode = ActuationMode.HYBRID,
     loads: Sequence[float] | np.ndarray | None = None,
     mid_tension: float | None = None,
-    settings: Settings = DEFAULT,
+    settings: IkSettings = DEFAULT,
 ) -> Iterator[Configuration]:
     """`solve_ik` for targets (points, 3), one after the other, each started from the last one solved.
 
     Raises:
         InputError: targets or loads of a wrong shape or not finite.
     """
-    problem = _Problem(model, model.check_loads(loads), mode)
+    problem = _IkProblem(model, model.check_loads(loads), mode)
     last = None
     for target in finite_array(targets, (len(targets), 3), "targets"):
         found = _solve(problem, target, mode, last, mid_tension, settings)
@@ -187,17 +189,22 @@ def each_configuration(
 def solve_trajectory(
     model: CompiledModel,
     targets: np.ndarray,
-    mode: Mode = Mode.HYBRID,
+    mode: ActuationMode = ActuationMode.HYBRID,
     loads: Sequence[float] | np.ndarray | None = None,
     mid_tension: float | None = None,
-    settings: Settings = DEFAULT,
+    settings: IkSettings = DEFAULT,
 ) -> list[Configuration]:
     """All of `each_configuration`; targets out of reach do not end it."""
     return list(each_configuration(model, targets, mode, loads, mid_tension, settings))
 
 
 def _solve(
-    problem: _Problem, target: np.ndarray, mode: Mode, start: Configuration | None, mid_tension: float | None, settings: Settings
+    problem: _IkProblem,
+    target: np.ndarray,
+    mode: ActuationMode,
+    start: Configuration | None,
+    mid_tension: float | None,
+    settings: IkSettings,
 ) -> Configuration:
     free = _free(problem, target, start, settings)
     slack = 1e-9 * (problem.high - problem.low)
@@ -224,7 +231,7 @@ def _configuration(
     return Configuration(target, at, forces, empty, reach, 0.0, (), message, steps)
 
 
-def _seed(problem: _Problem, target: np.ndarray) -> np.ndarray:
+def _seed(problem: _IkProblem, target: np.ndarray) -> np.ndarray:
     """Axial forces by the constant-curvature lengths and the actuators' stiffness."""
     model = problem.model
     robot, value = model.robot, model.values
@@ -236,10 +243,10 @@ def _seed(problem: _Problem, target: np.ndarray) -> np.ndarray:
     return np.clip((lengths.ravel() - value["L_0"]) * value["K_a"], problem.low, problem.high)
 
 
-def _free(problem: _Problem, target: np.ndarray, start: Configuration | None, settings: Settings) -> Configuration | None:
+def _free(problem: _IkProblem, target: np.ndarray, start: Configuration | None, settings: IkSettings) -> Configuration | None:
     """The configuration at the target without limits on the forces, or None."""
     if start is not None:
-        quick = None if problem.redundant else _together(problem, target, start.forces, start.equilibrium, settings)
+        quick = None if problem.redundant else _full_space_newton(problem, target, start.forces, start.equilibrium, settings)
         if found := quick or _gauss_newton(problem, target, start.forces, start.equilibrium, settings):
             return found
     if found := _gauss_newton(problem, target, _seed(problem, target), None, settings):
@@ -255,13 +262,13 @@ def _free(problem: _Problem, target: np.ndarray, start: Configuration | None, se
 
 
 def _gauss_newton(
-    problem: _Problem, target: np.ndarray, forces: np.ndarray, start: Equilibrium | None, settings: Settings
+    problem: _IkProblem, target: np.ndarray, forces: np.ndarray, start: Equilibrium | None, settings: IkSettings
 ) -> Configuration | None:
     """Minimum-norm Gauss-Newton from given forces; None where it leaves the limits far behind or does not converge."""
     at = problem.at(forces, start)
     if not at.solved:
         return None
-    if not problem.redundant and (found := _together(problem, target, forces, at, settings)):
+    if not problem.redundant and (found := _full_space_newton(problem, target, forces, at, settings)):
         return found
     errors, change = problem.errors(at, target), np.inf
     for step in range(settings.iterations):
@@ -284,11 +291,13 @@ def _gauss_newton(
     return None
 
 
-def _together(problem: _Problem, target: np.ndarray, forces: np.ndarray, start: Equilibrium, settings: Settings) -> Configuration | None:
+def _full_space_newton(
+    problem: _IkProblem, target: np.ndarray, forces: np.ndarray, start: Equilibrium, settings: IkSettings
+) -> Configuration | None:
     """Newton on levels and forces together: quick, without safeguards; None where it does not converge to a stable equilibrium."""
     model = problem.model
     targets = np.concatenate([target, np.zeros(problem.half - 3)])
-    status, x, pressures, steps = model.chain.inverse(
+    status, x, pressures, steps = model.statics.inverse(
         start.x, forces / problem.area, problem.loads.ravel(), model.theta, problem.weights, targets,
         settings.largest_step / problem.area, settings.tolerance / 2, 1e-9, settings.iterations,
     )  # fmt: skip
@@ -311,7 +320,7 @@ def _minimum_norm(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
 
 
-def _nearest(problem: _Problem, target: np.ndarray, settings: Settings) -> Configuration:
+def _nearest(problem: _IkProblem, target: np.ndarray, settings: IkSettings) -> Configuration:
     """The configuration within the limits whose tip is nearest to the target.
 
     The distance has local minima (a target below the base seen by the straight robot), so the search starts from the middle of
@@ -335,7 +344,7 @@ def _nearest(problem: _Problem, target: np.ndarray, settings: Settings) -> Confi
 
 
 def _constrained(
-    problem: _Problem, target: np.ndarray, forces: np.ndarray, settings: Settings, least_norm: bool = False
+    problem: _IkProblem, target: np.ndarray, forces: np.ndarray, settings: IkSettings, least_norm: bool = False
 ) -> Configuration | None:
     """Within the limits and with equal curvature: the nearest tip, or, with `least_norm`, the smallest forces at the target."""
     scale, span = 1e-2, problem.high - problem.low  # errors in cm, forces in parts of their range
@@ -379,9 +388,9 @@ def _constrained(
     return _configuration(target, at, problem.low + part * span, reach, steps=int(result.nit))
 
 
-def _limits(problem: _Problem, forces: np.ndarray, mode: Mode) -> tuple[str, ...]:
+def _limits(problem: _IkProblem, forces: np.ndarray, mode: ActuationMode) -> tuple[str, ...]:
     close = 1e-6 * (problem.high - problem.low)
-    lower = "pressure_{} at 0" if mode is Mode.PRESSURE else "tension_{} at its maximum"
+    lower = "pressure_{} at 0" if mode is ActuationMode.PRESSURE else "tension_{} at its maximum"
     names = problem.model.layout.actuator_names
     found = [lower.format(name) for name, hit in zip(names, forces <= problem.low + close, strict=True) if hit]
     found += [f"pressure_{name} at its maximum" for name, hit in zip(names, forces >= problem.high - close, strict=True) if hit]

@@ -13,7 +13,7 @@ import scipy.linalg as sla
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.layout import Layout
-from tepm_opt.solvers.statics import Equilibrium, Status
+from tepm_opt.solvers.statics import Equilibrium, EquilibriumStatus
 
 if TYPE_CHECKING:
     import control
@@ -169,7 +169,7 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
     Raises:
         InputError: not an equilibrium.
     """
-    if equilibrium.status not in (Status.SOLVED, Status.UNSTABLE):
+    if equilibrium.status not in (EquilibriumStatus.SOLVED, EquilibriumStatus.UNSTABLE):
         raise InputError(f"no equilibrium to linearise about: {equilibrium.message}")
     model, layout = equilibrium.model, equilibrium.model.layout
     A, by_actuation, by_force = _network(equilibrium)
@@ -178,12 +178,12 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
     memory, forces = len(F), by_force.shape[1]
     B = np.block([[by_actuation @ (M + N @ E), by_force], [F @ E, np.zeros((memory, forces))]])
     A = np.block([[A, by_actuation @ N], [np.zeros((memory, len(A))), F]])
-    observed = model.moving.jacobian("observe_by", equilibrium.x.ravel(), model.theta)
-    size, edges = layout.levels * layout.block, layout.levels * model.moving.motion.edge_states
+    observed = model.reference_stepper.jacobian("observe_by", equilibrium.x.ravel(), model.theta)
+    size, edges = layout.levels * layout.block, layout.levels * model.reference_stepper.dynamics.edge_states
     C = np.zeros((len(observed), len(A)))
     C[:, :size] = observed[:, layout.block : layout.block + size]
     inputs, outputs = _names(layout)
-    delay = 0.0 if equilibrium.mapped else float(model.moving.value("delay", model.theta).item())
+    delay = 0.0 if equilibrium.mapped else float(model.reference_stepper.value("delay", model.theta).item())
     return Linear(
         A=A, B=B, C=C, D=np.zeros((len(C), B.shape[1])), inputs=inputs, outputs=outputs, delay=delay,
         ranges=np.append(model.input_max, np.full(forces, FORCE_RANGE)), equilibrium=equilibrium,
@@ -193,12 +193,12 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
 
 def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A of levels, velocities and edge states, and what the effective actuation and the forces on the points add to d/dt s."""
-    model, march, layout = equilibrium.model, equilibrium.model.moving, equilibrium.model.layout
-    n, block, edges, size = layout.levels, layout.block, march.motion.edge_states, layout.levels * layout.block
+    model, stepper, layout = equilibrium.model, equilibrium.model.reference_stepper, equilibrium.model.layout
+    n, block, edges, size = layout.levels, layout.block, stepper.dynamics.edge_states, layout.levels * layout.block
     loads, outer = equilibrium.loads, layout.inputs + 3 * layout.points
     a, P = model.reference.prepare(equilibrium.inputs, equilibrium.mapped, loads.ravel(), model.theta)[:2]
-    d_P = march.jacobian("properties_by", a, loads, model.theta)[: P.size, :outer].reshape(*P.shape, outer)
-    jacobians = march.segment_jacobians(equilibrium.x, P, model.theta)
+    d_P = stepper.jacobian("properties_by", a, loads, model.theta)[: P.size, :outer].reshape(*P.shape, outer)
+    jacobians = stepper.segment_jacobians(equilibrium.x, P, model.theta)
     by_x, by_v, by_y, by_P = np.split(jacobians, np.cumsum([2 * block, 2 * block, edges, P.shape[1]]), axis=2)[:4]
     driven = by_P @ d_P
     A = np.zeros((2 * size + n * edges, 2 * size + n * edges))
@@ -210,7 +210,7 @@ def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarr
         kept = np.r_[free, np.ones(edges, dtype=bool)]
         A[np.ix_(rows, columns)] += np.hstack([by_x[s][:, free], by_v[s][:, free], by_y[s]])[kept]
         B[rows] += driven[s][kept]
-    mass = np.repeat(P[:, march.mass_row], block)[:, None]
+    mass = np.repeat(P[:, stepper.mass_row], block)[:, None]
     A[size : 2 * size] /= -mass  # until here forces, which hold the nodes back
     B[size : 2 * size] /= -mass
     A[:size, size : 2 * size] = np.eye(size)
@@ -219,11 +219,11 @@ def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 def _inputs(equilibrium: Equilibrium, actuators: bool, rising: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """F, E, N, M of the inputs' internal states y and the effective actuation a: dy/dt = F y + E du/dt, a = M u + N y."""
-    model, march, count = equilibrium.model, equilibrium.model.moving, equilibrium.model.layout.inputs
+    model, stepper, count = equilibrium.model, equilibrium.model.reference_stepper, equilibrium.model.layout.inputs
     if equilibrium.mapped:
         return np.zeros((0, 0)), np.zeros((0, count)), np.zeros((count, 0)), np.eye(count)
-    memory, rate = march.motion.input_states, RISING * rising * model.input_max
-    by = march.jacobian("input_motion_by", equilibrium.inputs, rate, np.zeros(memory), MOMENT, model.theta)
+    memory, rate = stepper.dynamics.input_states, RISING * rising * model.input_max
+    by = stepper.jacobian("input_motion_by", equilibrium.inputs, rate, np.zeros(memory), MOMENT, model.theta)
     by_u, by_rate, by_y = np.split(by, [count, 2 * count], axis=1)
     by_y = by_y[:, : memory * actuators]
     reached = slice(count, count + memory * actuators)  # y at the end of the moment

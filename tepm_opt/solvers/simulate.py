@@ -11,8 +11,8 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.models.backends.interface import DIVERGED, DONE, EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.models.marching import DIVERGED, DONE, EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import rk4_step_limit
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
@@ -152,8 +152,8 @@ def simulate(
         raise InputError(f"step: {step:g} s; valid: above 0")
     scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step, tolerance)
     names = directions.names if directions is not None else ()
-    record = Record.empty(model.march.motion, len(drive.time), len(names))
-    state, total, done = model.march.start(start.x, len(names)), Effort(), 0
+    record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
+    state, total, done = model.stepper.start(start.x, len(names)), Effort(), 0
 
     def result(rows: int) -> Simulation:
         kept, points = slice(rows), 3 * model.layout.points
@@ -168,7 +168,7 @@ def simulate(
     ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
     try:
         for end in ends:
-            status, effort = model.march.march(state, drive, done, int(end), scheme, model.theta, record)
+            status, effort = model.stepper.integrate(state, drive, done, int(end), scheme, model.theta, record)
             total = _sum(total, effort)
             if status != DONE:
                 why = "left all bounds" if status == DIVERGED else "has no solution nearby"

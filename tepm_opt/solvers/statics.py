@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.models.chain import SOLVED, UNSTABLE
+from tepm_opt.models.backends.statics import SOLVED, UNSTABLE
 from tepm_opt.models.compile import CompiledModel
 
 
-class Status(Enum):
+class EquilibriumStatus(Enum):
     """How a solve ended."""
 
     SOLVED = "solved"
@@ -25,7 +25,7 @@ class Status(Enum):
 
 
 @dataclass(frozen=True)
-class Settings:
+class StaticsSettings:
     """Settings of the statics solver.
 
     Attributes:
@@ -39,7 +39,7 @@ class Settings:
     shortest: float = 0.25
 
 
-DEFAULT = Settings()
+DEFAULT = StaticsSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Equilibrium:
     x: np.ndarray
     points: np.ndarray
     lengths: np.ndarray
-    status: Status
+    status: EquilibriumStatus
     message: str
     iterations: int
     residual: float
@@ -75,7 +75,7 @@ class Equilibrium:
     @property
     def solved(self) -> bool:
         """Whether this is a stable equilibrium."""
-        return self.status is Status.SOLVED
+        return self.status is EquilibriumStatus.SOLVED
 
     @property
     def tip(self) -> np.ndarray:
@@ -122,7 +122,7 @@ def solve_statics(
     inputs: Sequence[float] | np.ndarray,
     loads: Sequence[float] | np.ndarray | None = None,
     start: Equilibrium | None = None,
-    settings: Settings = DEFAULT,
+    settings: StaticsSettings = DEFAULT,
 ) -> Equilibrium:
     """Equilibrium under inputs u and known external forces.
 
@@ -148,7 +148,7 @@ def equilibrium(
     u: np.ndarray,
     loads: np.ndarray,
     start: Equilibrium | None = None,
-    settings: Settings = DEFAULT,
+    settings: StaticsSettings = DEFAULT,
     mapped: bool = False,
     explain: bool = True,
 ) -> Equilibrium:
@@ -167,24 +167,24 @@ def without_inputs(model: CompiledModel, inputs: np.ndarray, loads: np.ndarray) 
     """The result for a row that has no inputs: status NO_INPUTS, nothing in it."""
     layout = model.layout
     points, lengths = np.full((layout.points, 3), np.nan), np.full((layout.modules, layout.actuators), np.nan)
-    return Equilibrium(model, inputs, loads, model.rest, points, lengths, Status.NO_INPUTS, "the row has no inputs", 0, 0.0, 0.0)
+    return Equilibrium(model, inputs, loads, model.rest, points, lengths, EquilibriumStatus.NO_INPUTS, "the row has no inputs", 0, 0.0, 0.0)
 
 
 def _newton(
-    model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: Settings, mapped: bool, reached: float = 1.0
+    model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: StaticsSettings, mapped: bool, reached: float = 1.0
 ) -> Equilibrium:
     """One Newton solve from x."""
-    solution = model.chain.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.iterations)
+    solution = model.statics.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.iterations)
     layout, split = model.layout, 3 * model.layout.points
     points, lengths = solution.observed[:split].reshape(-1, 3), solution.observed[split:].reshape(layout.modules, layout.actuators)
-    status, message = Status.SOLVED, ""
+    status, message = EquilibriumStatus.SOLVED, ""
     if solution.status == UNSTABLE:
-        status, message = Status.UNSTABLE, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue"
+        status, message = EquilibriumStatus.UNSTABLE, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue"
     elif solution.status != SOLVED:
-        status = Status.NOT_CONVERGED
+        status = EquilibriumStatus.NOT_CONVERGED
         message = f"not converged after {solution.iterations:.0f} iterations: residual {solution.residual:.3g} N"
     elif lengths.min() < settings.shortest * model.values["L_0"]:
-        status = Status.COLLAPSED
+        status = EquilibriumStatus.COLLAPSED
         message = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.shortest:g} of its rest length"
     return Equilibrium(
         model, u, loads, solution.x, points, lengths, status, message, int(solution.iterations), solution.residual, reached, mapped
@@ -192,7 +192,7 @@ def _newton(
 
 
 def _continued(
-    model: CompiledModel, u: np.ndarray, loads: np.ndarray, failed: Equilibrium, settings: Settings, mapped: bool
+    model: CompiledModel, u: np.ndarray, loads: np.ndarray, failed: Equilibrium, settings: StaticsSettings, mapped: bool
 ) -> Equilibrium:
     """Follow the branch from rest by scaling inputs and loads from 0 to 1; how far it goes where it does not reach 1."""
     last = _newton(model, 0 * u, 0 * loads, model.rest, settings, mapped)

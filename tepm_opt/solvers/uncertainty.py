@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from tepm_opt.errors import unknown_name
-from tepm_opt.solvers.identify import ITERATIONS, Estimate, Problem, Progress, identify
+from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, Progress, identify
 from tepm_opt.solvers.predict import PredictionError
 
 
-def unidentifiable(estimate: Estimate, most: float = 0.5) -> list[str]:
+def unidentifiable(estimate: ParameterEstimate, most: float = 0.5) -> list[str]:
     """Directions whose uncertainty, from the runs alone, exceeds `most` of what was known before or of the parameters' size."""
     free = estimate.problem.free
     if not free:
@@ -32,7 +32,9 @@ def unidentifiable(estimate: Estimate, most: float = 0.5) -> list[str]:
     return words
 
 
-def multi_start(problem: Problem, starts: int, seed: int, iterations: int = ITERATIONS, progress: Progress = lambda text: None) -> Estimate:
+def multi_start(
+    problem: Problem, starts: int, seed: int, iterations: int = ITERATIONS, progress: Progress = lambda text: None
+) -> ParameterEstimate:
     """The best of several fits: from the first values, then from random ones within the bounds (or three scales around)."""
     random = np.random.default_rng(seed)
     best = identify(problem, iterations, progress)
@@ -51,7 +53,7 @@ def multi_start(problem: Problem, starts: int, seed: int, iterations: int = ITER
     return best
 
 
-def profile(estimate: Estimate, name: str, level: float = 3.841) -> tuple[float, float]:
+def profile(estimate: ParameterEstimate, name: str, level: float = 3.841) -> tuple[float, float]:
     """Profile interval of a parameter: where the least cost, all others fitted anew, exceeds the best by `level` (3.841: 95 %).
 
     Costs are counted in units of what the residuals show, more than the noise where they are not white. An interval ends at a
@@ -94,7 +96,7 @@ def profile(estimate: Estimate, name: str, level: float = 3.841) -> tuple[float,
     return ends[0], ends[1]
 
 
-def _held(estimate: Estimate, at: int, value: float) -> float:
+def _held(estimate: ParameterEstimate, at: int, value: float) -> float:
     """Least cost with one parameter held."""
     problem = estimate.problem
     others = tuple(replace(f, start=float(v)) for k, (f, v) in enumerate(zip(problem.free, estimate.values, strict=True)) if k != at)

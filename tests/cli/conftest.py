@@ -17,9 +17,9 @@ import pytest
 
 from tepm_opt import plots
 from tepm_opt.cli import demo, gain, run
-from tepm_opt.closed_loops.compare import compare
-from tepm_opt.closed_loops.course import Course
-from tepm_opt.solvers.gain import Map, workspace_map
+from tepm_opt.jobs.compare import compare
+from tepm_opt.jobs.course import Course
+from tepm_opt.solvers.gain import WorkspaceMap, workspace_map
 from tepm_opt.solvers.trajectories import circle
 
 NO_COMPILER = "no C compiler"  # a warning that is no fault, see ccode
@@ -89,7 +89,7 @@ def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 def coarse_map(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six points of the map of the workspace: the middle one of the upper row is in reach."""
 
-    def some(model: Any, across: np.ndarray, height: np.ndarray, **options: Any) -> Map:
+    def some(model: Any, across: np.ndarray, height: np.ndarray, **options: Any) -> WorkspaceMap:
         return workspace_map(model, across[:: len(across) // 2], height[[0, 3 * len(height) // 4]], **options)
 
     monkeypatch.setattr(gain, "workspace_map", some)

@@ -145,7 +145,7 @@ class TestDiscrepancy:
         def interrupted(*arguments: Any, **options: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr("tepm_opt.discrepancy.job.discover", interrupted)
+        monkeypatch.setattr("tepm_opt.jobs.discrepancy.discover", interrupted)
         done = tepm("discrepancy", "data", "--out", "out")
         assert (done.status, done.out) == (130, "")
         assert done.err.splitlines()[-1].startswith("interrupted: finished fits are kept in out")

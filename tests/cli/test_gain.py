@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt import runs
+from tepm_opt.jobs import runs
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import gain_columns, input_columns, names_in, summary, table, tips, values, write_rows
 

@@ -17,15 +17,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.cli import hw, hw_calibrate, hw_shared
+from tepm_opt.cli.hw import calibrate as hw_calibrate
+from tepm_opt.cli.hw import commands as hw
+from tepm_opt.cli.hw import shared as hw_shared
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw import watch
-from tepm_opt.hw.line import Line, open_line
-from tepm_opt.hw.linklog import LinkLog
-from tepm_opt.hw.ports import FoundPort, PortBusyError
+from tepm_opt.hw.board.linklog import LinkLog
+from tepm_opt.hw.board.ports import FoundPort, PortBusyError
 from tepm_opt.hw.rig import Command as RigCommand
 from tepm_opt.hw.rig import Sample
+from tepm_opt.hw.service import monitor as watch
+from tepm_opt.hw.service.line import Line, open_line
 from tepm_opt.hw.tracker import Frame
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, load_robot, robot_text

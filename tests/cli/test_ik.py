@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from tepm_opt import Mode, runs
+from tepm_opt import ActuationMode
+from tepm_opt.jobs import runs
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import (
     IK_FILES,
@@ -282,7 +283,7 @@ class TestInterruption:
         solve = runs.each_configuration
 
         def each(*arguments: Any, **options: Any) -> Iterator[Any]:
-            if any(argument is Mode.HYBRID for argument in arguments):
+            if any(argument is ActuationMode.HYBRID for argument in arguments):
                 raise KeyboardInterrupt
             yield from solve(*arguments, **options)
 

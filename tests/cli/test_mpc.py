@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from tepm_opt.cli import mpc, rigs
-from tepm_opt.closed_loops import run as running
-from tepm_opt.closed_loops.compare import Task, compare
-from tepm_opt.closed_loops.course import Course
-from tepm_opt.closed_loops.result import Setup
 from tepm_opt.data.run import read_run
-from tepm_opt.hw import view
-from tepm_opt.hw.link import LinkError
-from tepm_opt.hw.rigfile import load_rig_file
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.simulation import view
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import load_rig_file
+from tepm_opt.jobs import mpc as running
+from tepm_opt.jobs.closed_loop import LoopSetup
+from tepm_opt.jobs.compare import LoopTask, compare
+from tepm_opt.jobs.course import Course
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.trajectories import circle
 from tests.cli.conftest import PNG, Command
@@ -286,7 +286,7 @@ class Blind:
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_processes() -> None:
     course, file = Course(approach=0.3, pause=0.02, laps=0.02, start_up=0.05), load_rig_file()
-    tasks = [Task(Model.of("kang2017"), circle(), course, file, Setup(name, seed=1)) for name in ("mpc", "mode2")]
+    tasks = [LoopTask(Model.of("kang2017"), circle(), course, file, LoopSetup(name, seed=1)) for name in ("mpc", "mode2")]
     told: list[tuple[str, float, float]] = []
     for one, two in zip(compare(tasks, 1), compare(tasks, 2, lambda *shown: told.append(shown)), strict=True):
         assert one.summary(timing=False) == two.summary(timing=False)

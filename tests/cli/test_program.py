@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt import load_robot, runs
+from tepm_opt import load_robot
+from tepm_opt.jobs import runs
 from tepm_opt.solvers.kinematics import Reach
 from tests.cli.conftest import Command, script
 from tests.cli.tables import IK_FILES, names_in, summary, values

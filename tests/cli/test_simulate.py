@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt import simulations
+from tepm_opt.jobs import simulate as simulations
 from tepm_opt.models.compile import compile_model
 from tepm_opt.plots import film
 from tepm_opt.solvers.simulate import SimulationError, SimulationInterrupted, simulate

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc import Mpc
 from tepm_opt.control.reference import Reference, along, approach, reference_of
-from tepm_opt.control.track import Tracked, track
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.trajectories import circle
 from tests.hw.conftest import board, board_factory, firmware, library
@@ -25,8 +25,8 @@ def short(kang: CompiledModel) -> Reference:
 
 
 @pytest.fixture(scope="session")
-def followed(kang: CompiledModel, short: Reference) -> Tracked:
+def followed(kang: CompiledModel, short: Reference) -> LoopRecord:
     """The predictive controller on it, on the virtual prototype, which differs from the model."""
     rig = SimulatedRig()
     rig.reseed(1)
-    return track(rig, Mpc(kang, short), kang.robot)
+    return close_loop(rig, Mpc(kang, short), kang.robot)

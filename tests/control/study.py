@@ -13,15 +13,15 @@ from multiprocessing import get_context
 import numpy as np
 
 from tepm_opt.control.bench_arm import BenchArm, bench_settings, guided, length_reference
-from tepm_opt.control.coarse import CoarseSettings
-from tepm_opt.control.follow import controller_named
+from tepm_opt.control.controllers import controller_named
+from tepm_opt.control.loop import Guard, LoopRecord, close_loop
 from tepm_opt.control.mpc import Mpc, MpcSettings, Use
+from tepm_opt.control.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.reference import Reference, along, approach, point_by_point, reference_of
-from tepm_opt.control.track import Guard, Tracked, track
-from tepm_opt.hw.bench import BenchRig
 from tepm_opt.hw.rig import Sample
-from tepm_opt.hw.rigfile import RigFile, load_rig_file
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.bench import BenchRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.paper.single import SET_POINTS, STAY, TAKEN
 from tepm_opt.solvers.trajectories import circle, lissajous
@@ -75,11 +75,11 @@ def prototype(seed: int, file: RigFile | None = None) -> SimulatedRig:
     return rig
 
 
-def follow(task: str, controller: str, seed: int, settings: MpcSettings | None = None, points: int = 32) -> Tracked:
+def follow(task: str, controller: str, seed: int, settings: MpcSettings | None = None, points: int = 32) -> LoopRecord:
     """A task by a controller; points are steps for the paper's modes, as they were for the paper. "weak circle": a muscle 20 % weaker."""
     path = reference(task.removeprefix("weak "), points, 1.0 if controller == "mpc" else 0.01)
     rig = prototype(seed, weaker(load_rig_file(), 0.20) if task.startswith("weak") else None)
-    return track(rig, controller_named(controller, model(), path, settings), model().robot, WIDE)
+    return close_loop(rig, controller_named(controller, model(), path, settings), model().robot, WIDE)
 
 
 WEIGHTS = {"weight": 0.010, "heavy": 0.060}  # kg, put on the tip
@@ -120,7 +120,7 @@ def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict
     path = reference("hold")
     rig = Disturbed(file, what, APPROACH + PAUSE + HOLD_AT)
     rig.reseed(seed)
-    done = track(rig, Mpc(model(), path, settings or MpcSettings()), model().robot, WIDE)
+    done = close_loop(rig, Mpc(model(), path, settings or MpcSettings()), model().robot, WIDE)
     error = 1e3 * np.linalg.norm(np.array(done.truth) - done.targets, axis=1)
     time = np.array(done.time) - APPROACH - PAUSE
     over = HOLD_AT + (1.0 if what == "side" else 0.5 if what == "lost" else 0.0) if what not in ("tilt", "weak") else 0.0
@@ -137,7 +137,7 @@ def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict
 
 ABLATIONS = {
     "all": MpcSettings(),
-    "resolution ignored": MpcSettings(coarse=CoarseSettings(on_grid=False)),
+    "resolution ignored": MpcSettings(coarse=PressurePlannerSettings(on_grid=False)),
     "no mid-ranging": MpcSettings(mid_ranging=False),
     "tension only": MpcSettings(use=Use.TENSION),
     "pressure only": MpcSettings(use=Use.PRESSURE),
@@ -156,7 +156,7 @@ def on_bench(seed: int) -> dict[str, float]:
     bench = BenchRig()
     bench.reseed(seed)
     arm, path = BenchArm(bench), length_reference(bench_model(), np.array(SET_POINTS), STAY)
-    done = track(arm, Mpc(bench_model(), path, bench_settings()), arm.robot, replace(WIDE, glide=0.0))
+    done = close_loop(arm, Mpc(bench_model(), path, bench_settings()), arm.robot, replace(WIDE, glide=0.0))
     error, time = 1e3 * (np.array(done.truth) - done.targets)[:, 2], np.array(done.time)
     found = {}
     for k, length in enumerate(SET_POINTS):
@@ -165,7 +165,7 @@ def on_bench(seed: int) -> dict[str, float]:
     return found
 
 
-def summary(done: Tracked) -> dict[str, float]:
+def summary(done: LoopRecord) -> dict[str, float]:
     """Figures of a run."""
     tensions = np.array([command.tensions for command in done.commands])[done.counted]
     pressures = np.array([command.pressures for command in done.commands])[done.counted]

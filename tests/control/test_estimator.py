@@ -10,18 +10,18 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import chi2
 
-from tepm_opt.control.estimator import Estimate, Estimator, EstimatorSettings, Operating
+from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
 from tepm_opt.control.reference import PERIOD
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.kinematics import Mode, solve_ik
-from tepm_opt.solvers.local import local_model
+from tepm_opt.solvers.kinematics import ActuationMode, solve_ik
+from tepm_opt.solvers.modal_model import modal_model
 
 NOISE = 1e-3 / np.sqrt(3)  # m, of a coordinate
 MIDDLE = 3.5  # N
 TENSION = np.array([3.5, 2.0, 5.0, 3.0, 4.0, 1.0])  # N
 DIRECTION = np.array([1.0, -1, 1, -1, 1, 1])  # in which the muscles move, far enough that friction has turned over in a period
 RATES = 1.0 * DIRECTION  # m/s
-KNOWN = EstimatorSettings(smoothing=np.inf)  # the filter takes RATES for true, not those that it sees, and so knows the DIRECTION
+KNOWN = FilterSettings(smoothing=np.inf)  # the filter takes RATES for true, not those that it sees, and so knows the DIRECTION
 SLOW = np.r_[:4, 10:14, 20:50]  # of the state: fast modes follow their forces, so that their covariance is singular to rounding
 PARTS = [20, 26, 32, 38]  # of the state: motion, unknown forces, strength, friction, bias
 PROBABILITY = 1e-3  # of a test of consistency that fails though all is well
@@ -32,8 +32,8 @@ def circle_points(kang) -> list[Operating]:
     """About some points of the circle, each seen from the one before."""
     found, start = [], None
     for angle in np.radians([0.0, 4.0, 8.0]):
-        at = solve_ik(kang, [0.15 * np.cos(angle), 0.15 * np.sin(angle), 0.35], Mode.HYBRID)
-        start = local_model(at.equilibrium, start)
+        at = solve_ik(kang, [0.15 * np.cos(angle), 0.15 * np.sin(angle), 0.35], ActuationMode.HYBRID)
+        start = modal_model(at.equilibrium, start)
         found.append(Operating.of(start, at.forces, PERIOD))
     return found
 
@@ -51,7 +51,7 @@ class Arm:
         motion, unknown, strength, friction, bias: of the truth.
     """
 
-    def __init__(self, at: Operating, settings: EstimatorSettings, random: np.random.Generator | None = None) -> None:
+    def __init__(self, at: Operating, settings: FilterSettings, random: np.random.Generator | None = None) -> None:
         self.at, self.settings, self.random = at, settings, random
         self.motion, self.unknown, self.strength, self.friction, self.bias = np.split(np.zeros(50), PARTS)
         self.direction = np.zeros(6)
@@ -154,7 +154,7 @@ def test_filter_with_wrong_noise_is_not_consistent(here):
     assert nis > bounds(seen)[1]
 
 
-def settled(here: Operating, settings: EstimatorSettings | None = None, steps: int = 100, seed: int = 3) -> tuple[Arm, Estimator]:
+def settled(here: Operating, settings: FilterSettings | None = None, steps: int = 100, seed: int = 3) -> tuple[Arm, Estimator]:
     """An arm and a filter that has watched it for a while."""
     settings = settings or KNOWN
     filtered = Estimator(here, NOISE, MIDDLE, settings)
@@ -195,7 +195,7 @@ def test_outlier_of_one_frame_is_refused(here, point):
     """30 mm in one point: the estimate is off by less than a twentieth of what it would be without the gate, and forgets it."""
     off = {}
     for gate in (KNOWN.gate, 0.0):
-        estimates: list[Estimate] = []
+        estimates: list[StateEstimate] = []
         for wrong in (False, True):
             arm, filtered = settled(here, replace(KNOWN, gate=gate))
             points = next(run(arm, filtered, 1))

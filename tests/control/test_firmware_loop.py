@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tepm_opt.control.loop import LoopEnd, close_loop
 from tepm_opt.control.mpc import Mpc
-from tepm_opt.control.track import End, track
-from tepm_opt.hw.serial_rig import SerialRig, Tendons
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.board.rig import SerialRig, Tendons
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tests.control import study
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import World
@@ -49,10 +49,10 @@ class Emulated(SerialRig):
 def test_circle_through_the_firmware_as_on_the_simulated_rig(board: Board) -> None:
     """Root mean square error of the true tip on the 8 s circle: within 10 % of the same controller's without board and line."""
     world = Witnessed(board, study.prototype(1))
-    through = track(Emulated(world, "tension"), Mpc(study.model(), study.reference("circle")), study.model().robot)
+    through = close_loop(Emulated(world, "tension"), Mpc(study.model(), study.reference("circle")), study.model().robot)
     direct = study.follow("circle", "mpc", 1)
     print(f"through the firmware {1e3 * through.error():.2f} mm, direct {1e3 * direct.error():.2f} mm")
-    assert through.end is direct.end is End.DONE
+    assert through.end is direct.end is LoopEnd.DONE
     assert not through.fallbacks
     assert len(through.rows) == len(through.reference)
     assert board.safe

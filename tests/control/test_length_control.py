@@ -6,11 +6,11 @@ import pytest
 from tepm_opt.control.length_control import LengthController, LengthTarget, TendonUse, hold
 from tepm_opt.control.lengths import LengthEstimator
 from tepm_opt.errors import InputError
-from tepm_opt.hw.bench import BenchRig
 from tepm_opt.hw.commands import check_command
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.bench import BenchRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.robot import load_robot
-from tepm_opt.solvers.kinematics import Mode, solve_ik
+from tepm_opt.solvers.kinematics import ActuationMode, solve_ik
 
 ROBOT = load_robot("kang2017")
 FORCES = np.full(6, 8.0)
@@ -77,7 +77,7 @@ def test_set_points_on_a_perfect_bench_are_reached(use):
 @pytest.mark.parametrize("use", list(TendonUse))
 def test_arm_comes_to_a_point_of_the_circle_and_stays(kang, use):
     """On the perfect rig, whose sway nothing damps: the tip within 3 mm of the target, all the last second long."""
-    found = solve_ik(kang, [0.15, 0.0, 0.35], Mode.PRESSURE)
+    found = solve_ik(kang, [0.15, 0.0, 0.35], ActuationMode.PRESSURE)
     wanted = LengthTarget(found.equilibrium.lengths.ravel(), found.forces)
     estimator = LengthEstimator(kang)
     rig = SimulatedRig("perfect")

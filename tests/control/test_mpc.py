@@ -10,15 +10,15 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from tepm_opt.control.estimator import Operating
+from tepm_opt.control.forecast import Forecast, Weights
+from tepm_opt.control.loop import LoopEnd
 from tepm_opt.control.mpc import Mpc, MpcSettings, Use
-from tepm_opt.control.predict import Forecast, Weights
 from tepm_opt.control.qp import QpResult, QpStatus
 from tepm_opt.control.reference import Reference
-from tepm_opt.control.track import End
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.robot import load_robot
-from tepm_opt.solvers.local import local_model
+from tepm_opt.solvers.modal_model import modal_model
 
 ROBOT = load_robot("kang2017")
 STAGES, ROW = 4, 330
@@ -28,7 +28,7 @@ WEIGHTS = Weights()
 @pytest.fixture(scope="module")
 def operating(short: Reference) -> Operating:
     """On the circle, in motion."""
-    return Operating.of(local_model(short.equilibria[ROW]), short.forces[ROW], short.period)
+    return Operating.of(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
 
 
 def forecast_of(operating: Operating, reference: Reference, stages: int = STAGES, still: bool = False, seed: int = 5) -> Forecast:
@@ -100,7 +100,7 @@ def riccati(operating: Operating) -> np.ndarray:
 def test_value_beyond_the_horizon_converges(short, operating):
     """From the value about a point further on, by a step a period, to that of scipy about the one at which the robot stays."""
     rows, motion = np.full(STAGES + 9, ROW), np.zeros(20)
-    far = Operating.of(local_model(short.equilibria[200], operating.model), short.forces[200], short.period)
+    far = Operating.of(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
     forecast = Forecast(WEIGHTS, STAGES)
     forecast.about(far, short, rows, motion, np.zeros(3))
     wanted, off = riccati(operating), []
@@ -248,7 +248,7 @@ def test_blind_from_the_start(kang, short):
 
 def test_loop_on_the_virtual_prototype(short, followed):
     """To the circle and along it for 1.5 s: 1.5 mm over the last second when this was written."""
-    assert followed.end is End.DONE
+    assert followed.end is LoopEnd.DONE
     assert not followed.fallbacks
     assert len(followed.steps) == len(short)
     assert followed.error() < 2e-3

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from tepm_opt.control.estimator import Operating
+from tepm_opt.control.forecast import Forecast, Weights
+from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc import Mpc, MpcSettings
 from tepm_opt.control.nonlinear import NonlinearForecast
-from tepm_opt.control.predict import Forecast, Weights
 from tepm_opt.control.reference import Reference
-from tepm_opt.control.track import track
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.local import local_model
+from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.simulate import simulate
 
 STAGES, ROW = 15, 330
@@ -24,7 +24,7 @@ PUSH = np.array([-4.0, 2.0, 2.0, -4.0, 2.0, 2.0])  # N
 @pytest.fixture(scope="module")
 def operating(short: Reference) -> Operating:
     """On the circle."""
-    return Operating.of(local_model(short.equilibria[ROW]), short.forces[ROW], short.period)
+    return Operating.of(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
 
 
 def tip_errors(forecast: Forecast, begin: np.ndarray, plan: np.ndarray) -> np.ndarray:
@@ -81,6 +81,6 @@ def test_it_closes_the_loop(kang, short, followed):
     """On the virtual prototype as near as the linear one; nothing falls back."""
     rig = SimulatedRig()
     rig.reseed(1)
-    done = track(rig, Mpc(kang, short, MpcSettings(nonlinear=True)), kang.robot)
+    done = close_loop(rig, Mpc(kang, short, MpcSettings(nonlinear=True)), kang.robot)
     assert done.error() < 1.1 * followed.error()
     assert not done.fallbacks

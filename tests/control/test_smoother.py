@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from tepm_opt.control.estimator import Estimator, Operating
-from tepm_opt.control.smoother import Recorded, smooth
+from tepm_opt.control.smoother import RecordedMotion, smooth
 from tepm_opt.errors import InputError
 from tests.control.test_estimator import DIRECTION, KNOWN, MIDDLE, NOISE, PARTS, RATES, TENSION, Arm, circle_points
 
 __all__ = ["circle_points"]
 
 
-def simulated(where: list[Operating], steps: int, seed: int, friction: float | None = None) -> tuple[Recorded, np.ndarray, np.ndarray]:
+def simulated(
+    where: list[Operating], steps: int, seed: int, friction: float | None = None
+) -> tuple[RecordedMotion, np.ndarray, np.ndarray]:
     """A run of the linear model with its noise: what is recorded, the states (samples, states) and the points in truth."""
     random = np.random.default_rng(seed)
     arm = Arm(where[0], KNOWN, random).drawn(Estimator(where[0], NOISE, MIDDLE, KNOWN))
@@ -29,11 +31,11 @@ def simulated(where: list[Operating], steps: int, seed: int, friction: float | N
         points.append(arm.seen())
         states.append(arm.state)
         truth.append(arm.points)
-    recorded = Recorded(operating, np.array(points), forces, np.tile(TENSION, (steps, 1)), np.tile(RATES, (steps - 1, 1)))
+    recorded = RecordedMotion(operating, np.array(points), forces, np.tile(TENSION, (steps, 1)), np.tile(RATES, (steps - 1, 1)))
     return recorded, np.array(states), np.array(truth)
 
 
-def filtered(recorded: Recorded) -> Estimator:
+def filtered(recorded: RecordedMotion) -> Estimator:
     """The Kalman filter after the run."""
     found = Estimator(recorded.operating[0], NOISE, MIDDLE, KNOWN)
     for k, points in enumerate(recorded.points):
@@ -164,7 +166,7 @@ def test_shapes_that_do_not_fit_are_refused(circle_points):
 
 def test_run_on_the_virtual_prototype(kang, followed):
     """A second of a closed loop, as it was recorded: the tip is 0.4 mm off, as filtered 0.7 mm, as tracked 1.0 mm."""
-    recorded = Recorded.of(followed, kang.values["A"]).between(340, 440)
+    recorded = RecordedMotion.of(followed, kang.values["A"]).between(340, 440)
     found, truth = smooth(recorded, NOISE, MIDDLE), np.array(followed.truth)[340:440]
     assert found.solved
     assert found.friction.min() > -1e-6
@@ -183,4 +185,4 @@ def test_run_without_measured_inputs_is_refused(kang, followed):
         for name, value in change.items():
             setattr(broken, name, value)
         with pytest.raises(InputError, match="measured inputs"):
-            Recorded.of(broken, kang.values["A"])
+            RecordedMotion.of(broken, kang.values["A"])

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tepm_opt.cli import run as tepm
-from tepm_opt.data.checks import check_dataset, check_folder
+from tepm_opt.data.checks.dataset import check_dataset, check_folder
+from tepm_opt.data.checks.findings import Finding
 from tepm_opt.data.datasets import DataSet, read_dataset, write_dataset
-from tepm_opt.data.findings import Finding
 from tepm_opt.data.run import Run
-from tepm_opt.recording.robots import check, open_dataset
+from tepm_opt.models.channels import check, open_dataset
 from tests.data.made import CHANNELS, NAMES, make_dataset, make_run
 from tests.paths import SHARED, reference
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tepm_opt.data.checks.findings import Subject, intervals, lines_text, noise_level
 from tepm_opt.data.datasets import write_dataset
-from tepm_opt.data.findings import Subject, intervals, lines_text, noise_level
-from tepm_opt.recording.robots import check
+from tepm_opt.models.channels import check
 from tests.data.made import NAMES, make_dataset
 
 

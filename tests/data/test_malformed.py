@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tepm_opt.cli import run as tepm
-from tepm_opt.data.checks import check_folder
+from tepm_opt.data.checks.dataset import check_folder
 from tepm_opt.data.datasets import read_dataset, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
-from tepm_opt.recording.robots import check
+from tepm_opt.models.channels import check
 from tests.data.made import CHANNELS, make_dataset
 
 TOML, STEPS = "dataset.toml", "steps.csv"

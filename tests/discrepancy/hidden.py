@@ -24,11 +24,11 @@ import numpy as np
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.hw.rigfile import RigFile, Simulation
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import RigFile, SimulationSteps
+from tepm_opt.jobs.record import seed_of
+from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import load_robot
-from tepm_opt.recording.record import seed_of
-from tepm_opt.recording.robots import channels_of
 from tests.discrepancy.excitation import RATE, Excitation, excitations
 
 ROBOT = load_robot("kang2017")
@@ -87,7 +87,7 @@ def rig_file(case: Hidden) -> RigFile:
             "robot": ROBOT.name,
             "seed": case.seed,
             # steps longer than a rig file may have: nothing but these known robots moves here
-            "simulation": Simulation.model_construct(step_s=1 / RATE / ceil(1 / RATE / step), tick_s=1e-3),
+            "simulation": SimulationSteps.model_construct(step_s=1 / RATE / ceil(1 / RATE / step), tick_s=1e-3),
             "parameter_factors": factors,
             "tracker": {"rate_hz": RATE, "noise_rms_m": np.sqrt(3) * case.noise},
             "imperfections": case.imperfections,

@@ -10,8 +10,8 @@ import numpy as np
 
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
+from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.recording.robots import channels_of
 from tepm_opt.solvers.simulate import simulate
 from tests.discrepancy.excitation import RATE, Excitation, excitations
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tepm_opt.discrepancy.job import run_discrepancy
-from tepm_opt.discrepancy.verdict import Status, Verdict
+from tepm_opt.discrepancy.verdict import Verdict, VerdictStatus
+from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.effects import effects
 
 
@@ -49,11 +49,11 @@ class Answer:
     def right(self) -> bool:
         """Whether everything hidden is named with its detail, nothing else is, and what has no name is not named."""
         if self.foreign:
-            return self.verdict.status is Status.UNEXPLAINED or not self.named
+            return self.verdict.status is VerdictStatus.UNEXPLAINED or not self.named
         if not self.truth:
-            return self.verdict.status is Status.NO_DISCREPANCY
+            return self.verdict.status is VerdictStatus.NO_DISCREPANCY
         expected = {name: self.detail.get(name) for name in self.truth}
-        return self.verdict.status is Status.NAMED and self.named == expected
+        return self.verdict.status is VerdictStatus.NAMED and self.named == expected
 
     @property
     def recovered(self) -> dict[str, bool]:

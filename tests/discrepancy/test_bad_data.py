@@ -14,9 +14,9 @@ import pytest
 from tepm_opt.cli import run as tepm
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.job import run_discrepancy
-from tepm_opt.discrepancy.verdict import Status, Verdict
+from tepm_opt.discrepancy.verdict import Verdict, VerdictStatus
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import robot_text
 from tests.discrepancy.small import FILES, NOISE, changed, cut, dataset_of, measured, planned, true_values
@@ -59,7 +59,7 @@ class Case:
     edit: Callable[[Path], None] = lambda folder: None
     says: tuple[str, ...] | None = None
     allowed: tuple[str, ...] = ()
-    status: Status | None = None
+    status: VerdictStatus | None = None
     notes: tuple[str, ...] = ()
     slow: bool = False
 
@@ -237,7 +237,7 @@ CASES = [
     # runs
     Case("no runs", kept(), says=("role 'fit'|no runs",)),
     Case("only validation runs", kept(0, 1, role="validation"), says=("no run has the role 'fit'",)),
-    Case("a single run", kept(2), notes=("kept for validation", "quarters of runs"), status=Status.NO_DISCREPANCY),
+    Case("a single run", kept(2), notes=("kept for validation", "quarters of runs"), status=VerdictStatus.NO_DISCREPANCY),
     Case("no excitation", every(at_rest), says=("excites? anything|nothing is excited",)),
     Case("inputs stand while the robot moves", every(lambda run: {**at_rest(run), "points": run.points}), says=("excites anything",)),
     Case("one run stands", first(at_rest), slow=True),
@@ -247,11 +247,11 @@ CASES = [
     Case(
         "a sensor without samples",
         every(sensor(1, lambda p: np.nan * p)),
-        status=Status.NO_DISCREPANCY,
+        status=VerdictStatus.NO_DISCREPANCY,
         notes=("s2: not measured in any run",),
     ),
     Case("no sensor has samples", every(points(lambda p: np.nan * p)), says=("no sample",)),
-    Case("four in ten samples missing", every(some(0.4, np.nan)), status=Status.NO_DISCREPANCY),
+    Case("four in ten samples missing", every(some(0.4, np.nan)), status=VerdictStatus.NO_DISCREPANCY),
     Case("zeros for missing samples", every(some(0.1, 0.0)), says=("all coordinates are 0",)),
     Case("a frozen sensor", first(sensor(3, lambda p: np.where(np.arange(len(p))[:, None] > 100, p[100], p))), says=("s4", "frozen")),
     Case("spikes", every(some(0.02, 0.5)), says=("spikes",)),
@@ -296,7 +296,7 @@ CASES = [
     Case("rows twice", first(repeated), says=("copy of the row before",)),
     Case("2 Hz", resampled(2.0), slow=True),
     Case("5 Hz", resampled(5.0), slow=True),
-    Case("non-uniform sampling", resampled(50.0, 0.45, seconds=SECONDS), status=Status.NO_DISCREPANCY),
+    Case("non-uniform sampling", resampled(50.0, 0.45, seconds=SECONDS), status=VerdictStatus.NO_DISCREPANCY),
     Case("another rate than declared", resampled(25.0, declared=50.0), says=("25 Hz", "50")),
     # files
     Case("text in a number", edit=field(30, 3, "high"), says=(FIRST, "line 31", "pressure_13_Pa", "'high'")),
@@ -317,7 +317,7 @@ CASES = [
 
 def wrongly_sure(verdict: Verdict, allowed: tuple[str, ...]) -> list[str]:
     """Effects named with more than even odds that are not there."""
-    if verdict.status is not Status.NAMED:
+    if verdict.status is not VerdictStatus.NAMED:
         return []
     return [each.candidate.label for each in verdict.effects if each.probability >= 0.5 and each.candidate.name not in allowed]
 

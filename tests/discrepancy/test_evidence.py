@@ -10,7 +10,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.identify import Estimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
 from tests.discrepancy.small import FILES, NOISE, STEP, changed, cut, measured, planned, true_values
 
 BLOCKS, SAMPLES = 40, 600
@@ -30,7 +30,7 @@ def runs(kang: CompiledModel) -> list[Run]:
     return [cut(run, 4.0) for run in measured(changed(kang, **true_values(kang)), planned(FILES[:3]))]
 
 
-def fitted(kang: CompiledModel, runs: list[Run]) -> Estimate:
+def fitted(kang: CompiledModel, runs: list[Run]) -> ParameterEstimate:
     return identify(Problem(kang, tuple(runs), free_parameters(kang), NOISE, step=STEP))
 
 

@@ -8,8 +8,8 @@ from statistics import median
 import pytest
 
 from tepm_opt.data.datasets import DataSet
-from tepm_opt.discrepancy.verdict import Status
-from tepm_opt.recording.robots import channels_of
+from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.models.channels import channels_of
 from tests.discrepancy.excitation import RATE, excitations
 from tests.discrepancy.hidden import CASES, ROBOT, label, make, played
 from tests.discrepancy.small import write
@@ -73,7 +73,7 @@ def listed(answer: Answer) -> set[str]:
 
 def false_names(answer: Answer) -> set[str]:
     """Names given with at least even odds to what is not hidden."""
-    return set(answer.named) - set(answer.truth) if answer.verdict.status is Status.NAMED else set()
+    return set(answer.named) - set(answer.truth) if answer.verdict.status is VerdictStatus.NAMED else set()
 
 
 def closes(answer: Answer, key: str, least: float) -> None:
@@ -130,7 +130,7 @@ class TestAllRuns:
 
     def test_what_no_effect_does_is_unexplained(self, answers: Callable[[str], Answer]) -> None:
         answer = answers(UNEXPLAINED)
-        assert answer.verdict.status is Status.UNEXPLAINED, answer.line(UNEXPLAINED)
+        assert answer.verdict.status is VerdictStatus.UNEXPLAINED, answer.line(UNEXPLAINED)
 
     def test_the_gap_closes_nearly_to_the_noise(self, answers: Callable[[str], Answer]) -> None:
         known = {key: answers(key) for key in CLOSED}

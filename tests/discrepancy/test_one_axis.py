@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.job import run_discrepancy
-from tepm_opt.discrepancy.verdict import Status
+from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.jobs.discrepancy import run_discrepancy
+from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import load_robot
-from tepm_opt.recording.robots import channels_of
 from tepm_opt.solvers.statics import solve_statics
 
 FILE = Path(__file__).resolve().parents[2] / "docs" / "one_axis.toml"
@@ -72,9 +72,9 @@ def test_a_guide_keeps_the_machine_straight_and_the_spring_holds_it() -> None:
 def test_what_is_missing_on_one_axis(tmp_path: Path, hidden: dict[str, float], name: str | None, size: float | None) -> None:
     verdict = run_discrepancy(data(tmp_path / "data", **hidden), tmp_path / "out").verdict
     if name is None:
-        assert verdict.status is Status.NO_DISCREPANCY, verdict.paragraph
+        assert verdict.status is VerdictStatus.NO_DISCREPANCY, verdict.paragraph
         return
-    assert verdict.status is Status.NAMED, verdict.paragraph
+    assert verdict.status is VerdictStatus.NAMED, verdict.paragraph
     assert [each.candidate.name for each in verdict.effects] == [name], verdict.paragraph
     assert verdict.errors.closed > 0.9
     if size is not None:

@@ -14,7 +14,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.discrepancy.localise import Localisation
-from tepm_opt.discrepancy.verdict import Errors, Named, Place, Rival, Status, Value, Verdict
+from tepm_opt.discrepancy.verdict import Errors, Named, Place, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure
@@ -37,7 +37,7 @@ LOCALISATION = Localisation(
     "The model misses by 4.2 mm beyond the noise, most in steps <1>.csv (8.1 mm) and at s4; along x.",
 )
 VERDICT = Verdict(
-    status=Status.NAMED,
+    status=VerdictStatus.NAMED,
     paragraph="Muscle 13 is 12 % weaker than the others & nothing else is missing.",
     effects=(Named(Candidate("actuator_gain", "13"), 0.997, {"loss": Value(0.1203, 0.0007, "1", 0.0)}, 0.94),),
     rivals=(
@@ -109,18 +109,18 @@ def test_names_are_escaped(tmp_path: Path) -> None:
     assert "steps &lt;1&gt;.csv" in text
 
 
-@pytest.mark.parametrize("status", list(Status))
-def test_every_status(tmp_path: Path, status: Status) -> None:
-    effects = () if status in (Status.NO_DISCREPANCY, Status.UNEXPLAINED) else VERDICT.effects
+@pytest.mark.parametrize("status", list(VerdictStatus))
+def test_every_status(tmp_path: Path, status: VerdictStatus) -> None:
+    effects = () if status in (VerdictStatus.NO_DISCREPANCY, VerdictStatus.UNEXPLAINED) else VERDICT.effects
     text = written(tmp_path, replace(VERDICT, status=status, effects=effects))
     assert f'class="verdict {status.value}"' in text
     assert ("No effect was added" in text) == (not effects)
-    assert ("no gap" in text) == (status is Status.NO_DISCREPANCY)
+    assert ("no gap" in text) == (status is VerdictStatus.NO_DISCREPANCY)
 
 
 def test_what_is_not_there_is_left_out(tmp_path: Path) -> None:
     bare = Verdict(
-        Status.NO_DISCREPANCY,
+        VerdictStatus.NO_DISCREPANCY,
         "Nothing is missing.",
         (),
         (),

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.job import FITS, MODEL, VERDICT, run_discrepancy
 from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.screen import screen
-from tepm_opt.discrepancy.search import Fits, Settings
-from tepm_opt.discrepancy.verdict import Status
-from tepm_opt.discrepancy.workflow import Result
+from tepm_opt.discrepancy.search import Fits, SearchSettings
+from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.workflow import Discovery
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import FITS, MODEL, VERDICT, run_discrepancy
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import effects
 from tepm_opt.models.layout import Layout
@@ -53,7 +53,7 @@ def lines() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def result(folder: Path, out: Path, lines: list[str]) -> Result:
+def result(folder: Path, out: Path, lines: list[str]) -> Discovery:
     """The answer; `lines` are what it told meanwhile."""
     return run_discrepancy(folder, out, progress=lines.append)
 
@@ -127,12 +127,12 @@ class TestScreening:
 class TestFits:
     def test_are_done_once(self, library: CompiledModel, runs: list[Run], tmp_path: Path) -> None:
         said: list[str] = []
-        fits = Fits(problem(library, runs), Settings(iterations=2), tmp_path / "fits.json", "key", said.append)
+        fits = Fits(problem(library, runs), SearchSettings(iterations=2), tmp_path / "fits.json", "key", said.append)
         first = fits.fit((), {})
         assert first is not None
         assert fits.fit((), {}) is first
         assert len(said) == 1
-        again = Fits(problem(library, runs), Settings(iterations=2), tmp_path / "fits.json", "key").fit((), {})
+        again = Fits(problem(library, runs), SearchSettings(iterations=2), tmp_path / "fits.json", "key").fit((), {})
         assert again is not None
         np.testing.assert_array_equal(again.estimate.values, first.estimate.values)
         np.testing.assert_array_equal(again.evidence.squares, first.evidence.squares)
@@ -141,7 +141,7 @@ class TestFits:
     @pytest.mark.parametrize("left", ['{"key": "other", "fit ": {"K_a": 349.0}}', "{", "[]", "\x00"])
     def test_of_other_data_are_not_taken(self, library: CompiledModel, runs: list[Run], tmp_path: Path, left: str) -> None:
         (tmp_path / "fits.json").write_text(left)
-        fits = Fits(problem(library, runs), Settings(iterations=1), tmp_path / "fits.json", "key")
+        fits = Fits(problem(library, runs), SearchSettings(iterations=1), tmp_path / "fits.json", "key")
         found = fits.fit((), {})
         assert found is not None
         assert found.estimate.iterations == 1
@@ -149,9 +149,9 @@ class TestFits:
 
 
 class TestAnswer:
-    def test_names_what_is_hidden(self, result: Result) -> None:
+    def test_names_what_is_hidden(self, result: Discovery) -> None:
         verdict = result.verdict
-        assert verdict.status is Status.NAMED, verdict.paragraph
+        assert verdict.status is VerdictStatus.NAMED, verdict.paragraph
         (named,) = verdict.effects
         assert named.candidate == Candidate("sensor_offset", "s3")
         assert named.probability > 0.9
@@ -161,14 +161,14 @@ class TestAnswer:
         assert verdict.errors.closed > 0.97
         assert verdict.model.effects[0].name == "sensor_offset"
 
-    def test_every_other_effect_is_a_rival_with_a_reason(self, result: Result) -> None:
+    def test_every_other_effect_is_a_rival_with_a_reason(self, result: Discovery) -> None:
         rivals = {rival.candidate.name: rival for rival in result.verdict.rivals}
         assert set(rivals) == {effect.name for effect in effects()} - {"sensor_offset"}
         assert all(rival.why for rival in rivals.values())
         for effect, group in result.explanation.groups.items():
             assert sum(weight for _, weight in group) == pytest.approx(1.0), effect
 
-    def test_files(self, result: Result, out: Path) -> None:
+    def test_files(self, result: Discovery, out: Path) -> None:
         assert sorted(path.name for path in out.iterdir()) == sorted([VERDICT, MODEL])
         verdict, _ = contents(out)
         assert verdict["status"] == "named"
@@ -176,7 +176,7 @@ class TestAnswer:
         assert set(verdict["rmse_m"]) == {"noise_floor", "nominal", "recalibrated", "corrected", "black_box"}
         assert read_model(out / MODEL) == result.verdict.model
 
-    def test_is_the_same_after_an_interruption(self, folder: Path, out: Path, result: Result, lines: list[str], tmp_path: Path) -> None:
+    def test_is_the_same_after_an_interruption(self, folder: Path, out: Path, result: Discovery, lines: list[str], tmp_path: Path) -> None:
         work = [line for line in lines if line.startswith(("fitting", "screening"))]
         assert len(work) >= 4, work
         said: list[str] = []
@@ -194,16 +194,16 @@ class TestAnswer:
         assert contents(tmp_path) == contents(out)
         assert not (tmp_path / FITS).exists()
 
-    def test_is_the_same_again(self, folder: Path, out: Path, result: Result, tmp_path: Path) -> None:
+    def test_is_the_same_again(self, folder: Path, out: Path, result: Discovery, tmp_path: Path) -> None:
         run_discrepancy(folder, tmp_path)
         texts = [(each / VERDICT).read_text().rsplit('"seconds"', 1)[0] for each in (out, tmp_path)]
         assert texts[0] == texts[1]
         assert (out / MODEL).read_bytes() == (tmp_path / MODEL).read_bytes()
 
     @pytest.mark.slow
-    def test_with_the_effect_known_nothing_is_missing(self, folder: Path, out: Path, result: Result, tmp_path: Path) -> None:
+    def test_with_the_effect_known_nothing_is_missing(self, folder: Path, out: Path, result: Discovery, tmp_path: Path) -> None:
         verdict = run_discrepancy(folder, tmp_path, out / MODEL).verdict
-        assert verdict.status is Status.NO_DISCREPANCY, verdict.paragraph
+        assert verdict.status is VerdictStatus.NO_DISCREPANCY, verdict.paragraph
         assert verdict.model.effects[0].name == "sensor_offset", "what the model had is kept"
 
     def test_a_model_of_another_robot(self, folder: Path, tmp_path: Path) -> None:

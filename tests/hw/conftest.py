@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tests.hw import emulator
 from tests.hw.emulator import Board
 from tests.hw.emulator.host import Host

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tepm_opt.hw.line import Line
+from tepm_opt.hw.service.line import Line
 from tests.hw.emulator.world import LockstepPort, World
 
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.rig import Command, Sample
-from tepm_opt.hw.rigfile import RigFile
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.robot import robot_text
 
 _FOLDER = TemporaryDirectory(prefix="tepm-robots-")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tepm_opt.hw.bench import BenchRig
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.rigfile import RigFile
+from tepm_opt.hw.simulation.bench import BenchRig
+from tepm_opt.hw.simulation.rigfile import RigFile
 from tests.hw.rigs import AREA, DAMPING, LENGTH, STIFFNESS
 
 

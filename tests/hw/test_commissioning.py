@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw import calibrate, checks, commissioning, moves
-from tepm_opt.hw.checks import Check, Mark
-from tepm_opt.hw.commissioning import Commissioning, by_hand
-from tepm_opt.hw.line import Line, actuators_of
-from tepm_opt.hw.ports import FoundPort, PortBusyError
-from tepm_opt.hw.protocol import State
+from tepm_opt.hw.board.ports import FoundPort, PortBusyError
+from tepm_opt.hw.board.protocol import State
+from tepm_opt.hw.service import calibrate, checks, commissioning, moves
+from tepm_opt.hw.service.checks import Check, Mark
+from tepm_opt.hw.service.commissioning import Commissioning, by_hand
+from tepm_opt.hw.service.line import Line, actuators_of
 from tepm_opt.models.robot import load_robot, robot_text
 from tests.hw.emulator import BROWN_OUT, Board
 from tests.hw.emulator.world import World
@@ -265,11 +265,11 @@ class TestLines:
 
     def test_parts_keep_the_others(self, tmp_path: Path) -> None:
         robot = load_robot("kang2017")
-        lines = {1: calibrate.Fit(3300.0, 3200.0, 0, 0, np.zeros(3))}
+        lines = {1: calibrate.CalibrationFit(3300.0, 3200.0, 0, 0, np.zeros(3))}
         part = calibrate.tension_part(robot, lines)
         assert part["zero_counts"] == [3277, 3300, 3277, 3277, 3277, 3277]
         assert part["counts_per_N"][:3] == [3276.8, 3200, 3276.8]
-        monitors = {0: calibrate.Fit(1.01, 4.4, 0, 0, np.zeros(3))}
+        monitors = {0: calibrate.CalibrationFit(1.01, 4.4, 0, 0, np.zeros(3))}
         text = calibrate.snippet({"hardware.pressure": calibrate.pressure_part(robot, monitors, {})}, ["a note"])
         assert text.startswith("# a note\n\n[hardware.pressure]\nmonitor_zero_V = [1.01, 1.0,")
         assert list(tomllib.loads(text)["hardware"]["pressure"]) == ["monitor_zero_V", "monitor_V_per_MPa"]
@@ -283,7 +283,7 @@ class TestLines:
 
     def test_no_change(self) -> None:
         with pytest.raises(InputError, match=r"counts_per_N.*valid: 1 … 32767 counts/N.*did the weight pull"):
-            calibrate.tension_part(load_robot("kang2017"), {0: calibrate.Fit(3277.0, 0.0, 0, 0, np.zeros(2))})
+            calibrate.tension_part(load_robot("kang2017"), {0: calibrate.CalibrationFit(3277.0, 0.0, 0, 0, np.zeros(2))})
 
     def test_mixed_up(self) -> None:
         change = np.array([3.0, 3000.0, 0, 0, 0, 0])

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tepm_opt.hw import protocol
-from tepm_opt.hw.protocol import ACK, ARM, CLEAR, CONFIG, ESTOP, HELLO, SET, Fault, Key, ResetCause, Result, State
+from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.protocol import ACK, ARM, CLEAR, CONFIG, ESTOP, HELLO, SET, Fault, Key, ResetCause, Result, State
 from tests.hw.conftest import PRESSURE_MAX
 from tests.hw.emulator import BROWN_OUT, HZ, PIN, POWER_ON, Board
 from tests.hw.emulator.host import ALL, ZERO, Host

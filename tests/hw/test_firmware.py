@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt.hw import protocol
-from tepm_opt.hw.protocol import CONFIG, HELLO, SET, STATUS, Fault, Key, Result, State
+from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.protocol import CONFIG, HELLO, SET, STATUS, Fault, Key, Result, State
 from tests.hw.conftest import PRESSURE_MAX
 from tests.hw.emulator import HZ, Board
 from tests.hw.emulator.host import ALL, ZERO, Host

@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tepm_opt.hw.imperfections import Imperfections
-from tepm_opt.hw.imperfections.edges import Prony
-from tepm_opt.hw.imperfections.lugre import LuGre
-from tepm_opt.hw.imperfections.pressure import PressureDeadZone, PressureHysteresis, UnequalLag
+from tepm_opt.hw.simulation.imperfections import Imperfections
+from tepm_opt.hw.simulation.imperfections.edges import Prony
+from tepm_opt.hw.simulation.imperfections.lugre import LuGre
+from tepm_opt.hw.simulation.imperfections.pressure import PressureDeadZone, PressureHysteresis, UnequalLag
 from tepm_opt.models.robot import load_robot
 
 ROBOT = load_robot("kang2017")

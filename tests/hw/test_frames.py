@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tepm_opt.hw import protocol
-from tepm_opt.hw.protocol import ASK, CONFIG, DISARM, ESTOP, SET, TO_BOARD, TO_HOST, Message
+from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.protocol import ASK, CONFIG, DISARM, ESTOP, SET, TO_BOARD, TO_HOST, Message
 from tests.hw.emulator import FIRMWARE
 from tests.hw.emulator.frames import Decoded, Frames, Stream, build_frames
 from tests.hw.emulator.host import Host

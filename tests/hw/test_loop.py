@@ -15,11 +15,11 @@ import pytest
 
 from tepm_opt.cli import rigs, run
 from tepm_opt.data.run import read_run
-from tepm_opt.hw.calibration import Calibration
+from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Command, Rig, Sample
-from tepm_opt.hw.serial_rig import SerialRig
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.robot import load_robot
 from tests.hw import emulator
 from tests.hw.emulator import Board

@@ -6,10 +6,10 @@ import pytest
 from tepm_opt.data.run import Run, read_run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw.imperfections import Body
-from tepm_opt.hw.plant import Diverged
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.settle import NoEquilibriumError, settle
+from tepm_opt.hw.simulation.equilibrium import NoEquilibriumError, find_equilibrium
+from tepm_opt.hw.simulation.imperfections import Body
+from tepm_opt.hw.simulation.machine import Diverged
 from tests.hw.rigs import AREA, DAMPING, LENGTH, STIFFNESS, bar, inputs, ramps, read_until, resting, rig_of, robot_file
 from tests.paths import reference
 
@@ -121,10 +121,10 @@ def test_forces_on_points_are_shared_by_their_nodes():
 
 def test_settle_avoids_saddles_and_says_when_there_is_no_rest():
     """A double well started on its hill; a force that nothing holds."""
-    well = settle(lambda x: x - x**3 / 1e-4, np.zeros(1))
+    well = find_equilibrium(lambda x: x - x**3 / 1e-4, np.zeros(1))
     assert abs(well[0]) == pytest.approx(1e-2, rel=1e-6)
     with pytest.raises(NoEquilibriumError, match="does not come to rest"):
-        settle(lambda x: np.ones(1), np.zeros(1), iterations=20)
+        find_equilibrium(lambda x: np.ones(1), np.zeros(1), iterations=20)
 
 
 def test_divergence_is_said(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.registration import _Problem, register_base
+from tepm_opt.hw.service.registration import _RegistrationProblem, register_base
 from tepm_opt.models.robot import Mount
 
 LENGTH = 0.4
@@ -168,7 +168,7 @@ def test_derivatives():
     """Against central differences, also where the turn is large."""
     points, turns = arms(5)
     poses = recorded(points, turns)
-    problem = _Problem(poses.reshape(-1, 4, 4), points.reshape(-1, 3), np.tile(np.arange(4), 5), None, 4)
+    problem = _RegistrationProblem(poses.reshape(-1, 4, 4), points.reshape(-1, 3), np.tile(np.arange(4), 5), None, 4)
     at = np.random.default_rng(0).normal(size=18) * 0.1 + [0.3, -0.2, 0.1, *np.zeros(15)]
     steps = 1e-6 * np.eye(18)
     differences = np.array([problem.residuals(at + step) - problem.residuals(at - step) for step in steps]).T / 2e-6

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw import protocol
-from tepm_opt.hw.calibration import Calibration
-from tepm_opt.hw.link import Hello, Link, LinkError
-from tepm_opt.hw.linklog import RECEIVED, SENT, LinkLog, PlaybackPort, read_log
-from tepm_opt.hw.protocol import DISARM, HELLO, SET, State
+from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.board.link import Hello, Link, LinkError
+from tepm_opt.hw.board.linklog import RECEIVED, SENT, LinkLog, PlaybackPort, read_log
+from tepm_opt.hw.board.protocol import DISARM, HELLO, SET, State
+from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.serial_rig import SerialRig
 from tepm_opt.models.robot import Robot, load_robot
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import LockstepPort, World

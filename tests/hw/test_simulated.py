@@ -8,8 +8,8 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.replay import ReplayRig
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.rigfile import builtin_rigs, load_rig_file
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import builtin_rigs, load_rig_file
 from tests.hw.rigs import AREA, LENGTH, STIFFNESS, bar, inputs, ramps, read_until, resting, rig_of
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.view import RerunStream, RigView
+from tepm_opt.hw.simulation.view import RerunStream, RigView
 from tests.hw.rigs import inputs, rig_of
 
 

@@ -1,11 +1,11 @@
-"""The same answer compiled or not: chain.py is the reference for chain.c."""
+"""The same answer compiled or not: statics.py is the reference for statics.c."""
 
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
-from tepm_opt.models.chain import SOLVED, UNSTABLE
+from tepm_opt.models.backends.statics import SOLVED, UNSTABLE
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.effects import effects
 from tepm_opt.models.model import Model
@@ -50,14 +50,14 @@ def cases(model, count):
 def test_actuation(pair):
     c, python = pair
     for u, _ in cases(c, 5):
-        np.testing.assert_allclose(c.chain.actuation(u, c.theta), python.chain.actuation(u, c.theta), rtol=1e-15)
+        np.testing.assert_allclose(c.statics.actuation(u, c.theta), python.statics.actuation(u, c.theta), rtol=1e-15)
 
 
 @pytest.mark.parametrize("mapped", [False, True])
 def test_statics(pair, mapped):
     c, python = pair
     for u, external in cases(c, 6):
-        found, expected = (m.chain.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100) for m in (c, python))
+        found, expected = (m.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100) for m in (c, python))
         assert found.status == expected.status == SOLVED
         assert abs(found.x - expected.x).max() < 1e-9
         assert abs(found.observed - expected.observed).max() < 1e-9
@@ -72,15 +72,15 @@ def test_sensitivities(pair, mapped):
     observations = 3 * c.layout.points + c.layout.inputs // 2
     weights = np.random.default_rng(0).normal(size=(5, observations))
     for u, external in cases(c, 3):
-        x = python.chain.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
-        found, expected = (m.chain.sensitivity(x, u, mapped, external, c.theta, weights, True) for m in (c, python))
+        x = python.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
+        found, expected = (m.statics.sensitivity(x, u, mapped, external, c.theta, weights, True) for m in (c, python))
         assert found[0] == expected[0] == SOLVED
         half = c.layout.inputs // 2
         blocks = [(found[1][:, :half], expected[1][:, :half]), (found[1][:, half:], expected[1][:, half:]), (found[2], expected[2])]
         blocks += [(found[3][:, [k]], expected[3][:, [k]]) for k in range(len(c.theta)) if expected[3][:, k].any()]
         assert all(relative(*block) < 1e-8 for block in blocks)
         for model in pair:  # without the parameters' kernels run that do less
-            _, by_u, by_external, by_theta = model.chain.sensitivity(x, u, mapped, external, c.theta, weights, False)
+            _, by_u, by_external, by_theta = model.statics.sensitivity(x, u, mapped, external, c.theta, weights, False)
             assert by_theta is None
             assert max(relative(by_u, expected[1]), relative(by_external, expected[2])) < 1e-8
 
@@ -90,9 +90,9 @@ def test_matrices(pair, mapped):
     """Stiffness and damping at an equilibrium and elsewhere."""
     c, python = pair
     for u, external in cases(c, 4):
-        x = python.chain.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
+        x = python.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
         for levels in (x, c.rest):
-            found, expected = (m.chain.matrices(levels, u, mapped, external, c.theta) for m in (c, python))
+            found, expected = (m.statics.matrices(levels, u, mapped, external, c.theta) for m in (c, python))
             assert [matrix.shape for matrix in found] == 2 * [(2 * c.layout.block, c.layout.levels * c.layout.block)]
             assert max(relative(*both) for both in zip(found, expected, strict=True)) < 1e-12
 
@@ -104,16 +104,16 @@ def test_inverse(pair):
     weights = np.eye(observations)[-half:]  # the actuators' lengths
     for u, external in cases(c, 3):
         p = u[:half] / 2
-        start, goal = (python.chain.statics(c.rest, np.append(q, 0 * q), True, external, c.theta, 1e-9, 100) for q in (p, p + 5e3))
+        start, goal = (python.statics.statics(c.rest, np.append(q, 0 * q), True, external, c.theta, 1e-9, 100) for q in (p, p + 5e3))
         arguments = (start.x, p, external, c.theta, weights, weights @ goal.observed, 1e5, 1e-10, 1e-9, 30)
-        found, expected = (m.chain.inverse(*arguments) for m in (c, python))
+        found, expected = (m.statics.inverse(*arguments) for m in (c, python))
         assert found[0] == expected[0] == SOLVED
         assert found[3] == expected[3]
         assert abs(found[1] - expected[1]).max() < 1e-9
         np.testing.assert_allclose(found[2], expected[2], rtol=1e-9)
         np.testing.assert_allclose(found[2], p + 5e3, rtol=1e-6)
         assert abs(found[1] - goal.x).max() < 1e-7
-        too_few = [m.chain.inverse(*arguments[:-1], 1) for m in (c, python)]
+        too_few = [m.statics.inverse(*arguments[:-1], 1) for m in (c, python)]
         assert too_few[0][0] == too_few[1][0] != SOLVED
 
 
@@ -121,10 +121,10 @@ def test_failures_have_the_same_status(kang, kang_python, compiler):
     """3 N straight down: the straight robot is a saddle; 1 iteration: not enough."""
     external = np.array([0] * 11 + [-3.0])
     for most, status in ((100, UNSTABLE), (1, 3)):
-        found = [m.chain.statics(kang.rest, np.zeros(12), False, external, kang.theta, 1e-9, most) for m in (kang, kang_python)]
+        found = [m.statics.statics(kang.rest, np.zeros(12), False, external, kang.theta, 1e-9, most) for m in (kang, kang_python)]
         assert [solution.status for solution in found] == [status, status]
     x = found[0].x
-    results = [m.chain.sensitivity(x, np.zeros(12), False, external, kang.theta, np.eye(18), True) for m in (kang, kang_python)]
+    results = [m.statics.sensitivity(x, np.zeros(12), False, external, kang.theta, np.eye(18), True) for m in (kang, kang_python)]
     assert results[0][0] == results[1][0] == 4
 
 
@@ -132,7 +132,7 @@ def test_threads_do_not_disturb_each_other(kang, compiler):
     """Every thread has arrays of its own; ctypes releases the interpreter's lock while C runs."""
 
     def solve(u):
-        return kang.chain.statics(kang.rest, u, False, np.zeros(12), kang.theta, 1e-9, 100).observed
+        return kang.statics.statics(kang.rest, u, False, np.zeros(12), kang.theta, 1e-9, 100).observed
 
     inputs = random_inputs(kang, 200, 3)
     with ThreadPoolExecutor(4) as pool:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.errors import InputError
-from tepm_opt.models import ccode
+from tepm_opt.models.backends import ccode
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tests.tools import variant

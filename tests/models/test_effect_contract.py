@@ -186,7 +186,7 @@ def derivatives(model: CompiledModel, held: Equilibrium) -> tuple[np.ndarray, np
     """Of points and lengths by inputs (in parts of their ranges), tip force and parameters."""
     weights = np.eye(len(observed(held)))
     arguments = (held.x, held.inputs, False, held.loads.ravel(), model.theta, weights, True)
-    status, by_u, by_load, by_theta = model.chain.sensitivity(*arguments)
+    status, by_u, by_load, by_theta = model.statics.sensitivity(*arguments)
     assert status == 0
     return by_u * model.input_max, by_load[:, -3:], by_theta
 

@@ -59,7 +59,7 @@ def test_a_payload_is_inertia_too(kang):
 def test_a_dead_zone_takes_the_threshold_off_the_pressure(kang):
     model = compile_model(NOMINAL.with_effect("pressure_dead_zone", threshold=2e4))
     u = np.array([0, 1.5e4, 1.6e4, 2e4, 2.4e4, 2e5, 0, 1, 2, 3, 4, 5])
-    effective = model.chain.actuation(u, model.theta)
+    effective = model.statics.actuation(u, model.theta)
     np.testing.assert_allclose(effective[[0, 1, 2, 4, 5]], [0, 0, 0, 4e3, 1.8e5], atol=1e-9)
     assert 0 < effective[3] <= 0.2 * 2e4 / 4  # in the rounded corner
     np.testing.assert_array_equal(effective[6:], u[6:])
@@ -73,7 +73,7 @@ def test_a_dead_zones_corner_is_smooth():
     model = compile_model(NOMINAL.with_effect("pressure_dead_zone", threshold=2e4))
     pressures = np.array([1.6e4, 2.4e4])
     for p in pressures:
-        below, at, above = (model.chain.actuation(np.array([p + d] + [0.0] * 11), model.theta)[0] for d in (-1.0, 0.0, 1.0))
+        below, at, above = (model.statics.actuation(np.array([p + d] + [0.0] * 11), model.theta)[0] for d in (-1.0, 0.0, 1.0))
         assert above - at == pytest.approx(at - below, abs=1e-3)
 
 
@@ -126,21 +126,21 @@ def test_hardening_adds_powers_of_the_stretch_to_a_muscles_force(model):
 def test_a_weak_actuator_loses_a_share_of_its_pressure():
     model = in_python(NOMINAL.with_effect("actuator_gain", "21", loss=0.25).with_effect("actuator_gain", "13", loss=-0.1))
     u = np.array([1e5, 2e5, 3e5, 4e5, 5e5, 1e5, 1, 2, 3, 4, 5, 6])
-    np.testing.assert_allclose(model.chain.actuation(u, model.theta), u * [1, 1, 1.1, 0.75, 1, 1, 1, 1, 1, 1, 1, 1], rtol=1e-14)
+    np.testing.assert_allclose(model.statics.actuation(u, model.theta), u * [1, 1, 1.1, 0.75, 1, 1, 1, 1, 1, 1, 1, 1], rtol=1e-14)
 
 
 def test_crosstalk_reaches_the_neighbours_in_the_module():
     model = in_python(NOMINAL.with_effect("pressure_crosstalk", coupling=0.1))
     u = np.array([1e5, 2e5, 3e5, 4e5, 0, 0, 1, 2, 3, 4, 5, 6])
     expected = [1.5e5, 2.4e5, 3.3e5, 4e5, 4e4, 4e4, *u[6:]]
-    np.testing.assert_allclose(model.chain.actuation(u, model.theta), expected, rtol=1e-14)
+    np.testing.assert_allclose(model.statics.actuation(u, model.theta), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("bracing", ["single", "crossed"])
 def test_crosstalk_does_not_reach_across(bracing):
     square = variant(geometry={"modules": 1, "actuator_angles_deg": (0.0, 180.0, 90.0, 270.0), "bracing": bracing})
     model = in_python(Model.of(square).with_effect("pressure_crosstalk", coupling=0.1))
-    found = model.chain.actuation(np.array([1e5, 0, 0, 0, 0, 0, 0, 0]), model.theta)
+    found = model.statics.actuation(np.array([1e5, 0, 0, 0, 0, 0, 0, 0]), model.theta)
     np.testing.assert_allclose(found, [1e5, 0, 1e4, 1e4, 0, 0, 0, 0], rtol=1e-14)
 
 
@@ -160,7 +160,7 @@ def tendon_ends(path, steps=20, **parameters):
     for before, after in pairwise(commanded):
         u, rate = np.zeros(12), np.zeros(12)
         u[6], rate[6] = after, (after - before) / duration
-        a, y = (part.ravel() for part in model.moving.values("input_motion", u, rate, y, duration, model.theta))
+        a, y = (part.ravel() for part in model.reference_stepper.values("input_motion", u, rate, y, duration, model.theta))
         found.append(a[6])
     return commanded, np.array(found)
 
@@ -199,7 +199,7 @@ def test_friction_only_resists(parameters):
 def test_slack_is_taken_up_first():
     model = in_python(NOMINAL.with_effect("tendon_slack", tension=0.5))
     u = np.array([1e5, 2e5, 3e5, 4e5, 5e5, 1e5, 0, 0.3, 0.4, 0.5, 0.6, 5])
-    effective = model.chain.actuation(u, model.theta)
+    effective = model.statics.actuation(u, model.theta)
     np.testing.assert_array_equal(effective[:6], u[:6])
     np.testing.assert_allclose(effective[6:], [0, 0, 0, 0.025, 0.1, 4.5], atol=1e-12)  # the corner is 0.1 N wide to either side
 

@@ -9,8 +9,8 @@ import pytest
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
+from tepm_opt.models.channels import channels_of
 from tepm_opt.recording.drive import FULL_RANGE, Driver, Row, at_rest
-from tepm_opt.recording.robots import channels_of
 from tests.recording.fake_rig import PERIOD, ROBOT, FakeRig
 
 CHANNELS = channels_of(ROBOT)

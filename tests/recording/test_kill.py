@@ -24,7 +24,7 @@ from tepm_opt.data.datasets import DESCRIPTION, read_dataset
 from tepm_opt.data.journal import mend_journal
 from tepm_opt.data.run import read_run
 from tepm_opt.data.tables import read_table
-from tepm_opt.recording.robots import open_dataset
+from tepm_opt.models.channels import open_dataset
 from tests.recording.fake_rig import RAMP, SeededLater, record_slowly, write_plan
 
 RATE = 50

@@ -10,7 +10,7 @@ import pytest
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.robot import load_robot, robot_text
-from tepm_opt.recording.plan import Plan, PlannedRun, read_plan
+from tepm_opt.recording.plan import PlannedRun, RecordingPlan, read_plan
 from tests.data.made import ACTUATORS
 from tests.recording.fake_rig import RAMP, STEPS, SWEEP, plan_text, write_plan
 
@@ -257,5 +257,5 @@ def test_one_clear_line(tmp_path: Path, name: str) -> None:
 
 def test_plans_can_be_made_without_files() -> None:
     setpoints = SetPoints(np.array([0.0, 2.0]), np.zeros((2, 12)), np.zeros((2, 3)))
-    plan = Plan("mine", load_robot("kang2017"), "kang2017", 50.0, None, (PlannedRun("a.csv", "fit", setpoints),))
+    plan = RecordingPlan("mine", load_robot("kang2017"), "kang2017", 50.0, None, (PlannedRun("a.csv", "fit", setpoints),))
     assert plan.runs[0].file == "a.csv"

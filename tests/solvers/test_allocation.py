@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.allocation import Mode, allocate, axial_forces, force_range, on_grid
+from tepm_opt.solvers.allocation import ActuationMode, allocate, axial_forces, force_range, on_grid
 
 AREA, STEP = 50.27e-6, 4.5e3
 FORCES = st.lists(st.floats(0, 1), min_size=6, max_size=6)
@@ -20,15 +20,15 @@ def dead_zone():
 
 def test_force_ranges_of_the_paper(kang):
     """0 … 0.5 MPa alone; with tension from -7 N to the grid's last pressure, 111 steps of 4.5 kPa."""
-    np.testing.assert_allclose(force_range(kang, Mode.PRESSURE), [[0] * 6, [0.5e6 * AREA] * 6])
-    np.testing.assert_allclose(force_range(kang, Mode.HYBRID), [[-7] * 6, [111 * STEP * AREA] * 6])
+    np.testing.assert_allclose(force_range(kang, ActuationMode.PRESSURE), [[0] * 6, [0.5e6 * AREA] * 6])
+    np.testing.assert_allclose(force_range(kang, ActuationMode.HYBRID), [[-7] * 6, [111 * STEP * AREA] * 6])
 
 
 @given(FORCES)
 def test_pressure_alone(kang, parts):
-    low, high = force_range(kang, Mode.PRESSURE)
+    low, high = force_range(kang, ActuationMode.PRESSURE)
     forces = low + np.array(parts) * (high - low)
-    found = allocate(kang, forces, Mode.PRESSURE)
+    found = allocate(kang, forces, ActuationMode.PRESSURE)
     np.testing.assert_allclose(found.inputs[:6], forces / AREA, atol=1e-6)
     assert not found.inputs[6:].any()
     assert found.error < 1e-12
@@ -36,9 +36,9 @@ def test_pressure_alone(kang, parts):
 
 
 def check_hybrid(model, parts):
-    low, high = force_range(model, Mode.HYBRID)
+    low, high = force_range(model, ActuationMode.HYBRID)
     forces = low + np.array(parts) * (high - low)
-    found = allocate(model, forces, Mode.HYBRID)
+    found = allocate(model, forces, ActuationMode.HYBRID)
     pressure, tension = found.inputs[:6], found.inputs[6:]
     np.testing.assert_allclose(axial_forces(model, found.inputs), forces, rtol=0, atol=1e-9)
     assert found.error < 1e-9
@@ -65,8 +65,8 @@ def test_hybrid_with_an_effect_on_the_inputs_is_exact_too(dead_zone, parts):
 @given(st.lists(st.floats(0.05, 1), min_size=6, max_size=6))
 def test_pressure_alone_makes_up_for_a_dead_zone(dead_zone, parts):
     """Beyond the rounded corner the threshold is added; within it the corner is inverted."""
-    forces = np.array(parts) * force_range(dead_zone, Mode.PRESSURE)[1]
-    found = allocate(dead_zone, forces, Mode.PRESSURE)
+    forces = np.array(parts) * force_range(dead_zone, ActuationMode.PRESSURE)[1]
+    found = allocate(dead_zone, forces, ActuationMode.PRESSURE)
     assert found.error < 1e-9
     beyond = forces > 0.2 * 3e4 * AREA
     np.testing.assert_allclose(found.inputs[:6][beyond], (forces / AREA + 3e4)[beyond], atol=1e-3)
@@ -74,14 +74,14 @@ def test_pressure_alone_makes_up_for_a_dead_zone(dead_zone, parts):
 
 def test_mid_tension_can_be_chosen(kang):
     for tension in (1.0, 6.0):
-        found = allocate(kang, np.full(6, 8.0), Mode.HYBRID, tension)
+        found = allocate(kang, np.full(6, 8.0), ActuationMode.HYBRID, tension)
         assert abs(found.inputs[6:] - tension).max() <= STEP * AREA / 2 + 1e-9
         assert found.error < 1e-12
 
 
 @pytest.mark.parametrize(
     ("mode", "force", "missed"),
-    [(Mode.PRESSURE, -1.0, 1.0), (Mode.HYBRID, -7.5, 0.5), (Mode.HYBRID, 30.0, 30 - 111 * STEP * AREA)],
+    [(ActuationMode.PRESSURE, -1.0, 1.0), (ActuationMode.HYBRID, -7.5, 0.5), (ActuationMode.HYBRID, 30.0, 30 - 111 * STEP * AREA)],
 )
 def test_forces_out_of_range_are_missed_by_what_is_said(kang, mode, force, missed):
     found = allocate(kang, np.array([force, 1, 2, 3, 4, 5.0]), mode)

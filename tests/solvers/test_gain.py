@@ -7,7 +7,7 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.gain import gain_at, input_curve, solve_gain, workspace_map
-from tepm_opt.solvers.kinematics import Mode, solve_ik, solve_trajectory
+from tepm_opt.solvers.kinematics import ActuationMode, solve_ik, solve_trajectory
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import circle
 from tests.tools import PRECISE, random_directions, random_inputs, relative, slope
@@ -123,11 +123,11 @@ class TestFigure11:
 
 def test_it_is_continuous_along_the_circle(kang):
     """G turns once with the circle's angle; between neighbours of 32 it changes by about 2 pi / 32 and never jumps."""
-    found = solve_trajectory(kang, circle(32).positions, Mode.HYBRID)
+    found = solve_trajectory(kang, circle(32).positions, ActuationMode.HYBRID)
     gains = np.array([gain_at(configuration).normalised() for configuration in found])
     steps = np.linalg.norm(gains - np.roll(gains, 1, axis=0), axis=(1, 2)) / np.linalg.norm(gains, axis=(1, 2))
     assert 0.05 < steps.min() < steps.max() < 0.3
-    halves = solve_trajectory(kang, circle(64).positions, Mode.HYBRID)
+    halves = solve_trajectory(kang, circle(64).positions, ActuationMode.HYBRID)
     finer = np.array([gain_at(configuration).normalised() for configuration in halves])
     smaller = np.linalg.norm(finer - np.roll(finer, 1, axis=0), axis=(1, 2)) / np.linalg.norm(finer, axis=(1, 2))
     assert smaller.max() < 0.6 * steps.max()
@@ -173,6 +173,6 @@ def test_workspace_map(kang):
     numbers = found.values(lambda gain: gain.manipulability())
     assert 1 < found.reached.sum() < 6
     np.testing.assert_array_equal(np.isfinite(numbers), found.reached)
-    turned, straight = (workspace_map(kang, across, height, turn, Mode.PRESSURE) for turn in (2 * np.pi / 3, 0.0))
+    turned, straight = (workspace_map(kang, across, height, turn, ActuationMode.PRESSURE) for turn in (2 * np.pi / 3, 0.0))
     np.testing.assert_array_equal(turned.reached, straight.reached)
     np.testing.assert_allclose(turned.values(lambda gain: gain.condition()), straight.values(lambda gain: gain.condition()), rtol=1e-6)

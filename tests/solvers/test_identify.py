@@ -12,7 +12,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.identify import Estimate, Problem, bounded_step, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, bounded_step, free_parameters, identify
 from tepm_opt.solvers.predict import PredictionError, predict, predict_all
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
@@ -32,7 +32,7 @@ def runs(kang: CompiledModel) -> tuple[Run, ...]:
 
 
 @pytest.fixture(scope="module")
-def estimate(kang: CompiledModel, runs: tuple[Run, ...]) -> Estimate:
+def estimate(kang: CompiledModel, runs: tuple[Run, ...]) -> ParameterEstimate:
     return identify(problem(kang, runs))
 
 
@@ -41,7 +41,7 @@ def problem(model: CompiledModel, runs: tuple[Run, ...], *names: str, **settings
     return Problem(model, runs, free_parameters(model, names or None), NOISE, step=STEP, **settings)
 
 
-def misses(estimate: Estimate, truth: dict[str, float], std: np.ndarray | None = None) -> dict[str, float]:
+def misses(estimate: ParameterEstimate, truth: dict[str, float], std: np.ndarray | None = None) -> dict[str, float]:
     """Errors over their standard deviations."""
     std = estimate.std if std is None else std
     return {name: (value - truth[name]) / sigma for (name, value), sigma in zip(estimate.named.items(), std, strict=True)}
@@ -110,7 +110,7 @@ class TestPredictions:
 
 
 class TestRecovery:
-    def test_parameters_with_priors(self, kang: CompiledModel, estimate: Estimate) -> None:
+    def test_parameters_with_priors(self, kang: CompiledModel, estimate: ParameterEstimate) -> None:
         assert estimate.converged
         assert estimate.cost / estimate.count == pytest.approx(1.0, abs=0.03)
         assert set(estimate.named) == {"K_a", "m_d", "alpha_2", "c_a"}
@@ -152,7 +152,7 @@ class TestRecovery:
         assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
         assert found.model.values["payload.mass"] == found.named["payload.mass"]
 
-    def test_missing_samples_and_a_missing_sensor(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: Estimate) -> None:
+    def test_missing_samples_and_a_missing_sensor(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate) -> None:
         random = np.random.default_rng(2)
         holey = []
         for run in runs:
@@ -165,7 +165,7 @@ class TestRecovery:
         assert largest(missed := misses(found, true_values(kang))) < DEVIATIONS, missed
         assert (found.std > 0.9 * estimate.std).all(), "fewer samples cannot tell more"
 
-    def test_robust_against_outliers(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: Estimate) -> None:
+    def test_robust_against_outliers(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate) -> None:
         """3 % of the poses are of another marker, 20 mm aside and below."""
         random = np.random.default_rng(3)
         spoilt = []
@@ -216,7 +216,7 @@ class TestWhatRunsCannotTell:
         assert "c_a has hardly any influence in these runs" in words, words
         assert len(words) >= 2, words
 
-    def test_all_is_well(self, estimate: Estimate) -> None:
+    def test_all_is_well(self, estimate: ParameterEstimate) -> None:
         assert unidentifiable(estimate) == []
 
     def test_profile_of_what_is_well_known(self, kang: CompiledModel) -> None:
@@ -232,7 +232,7 @@ class TestWhatRunsCannotTell:
         (free,) = found.problem.free
         assert profile(found, "c_a") == (free.low, free.high)
 
-    def test_profile_of_what_is_not_free(self, estimate: Estimate) -> None:
+    def test_profile_of_what_is_not_free(self, estimate: ParameterEstimate) -> None:
         with pytest.raises(InputError, match=r"'r'.*K_a"):
             profile(estimate, "r")
 

@@ -9,14 +9,14 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.allocation import force_range
-from tepm_opt.solvers.kinematics import Mode, Reach, solve_ik, solve_trajectory
+from tepm_opt.solvers.kinematics import ActuationMode, Reach, solve_ik, solve_trajectory
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import circle
 from tests.tools import random_directions, variant
 
 AREA = 50.27e-6
 CIRCLE = circle().positions
-MODES = list(Mode)
+MODES = list(ActuationMode)
 
 
 def check_held(model, found, loads=None):
@@ -49,7 +49,7 @@ def equal_curvature(model, first) -> Reachable | None:
         different = held.lengths[1] - held.lengths[0]
         if abs(different).max() < 1e-12:
             return Reachable(forces, held)
-        by_force = model.chain.sensitivity(held.x, held.inputs, True, np.zeros(12), model.theta, weights, False)[1][:, 3:6] / AREA
+        by_force = model.statics.sensitivity(held.x, held.inputs, True, np.zeros(12), model.theta, weights, False)[1][:, 3:6] / AREA
         forces = forces - np.concatenate([np.zeros(3), np.linalg.solve(by_force, different)])
     return None
 
@@ -81,7 +81,7 @@ class TestCircle:
             assert configuration.limits == ()
             assert configuration.message == ""
             check_held(kang, configuration)
-        if mode is Mode.PRESSURE:
+        if mode is ActuationMode.PRESSURE:
             assert not any(configuration.allocation.inputs[6:].any() for configuration in configurations)
 
     def test_force_range(self, found):
@@ -95,7 +95,7 @@ class TestCircle:
         mode, configurations = found
         rounded = [solve_statics(kang, configuration.allocation.rounded) for configuration in configurations]
         worst = 1e3 * max(np.linalg.norm(held.tip - target) for held, target in zip(rounded, CIRCLE, strict=True))
-        assert worst < 0.05 if mode is Mode.HYBRID else 2 < worst < 10
+        assert worst < 0.05 if mode is ActuationMode.HYBRID else 2 < worst < 10
 
     def test_it_turns_by_symmetry(self, kang):
         """A third of a circle later the same forces act on the next actuators."""
@@ -108,7 +108,7 @@ class TestCircle:
 
     def test_the_paper_frame_needs_pull(self, kang):
         """SPEC section 1: with the base at 0 the circle needs -7.3 N; here, the circle 50 mm lower."""
-        lower = solve_trajectory(kang, CIRCLE - [0, 0, 0.05], Mode.HYBRID)
+        lower = solve_trajectory(kang, CIRCLE - [0, 0, 0.05], ActuationMode.HYBRID)
         assert not all(c.solved for c in lower)
         assert any("tension" in limit and "maximum" in limit for c in lower for limit in c.limits)
 
@@ -186,7 +186,7 @@ class TestOutOfReach:
                     assert np.linalg.norm(near.held.tip - target) > found.miss - 1e-6
         assert tried > 20
 
-    @pytest.mark.parametrize(("mode", "highest"), [(Mode.PRESSURE, 0.5e6), (Mode.HYBRID, 111 * 4.5e3)])
+    @pytest.mark.parametrize(("mode", "highest"), [(ActuationMode.PRESSURE, 0.5e6), (ActuationMode.HYBRID, 111 * 4.5e3)])
     def test_two_metres_up(self, kang, mode, highest):
         """Straight up at full pressure: equal lengths leave the upper module, which carries less, below its limit."""
         found = solve_ik(kang, [0, 0, 2.0], mode)

@@ -13,7 +13,7 @@ from tepm_opt.solvers.gain import solve_gain
 from tepm_opt.solvers.linear import Linear, linearise
 from tepm_opt.solvers.modes import modes, state_matrix
 from tepm_opt.solvers.simulate import simulate
-from tepm_opt.solvers.statics import Equilibrium, Settings, equilibrium, solve_statics
+from tepm_opt.solvers.statics import Equilibrium, StaticsSettings, equilibrium, solve_statics
 from tests.solvers.dynamics import with_dynamics
 
 BENT = np.array([1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6.0])
@@ -150,7 +150,7 @@ def test_wrong_names_are_refused(bent, arguments, says):
 
 
 def test_a_failed_equilibrium_is_refused(kang):
-    found = solve_statics(kang, np.zeros(12), [0, 0, 0.1], settings=Settings(iterations=0))
+    found = solve_statics(kang, np.zeros(12), [0, 0, 0.1], settings=StaticsSettings(iterations=0))
     assert not found.solved
     with pytest.raises(InputError, match="no equilibrium to linearise about: not converged"):
         linearise(found)

@@ -5,7 +5,7 @@ import pytest
 
 from tepm_opt.models.compile import compile_model
 from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.kinematics import Mode, solve_ik
+from tepm_opt.solvers.kinematics import ActuationMode, solve_ik
 from tepm_opt.solvers.statics import solve_statics
 from tests.tools import PRECISE, random_inputs, relative, slope, variant
 
@@ -56,7 +56,7 @@ def test_gain(model):
         assert relative(found[:, number], slope(tip, 1e-3)) < 1e-6
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("mode", list(ActuationMode))
 def test_inverse_kinematics(model, mode):
     """A little higher than at rest and aside: within reach of all of them."""
     target = solve_statics(model, np.zeros(model.layout.inputs)).tip + np.array([0.03, 0.02, 0.01])
@@ -84,7 +84,7 @@ def test_redundant_forces_keep_to_their_limits():
     model = compile_model(variant(geometry={"modules": 1, "actuator_angles_deg": FOUR, "segments_per_module": 3}), backend="python")
     forces = np.array([11.0, 4.0, 0.0, 3.0])  # (10, 5, -1, 4), at right angles to the null space, and one step along (1, -1, 1, -1)
     target = solve_statics(model, [*forces / model.model.values["A"], 0, 0, 0, 0]).tip
-    pressure, hybrid = (solve_ik(model, target, mode) for mode in Mode)
+    pressure, hybrid = (solve_ik(model, target, mode) for mode in ActuationMode)
     assert pressure.solved
     assert hybrid.solved
     np.testing.assert_allclose(pressure.forces, forces, atol=1e-4)

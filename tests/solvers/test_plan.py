@@ -9,12 +9,12 @@ import pytest
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw.rigfile import RigFile, load_rig_file
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.plan import Box, Objective, Outcome, Plan, Settings, Sphere, plan_move, plan_path
+from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, Outcome, PlanSettings, Sphere, plan_move, plan_path
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import circle, line
@@ -26,12 +26,12 @@ PRESSURE_STEP, AREA, RADIUS = 4500.0, 50.27e-6, 0.02
 
 
 @pytest.fixture(scope="module")
-def fastest(kang: CompiledModel) -> Plan:
+def fastest(kang: CompiledModel) -> MotionPlan:
     return plan_move(kang, START, END)
 
 
 @pytest.fixture(scope="module")
-def gentle(kang: CompiledModel) -> Plan:
+def gentle(kang: CompiledModel) -> MotionPlan:
     return plan_move(kang, START, END, Objective.EFFORT, 1.5)
 
 
@@ -67,7 +67,7 @@ def ramp(model: CompiledModel, duration: float) -> SetPoints:
     return SetPoints(np.array([0.0, duration]), inputs, np.zeros((2, 3)))
 
 
-def check_limits(plan: Plan) -> None:
+def check_limits(plan: MotionPlan) -> None:
     inputs, half = plan.setpoints.inputs, plan.model.layout.inputs // 2
     assert plan.solved
     assert np.isfinite(inputs).all()
@@ -85,20 +85,20 @@ def check_limits(plan: Plan) -> None:
 
 
 class TestMove:
-    def test_keeps_all_limits(self, fastest: Plan, gentle: Plan) -> None:
+    def test_keeps_all_limits(self, fastest: MotionPlan, gentle: MotionPlan) -> None:
         for plan in (fastest, gentle):
             check_limits(plan)
             np.testing.assert_allclose(plan.tips[[0, -1]], [START, END], atol=1e-6)
         assert gentle.duration == pytest.approx(1.5)
 
-    def test_polynomials_are_the_configurations(self, fastest: Plan) -> None:
+    def test_polynomials_are_the_configurations(self, fastest: MotionPlan) -> None:
         assert fastest.surrogate_error[0] < 5e-5
         assert fastest.surrogate_error[1] < 1e-3
         for row in (0, len(fastest.time) // 2, -1):
             found = solve_ik(fastest.model, fastest.tips[row]).equilibrium
             np.testing.assert_allclose(found.points, fastest.points[row], atol=1e-6)
 
-    def test_leaves_no_sway_behind_lag_and_delay(self, devices: CompiledModel, fastest: Plan, gentle: Plan) -> None:
+    def test_leaves_no_sway_behind_lag_and_delay(self, devices: CompiledModel, fastest: MotionPlan, gentle: MotionPlan) -> None:
         assert sway(devices, fastest.setpoints) < STILL
         assert sway(devices, gentle.setpoints) < 0.5 * STILL
 
@@ -109,18 +109,18 @@ class TestMove:
         assert plan.left_over < 8e-4
         assert sway(devices, plan.setpoints) < STILL
 
-    def test_is_much_faster_than_ramps(self, devices: CompiledModel, fastest: Plan) -> None:
+    def test_is_much_faster_than_ramps(self, devices: CompiledModel, fastest: MotionPlan) -> None:
         """No ramp up to ten times its duration leaves as little, not even on regulators without a grid."""
         assert fastest.duration < 0.6
         assert min(sway(devices, ramp(devices, part * fastest.duration)) for part in np.arange(1.0, 10.5, 0.5)) > STILL
 
-    def test_least_effort_is_less(self, fastest: Plan, gentle: Plan) -> None:
+    def test_least_effort_is_less(self, fastest: MotionPlan, gentle: MotionPlan) -> None:
         assert gentle.effort < 0.2 * fastest.effort
 
     @pytest.mark.slow
-    def test_doubt_makes_it_robust(self, kang: CompiledModel, devices: CompiledModel, fastest: Plan) -> None:
+    def test_doubt_makes_it_robust(self, kang: CompiledModel, devices: CompiledModel, fastest: MotionPlan) -> None:
         """Against an arm with muscles 3 % softer, which near buckling changes its frequencies by more."""
-        trusting, doubting = fastest, plan_move(kang, START, END, settings=Settings(frequency_doubt=0.1))
+        trusting, doubting = fastest, plan_move(kang, START, END, settings=PlanSettings(frequency_doubt=0.1))
         check_limits(doubting)
         softer = devices.with_theta(np.where([name == "K_a" for name in devices.network.parameter_names], 0.97, 1.0) * devices.theta)
         assert sway(softer, doubting.setpoints) < 0.5 * sway(softer, trusting.setpoints)
@@ -129,10 +129,10 @@ class TestMove:
     def test_margin_is_kept(self, kang: CompiledModel) -> None:
         ends = [solve_ik(kang, np.array(tip)).equilibrium.smallest_eigenvalue for tip in (START, END)]
         margin = min(ends) - 1e-3
-        plan = plan_move(kang, START, END, settings=Settings(stability=margin))
+        plan = plan_move(kang, START, END, settings=PlanSettings(stability=margin))
         check_limits(plan)
         assert plan.margin > margin - 1e-4
-        impossible = plan_move(kang, START, END, settings=Settings(stability=max(ends)))
+        impossible = plan_move(kang, START, END, settings=PlanSettings(stability=max(ends)))
         assert impossible.outcome is Outcome.BLOCKED
         assert impossible.message.startswith("start: its smallest stiffness eigenvalue is 0.29")
 
@@ -151,7 +151,7 @@ class TestObstacles:
             assert away.min() > RADIUS
 
     @pytest.mark.slow
-    def test_elsewhere_they_cost_nothing(self, kang: CompiledModel, fastest: Plan) -> None:
+    def test_elsewhere_they_cost_nothing(self, kang: CompiledModel, fastest: MotionPlan) -> None:
         plan = plan_move(kang, START, END, obstacles=[Sphere((-0.2, 0.0, 0.3), 0.05)])
         assert plan.duration == pytest.approx(fastest.duration, rel=1e-3)
 
@@ -186,8 +186,8 @@ class TestWrongUse:
         assert plan.message.startswith("(0.05, 0, 0.65): out of reach: the nearest point misses by")
 
     @pytest.mark.slow
-    def test_too_short(self, kang: CompiledModel, fastest: Plan) -> None:
-        plan = plan_move(kang, START, END, Objective.EFFORT, 0.2, settings=Settings(iterations=60))
+    def test_too_short(self, kang: CompiledModel, fastest: MotionPlan) -> None:
+        plan = plan_move(kang, START, END, Objective.EFFORT, 0.2, settings=PlanSettings(iterations=60))
         assert plan.outcome is Outcome.FAILED
         assert plan.message.endswith(f"; the fastest plan takes {fastest.duration:.2f} s")
 
@@ -199,7 +199,7 @@ class TestWrongUse:
             ({"duration": 1.0}, "valid: seconds for objective 'effort', none for 'time'"),
             ({"objective": Objective.EFFORT}, "valid: seconds for objective 'effort'"),
             ({"objective": Objective.EFFORT, "duration": -1.0}, r"duration: -1 s; valid: 0\.05 … 600 s"),
-            ({"settings": Settings(mid_tension=7.0)}, r"mid_tension: 7 N; valid: 0\.3 … 6\.7 N"),
+            ({"settings": PlanSettings(mid_tension=7.0)}, r"mid_tension: 7 N; valid: 0\.3 … 6\.7 N"),
         ],
     )
     def test_arguments(self, kang: CompiledModel, change: dict, message: str) -> None:
@@ -236,7 +236,7 @@ def devices_only(file: RigFile) -> RigFile:
 class TestOnTheRig:
     """Played open loop. The rig's regulators go in steps of 4.5 kPa, a kick of 2 to 3 mm each that a ramp does not make up for."""
 
-    def compare(self, file: RigFile, plan: Plan) -> None:
+    def compare(self, file: RigFile, plan: MotionPlan) -> None:
         check_limits(plan)
         left = on_rig(file, plan.setpoints)
         ramps = {part: on_rig(file, ramp(plan.model, part * plan.duration)) for part in (1.0, 1.5, 2.0, FASTER)}
@@ -245,7 +245,7 @@ class TestOnTheRig:
         assert left < STILL
         assert min(ramps.values()) > STILL
 
-    def test_its_devices_on_the_nominal_robot(self, fastest: Plan) -> None:
+    def test_its_devices_on_the_nominal_robot(self, fastest: MotionPlan) -> None:
         self.compare(devices_only(load_rig_file()), fastest)
 
     def test_virtual_prototype(self, kang: CompiledModel) -> None:

@@ -13,7 +13,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.solvers import simulate as module
 from tepm_opt.solvers.simulate import Directions, SimulationError, SimulationInterrupted, simulate, stable_step
 from tepm_opt.solvers.statics import solve_statics
-from tests.models.test_march import gentle
+from tests.models.test_time_stepping import gentle
 from tests.paths import reference
 from tests.tools import slope
 

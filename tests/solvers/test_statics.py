@@ -9,7 +9,7 @@ from tepm_opt.data.tables import read_table
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.statics import Settings, Status, solve_statics, without_inputs
+from tepm_opt.solvers.statics import EquilibriumStatus, StaticsSettings, solve_statics, without_inputs
 from tests.independent import Network
 from tests.paths import reference
 from tests.tools import observed, random_directions, random_inputs, variant
@@ -242,7 +242,7 @@ class TestRobustness:
 
     def test_straight_down_it_buckles(self, kang):
         held = solve_statics(kang, np.zeros(12), [0, 0, -3.0])
-        assert held.status is Status.UNSTABLE
+        assert held.status is EquilibriumStatus.UNSTABLE
         assert not held.solved
         assert 0.4 < held.reached < 0.5
         assert held.smallest_eigenvalue < 0
@@ -253,14 +253,14 @@ class TestRobustness:
         assert not just_above.solved
 
     def test_too_few_iterations_are_explained(self, kang):
-        held = solve_statics(kang, ELONGATION, [1, 0, 0], settings=Settings(iterations=1))
-        assert held.status is Status.NOT_CONVERGED
+        held = solve_statics(kang, ELONGATION, [1, 0, 0], settings=StaticsSettings(iterations=1))
+        assert held.status is EquilibriumStatus.NOT_CONVERGED
         assert "not converged" in held.message
         assert held.reached < 1
 
     def test_what_counts_as_collapsed_is_a_setting(self, kang):
-        held = solve_statics(kang, [0.0] * 6 + [7.0] * 6, settings=Settings(shortest=0.99))
-        assert held.status is Status.COLLAPSED
+        held = solve_statics(kang, [0.0] * 6 + [7.0] * 6, settings=StaticsSettings(shortest=0.99))
+        assert held.status is EquilibriumStatus.COLLAPSED
         assert "below 0.99 of its rest length" in held.message
 
     def test_warm_start_equals_cold_start(self, kang):
@@ -286,7 +286,7 @@ class TestRobustness:
 
 def test_a_row_without_inputs_has_a_status_too(kang):
     nothing = without_inputs(kang, np.full(12, np.nan), np.zeros((4, 3)))
-    assert nothing.status is Status.NO_INPUTS
+    assert nothing.status is EquilibriumStatus.NO_INPUTS
     assert not nothing.solved
     assert nothing.message
     assert np.isnan(observed(nothing)).all()

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.hw import protocol
+from tepm_opt.hw.board import protocol
 
 HERE = Path(__file__).parent
-FIRMWARE = Path(protocol.__file__).parent / "firmware"
+FIRMWARE = Path(protocol.__file__).parent.parent / "firmware"
 HZ = 16_000_000
 CHANNELS = protocol.CHANNELS
 POWER_ON, PIN, BROWN_OUT = 1, 2, 4

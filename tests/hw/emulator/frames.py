@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.hw.protocol import Message
+from tepm_opt.hw.board.protocol import Message
 from tests.hw.emulator import HERE
 
 WIDTH = 64

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from tepm_opt.hw import protocol
-from tepm_opt.hw.protocol import ACK, ARM, CLEAR, CONFIG, DISARM, ESTOP, HELLO, SET, STATUS, Key, Message
+from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.protocol import ACK, ARM, CLEAR, CONFIG, DISARM, ESTOP, HELLO, SET, STATUS, Key, Message
 from tests.hw.emulator import Board
 
 ALL = 0x3F

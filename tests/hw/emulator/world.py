@@ -6,8 +6,8 @@ from collections import deque
 
 import numpy as np
 
-from tepm_opt.hw.calibration import Calibration
-from tepm_opt.hw.simulated import SimulatedRig
+from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.tracker import Frame
 from tests.hw.emulator import Board
 

@@ -1,0 +1,1 @@
+"""`tepm hw`: bringing a real robot into service, looking at it, and stopping it."""

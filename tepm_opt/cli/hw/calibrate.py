@@ -1,0 +1,255 @@
+"""`tepm hw calibrate pressure|tension|base`: measured lines and the base's place, as lines to put into a robot file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from tepm_opt.cli.common import SOLVED, RobotOption, stderr
+from tepm_opt.cli.hw import shared as hw_shared
+from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
+from tepm_opt.cli.rigs import stages
+from tepm_opt.data.files import write_atomically
+from tepm_opt.data.setpoints import read_setpoints
+from tepm_opt.errors import InputError
+from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.board.rig import SerialRig
+from tepm_opt.hw.service import calibrate, moves
+from tepm_opt.hw.service.calibrate import STANDARD_GRAVITY, CalibrationFit, fit_line
+from tepm_opt.hw.service.line import actuators_of, tracker_link
+from tepm_opt.hw.service.registration import Registration
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.robot import Robot, load_robot
+from tepm_opt.recording.drive import refuse_unplayable
+from tepm_opt.recording.register import record_poses, register
+
+AVERAGED_S = 1.0
+"""Seconds over which readings are averaged."""
+app = typer.Typer(help="Measure calibration lines and the base's place; prints what to put into the robot file.", no_args_is_help=True)
+ActuatorOption = Annotated[str, typer.Option("--actuator", help="Name such as 11; several by commas, or all.")]
+OutOption = Annotated[Path | None, typer.Option("--out", help="File for the TOML lines; printed without it. Never overwritten.")]
+
+
+@app.command()
+def tension(
+    port: PortArgument,
+    actuator: ActuatorOption,
+    weights: Annotated[str, typer.Option("--weights-g", help="Masses to hang on, g, increasing, by commas.")] = "0,100,200,500",
+    out: OutOption = None,
+    robot: RobotOption = None,
+) -> int:
+    """Dynamometers: hang weights on, one after the other. Nothing moves."""
+    found, which = _prepared(robot, actuator, out)
+    most = 1e3 * found.actuation.tension_max_N / STANDARD_GRAVITY
+    masses = calibrate.increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
+    names = Layout.of(found).actuator_names
+
+    def work() -> int:
+        line = hw_shared.open_line(port)
+        link = line.link()
+        lines: dict[int, CalibrationFit] = {}
+        try:
+            hello = link.hello()
+            for k in which:
+                counts = []
+                for mass in masses:
+                    what = f"hang {mass:g} g on" if mass else "take all weight off"
+                    hw_shared.ask(f"Dynamometer {names[k]}: {what}, let it rest, then press Enter:")
+                    link.listen()
+                    taken = calibrate.collect(link, AVERAGED_S).dynamometers
+                    counts.append(taken.mean(axis=0))
+                    noise = taken[:, k].std()
+                    stderr.print(f"  {mass:g} g: {counts[-1][k]:.1f} counts, standard deviation {noise:.1f}", highlight=False)
+                calibrate.refuse_mixed_up(np.ptp(counts, axis=0), k, names, "dynamometer")
+                lines[k] = fit_line(np.array(masses) * 1e-3 * STANDARD_GRAVITY, np.array(counts)[:, k])
+        finally:
+            link.close()
+        part = calibrate.tension_part(found, lines)
+        notes = [_words(f"dynamometer {names[k]}", fit, "counts", "N", 1.0, "N") for k, fit in lines.items()]
+        return _give({"hardware.tension": part}, notes + calibrate.firmware_notes(found, hello, lines, {}), "tension", out)
+
+    return safely(work, "nothing was moved", "nothing was moved")
+
+
+@app.command()
+def pressure(
+    port: PortArgument,
+    actuator: ActuatorOption,
+    at: Annotated[str, typer.Option("--at-kPa", help="Pressures to drive, kPa, increasing, by commas.")] = "0,100,200,300",
+    gauge: Annotated[bool, typer.Option("--gauge", help="Ask for the reading of a gauge at each; fits the commands, too.")] = False,
+    out: OutOption = None,
+    robot: RobotOption = None,
+    yes: YesOption = False,
+) -> int:
+    """Regulators and their monitors: drives pressures, one actuator after the other, and reads the monitors."""
+    found, which = _prepared(robot, actuator, out)
+    levels = calibrate.increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
+    names = Layout.of(found).actuator_names
+
+    def work() -> int:
+        confirm(f"This moves the robot: {', '.join(names[k] for k in which)} go to {levels[-1]:g} kPa, one after the other.", yes)
+        line = hw_shared.open_line(port)
+        monitors: dict[int, CalibrationFit] = {}
+        commands: dict[int, CalibrationFit] = {}
+        with line.rig(found) as rig:
+            for k in which:
+                single = moves.Single(found, k)
+                single.refuse(1e3 * levels[-1], rig)
+                true, volts, counts = _drive(rig, single, levels, gauge, line.threaded)
+                calibrate.refuse_mixed_up(np.ptp(counts, axis=0), k, names, "pressure monitor")
+                monitors[k] = fit_line(true, calibrate.monitor_volts(counts[:, k]))
+                if gauge:
+                    commands[k] = fit_line(true, volts)
+            rig.stop()
+            hello = rig.hello
+        part = calibrate.pressure_part(found, monitors, commands)
+        notes = [_words(f"monitor {names[k]}", fit, "V", "MPa", 1e3, "kPa") for k, fit in monitors.items()]
+        notes += [_words(f"command {names[k]}", fit, "V", "MPa", 1e3, "kPa") for k, fit in commands.items()]
+        notes += [] if gauge else ["without --gauge what was commanded is taken as true"]
+        return _give({"hardware.pressure": part}, notes + calibrate.firmware_notes(found, hello, {}, commands), "pressure", out)
+
+    return safely(work, STOPPED, STOPPED)
+
+
+def _drive(
+    rig: SerialRig, single: moves.Single, levels: Sequence[float], gauge: bool, threaded: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pressures in MPa that are taken as true, volts of the commands, both (levels,), and mean counts of all monitors, (levels, 6)."""
+    calibration = Calibration.of(single.robot)
+    true, volts, counts, last = [], [], [], 0.0
+    for level in levels:
+        value = 1e3 * level
+        moves.glide(rig, single, last, value)
+        settled, last = moves.settle(rig, single, value), value
+        taken = moves.monitors(rig, single, value, AVERAGED_S)
+        counts.append(taken.mean(axis=0))
+        code = calibration.to_codes(single.command(value).pressures, rig.hello)[single.actuator]
+        volts.append(calibrate.command_volts(single.robot, single.actuator, code))
+        true.append(1e-3 * level)
+        read = calibration.pressures(tuple(counts[-1]))[single.actuator]
+        mark = "" if settled else ", which did not settle within 15 s"
+        stderr.print(f"  {single.name} at {level:g} kPa: monitor {read / 1e3:.1f} kPa{mark}", highlight=False)
+        if gauge:
+            with moves.holding(rig, single.command(value), threaded):
+                true[-1] = 1e-3 * _reading(f"Gauge at actuator {single.name}, kPa:", single.most / 1e3)
+    moves.glide(rig, single, last, 0.0)
+    return np.array(true), np.array(volts), np.array(counts)
+
+
+def _reading(question: str, most: float) -> float:
+    """A number of kPa that a person types; asked for again until it is one."""
+    while True:
+        text = hw_shared.ask(question)
+        try:
+            value = float(text.replace(",", "."))
+        except ValueError:
+            value = np.nan
+        if -0.1 * most <= value <= 1.5 * most:
+            return value
+        stderr.print(f"  {text!r}; valid: a number of kPa up to {1.5 * most:g}", style="yellow", highlight=False, markup=False)
+
+
+@app.command()
+def base(
+    port: PortArgument,
+    inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Set-point file whose rows bend the arm to all sides.")],
+    hold: Annotated[float, typer.Option("--hold", min=0.2, max=60, help="Seconds at each row over which poses are averaged.")] = 2.0,
+    known_holders: Annotated[bool, typer.Option("--known-holders", help="Take holders_m of the robot file as they are.")] = False,
+    out: OutOption = None,
+    robot: RobotOption = None,
+    yes: YesOption = False,
+) -> int:
+    """Where the base stands in the tracker's frame and how the sensors sit: rests at each row, compares with the model's statics."""
+    found = _loaded(robot, out)
+    setpoints = read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
+    refuse_unplayable(setpoints, str(inputs))
+    link = tracker_link(found)
+    if link is None:
+        raise InputError(f"robot {found.name}: the file has no [hardware.tracker], which says where poses come from")
+    if len(link.devices) != Layout.of(found).points:
+        raise InputError(f"robot {found.name}: {len(link.devices)} devices in [hardware.tracker]; valid: {Layout.of(found).points}")
+
+    def work() -> int:
+        confirm(f"This moves the robot: it goes slowly through the {len(setpoints.time)} rows of {inputs}.", yes)
+        tracker = hw_shared.open_tracker(found)
+        if tracker is None:
+            raise InputError(f"robot {found.name}: the file has no [hardware.tracker], which says where poses come from")
+        try:
+            tracker.first()
+            rig = hw_shared.open_line(port).rig(found, tracker)
+        except BaseException:
+            tracker.close()
+            raise
+        with stages(False) as (show, _):
+            recording = record_poses(rig, setpoints, found, hold, show(inputs.name))
+        with stderr.status("comparing with the model"):
+            registration, notes = register(found, setpoints, recording.poses, known_holders)
+        restless = [str(k + 1) for k, rested in enumerate(recording.rested) if not rested]
+        notes += [f"rows at which the robot did not come to rest: {', '.join(restless)}"] if restless else []
+        parts = {"mount": calibrate.mount_part(registration)}
+        if not known_holders:
+            parts |= {"hardware.tracker": calibrate.holders_part(registration)}
+        return _give(parts, _registration_words(registration) + notes, "base", out)
+
+    return safely(work, STOPPED, STOPPED)
+
+
+def _registration_words(found: Registration) -> list[str]:
+    def numbers(values: np.ndarray, scale: float, digits: int) -> str:
+        return ", ".join(f"{scale * value:.{digits}f}" for value in values)
+
+    words = [
+        f"{found.samples} rows, {found.outliers} outliers, residual {1e3 * found.rms_m:.2f} mm rms",
+        f"base at ({numbers(found.position_m, 1e3, 1)}) mm ± ({numbers(found.position_std_m, 1e3, 1)}) mm",
+        f"turned by ({numbers(found.rotation_deg, 1, 2)})° ± ({numbers(found.rotation_std_deg, 1, 2)})°",
+    ]
+    for k, (holder, std) in enumerate(zip(found.holders_m, found.holders_std_m, strict=True), start=1):
+        words.append(f"holder of s{k}: ({numbers(holder, 1e3, 1)}) mm ± ({numbers(std, 1e3, 1)}) mm")
+    return words
+
+
+def _loaded(robot: str | None, out: Path | None) -> Robot:
+    """The robot, with a file for the result that can be written.
+
+    Raises:
+        InputError: it has no calibration, or the file is there.
+    """
+    if out is not None and (out.exists() or not out.parent.is_dir()):
+        raise InputError(f"--out {out}: {'it exists' if out.exists() else 'there is no such folder'}; name a new file")
+    found = load_robot(robot or "kang2017")
+    Calibration.of(found)
+    return found
+
+
+def _prepared(robot: str | None, actuator: str, out: Path | None) -> tuple[Robot, list[int]]:
+    found = _loaded(robot, out)
+    return found, actuators_of(actuator, Layout.of(found).actuator_names)
+
+
+def _words(name: str, line: CalibrationFit, unit: str, of: str, scale: float, small: str) -> str:
+    """A fitted line: what it is, what is left, how sure it is."""
+    std = "" if np.isnan(line.slope_std) else f" (± {_short(line.zero_std)} {unit}, ± {_short(line.slope_std)} {unit}/{of})"
+    return f"{name}: {line.zero:.6g} {unit} + {line.slope:.6g} {unit}/{of}{std}, residual {_short(scale * line.rms_x)} {small} rms"
+
+
+def _short(value: float) -> str:
+    """Two digits, and 0 where rounding of numbers is all there is."""
+    return f"{round(value, 6):.2g}"
+
+
+def _give(parts: dict[str, dict[str, list]], notes: list[str], kind: str, out: Path | None) -> int:
+    """Print or write what goes into the robot file."""
+    for note in notes:
+        say(note)
+    text = calibrate.snippet(parts, [f"tepm hw calibrate {kind}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC", *notes])
+    say(f"Put these lines into the robot file, in place of those of the same names{f': {out}' if out else ':'}")
+    if out is None:
+        print(text, end="")
+    else:
+        write_atomically(out, text)
+    return SOLVED

@@ -1,0 +1,68 @@
+"""What the commands of `tepm hw` share: options, asking a person, and ends that are safe and said in one line."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from tepm_opt.cli.common import INTERRUPTED, UNSOLVED, stderr, stdout
+from tepm_opt.cli.rigs import stopped_by_signals
+from tepm_opt.errors import InputError
+from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.service import line
+
+open_line = line.open_line
+open_tracker = line.open_tracker
+
+PortArgument = Annotated[str, typer.Argument(metavar="PORT", help="Serial port, PORT or PORT@BAUD; tepm hw ports lists them.")]
+YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask before the robot moves.")]
+STOPPED = "motors are off and pressure goes to zero"
+
+
+def ask(question: str) -> str:
+    """What a person types.
+
+    Raises:
+        InputError: there is nobody.
+    """
+    try:
+        return stderr.input(f"[bold]{escape(question)}[/] ").strip()
+    except EOFError as error:
+        raise InputError(f"{question!r}: nobody answers; run this on a terminal") from error
+
+
+def confirm(what: str, yes: bool) -> None:
+    """Ask whether the robot may move.
+
+    Raises:
+        InputError: nobody can be asked, and --yes is not given.
+        typer.Abort: it may not.
+    """
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise InputError("the robot would move and nobody can be asked here; valid: a terminal, or --yes")
+    if ask(f"{what} Keep a hand at the emergency stop button. Go on? [y/N]").lower() not in ("y", "yes"):
+        raise typer.Abort
+
+
+def safely(work: Callable[[], int], interrupted: str, left: str) -> int:
+    """Run a command; Ctrl-C, SIGTERM and a dead line are one line on the error stream. The exit status."""
+    try:
+        with stopped_by_signals():
+            return work()
+    except KeyboardInterrupt:
+        stderr.print(f"interrupted: {interrupted}", style="yellow", soft_wrap=True, highlight=False)
+        return INTERRUPTED
+    except (LinkError, OSError) as error:
+        stderr.print(f"[bold red]the board:[/] {escape(' '.join(str(error).split()))}; {escape(left)}", soft_wrap=True, highlight=False)
+        return UNSOLVED
+
+
+def say(text: str, style: str = "") -> None:
+    """A line on the standard output, as it is."""
+    stdout.print(escape(text), style=style, soft_wrap=True, highlight=False)

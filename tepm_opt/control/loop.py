@@ -1,0 +1,290 @@
+"""The closed loop on any rig: slowly to the start, a look whether rig and model agree, then the reference, period by period."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from tepm_opt.control.controllers import Controller
+from tepm_opt.control.mpc import Mpc, Step
+from tepm_opt.control.reference import Reference, rising
+from tepm_opt.errors import InputError
+from tepm_opt.hw.commands import check_command
+from tepm_opt.hw.rig import Command, Rig, Sample, Virtual
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.robot import Robot
+
+Show = Callable[[str, float, float], None]
+"""Told what goes on: stage, how much is done, of how much (s)."""
+Look = Callable[[Sample, np.ndarray], None]
+"""Given every sample with the tip's target (3,) in m, for a live view."""
+
+
+class LoopEnd(Enum):
+    """How a closed loop ended."""
+
+    DONE = "done"
+    INTERRUPTED = "interrupted"
+    BLIND = "the tracker saw nothing"
+    DISAGREED = "the rig and the reference disagree"
+    LIMIT = "a measured tension or pressure is beyond its limit"
+    OVER = "the rig has no more samples"
+
+
+@dataclass(frozen=True)
+class Guard:
+    """What the closed loop stops at.
+
+    Attributes:
+        glide: s in which a rig that stands at zero is taken to the start; 0 for one that rests from the start where it is commanded to.
+        rest: s for which it rests there before the loop is closed.
+        agree: m by which points at the start may miss the model's, in the median.
+        far: m by which the tip may be off the reference while the loop is closed, for `patience` s.
+        blind: s without any tracked point.
+        beyond: part of its range by which a measured tension or pressure may exceed its limit.
+    """
+
+    glide: float = 4.0
+    rest: float = 1.5
+    agree: float = 0.06
+    far: float = 0.20
+    patience: float = 0.5
+    blind: float = 1.0
+    beyond: float = 0.05
+
+
+@dataclass(eq=False)
+class LoopRecord:
+    """What a closed loop did; a row a sample. It is filled as the loop runs, so that what was done is there if it ends early.
+
+    Attributes:
+        reference: what was to be followed.
+        rows: of the reference, one a sample.
+        time: of the samples since the loop was closed, in s.
+        points: tracked, (points, 3) in m each; NaN where lost.
+        truth: true tip, (3,) in m each, where the rig knows it; else NaN.
+        commands: as sent.
+        measured: pressures and tensions (2 · actuators,) where the rig measures both, else NaN.
+        steps: of the predictive controller, one a sample; empty for others.
+        seconds: that the controller took, one a sample.
+        end: how it ended.
+        message: more about it.
+    """
+
+    reference: Reference
+    rows: list[int] = field(default_factory=list)
+    time: list[float] = field(default_factory=list)
+    points: list[np.ndarray] = field(default_factory=list)
+    truth: list[np.ndarray] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+    measured: list[np.ndarray] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    end: LoopEnd = LoopEnd.DONE
+    message: str = ""
+    fallbacks: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def targets(self) -> np.ndarray:
+        """Of the tip, (samples, 3) in m."""
+        return self.reference.tips[np.array(self.rows, dtype=int)]
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Samples over which the error counts, (samples,) of bool."""
+        return self.reference.counted[np.array(self.rows, dtype=int)]
+
+    def error(self, true: bool = True) -> float:
+        """Root mean square of the tip's distance from its target where it counts, in m: of the true tip, or the tracked one.
+
+        NaN where nothing is known of it.
+        """
+        tips = np.array(self.truth).reshape(-1, 3) if true else np.array([points[-1] for points in self.points]).reshape(-1, 3)
+        squares = ((tips - self.targets) ** 2).sum(axis=1)[self.counted]
+        known = squares[np.isfinite(squares)]
+        return float(np.sqrt(known.mean())) if len(known) else float("nan")
+
+
+def _still(stage: str, done: float, of: float) -> None:
+    pass
+
+
+def close_loop(
+    rig: Rig, controller: Controller, robot: Robot, guard: Guard | None = None, show: Show = _still, look: Look | None = None,
+    keep: LoopRecord | None = None,
+) -> LoopRecord:  # fmt: skip
+    """Follow a controller's reference on a rig, which is stopped at the end whatever happens.
+
+    A rig of virtual time rests from the start where the controller wants it; any other is taken there slowly first, rests, is refused
+    if the tracked points are not where the model has them, and goes back to zero slowly in the end.
+
+    Args:
+        rig: any; it is entered and left here.
+        controller: with its reference.
+        robot: its limits.
+        guard: when to stop.
+        show: progress.
+        look: a view.
+        keep: filled, instead of a new one, so that a caller has what was done whatever is raised.
+
+    Raises:
+        InputError: a rig that does not fit the robot, or that disagrees with the model before the loop is closed.
+    """
+    guard, done = guard or Guard(), keep or LoopRecord(controller.reference)
+    rests = isinstance(rig, Virtual) or guard.glide <= 0
+    watch = _Supervisor(guard, robot)
+    with rig, _uncollected():
+        try:
+            first = _prepared(rig, controller, robot, guard, watch, show, rests)
+            _closed(rig, controller, watch, show, look, done, first)
+            if not rests:
+                _down(rig, done.commands[-1], guard, watch, show)
+        except Stopped as stop:
+            done.end, done.message = stop.end, str(stop)
+        except KeyboardInterrupt:
+            done.end, done.message = LoopEnd.INTERRUPTED, "interrupted by the user"
+        except EOFError as error:
+            done.end, done.message = LoopEnd.OVER, str(error)
+        finally:
+            done.fallbacks = dict(getattr(controller, "fallbacks", {}))
+    return done
+
+
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Python's search for cyclic garbage waits until the loop is over: it stops everything for up to some ten milliseconds."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+class Stopped(Exception):  # noqa: N818  it says what happened
+    """The guard has stopped a loop."""
+
+    def __init__(self, end: LoopEnd, message: str) -> None:
+        super().__init__(message)
+        self.end = end
+
+
+class _Supervisor:
+    """Looks at every sample and stops what must not go on."""
+
+    def __init__(self, guard: Guard, robot: Robot) -> None:
+        self._guard, self._limits = guard, robot.input_max
+        names = Layout.of(robot).actuator_names
+        self._names = [f"{kind}_{name}" for kind in ("pressure", "tension") for name in names]
+        self._seen: float | None = None
+        self._near: float | None = None
+
+    def check(self, sample: Sample, target: np.ndarray | None = None) -> None:
+        """A sample, and where the tip shall be (3,) in m while the loop is closed.
+
+        Raises:
+            Stopped: it must not go on.
+        """
+        guard, now = self._guard, sample.time
+        if self._seen is None or np.isfinite(sample.points).all(axis=1).any():
+            self._seen = now
+        off = 0.0 if target is None else float(np.linalg.norm(sample.points[-1] - target))
+        if self._near is None or not off > guard.far:  # a lost tip is not far
+            self._near = now
+        part = _measured(sample, len(self._limits)) / self._limits
+        if (part > 1 + guard.beyond).any():
+            at = int(np.nanargmax(part))
+            raise Stopped(LoopEnd.LIMIT, f"measured {self._names[at]} is {100 * part[at]:.0f} % of its limit")
+        if now - self._seen > guard.blind:
+            raise Stopped(LoopEnd.BLIND, f"no tracked point for {guard.blind:g} s")
+        if now - self._near > guard.patience:
+            raise Stopped(LoopEnd.DISAGREED, f"the tip was more than {1e3 * guard.far:.0f} mm off for {guard.patience:g} s")
+
+
+def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watch: _Supervisor, show: Show, rests: bool) -> Sample:
+    """The first sample, with the robot at rest where the controller starts."""
+    start = controller.start()
+    check_command(start, robot)
+    rig.apply(start if rests else _part(start, 0.0))
+    sample = rig.read()
+    expected = controller.reference.equilibria[0].points
+    if sample.points.shape != expected.shape:
+        raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(expected)}; another robot?")
+    if rests:
+        return sample
+    began, whole = sample.time, guard.glide + guard.rest
+    missed: list[np.ndarray] = []
+    while (passed := sample.time - began) < whole:
+        watch.check(sample)
+        rig.apply(_part(start, float(rising(np.array(passed / guard.glide)))))
+        show("to the start", passed, whole)
+        if passed > guard.glide + guard.rest / 2:
+            missed.append(np.linalg.norm(sample.points - expected, axis=1))
+        sample = rig.read()
+    known = np.concatenate(missed)[np.isfinite(np.concatenate(missed))] if missed else np.zeros(0)
+    miss = float(np.median(known)) if len(known) else np.inf
+    if not miss <= guard.agree:
+        saw = f"the tracked points miss the model's by {1e3 * miss:.0f} mm" if len(known) else "the tracker sees nothing"
+        need = f"valid: at most {1e3 * guard.agree:.0f} mm. Is the tracker registered (tepm hw calibrate base)?"
+        raise InputError(f"at the start {saw}; {need}")
+    return sample
+
+
+def _part(command: Command, part: float) -> Command:
+    return Command(part * command.pressures, part * command.tensions * command.enabled, command.enabled)
+
+
+def _down(rig: Rig, last: Command, guard: Guard, watch: _Supervisor, show: Show) -> None:
+    """From the last command slowly to nothing; what ends that early is stopped, which is no worse than what was to come."""
+    with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
+        began = rig.read().time
+        while (passed := (sample := rig.read()).time - began) < guard.glide:
+            watch.check(sample)
+            rig.apply(_part(last, 1 - float(rising(np.array(passed / guard.glide)))))
+            show("back to zero", passed, guard.glide)
+
+
+def _closed(rig: Rig, controller: Controller, watch: _Supervisor, show: Show, look: Look | None, done: LoopRecord, sample: Sample) -> None:
+    """Samples and commands in turns until the reference ends or the guard stops it."""
+    reference, zero, row = controller.reference, sample.time, -1
+    while (now := round((sample.time - zero) / reference.period)) < len(reference):
+        if now > row:  # a rig may be faster than the control period
+            row = now
+            began = time.perf_counter()
+            command = controller.command(sample)
+            seconds = time.perf_counter() - began
+            rig.apply(command)
+            _note(done, rig, sample, sample.time - zero, row, command, seconds, controller)
+            show("tracking", sample.time - zero, reference.duration)
+            if look:
+                look(sample, reference.tips[row])
+        watch.check(sample, reference.tips[row])
+        sample = rig.read()
+
+
+def _measured(sample: Sample, count: int) -> np.ndarray:
+    if sample.pressures is None or sample.tensions is None:
+        return np.full(count, np.nan)
+    return np.concatenate([sample.pressures, sample.tensions])
+
+
+def _note(
+    done: LoopRecord, rig: Rig, sample: Sample, passed: float, row: int, command: Command, seconds: float, controller: Controller
+) -> None:
+    true = getattr(rig, "true_points", None)
+    done.rows.append(row)
+    done.time.append(passed)
+    done.points.append(sample.points)
+    done.truth.append(np.full(3, np.nan) if true is None else np.array(true[-1]))
+    done.commands.append(command)
+    done.measured.append(_measured(sample, 2 * len(command.pressures)))
+    done.seconds.append(seconds)
+    if isinstance(controller, Mpc) and controller.last is not None:
+        done.steps.append(controller.last)

@@ -1,0 +1,83 @@
+"""Coarse: what pressures shall be, on the regulators' grid, so that the tensions can do the rest from the middle of their range.
+
+Pressure and tension act on the same force, F_a = p A − λ, so the pressure can be planned for each muscle by itself: ahead of the
+regulator's lag it follows what is needed of F_a with the tension at its middle (mid-ranging; Allison and Isaksson, Design and
+performance of mid-ranging controllers, J. Process Control 8, 1998), and moves by whole steps, only when it is worth a move. The tensions
+are decided after that, knowing what the pressures will really do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tepm_opt.control.actuators import Devices
+
+
+@dataclass(frozen=True)
+class PressurePlannerSettings:
+    """How pressures are planned.
+
+    Attributes:
+        preview: stages for which the need is known ahead.
+        window: stages over which the slope of the need is taken, for the lead.
+        worth: steps of the regulator by which a pressure has to be off before it moves.
+        on_grid: whether the regulator's grid is known and moves are spared; else pressures are continuous and move in every period.
+        quick: speed of the reference's tip in m/s from which the pressure takes its whole part in the feedback's planned forces; where
+            the reference stands, the tension alone reacts and the regulators are spared.
+        calming: smoothing of that part, s.
+        smoothing: of the unknown forces, which the pressure takes over, s.
+    """
+
+    preview: int = 26
+    window: int = 3
+    worth: float = 3.0
+    on_grid: bool = True
+    quick: float = 0.1
+    calming: float = 0.05
+    smoothing: float = 0.3
+
+
+class PressurePlanner:
+    """Plans pressures, period by period.
+
+    Args:
+        devices: lags of the regulators.
+        limits: largest pressure of each muscle, (actuators,) in Pa.
+        step: of the regulators' grid in Pa, 0 where continuous.
+        stage: duration of one in s.
+        settings: how.
+    """
+
+    def __init__(self, devices: Devices, limits: np.ndarray, step: float, stage: float, settings: PressurePlannerSettings) -> None:
+        self.devices, self.stage, self.settings = devices, stage, settings
+        self.step = step if settings.on_grid else 0.0
+        self.limits = np.floor(limits / self.step * (1 + 1e-12)) * self.step if self.step else limits
+
+    def plan(self, wanted: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int) -> tuple[np.ndarray, np.ndarray]:
+        """New commands (actuators,) in Pa and the pressures in the muscles that they lead to, (stages, actuators) in Pa.
+
+        Args:
+            wanted: pressures at the coming stages, (preview, actuators) in Pa.
+            command: in force, (actuators,) in Pa.
+            pressure: in the muscles, (actuators,) in Pa.
+            stages: how far ahead.
+        """
+        window, devices = self.settings.window, self.devices
+        slope = (wanted[window:] - wanted[:-window]) / (window * self.stage)
+        lag = np.where(slope > 0, devices.filling, devices.exhausting)
+        lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + lag * slope, 0.0), self.limits)
+        new = self._moved(lead[0], command)
+        reached = np.empty((stages, len(command)))
+        for k in range(stages):  # later moves are not decided yet: they will follow the need
+            goal = np.minimum(np.maximum(new + lead[min(k, len(lead) - 1)] - lead[0], 0.0), self.limits)
+            pressure = devices.lag(pressure, goal, self.stage)
+            reached[k] = pressure
+        return new, reached
+
+    def _moved(self, wanted: np.ndarray, command: np.ndarray) -> np.ndarray:
+        if not self.step:
+            return wanted
+        rounded = np.minimum(np.round(wanted / self.step) * self.step, self.limits)
+        return np.where(np.abs(wanted - command) > self.settings.worth * self.step, rounded, command)

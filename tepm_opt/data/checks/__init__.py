@@ -1,0 +1,1 @@
+"""Checks of a data set: units, time, sensors, starts at rest."""

@@ -1,0 +1,117 @@
+"""Checks of a run's inputs and tip force, and of measured pressures and tensions beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from tepm_opt.data.checks.findings import Finding, Subject, longest, spread
+from tepm_opt.data.setpoints import FORCE_COLUMNS
+
+
+class Quantity(NamedTuple):
+    """Pressures or tensions of a run."""
+
+    name: str  # of the columns' beginning
+    unit: str
+    names: tuple[str, ...]
+    values: np.ndarray  # (rows, actuators)
+    limit: float
+    others: dict[str, float]  # units a file may be in by mistake, and what one of each is in the right unit
+
+
+def quantities(subject: Subject) -> tuple[Quantity, Quantity]:
+    """Pressures and tensions."""
+    channels, count = subject.channels, len(subject.channels.actuators)
+    inputs = subject.run.inputs
+    pressures = {"kPa": 1e3, "bar": 1e5, "MPa": 1e6, "psi": 6894.757}
+    tensions = {"mN": 1e-3, "g": 9.80665e-3, "kg": 9.80665, "kN": 1e3}
+    return (
+        Quantity("pressure", "Pa", channels.inputs[:count], inputs[:, :count], channels.pressure_max, pressures),
+        Quantity("tension", "N", channels.inputs[count:], inputs[:, count:], channels.tension_max, tensions),
+    )
+
+
+def check_inputs(subject: Subject) -> Iterator[Finding]:
+    """Values that are missing, impossible, in another unit or at their limit for long; runs that excite nothing."""
+    run = subject.run
+    for name, values in zip((*subject.channels.inputs, *FORCE_COLUMNS), subject.driven.T, strict=True):
+        if (rows := np.flatnonzero(~np.isfinite(values))).size:
+            yield subject.found("error", name, f"= {values[rows[0]]:g}; valid: a finite number, what was commanded must be known", rows)
+    for quantity in quantities(subject):
+        yield from _range(subject, quantity)
+    yield from _force(subject)
+    if run.rows > 1 and not excited(subject):
+        yield subject.found("warning", "", "nothing is excited: no input or tip force changes by 0.5 % of its range")
+    yield from _measured(subject)
+
+
+def excited(subject: Subject) -> bool:
+    """Whether an input or the tip force changes by more than 0.5 % of its range (where that is unknown: at all)."""
+    tension = subject.channels.tension_max
+    scale = np.append(subject.channels.limits, 3 * [tension])
+    least = np.where(np.isfinite(scale), 5e-3 * scale, 0.0)
+    return bool(np.any(spread(subject.driven) > least))
+
+
+def _range(subject: Subject, quantity: Quantity) -> Iterator[Finding]:
+    values, limit = quantity.values, quantity.limit
+    if (rows := np.flatnonzero(np.any(values < 0, axis=1))).size:
+        column = int(np.argmin(np.nanmin(values, axis=0)))
+        message = f"{np.nanmin(values):g} {quantity.unit} is negative; valid: 0 … {limit:g}"
+        yield subject.found("error", quantity.names[column], message, rows)
+    if not np.isfinite(limit) or not values.size:
+        return
+    largest = float(np.nanmax(values, initial=0.0))
+    if 0 < largest <= 1.2e-3 * limit or largest > limit * (1 + 1e-6):
+        rows = np.flatnonzero(np.any(values > limit, axis=1)) if largest > limit else ()
+        column = int(np.argmax(np.nanmax(values, axis=0)))
+        guess = _guess(largest, limit, quantity.others)
+        message = f"{quantity.name}s reach {largest:g}; valid: 0 … {limit:g} {quantity.unit}{guess}"
+        yield subject.found("error", quantity.names[column], message, rows)
+        return
+    for name, column in zip(quantity.names, values.T, strict=True):
+        full = column >= limit * (1 - 1e-3)
+        length, first, last = longest(full)
+        if length * subject.step > 2.0 or (full.mean() > 0.25 and length > 1):
+            message = f"saturated: at its limit of {limit:g} {quantity.unit} in {100 * full.mean():.0f} % of the run"
+            yield subject.found("warning", name, message, range(first, last + 1))
+
+
+def _guess(largest: float, limit: float, others: dict[str, float]) -> str:
+    """The unit that makes the largest value plausible: the one that comes nearest to the limit from below."""
+    fits = {name: largest * factor / limit for name, factor in others.items() if 0.02 < largest * factor / limit <= 1.01}
+    return f": in {max(fits, key=fits.__getitem__)}?" if fits else ""
+
+
+def _force(subject: Subject) -> Iterator[Finding]:
+    most = subject.channels.tension_max * len(subject.channels.actuators)
+    force = np.linalg.norm(subject.run.tip_force, axis=1)
+    if (rows := np.flatnonzero(force > most)).size:
+        message = f"a tip force of {np.nanmax(force):g} N is more than all tendons together can pull ({most:g} N): in g or mN?"
+        yield subject.found("error", FORCE_COLUMNS[int(np.argmax(np.nanmax(np.abs(subject.run.tip_force), axis=0)))], message, rows)
+
+
+def _measured(subject: Subject) -> Iterator[Finding]:
+    for quantity in quantities(subject):
+        for name, command in zip(quantity.names, quantity.values.T, strict=True):
+            column = f"{name.removesuffix(quantity.unit)}measured_{quantity.unit}"
+            measured = subject.run.extra.get(column)
+            if measured is None or measured.dtype.kind != "f":
+                continue
+            if np.isnan(measured).all():
+                yield subject.found("error", column, "empty in all rows; leave the column out where nothing is measured")
+            elif spread(command) > 0.02 * (quantity.limit if np.isfinite(quantity.limit) else spread(command)):
+                yield from _compare(subject, column, command, measured)
+
+
+def _compare(subject: Subject, column: str, command: np.ndarray, measured: np.ndarray) -> Iterator[Finding]:
+    """Measured values that stand still or are of another magnitude while the command moves."""
+    if spread(measured) == 0:
+        yield subject.found("error", column, "frozen: one value in all rows while the command moves")
+        return
+    ratio = float(spread(measured) / spread(command))
+    if not 0.02 < ratio < 50:
+        yield subject.found("error", column, f"moves {ratio:.2g} times as much as its command: another unit?")

@@ -1,0 +1,1 @@
+"""Service: commissioning, calibration, moving single actuators, monitoring."""

@@ -1,0 +1,1 @@
+"""The simulated rig: a robot in MuJoCo, imperfect devices, virtual time."""

@@ -1,0 +1,60 @@
+"""Everything that keeps a rig from being its model, each part off unless a rig file says otherwise."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from tepm_opt.data.documents import Section, between
+from tepm_opt.hw.simulation.imperfections.base import Body, EdgeStage, Imperfection, PressureStage, Sighting, TensionStage
+from tepm_opt.hw.simulation.imperfections.body import BaseTilt, ExternalLoad, MassDistribution, Payload, RigidPlates, UnevenMass
+from tepm_opt.hw.simulation.imperfections.edges import Creep, StiffnessHardening, StructuralFriction
+from tepm_opt.hw.simulation.imperfections.pressure import (
+    ActuatorGain,
+    PressureCrosstalk,
+    PressureDeadZone,
+    PressureHysteresis,
+    RegulatorLag,
+)
+from tepm_opt.hw.simulation.imperfections.sensing import FieldDistortion, SensorMisalignment, SensorOffset
+from tepm_opt.hw.simulation.imperfections.tendon import TendonFriction, TendonSlack
+
+__all__ = ["Body", "EdgeStage", "Imperfection", "Imperfections", "PressureStage", "Sighting", "TensionStage", "TimeDelay"]
+
+
+class TimeDelay(Imperfection):
+    """Commands take effect late, all by the same time."""
+
+    delay_s: Annotated[float, between(0, 10, "s")] = 0.0
+
+
+class Imperfections(Section):
+    """The names of SPEC section 5 and two foreign ones; the order is that in which they act."""
+
+    time_delay: TimeDelay = Field(default_factory=TimeDelay)
+    regulator_lag: RegulatorLag = Field(default_factory=RegulatorLag)
+    pressure_dead_zone: PressureDeadZone = Field(default_factory=PressureDeadZone)
+    pressure_hysteresis: PressureHysteresis = Field(default_factory=PressureHysteresis)
+    pressure_crosstalk: PressureCrosstalk = Field(default_factory=PressureCrosstalk)
+    actuator_gain: ActuatorGain = Field(default_factory=ActuatorGain)
+    tendon_slack: TendonSlack = Field(default_factory=TendonSlack)
+    tendon_friction: TendonFriction = Field(default_factory=TendonFriction)
+    mass_distribution: MassDistribution = Field(default_factory=MassDistribution)
+    uneven_mass: UnevenMass = Field(default_factory=UnevenMass)
+    payload: Payload = Field(default_factory=Payload)
+    rigid_plates: RigidPlates = Field(default_factory=RigidPlates)
+    base_tilt: BaseTilt = Field(default_factory=BaseTilt)
+    external_load: ExternalLoad = Field(default_factory=ExternalLoad)
+    stiffness_hardening: StiffnessHardening = Field(default_factory=StiffnessHardening)
+    creep: Creep = Field(default_factory=Creep)
+    structural_friction: StructuralFriction = Field(default_factory=StructuralFriction)
+    sensor_offset: SensorOffset = Field(default_factory=SensorOffset)
+    field_distortion: FieldDistortion = Field(default_factory=FieldDistortion)
+    sensor_misalignment: SensorMisalignment = Field(default_factory=SensorMisalignment)
+
+    @property
+    def active(self) -> dict[str, Imperfection]:
+        """Those that do something by name, in the order in which they act."""
+        every: dict[str, Imperfection] = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: imperfection for name, imperfection in every.items() if imperfection.active}

@@ -1,0 +1,177 @@
+"""What an imperfection of a rig is: sizes in a rig file, zero where it vanishes, and only the hooks that it needs.
+
+None of these forms is taken from the model's own effects: each is written in another functional form, so that a test of the
+model on the rig proves something.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tepm_opt.data.documents import Section
+from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Layout
+from tepm_opt.models.robot import Robot
+
+__all__ = ["Body", "EdgeStage", "Imperfection", "PressureStage", "Section", "Sighting", "StaticMap", "TensionStage"]
+
+
+@dataclass
+class Body:
+    """The network in numbers (SPEC section 2), changed in place by imperfections before MuJoCo compiles it; base frame, SI.
+
+    Attributes:
+        robot, layout: what it was made from.
+        stiffness, damping, rest: of the edges, (n, edges) in N/m, N s/m and m, in the order of `Layout.edges`.
+        mass: of the free nodes, (n, actuators) in kg.
+        gravity: (3,) in m/s².
+        load: constant forces on the reference points in the frame G, (points, 3) in N.
+        seed: of the rig, for what is drawn once.
+    """
+
+    robot: Robot
+    layout: Layout
+    stiffness: np.ndarray
+    damping: np.ndarray
+    rest: np.ndarray
+    mass: np.ndarray
+    gravity: np.ndarray
+    load: np.ndarray
+    seed: int = 0
+
+    @staticmethod
+    def of(robot: Robot, seed: int = 0) -> Body:
+        """The nominal network of a robot."""
+        layout, value = Layout.of(robot), robot.parameters
+        nodes = layout.rest_positions(value.r, value.L_0)
+        factors = {VERTICAL: (1.0, 1.0), HORIZONTAL: (value.alpha_1, value.beta_1)}
+        stiff, damp = np.array([factors.get(edge.kind, (value.alpha_2, value.beta_2)) for edge in layout.edges]).T
+        spans = np.array([nodes[edge.b] - nodes[edge.a] for edge in layout.edges])
+        n, count = layout.levels, len(layout.edges)
+        return Body(
+            robot,
+            layout,
+            stiffness=np.tile(layout.segments * value.K_a * stiff, (n, 1)),
+            damping=np.tile(layout.segments * value.c_a * damp, (n, 1)),
+            rest=np.tile(np.linalg.norm(spans, axis=1), (n, 1)).reshape(n, count),
+            mass=np.full((n, layout.actuators), value.m_d / (layout.actuators * layout.segments)),
+            gravity=robot.mount.rotation.T @ np.array(robot.mount.gravity_m_per_s2, dtype=float),
+            load=np.zeros((layout.points, 3)),
+            seed=seed,
+        )
+
+    @property
+    def upright(self) -> np.ndarray:
+        """Which edges are not horizontal (the ones that lie along a segment), (edges,)."""
+        return np.array([edge.kind != HORIZONTAL for edge in self.layout.edges])
+
+    @property
+    def verticals(self) -> slice:
+        """The vertical edges, which come first in `Layout.edges`."""
+        return slice(0, self.layout.actuators)
+
+
+class PressureStage(Protocol):
+    """One step on the way from commanded to effective pressure; arrays are (modules · actuators,) in Pa."""
+
+    def settle(self, pressure: np.ndarray) -> np.ndarray:
+        """Take the long-time state for a constant pressure and return what comes out."""
+        ...
+
+    def step(self, pressure: np.ndarray, duration: float) -> np.ndarray:
+        """From the values at the start and the end of a tick (linear between), (2, …), to those that come out, (2, …)."""
+        ...
+
+
+class TensionStage(Protocol):
+    """One step on the way from the motor's to the effective tension; arrays are (modules · actuators,) in N, m and m/s."""
+
+    def settle(self, tension: np.ndarray, length: np.ndarray) -> np.ndarray:
+        """Take the long-time state for a constant tension and actuator length and return what comes out."""
+        ...
+
+    def step(self, tension: np.ndarray, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
+        """As `PressureStage.step`; `length` and `rate` of the actuators are those at the start of the tick."""
+        ...
+
+
+class EdgeStage(Protocol):
+    """A force along the vertical edges besides spring, damper and actuator; arrays are (n, actuators) in m, m/s and N."""
+
+    def settle(self, length: np.ndarray) -> np.ndarray:
+        """Take the long-time state at constant lengths and return the force that pushes the ends apart."""
+        ...
+
+    def step(self, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
+        """The force at the start and the end of a tick, (2, n, actuators), from the lengths and rates at its start."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """What a sensor's imperfection may know.
+
+    Attributes:
+        points: reference points as measured so far, in G, (points, 3) in m.
+        nodes: true nodes in G, (n + 1, actuators, 3) in m.
+        rest: nodes at rest in the base frame, (n + 1, actuators, 3) in m.
+        layout: of the network.
+    """
+
+    points: np.ndarray
+    nodes: np.ndarray
+    rest: np.ndarray
+    layout: Layout
+
+
+class StaticMap:
+    """A pressure stage without memory."""
+
+    def __init__(self, function: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.function = function
+
+    def settle(self, pressure: np.ndarray) -> np.ndarray:
+        """The function's value."""
+        return self.function(pressure)
+
+    def step(self, pressure: np.ndarray, duration: float) -> np.ndarray:
+        """The function's values at both ends of the tick."""
+        return self.function(pressure)
+
+
+class Imperfection(Section):
+    """Base of all imperfections: every key has a default, and with all defaults nothing happens."""
+
+    @property
+    def active(self) -> bool:
+        """Whether any key differs from its default."""
+        return self != type(self)()
+
+    def change_body(self, body: Body) -> None:
+        """Change masses, springs, gravity and constant loads in place."""
+
+    def longest_tick(self, body: Body) -> float:
+        """Longest tick in s for which a force that is taken as linear in it is stable.
+
+        Where the force is as stiff as a spring of σ beside a damper of c this is c / σ (unstable from about twice that on).
+        """
+        return np.inf
+
+    def pressure_stage(self, robot: Robot) -> PressureStage | None:
+        """The stage that acts on the pressures, if any."""
+        return None
+
+    def tension_stage(self, robot: Robot) -> TensionStage | None:
+        """The stage that acts on the tendons' tensions, if any."""
+        return None
+
+    def edge_stage(self, body: Body) -> EdgeStage | None:
+        """The force along the vertical edges, if any."""
+        return None
+
+    def measure(self, measured: Sighting) -> np.ndarray:
+        """Reference points as the tracker sees them, (points, 3) in m."""
+        return measured.points

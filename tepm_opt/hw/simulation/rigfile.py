@@ -1,0 +1,96 @@
+"""The rig file: what a simulated rig is made of (TOML), checked before anything is simulated."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from tepm_opt.data.documents import Section, between, read_toml, validated
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.hw.simulation.devices import Dynamometer, PressureMonitor, Regulator, Stepper, TrackerDevice
+from tepm_opt.hw.simulation.imperfections import Imperfections
+from tepm_opt.models.robot import UNITS, Robot, builtin_robots, load_robot
+
+LARGEST_STEP = 2.5e-4  # s, of MuJoCo's RK4; the network's own limit is 0.41 ms
+DEFAULT = "virtual_prototype"
+
+
+class SimulationSteps(Section):
+    """Steps of the simulation: `step_s` of MuJoCo's RK4, `tick_s` of the actuators' and frictions' states."""
+
+    step_s: Annotated[float, between(1e-6, LARGEST_STEP, "s")] = LARGEST_STEP
+    tick_s: Annotated[float, between(1e-6, 2e-3, "s")] = 1e-3
+
+
+class RigFile(Section):
+    """A simulated rig: plain frozen data as read from a rig file.
+
+    `parameter_factors` multiply the robot's parameters, so that the machine is not quite the one in its file.
+    """
+
+    name: Annotated[str, Field(min_length=1, description="any text")]
+    robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")]
+    seed: Annotated[int, Field(strict=True, ge=0, le=2**32 - 1, description="0 … 2^32 − 1")] = 0
+    simulation: SimulationSteps = Field(default_factory=SimulationSteps)
+    parameter_factors: dict[str, Annotated[float, between(0.2, 5, "of the robot's value")]] = Field(default_factory=dict)
+    regulator: Regulator = Field(default_factory=Regulator)
+    stepper: Stepper = Field(default_factory=Stepper)
+    pressure_monitor: PressureMonitor = Field(default_factory=PressureMonitor)
+    dynamometer: Dynamometer = Field(default_factory=Dynamometer)
+    tracker: TrackerDevice = Field(default_factory=TrackerDevice)
+    imperfections: Imperfections = Field(default_factory=Imperfections)
+
+    @model_validator(mode="after")
+    def _factors_name_parameters(self) -> RigFile:
+        for name in self.parameter_factors:
+            if name not in UNITS:
+                raise unknown_name("parameter", name, UNITS, "parameter_factors")
+        return self
+
+    @property
+    def nominal(self) -> Robot:
+        """The robot as its file says, which is what a controller may know.
+
+        Raises:
+            InputError: as for `load_robot`.
+        """
+        return load_robot(self.robot)
+
+    @property
+    def true_robot(self) -> Robot:
+        """The robot with the parameters it really has."""
+        robot = self.nominal
+        values = robot.parameters.model_dump()
+        changed = {name: values[name] * factor for name, factor in self.parameter_factors.items()}
+        return robot.model_copy(update={"parameters": robot.parameters.model_copy(update=changed)})
+
+
+def builtin_rigs() -> list[str]:
+    """Names of the rig files that come with the package."""
+    folder = resources.files("tepm_opt.hw.simulation") / "rigs"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_rig_file(rig: str | Path = DEFAULT) -> RigFile:
+    """A rig file by built-in name or by path; its robot may be a path beside it.
+
+    Raises:
+        InputError: no such file, not valid TOML, unknown key, value out of its range, unknown robot.
+    """
+    if str(rig) in builtin_rigs():
+        with resources.as_file(resources.files("tepm_opt.hw.simulation") / "rigs" / f"{rig}.toml") as path:
+            return _read(path)
+    if not Path(rig).is_file():
+        raise InputError(f"rig {str(rig)!r} is neither a file nor built in; built in: {', '.join(builtin_rigs())}")
+    return _read(Path(rig))
+
+
+def _read(path: Path) -> RigFile:
+    file = validated(RigFile, read_toml(path), str(path))
+    if file.robot not in builtin_robots():
+        file = file.model_copy(update={"robot": str(path.parent / file.robot)})
+    file.true_robot  # noqa: B018  unreadable robots are refused here, not when the rig starts
+    return file

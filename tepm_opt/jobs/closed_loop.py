@@ -1,0 +1,310 @@
+"""What a closed loop did: errors, split of the actuation, effort, times; as arrays, a log and a summary."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tepm_opt.control.actuators import Devices
+from tepm_opt.control.loop import LoopEnd, LoopRecord
+from tepm_opt.control.mpc import MpcSettings
+from tepm_opt.data.files import output_folder
+from tepm_opt.data.setpoints import FORCE_COLUMNS
+from tepm_opt.data.tables import write_columns
+from tepm_opt.jobs.runs import save_summary
+from tepm_opt.models.channels import channels_of
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.model import Model
+from tepm_opt.recording.measure import GOOD, STATUS
+
+LOG, JOB = "log.csv", "mpc"
+BANDS = ((0.0, 0.5), (0.5, 2.0), (2.0, 10.0), (10.0, 50.0))  # Hz
+PACKAGES = ("tepm-opt", "numpy", "scipy", "casadi", "daqp", "mujoco")
+
+
+@dataclass(frozen=True)
+class LoopSetup:
+    """What ran.
+
+    Attributes:
+        controller: "mpc", "mode1" or "mode2".
+        rig: as a person names it.
+        seed: of the noise on a simulated rig.
+        settings: of the predictive controller.
+    """
+
+    controller: str = "mpc"
+    rig: str = "sim"
+    seed: int = 0
+    settings: MpcSettings = field(default_factory=MpcSettings)
+
+    @property
+    def asked(self) -> dict[str, str | bool]:
+        """What was asked of the predictive controller; nothing of others."""
+        if self.controller != "mpc":
+            return {}
+        return {"use": self.settings.use.value, "rule": self.settings.rule, "nonlinear": self.settings.nonlinear}
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """What a closed loop did, a row a sample; NaN where unknown.
+
+    Attributes:
+        model: the controller's.
+        setup: what ran.
+        devices: lags that the controller knows of.
+        duration: of the reference in s, and `period`, of control.
+        time: since the loop was closed in s, (samples,).
+        targets: of the tip, (samples, 3) in m in G.
+        counted: over which samples errors count, (samples,) of bool.
+        points: tracked, (samples, points, 3) in m in G.
+        truth: true tip where the rig knows it, (samples, 3) in m.
+        pressures, tensions, enabled: commanded, (samples, actuators) in Pa, N and bool.
+        measured: pressures and tensions, (samples, 2 · actuators), where the rig measures both.
+        seconds: that the controller took, (samples,).
+        steps: more columns by name, (samples,) each: of the predictive controller, and what the rig said.
+        end, message: how it ended.
+        fallbacks: steps that went on with an older plan, by the reason.
+        failure: of the rig; empty where there was none.
+    """
+
+    model: Model
+    setup: LoopSetup
+    devices: Devices
+    duration: float
+    period: float
+    time: np.ndarray
+    targets: np.ndarray
+    counted: np.ndarray
+    points: np.ndarray
+    truth: np.ndarray
+    pressures: np.ndarray
+    tensions: np.ndarray
+    enabled: np.ndarray
+    measured: np.ndarray
+    seconds: np.ndarray
+    steps: Mapping[str, np.ndarray]
+    end: LoopEnd = LoopEnd.DONE
+    message: str = ""
+    fallbacks: Mapping[str, int] = field(default_factory=dict)
+    failure: str = ""
+
+    @staticmethod
+    def of(done: LoopRecord, model: CompiledModel, setup: LoopSetup, failure: str = "", rows: slice = slice(None)) -> ClosedLoop:
+        """From what was tracked, or some rows of it."""
+        half, names = model.layout.inputs // 2, model.layout.actuator_names
+        whole = min(len(done.seconds), len(done.steps) or len(done.seconds))  # an interruption may come between two columns
+        rows = slice(*rows.indices(whole))
+        commands, places = done.commands[rows], np.array(done.rows[rows], dtype=int)
+
+        def stacked(values: Sequence[Any], *shape: int) -> np.ndarray:
+            return np.array(values, dtype=float).reshape(-1, *shape)
+
+        return ClosedLoop(
+            model.model, setup, Devices.of(model), done.reference.duration, done.reference.period, stacked(done.time[rows]),
+            done.reference.tips[places], done.reference.counted[places], stacked(done.points[rows], model.layout.points, 3),
+            stacked(done.truth[rows], 3), stacked([c.pressures for c in commands], half), stacked([c.tensions for c in commands], half),
+            stacked([c.enabled for c in commands], half).astype(bool), stacked(done.measured[rows], 2 * half), stacked(done.seconds[rows]),
+            _steps(done, rows, names), done.end, done.message, done.fallbacks, failure,
+        )  # fmt: skip
+
+    @property
+    def ok(self) -> bool:
+        """Whether it came to the reference's end."""
+        return self.end is LoopEnd.DONE and not self.failure
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the actuators."""
+        return channels_of(self.model.robot).actuators
+
+    def errors(self, true: bool) -> np.ndarray:
+        """The tip, true or tracked, less its target, (samples, 3) in m."""
+        return (self.truth if true else self.points[:, -1]) - self.targets
+
+    def rms(self, true: bool) -> float:
+        """Root mean square of the tip's distance from its target where it counts, in m; NaN where nothing is known."""
+        squares = (self.errors(true)[self.counted] ** 2).sum(axis=1)
+        known = squares[np.isfinite(squares)]
+        return float(np.sqrt(known.mean())) if len(known) else math.nan
+
+    @cached_property
+    def acting(self) -> tuple[np.ndarray, np.ndarray]:
+        """p A and the tension as they act on the muscles behind the regulators' lag and the motors' rate, (samples, actuators) in N each.
+
+        From the commands, without the delay that both share: free of the sensors' noise, and known on every rig.
+        """
+        area, most = self.model.values["A"], self.devices.tension_rate * self.period
+        pressure, tension = self.pressures.copy(), self.tensions.copy()
+        for k in range(1, len(pressure)):
+            pressure[k] = self.devices.lag(pressure[k - 1], self.pressures[k - 1], self.period)
+            tension[k] = tension[k - 1] + np.clip(self.tensions[k - 1] - tension[k - 1], -most, most)
+        return area * pressure, tension
+
+    def span(self) -> slice:
+        """Samples from the first to the last that counts."""
+        places = np.flatnonzero(self.counted)
+        return slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0)
+
+    def spectrum(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Frequencies in Hz; powers in N² of "pressure" (p A), "tension" and "force" (F_a), summed over the actuators, where errors count.
+
+        A Hann window over what is left without the mean, scaled so that the sum over the frequencies is the variance.
+        """
+        pressure, tension = (values[self.span()] for values in self.acting)
+        parts, count = {"pressure": pressure, "tension": tension, "force": pressure - tension}, len(pressure)
+        if count < 4:
+            return np.zeros(0), {name: np.zeros(0) for name in parts}
+        window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(count) / count)
+        powers = {}
+        for name, values in parts.items():
+            found = np.abs(np.fft.rfft(window[:, None] * (values - values.mean(axis=0)), axis=0)) ** 2
+            found[1 : (count + 1) // 2] *= 2
+            powers[name] = found.sum(axis=1) / (count * (window**2).sum())
+        return np.fft.rfftfreq(count, self.period), powers
+
+    def shares(self) -> list[dict[str, float | None]]:
+        """By band of frequencies: root mean square in N of p A, tension and F_a over all actuators, and the tension's share of the power.
+
+        The share is that of the powers of p A and λ; they add up to F_a only where the one does not take back the other.
+        """
+        frequencies, powers = self.spectrum()
+        found: list[dict[str, float | None]] = []
+        for low, high in BANDS:
+            inside = (frequencies >= low) & (frequencies < high)
+            power = {name: float(values[inside].sum()) for name, values in powers.items()}
+            both = power["pressure"] + power["tension"]
+            rms = {f"{name}_rms_N": math.sqrt(value / max(len(self.names), 1)) for name, value in power.items()}
+            found.append({"from_Hz": low, "to_Hz": high, **rms, "share_of_tension": power["tension"] / both if both > 0 else None})
+        return found
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Of the log by name, (samples,) each: those of a run of a data set (commands, tracked points), then everything else."""
+        channels, count = channels_of(self.model.robot), len(self.time)
+        columns = {"time_s": np.round(self.time, 6)}
+        columns |= dict(zip(channels.inputs, np.hstack([self.pressures, self.tensions]).T, strict=True))
+        columns |= dict.fromkeys(FORCE_COLUMNS, np.zeros(count))
+        columns |= dict(zip(channels.coordinates, self.points.reshape(count, -1).T, strict=True))
+        for name, values in (("target", self.targets), ("true_tip", self.truth)):
+            columns |= {f"{name}_{axis}_m": values[:, k] for k, axis in enumerate("xyz")}
+        measured = [f"pressure_{name}_measured_Pa" for name in channels.actuators]
+        measured += [f"tension_{name}_measured_N" for name in channels.actuators]
+        columns |= dict(zip(measured, self.measured.T, strict=True))
+        columns |= {f"enabled_{name}": self.enabled[:, k].astype(float) for k, name in enumerate(channels.actuators)}
+        return columns | {"counted": self.counted.astype(float), "step_seconds": self.seconds, **self.steps}
+
+    def summary(self, timing: bool = True) -> dict[str, Any]:
+        """Numbers of the run; those that differ from run to run (durations of the computation) can be left out."""
+        counted, span, actuators = int(self.counted.sum()), self.span(), range(len(self.names))
+        tension, half_range = self.tensions[self.counted], self.model.robot.actuation.tension_max_N / 2
+        mean = tension.mean(axis=0) if counted else np.full(len(self.names), math.nan)
+        step = self.model.robot.actuation.pressure_step or 1.0
+        moved = np.diff(np.round(self.pressures[span] / step), axis=0) != 0  # of the regulators
+        seconds = max(len(moved), 1) * self.period
+        told = {
+            "controller": self.setup.controller,
+            "rig": self.setup.rig,
+            "robot": self.model.robot.name,
+            "effects": [effect.name for effect in self.model.effects],
+            "seed": self.setup.seed,
+            "settings": self.setup.asked,
+            "end": "the rig failed" if self.failure else self.end.value,
+            "message": self.failure or self.message,
+            "interrupted": self.end is LoopEnd.INTERRUPTED,
+            "samples": len(self.time),
+            "duration_s": self.duration,
+            "reached_s": float(self.time[-1]) if len(self.time) else 0.0,
+            "counted_samples": counted,
+            "counted_seconds": counted * self.period,
+            "errors": {"true": self._error_numbers(True), "tracked": self._error_numbers(False)},
+            "pressure_moves_per_s": float(moved.sum() / seconds),
+            "motors_enabled": _number(self.enabled[self.counted].mean()) if counted else None,
+            "mean_tension_N": {self.names[k]: _number(mean[k]) for k in actuators},
+            "mean_tension_of_mid_range": _number(mean.mean() / half_range) if half_range else None,
+            "actuation": self.shares(),
+            "fallbacks": dict(self.fallbacks),
+            "rig_complaints": int((self.steps[STATUS] != GOOD).sum()) if STATUS in self.steps else 0,
+        }
+        if "nis" in self.steps and np.isfinite(self.steps["nis"]).any():
+            seen = np.isfinite(self.steps["nis"])
+            told["estimator"] = {
+                "mean_nis": float(self.steps["nis"][seen].mean()),
+                "mean_degrees_of_freedom": float(self.steps["coordinates_seen"][seen].mean()),
+            }
+        if timing:
+            told["step_seconds"] = _times(self.seconds)
+            told |= {"program_seconds": _times(self.steps["program_seconds"])} if "program_seconds" in self.steps else {}
+            told["versions"] = {name: found for name in PACKAGES if (found := _version(name))}
+        return told
+
+    def _error_numbers(self, true: bool) -> dict[str, Any] | None:
+        error = self.errors(true)[self.counted]
+        error = error[np.isfinite(error).all(axis=1)]
+        if not len(error):
+            return None
+        each = np.sqrt((error**2).mean(axis=0))
+        return {
+            "rms_m": self.rms(true),
+            "largest_m": float(np.linalg.norm(error, axis=1).max()),
+            "rms_by_axis_m": {axis: float(each[k]) for k, axis in enumerate("xyz")},
+            "mean_by_axis_m": {axis: float(error[:, k].mean()) for k, axis in enumerate("xyz")},
+        }
+
+    def save(self, folder: str | Path) -> None:
+        """Write log.csv and summary.json; nothing where there is no sample.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        if not len(self.time):
+            return
+        folder = output_folder(folder)
+        write_columns(folder / LOG, {name: values for name, values in self.columns().items() if _tells(values)})
+        save_summary(folder, JOB, self.summary())
+
+
+def _steps(done: LoopRecord, rows: slice, names: Sequence[str]) -> dict[str, np.ndarray]:
+    steps = done.steps[rows]
+    if not steps:
+        return {}
+    found = {f"estimated_tip_{axis}_m": np.array([step.estimate.points[-1, k] for step in steps]) for k, axis in enumerate("xyz")}
+    for k, name in enumerate(names):
+        found[f"unknown_force_{name}_N"] = np.array([step.unknown[k] for step in steps])
+        found[f"friction_{name}_N"] = np.array([step.estimate.friction[k] for step in steps])
+    found["nis"] = np.array([step.estimate.nis for step in steps], dtype=float)
+    found["coordinates_seen"] = np.array([step.estimate.seen for step in steps], dtype=float)
+    found["points_refused"] = np.array([step.estimate.refused.sum() for step in steps], dtype=float)
+    found["program"] = np.array([step.status.value for step in steps], dtype=np.str_)
+    found["iterations"] = np.array([step.iterations for step in steps], dtype=float)
+    found["pressure_moves"] = np.array([step.moves for step in steps], dtype=float)
+    return found | {"program_seconds": np.array([step.seconds[1] for step in steps], dtype=float)}
+
+
+def _tells(values: np.ndarray) -> bool:
+    """Whether a column has anything to say."""
+    return bool((values != GOOD).any()) if values.dtype.kind == "U" else bool(np.isfinite(values).any())
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _times(seconds: np.ndarray) -> dict[str, float] | None:
+    if not len(seconds):
+        return None
+    return {"median": float(np.median(seconds)), "percentile_99": float(np.percentile(seconds, 99)), "largest": float(seconds.max())}
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,81 @@
+"""The workflow on a folder: check the data, find what is missing, write the answer."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.discrepancy.workflow import Discovery, discover
+from tepm_opt.errors import InputError
+from tepm_opt.models.channels import channels_of, check, open_dataset
+from tepm_opt.models.model import Model, read_model, write_model
+
+VERDICT, MODEL, FITS = "verdict.json", "model.toml", ".fits.json"
+
+
+def refuse_errors(folder: Path) -> list[str]:
+    """Warnings of a data set's check, one line each.
+
+    Raises:
+        InputError: the check finds errors; the first few stand in the message.
+    """
+    findings = check(folder)
+    lines = {
+        kind: [f"{f.file}: {f.channel + ': ' if f.channel else ''}{f.message}" for f in findings if f.severity == kind]
+        for kind in ("error", "warning")
+    }
+    if errors := lines["error"]:
+        more = f" (and {len(errors) - 3} more errors: tepm data check {folder})" if len(errors) > 3 else ""
+        raise InputError(f"{folder}: {'; '.join(errors[:3])}{more}. An answer from such data would mislead")
+    return lines["warning"]
+
+
+def run_discrepancy(
+    folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Discovery:  # fmt: skip
+    """Explain a data set and write `verdict.json` and `model.toml` into a folder.
+
+    What was fitted is kept in the folder while the search runs: the same command after an interruption goes on where it was.
+
+    Args:
+        folder: data set.
+        out: for the results.
+        model: model file; the robot that the data set names where absent.
+        seed: of all random draws.
+        despite_errors: whether to go on where the check of the data finds errors.
+        progress: called with a line for every piece of work.
+
+    Raises:
+        InputError: data or model cannot be used; the message says why.
+    """
+    folder, out = Path(folder), Path(out)
+    warnings = [] if despite_errors else refuse_errors(folder)
+    dataset = open_dataset(folder)
+    known = read_model(model) if model else Model.of(dataset.robot)
+    channels = channels_of(known.robot)
+    if channels.columns != dataset.channels.columns:
+        raise InputError(f"{model}: its robot has other actuators or reference points than {dataset.robot}, which {folder} names")
+    out = output_folder(out)
+    key = _fingerprint(folder, known, seed)
+    result = discover(dataset, known, channels, seed, out / FITS, key, progress=progress)
+    write_model(result.verdict.model, out / MODEL)
+    content = result.verdict.as_json()
+    content["notes"] += [f"data: {line}" for line in warnings]
+    write_atomically(out / VERDICT, json.dumps(content, indent=2) + "\n")
+    for kept in out.glob(f"{FITS}*"):
+        kept.unlink()
+    return result
+
+
+def _fingerprint(folder: Path, model: Model, seed: int) -> str:
+    """Changes with the data, the model, the seed and the version of this package."""
+    digest = hashlib.sha256(repr((model, seed, version("tepm-opt"))).encode())
+    for path in sorted(folder.glob("*")):
+        if path.is_file():
+            digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()

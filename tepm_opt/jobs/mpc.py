@@ -1,0 +1,146 @@
+"""Running a closed loop on any rig, and keeping everything while it happens.
+
+A journal beside the log grows sample by sample, so that a program that dies leaves what it has.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tepm_opt.control.controllers import controller_named
+from tepm_opt.control.loop import Guard, LoopEnd, LoopRecord, Show, close_loop
+from tepm_opt.control.reference import Reference
+from tepm_opt.data.files import output_folder
+from tepm_opt.data.journal import Journal
+from tepm_opt.data.tables import field_text
+from tepm_opt.errors import InputError
+from tepm_opt.hw.rig import Command, Rig, Sample, Virtual
+from tepm_opt.jobs.closed_loop import LOG, ClosedLoop, LoopSetup
+from tepm_opt.models.channels import channels_of
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.recording.measure import GOOD, STATUS, journal_path
+
+Look = Callable[[Sample, Command], None]
+"""Given every sample with what was commanded then, for a live view."""
+
+
+class _Keeper:
+    """A journal that a thread of its own writes, so that the loop never waits for the disk."""
+
+    def __init__(self, path: Path, row: Callable[[int], ClosedLoop]) -> None:
+        self.path, self._row = path, row
+        self._waiting: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._write, name="log", daemon=True)
+        self._thread.start()
+
+    def add(self, row: int) -> None:
+        """Take a row, by its number."""
+        self._waiting.put(row)
+
+    def _write(self) -> None:
+        journal: Journal | None = None
+        try:
+            while (number := self._waiting.get()) is not None:
+                columns = self._row(number).columns()
+                journal = journal or Journal(self.path, list(columns))
+                journal.append([str(v[0]) if v.dtype.kind == "U" else field_text(float(v[0])) for v in columns.values()])
+        except InputError:  # the log is written as a whole in the end and says then what is wrong with the disk
+            pass
+        finally:
+            if journal is not None:
+                journal.close()
+
+    def close(self) -> None:
+        """Wait until all is written."""
+        self._waiting.put(None)
+        self._thread.join()
+
+
+@contextmanager
+def _kept(folder: Path | None, row: Callable[[int], ClosedLoop]) -> Iterator[Callable[[int], None]]:
+    """Takes rows into a journal in the folder; it goes where `log.csv` has been written meanwhile."""
+    if folder is None:
+        yield lambda number: None
+        return
+    keeper = _Keeper(journal_path(output_folder(folder), Path(LOG).name), row)
+    try:
+        yield keeper.add
+    except BaseException:
+        keeper.close()
+        raise
+    keeper.close()
+    keeper.path.unlink(missing_ok=True)
+
+
+def _said(loop: ClosedLoop, statuses: list[str]) -> ClosedLoop:
+    """With what the rig said at each sample; an interruption may have come before the last one was noted."""
+    count = len(loop.time)
+    said = [*statuses[:count], *[GOOD] * (count - len(statuses))]
+    return replace(loop, steps={**loop.steps, STATUS: np.array(said, dtype=np.str_)})
+
+
+def run_closed_loop(
+    model: CompiledModel, reference: Reference, rig: Rig, setup: LoopSetup, folder: str | Path | None = None, guard: Guard | None = None,
+    show: Show = lambda stage, done, of: None, look: Look | None = None,
+) -> ClosedLoop:  # fmt: skip
+    """Follow a reference on a rig and write log.csv and summary.json; the rig is stopped whatever happens.
+
+    An interruption, a guard that stops the loop and a rig that fails on the way end it early; the result says so and holds what was done.
+
+    Args:
+        model: the controller's.
+        reference: see `whole_reference`.
+        rig: not yet entered.
+        setup: names what runs; the rig is `rig`, whatever it says.
+        folder: for the results; None writes nothing. While the loop runs a journal is there, named log-….unfinished.csv.
+        guard: when to stop.
+        show: progress.
+        look: a view.
+
+    Raises:
+        InputError: unknown controller; the rig has another robot, or disagrees with the model before the loop is closed; a folder that
+            cannot be written to.
+        RuntimeError, OSError: the rig failed before the loop was closed.
+    """
+    known = getattr(rig, "robot", None)
+    if known is not None and channels_of(known) != channels_of(model.robot):
+        raise InputError(
+            f"the rig's robot is {known.name!r}, the model's {model.robot.name!r}; name the one that is there (--robot, --model)"
+        )
+    settings = setup.settings
+    if not isinstance(rig, Virtual):  # there time does not wait for a step
+        settings = replace(settings, late=min(settings.late, reference.period))
+    controller = controller_named(setup.controller, model, reference, settings)
+    done, failure = LoopRecord(reference), ""
+    statuses: list[str] = []
+
+    def row(number: int) -> ClosedLoop:
+        return _said(ClosedLoop.of(done, model, setup, rows=slice(number, number + 1)), statuses[number : number + 1])
+
+    with _kept(None if folder is None else Path(folder), row) as keep:
+
+        def watched(sample: Sample, target: np.ndarray) -> None:
+            statuses.append(sample.status)
+            keep(len(done.rows) - 1)
+            if look is not None:
+                look(sample, done.commands[-1])
+
+        try:
+            close_loop(rig, controller, model.robot, guard, show, watched, done)
+        except KeyboardInterrupt:  # while the rig was being opened or stopped
+            done.end, done.message = LoopEnd.INTERRUPTED, "interrupted by the user"
+        except (InputError, RuntimeError, OSError) as error:
+            if not done.rows:
+                raise
+            failure = " ".join(str(error).split()) or type(error).__name__
+        found = _said(ClosedLoop.of(done, model, setup, failure), statuses)
+        if folder is not None:
+            found.save(folder)
+    return found

@@ -1,0 +1,165 @@
+"""Generated C as a cache: kernels and the loops around them become a shared library, kept by the hash of all it depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import resources, util
+from pathlib import Path
+
+import casadi as ca
+import platformdirs
+
+from tepm_opt.data.files import atomic_path
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
+CACHE_VARIABLE = "TEPM_OPT_CACHE"
+
+
+@cache
+def find_compiler() -> tuple[str, ...] | None:
+    """Command of a C compiler: $CC, cc, gcc, clang, or the PyPI package ziglang where that is installed; None without one."""
+    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
+        if name and (path := shutil.which(name)):
+            return (path,)
+    return (sys.executable, "-m", "ziglang", "cc") if util.find_spec("ziglang") else None
+
+
+@cache
+def _machine(compiler: tuple[str, ...]) -> str:
+    version = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=False).stdout
+    try:
+        flags = next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Features")))
+    except (OSError, StopIteration):
+        flags = platform.processor()
+    return "\n".join((*compiler, version, platform.platform(), flags))
+
+
+def cache_folder() -> Path:
+    """Where libraries are kept: $TEPM_OPT_CACHE or the user's cache folder."""
+    return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_path("tepm_opt"))
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What is compiled together: kernels, sizes and index arrays, and the loops around them.
+
+    Attributes:
+        kernels: CasADi functions; of one with a sparse result the C text also gets `<name>_nnz`, `<name>_row` and `<name>_col`.
+        sizes: macros by name.
+        arrays: static arrays of integers by name.
+        loops: name of the C file in this package.
+        lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments at once.
+    """
+
+    kernels: Mapping[str, ca.Function]
+    sizes: Mapping[str, int]
+    arrays: Mapping[str, Sequence[int]]
+    loops: str
+    lanes: tuple[str, ...] = ()
+
+    @cached_property
+    def source(self) -> str:
+        """The C text."""
+        generator = ca.CodeGenerator("kernels", {"casadi_int": "int", "with_header": False})
+        for function in self.kernels.values():
+            generator.add(function)
+        work = {"SZ_W": max(f.sz_w() for f in self.kernels.values()), "SZ_IW": max(f.sz_iw() for f in self.kernels.values())}
+        sizes, arrays = {**self.sizes, **work}, dict(self.arrays)
+        for name, function in self.kernels.items():
+            if name.endswith("_by"):
+                pattern = function.sparsity_out(0)
+                sizes[f"{name}_nnz"] = pattern.nnz()
+                arrays |= {f"{name}_row": pattern.row(), f"{name}_col": pattern.get_col()}
+        lines = [f"#define {name} {value}" for name, value in sizes.items()]
+        lines += [f"static const int {name}[] = {{{', '.join(map(str, values)) or '0'}}};" for name, values in arrays.items()]
+        loops = (resources.files("tepm_opt.models.backends") / self.loops).read_text(encoding="utf-8")
+        kernels = _WRITTEN.sub("", _READ.sub(r"arg[\1][\2]", generator.dump()))  # no argument and no result is ever left out
+        return "\n".join((kernels, *lines, _VECTORS, *(_in_lanes(kernels, name, self.kernels[name]) for name in self.lanes), loops))
+
+
+_READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
+_WRITTEN = re.compile(r"if \(res\[\d+\]!=0\) ")
+_VECTORS = """
+#define LANES 4 /* doubles in a vector */
+typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
+static inline vector lanes_sq(vector x) { return x * x; }
+static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }
+static inline vector lanes_fabs(vector x) { for (int i = 0; i < LANES; i++) x[i] = fabs(x[i]); return x; }
+"""
+
+
+_LOOP = """
+static void {name}_lanes(const vector *const *arg, vector *const *res) {{
+  static const int in[] = {{{inputs}}}, out[] = {{{outputs}}};
+  enum {{ N_IN = sizeof in / sizeof *in, N_OUT = sizeof out / sizeof *out }};
+  double given[{given}], got[{got}], work[SZ_W + 1], *result[N_OUT], *at;
+  const double *argument[N_IN];
+  casadi_int integers[SZ_IW + 1];
+  for (int lane = 0; lane < LANES; lane++) {{
+    at = given;
+    for (int i = 0; i < N_IN; i++) {{ argument[i] = at; for (int k = 0; k < in[i]; k++) *at++ = arg[i][k][lane]; }}
+    at = got;
+    for (int i = 0; i < N_OUT; i++) {{ result[i] = at; at += out[i]; }}
+    {name}(argument, result, integers, work, 0);
+    for (int i = 0; i < N_OUT; i++) for (int k = 0; k < out[i]; k++) res[i][k][lane] = result[i][k];
+  }}
+}}
+"""
+
+
+def _in_lanes(text: str, name: str, function: ca.Function) -> str:
+    """A kernel on vectors: CasADi's straight-line code with another type, or a loop over lanes where it is not mere arithmetic."""
+    inner = re.search(rf"int {name}\(.*?\)\s*\{{\s*return (\w+)\(", text, re.S)
+    body = inner and re.search(rf"static int {inner[1]}\([^{{]*\{{\n(.*?)\n\}}", text, re.S)
+    if body:
+        code = body[1].replace("casadi_real", "vector").replace("return 0;", "")
+        code = re.sub(r"=(-?[\d.]+(?:e[-+]?\d+)?);", r"=(vector){0}+\1;", code)
+        code = re.sub(r"\b(?:casadi_)?(sq|sqrt|fabs)\(", r"lanes_\1(", code)
+        if not re.search(r"[?<>!&|]|\b(?!lanes_)[A-Za-z_]\w*\(", code):
+            return f"static void {name}_lanes(const vector *const *arg, vector *const *res) {{\n{code}\n}}"
+    sizes = [function.nnz_in(k) for k in range(function.n_in())], [function.nnz_out(k) for k in range(function.n_out())]
+    inputs, outputs = (", ".join(map(str, part)) for part in sizes)
+    return _LOOP.format(name=name, inputs=inputs, outputs=outputs, given=max(sum(sizes[0]), 1), got=max(sum(sizes[1]), 1))
+
+
+def build(unit: Unit) -> Path | None:
+    """The shared library of a unit, from the cache or compiled; None (and one warning) where that is not possible."""
+    compiler = find_compiler()
+    if compiler is None:
+        _warn_once("no C compiler found: CasADi's virtual machine is used, with the same results, some 50 times slower")
+        return None
+    text = unit.source
+    key = hashlib.sha256("\n".join((text, *FLAGS, _machine(compiler))).encode()).hexdigest()[:24]
+    library = cache_folder() / f"{Path(unit.loops).stem}-{key}.so"
+    if library.is_file():
+        return library
+    try:
+        library.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_path(library) as temporary:
+            code = temporary.with_suffix(".c")
+            try:
+                code.write_text(text, encoding="utf-8")
+                command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(temporary), str(code), "-lm"]
+                subprocess.run(command, check=True, capture_output=True, text=True)
+            finally:
+                code.unlink(missing_ok=True)
+    except (OSError, subprocess.CalledProcessError, ValueError) as error:
+        detail = getattr(error, "stderr", None) or str(error)
+        _warn_once(f"compiling the network failed, CasADi's virtual machine is used: {detail.strip().splitlines()[0]}")
+        return None
+    return library
+
+
+@cache
+def _warn_once(message: str) -> None:
+    warnings.warn(message, RuntimeWarning, stacklevel=4)

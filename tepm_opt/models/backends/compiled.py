@@ -1,0 +1,199 @@
+"""Compiled backends: the loops of statics.c and time_stepping.c called through ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from tepm_opt.models.backends.ccode import Unit
+from tepm_opt.models.backends.interface import Drive, Effort, Record, Scheme
+from tepm_opt.models.backends.statics import Solution
+from tepm_opt.models.dynamics import Dynamics
+from tepm_opt.models.network import ROWS, Network
+
+LANES = 4  # directions differentiated at once, as in time_stepping.c
+
+
+def statics_unit(network: Network) -> Unit:
+    """The C of `CompiledStatics`."""
+    layout = network.layout
+    sizes = {
+        "NB": layout.block,
+        "NLEV": layout.levels,
+        "NPROP": max(rows.stop for rows in network.property_rows.values()),
+        "NDRIVEN": len(network.driven),
+        "ROWS": ROWS,
+        "NU": layout.inputs,
+        "NEXT": 3 * layout.points,
+        "NTHETA": len(network.parameter_names),
+        "NPOINT": 3 * layout.points,
+        "NLEN": layout.inputs // 2,
+    }
+    return Unit(network.functions, sizes, {"DRIVEN": network.driven}, "statics.c")
+
+
+class _Arrays(threading.local):
+    """The arrays C reads and writes, one set a thread, so that a call costs copies and no address look-ups."""
+
+    def __init__(self, network: Network) -> None:
+        layout, parameters = network.layout, len(network.parameter_names)
+        observations = 3 * layout.points + layout.inputs // 2
+        shapes = {
+            "x": (layout.levels + 1, layout.block),
+            "u": (layout.inputs,),
+            "a": (layout.inputs,),
+            "external": (3 * layout.points,),
+            "theta": (parameters,),
+            "observed": (observations,),
+            "targets": (layout.inputs // 2,),
+            "info": (3,),
+            "weights": (observations, observations),
+            "by_u": (observations, layout.inputs),
+            "by_external": (observations, 3 * layout.points),
+            "by_theta": (observations, parameters),
+            "stiffness": (layout.levels * layout.block, 2 * layout.block),
+            "damping": (layout.levels * layout.block, 2 * layout.block),
+        }
+        self.array = {name: np.zeros(shape) for name, shape in shapes.items()}
+        self.address = {name: array.ctypes.data for name, array in self.array.items()}
+
+
+class CompiledStatics:
+    """Backend of compiled C (see `StaticsBackend`); thread-safe."""
+
+    def __init__(self, network: Network, library: Path) -> None:
+        self.network = network
+        loaded = ctypes.CDLL(str(library))
+        p, i, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+        self._actuation, self._statics, self._sensitivity = loaded.actuation, loaded.statics, loaded.sensitivity
+        self._actuation.argtypes, self._actuation.restype = [p, p, p], None
+        self._statics.argtypes = [p, p, i, p, p, d, i, p, p]
+        self._inverse = loaded.inverse
+        self._inverse.argtypes = [p, p, p, p, p, p, d, d, d, i, p]
+        self._sensitivity.argtypes = [p, p, i, p, p, i, p, p, p, p]
+        self._matrices = loaded.matrices
+        self._matrices.argtypes = [p, p, i, p, p, p, p]
+        self._arrays = _Arrays(network)
+
+    def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """See `Chain.actuation`."""
+        array, at = self._arrays.array, self._arrays.address
+        array["u"][:], array["theta"][:] = u, theta
+        self._actuation(at["u"], at["theta"], at["a"])
+        return array["a"].copy()
+
+    def statics(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, most: int
+    ) -> Solution:
+        """See `Chain.statics`."""
+        array, at = self._arrays.array, self._arrays.address
+        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
+        status = self._statics(at["x"], at["u"], mapped, at["external"], at["theta"], tolerance, most, at["observed"], at["info"])
+        return Solution(status, array["x"].copy(), array["observed"].copy(), *array["info"].tolist())
+
+    def sensitivity(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+    ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray | None]:
+        """See `Chain.sensitivity`."""
+        array, at, rows = self._arrays.array, self._arrays.address, len(weights)
+        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
+        array["weights"][:rows] = weights
+        status = self._sensitivity(
+            at["x"], at["u"], mapped, at["external"], at["theta"], rows, at["weights"],
+            at["by_u"], at["by_external"], at["by_theta"] if by_theta else None,
+        )  # fmt: skip
+        return (
+            status, array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), array["by_theta"][:rows].copy() if by_theta else None
+        )  # fmt: skip
+
+    def matrices(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Chain.matrices`; the storage is column by column, as LAPACK has it."""
+        array, at = self._arrays.array, self._arrays.address
+        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
+        self._matrices(at["x"], at["u"], mapped, at["external"], at["theta"], at["stiffness"], at["damping"])
+        return array["stiffness"].copy().T, array["damping"].copy().T
+
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        largest: float, close: float, tolerance: float, most: int,
+    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """See `Chain.inverse`."""
+        array, at, half = self._arrays.array, self._arrays.address, len(targets)
+        array["x"][:], array["a"][:half], array["a"][half:] = x, pressures, 0.0
+        array["external"][:], array["theta"][:], array["weights"][:half], array["targets"][:] = external, theta, weights, targets
+        status = self._inverse(
+            at["x"], at["a"], at["external"], at["theta"], at["weights"], at["targets"], largest, close, tolerance, most, at["info"]
+        )
+        return status, array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
+
+
+def stepping_unit(dynamics: Dynamics) -> Unit:
+    """The C of `CompiledTimeStepper`."""
+    layout = dynamics.layout
+    properties = dynamics.functions["properties"].size1_out(0)
+    sizes = {
+        "NB": layout.block,
+        "NLEV": layout.levels,
+        "NPROP": properties,
+        "MASS": properties - 1,
+        "NU": layout.inputs,
+        "NEXT": 3 * layout.points,
+        "NTHETA": len(dynamics.parameter_names),
+        "NOBS": 3 * layout.points + layout.inputs // 2,
+        "NIN": dynamics.input_states,
+        "NEDGE": dynamics.edge_states,
+    }
+    return Unit(dynamics.functions, sizes, {}, "time_stepping.c", lanes=("segment_motion", "segment_tangent", "segment_by"))
+
+
+class CompiledTimeStepper:
+    """Backend of compiled C (see `TimeStepper`); thread-safe."""
+
+    def __init__(self, dynamics: Dynamics, library: Path) -> None:
+        self.dynamics = dynamics
+        loaded = ctypes.CDLL(str(library))
+        self._integrate, self._sizes = loaded.integrate, (loaded.state_size(), loaded.tangent_size())
+        p, i, n, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_long, ctypes.c_double
+        self._integrate.argtypes = [i, i, n, n, n, p, p, d, d, d, p, p, p, p, i, p, p, p, p, p]
+
+    def start(self, x: np.ndarray, directions: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimeStepper.start`."""
+        state, tangents = np.zeros(self._sizes[0]), np.zeros((-(-directions // LANES), self._sizes[1]))
+        state[: x.size] = x.ravel()
+        return state, tangents
+
+    def integrate(
+        self, state: tuple[np.ndarray, np.ndarray], drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray,
+        record: Record,
+    ) -> tuple[int, Effort]:  # fmt: skip
+        """See `TimeStepper.stepper`."""
+        carried, tangents = state
+        directions, groups, samples = len(drive.d_theta), len(tangents), len(drive.time)
+        d_theta = _in_lanes(drive.d_theta.T, groups).swapaxes(0, 1).copy()
+        d_rows = None if drive.d_rows is None else _in_lanes(drive.d_rows.swapaxes(1, 2), groups).swapaxes(1, 2).copy()
+        time, rows = np.ascontiguousarray(drive.time), np.ascontiguousarray(drive.rows)
+        d_observed = np.zeros((samples if groups else 0, groups, record.observed.shape[1], LANES))
+        info = np.zeros(5)
+        status = self._integrate(
+            scheme.kind, drive.hold, first, last, samples, time.ctypes.data, rows.ctypes.data, scheme.step, scheme.tolerance,
+            scheme.farthest, theta.ctypes.data,
+            carried.ctypes.data, record.observed.ctypes.data, record.trajectory.ctypes.data, groups, d_theta.ctypes.data,
+            None if d_rows is None else d_rows.ctypes.data, tangents.ctypes.data, d_observed.ctypes.data, info.ctypes.data,
+        )  # fmt: skip
+        if groups:
+            new = slice(first + 1 if first else 0, last + 1)
+            flat = d_observed[new].swapaxes(1, 2).reshape(-1, record.observed.shape[1], groups * LANES)
+            record.d_observed[new] = flat[:, :, :directions]
+        return status, Effort(*info.tolist())
+
+
+def _in_lanes(values: np.ndarray, groups: int) -> np.ndarray:
+    """The last axis in groups of LANES, filled with zeros: (…, groups, LANES)."""
+    padded = np.zeros((*values.shape[:-1], groups * LANES))
+    padded[..., : values.shape[-1]] = values
+    return padded.reshape(*values.shape[:-1], groups, LANES)

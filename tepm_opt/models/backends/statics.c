@@ -1,0 +1,490 @@
+/* Loops over the chain of segments, around the kernels that CasADi generates above this text in the same unit:
+   assembly, block-tridiagonal Cholesky, Newton for statics, adjoint sensitivities. statics.py is the reference twin.
+
+   Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NDRIVEN of them changed by inputs, NU inputs,
+   NEXT external force components, NTHETA parameters, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel,
+   SZ_W, SZ_IW work of the kernels. Level 0 is fixed. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define LANES 4                          /* doubles in a vector; right-hand sides solved at once */
+#define NVEC ((2 * NB + LANES - 1) / LANES)
+#define LD (NVEC * LANES)                /* rows of a panel column, padded to whole vectors */
+#define FAR 1e-6                         /* N: residual below which plain Newton steps are taken */
+#define NOISE 1e-14                      /* relative rounding noise of the energy */
+enum { SOLVED = 0, UNSTABLE = 1, STALLED = 2, EXHAUSTED = 3, INDEFINITE = 4 };
+
+typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
+typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
+
+typedef struct {
+  double x[NLEV + 1][NB], trial[NLEV + 1][NB];   /* levels */
+  double P[NLEV][NPROP];                         /* properties, one row a segment */
+  double force[NLEV + 1][NB], step[NLEV + 2][NB];
+  double panel[NLEV + 1][NB][LD];                /* column c of level l: its diagonal block, then its coupling to l + 1 */
+  double first[2 * NB * NB], second[NB * NB];
+  double a[NU], level_0[NB], kernel_work[SZ_W + 1];
+  casadi_int kernel_iwork[SZ_IW + 1];
+  const double *theta;
+} work;
+
+static void run(kernel *f, work *w, const double **arg, double **res) { f(arg, res, w->kernel_iwork, w->kernel_work, 0); }
+
+static double energy(work *w, double x[][NB]) {
+  double total = 0, part;
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {x[s], x[s + 1], w->P[s], w->theta};
+    double *res[] = {&part};
+    run(segment_energy, w, arg, res);
+    total += part;
+  }
+  return total;
+}
+
+/* Add the block columns of segment s (w->first, w->second) to the panels; segments come in turn. */
+static inline void place(work *w, int s) {
+  for (int c = 0; c < NB; c++) {
+    double *lower = w->panel[s][c], *upper = w->panel[s + 1][c];
+    const double *first = w->first + 2 * NB * c, *second = w->second + NB * c;
+    if (s) for (int r = 0; r < NB; r++) lower[r] += first[r];
+    for (int r = NB; r < 2 * NB; r++) lower[r] = first[r];
+    for (int r = 0; r < NB; r++) upper[r] = second[r];
+    for (int r = NB; r < LD; r++) upper[r] = 0;
+  }
+}
+
+/* Energy (returned), its gradient (w->force) and panels of the stiffness, or of the convex one, at w->x. */
+static inline double assemble(work *w, int convex) {
+  double total = 0, part, force[2 * NB];
+  memset(w->force, 0, sizeof w->force);
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta};
+    double *res[] = {&part, force, w->first, w->second};
+    if (convex) run(segment_convex, w, arg, res);
+    else run(segment_stiffness, w, arg, res);
+    total += part;
+    for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
+    place(w, s);
+  }
+  return total;
+}
+
+/* Gradient (w->force) alone. */
+static void gradient(work *w) {
+  double force[2 * NB];
+  memset(w->force, 0, sizeof w->force);
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta};
+    double *res[] = {force};
+    run(segment_gradient, w, arg, res);
+    for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
+  }
+}
+
+static double residual(work *w) {
+  double largest = 0;
+  for (int l = 1; l <= NLEV; l++)
+    for (int i = 0; i < NB; i++) { double f = fabs(w->force[l][i]); if (!(f <= largest)) largest = f; }
+  return largest;
+}
+
+/* L D L' in place: column j of a panel becomes L's times its pivot, the diagonal entry the inverse of the pivot.
+   Returns 0, or 1 where the matrix is not positive definite. */
+static int factor(work *w) {
+  for (int l = 1; l <= NLEV; l++) {
+    double (*p)[LD] = w->panel[l], scaled[NB][NB];
+#pragma GCC unroll 12
+    for (int j = 0; j < NB; j++) {
+      vector column[NVEC];
+      memcpy(column, p[j], sizeof column);
+#pragma GCC unroll 12
+      for (int k = 0; k < j; k++) {
+        double scale = scaled[k][j];
+#pragma GCC unroll 12
+        for (int v = j / LANES; v < NVEC; v++) column[v] -= scale * *(vector *)(p[k] + LANES * v);
+      }
+      memcpy(p[j], column, sizeof column);
+      if (!(p[j][j] > 0)) return 1;
+      p[j][j] = 1 / p[j][j];
+      for (int r = j + 1; r < NB; r++) scaled[j][r] = p[j][r] * p[j][j];
+    }
+    if (l == NLEV) break;
+    for (int k = 0; k < NB; k++) {
+      double column[NB];
+      memcpy(column, w->panel[l + 1][k], sizeof column);
+#pragma GCC unroll 12
+      for (int j = 0; j < NB; j++) {
+        double scale = p[j][NB + k] * p[j][j];
+        for (int r = 0; r < NB; r++) column[r] -= scale * p[j][NB + r];
+      }
+      memcpy(w->panel[l + 1][k], column, sizeof column);
+    }
+  }
+  return 0;
+}
+
+/* Solve with the factor for LANES right-hand sides at once; b has levels 1 … NLEV and one spare. */
+static void solve(work *w, vector (*b)[NB]) {
+  memset(b[NLEV + 1], 0, sizeof b[0]);
+  for (int l = 1; l <= NLEV; l++) {
+    double (*p)[LD] = w->panel[l];
+    vector *t = b[l]; /* this level and the next */
+#pragma GCC unroll 12
+    for (int j = 0; j < NB; j++) {
+      vector y = t[j] *= p[j][j];
+#pragma GCC unroll 24
+      for (int r = j + 1; r < 2 * NB; r++) t[r] -= y * p[j][r];
+    }
+  }
+  memset(b[NLEV + 1], 0, sizeof b[0]);
+  for (int l = NLEV; l >= 1; l--) {
+    double (*p)[LD] = w->panel[l];
+    vector *t = b[l];
+#pragma GCC unroll 12
+    for (int j = NB - 1; j >= 0; j--) {
+      vector sum = {0};
+#pragma GCC unroll 24
+      for (int r = j + 1; r < 2 * NB; r++) sum += p[j][r] * t[r];
+      t[j] -= sum * p[j][j];
+    }
+  }
+}
+
+/* The Newton step -(stiffness)^-1 force, into w->step. */
+static void newton_step(work *w) {
+  double t[2 * NB] = {0}, (*b)[NB] = w->step;
+  for (int l = 1; l <= NLEV; l++) {
+    double (*p)[LD] = w->panel[l];
+    for (int r = 0; r < NB; r++) { t[r] = t[NB + r] - w->force[l][r]; t[NB + r] = 0; }
+#pragma GCC unroll 16
+    for (int j = 0; j < NB; j++) {
+      double y = b[l][j] = t[j] * p[j][j];
+      for (int r = 0; r < 2 * NB; r++) t[r] -= y * p[j][r];
+    }
+  }
+  memset(b[NLEV + 1], 0, sizeof b[0]);
+  for (int l = NLEV; l >= 1; l--) {
+    double (*p)[LD] = w->panel[l], coupled[NB];
+    for (int j = 0; j < NB; j++) {
+      coupled[j] = 0;
+#pragma GCC unroll 36
+      for (int r = 0; r < NB; r++) coupled[j] += p[j][NB + r] * b[l + 1][r];
+    }
+#pragma GCC unroll 16
+    for (int j = NB - 1; j >= 0; j--) {
+      double sum = coupled[j];
+      for (int r = NB - 1; r > j; r--) sum += p[j][r] * b[l][r];
+      b[l][j] -= sum * p[j][j];
+    }
+  }
+}
+
+static void cross(const double *a, const double *b, double *c) {
+  c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* target += a vector v rotated by the rotation vector, after its linear change dv less what the rotation accounts for. */
+static void add_rotated(double *target, const double *rotation, const double *v, const double *dv) {
+  double turned[3], e[3], once[3], twice[3], angle = sqrt(rotation[0] * rotation[0] + rotation[1] * rotation[1] + rotation[2] * rotation[2]);
+  double s = angle < 1e-4 ? 1 - angle * angle / 6 : sin(angle) / angle;
+  double c = angle < 1e-4 ? 0.5 - angle * angle / 24 : (1 - cos(angle)) / (angle * angle);
+  cross(rotation, v, turned);
+  for (int k = 0; k < 3; k++) e[k] = v[k] + dv[k] - turned[k];
+  cross(rotation, e, once);
+  cross(rotation, once, twice);
+  for (int k = 0; k < 3; k++) target[k] += e[k] + s * once[k] + c * twice[k];
+}
+
+/* Rotation vector that fits the changes d of the points r best, both about their centres. */
+static void fit_rotation(double r[][3], double d[][3], double *rotation) {
+  double I[3][3] = {{0}}, m[3] = {0}, part[3], cofactor[3][3], determinant;
+  for (int i = 0; i < NB / 3; i++) {
+    double square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
+    cross(r[i], d[i], part);
+    for (int p = 0; p < 3; p++) {
+      m[p] += part[p];
+      I[p][p] += square;
+      for (int q = 0; q < 3; q++) I[p][q] -= r[i][p] * r[i][q];
+    }
+  }
+  for (int p = 0; p < 3; p++) cross(I[(p + 1) % 3], I[(p + 2) % 3], cofactor[p]);
+  determinant = I[0][0] * cofactor[0][0] + I[0][1] * cofactor[0][1] + I[0][2] * cofactor[0][2];
+  for (int p = 0; p < 3; p++) rotation[p] = (cofactor[0][p] * m[0] + cofactor[1][p] * m[1] + cofactor[2][p] * m[2]) / determinant;
+}
+
+/* trial = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
+static void move(work *w, double t) {
+  double before[3] = {0}, d_before[3] = {0}, turn_before[3] = {0}, centre[3] = {0};
+  for (int k = 0; k < 3; k++) {
+    for (int i = 0; i < NB / 3; i++) before[k] += w->x[0][3 * i + k] / (NB / 3);
+    centre[k] = before[k];
+  }
+  memcpy(w->trial[0], w->x[0], sizeof w->x[0]);
+  for (int l = 1; l <= NLEV; l++) {
+    double here[3] = {0}, d_here[3] = {0}, turn[3], middle[3], r[NB / 3][3], d[NB / 3][3], link[3], d_link[3];
+    for (int k = 0; k < 3; k++) {
+      for (int i = 0; i < NB / 3; i++) { here[k] += w->x[l][3 * i + k] / (NB / 3); d_here[k] += t * w->step[l][3 * i + k] / (NB / 3); }
+      for (int i = 0; i < NB / 3; i++) { r[i][k] = w->x[l][3 * i + k] - here[k]; d[i][k] = t * w->step[l][3 * i + k] - d_here[k]; }
+    }
+    fit_rotation(r, d, turn);
+    for (int k = 0; k < 3; k++) {
+      middle[k] = (turn[k] + turn_before[k]) / 2;
+      link[k] = here[k] - before[k];
+      d_link[k] = d_here[k] - d_before[k];
+    }
+    add_rotated(centre, middle, link, d_link);
+    for (int i = 0; i < NB / 3; i++) {
+      for (int k = 0; k < 3; k++) w->trial[l][3 * i + k] = centre[k];
+      add_rotated(w->trial[l] + 3 * i, turn, r[i], d[i]);
+    }
+    memcpy(before, here, sizeof before); memcpy(d_before, d_here, sizeof before); memcpy(turn_before, turn, sizeof before);
+  }
+}
+
+/* Factor the stiffness at w->x, or a positive definite stand-in where it is indefinite (returns 1 then). */
+static int factor_safely(work *w) {
+  if (!factor(w)) return 0;
+  for (double shift = 1e-6;; shift *= 100) {
+    assemble(w, 1);
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->panel[l][i][i] += shift;
+    if (!factor(w) || shift > 1e12) return 1;
+  }
+}
+
+/* P and level 0 of the effective actuation w->a. */
+static void set_properties(work *w, const double *external) {
+  const double *arg[] = {w->a, external, w->theta};
+  double *res[] = {w->P[0], w->level_0};
+  run(properties, w, arg, res);
+}
+
+static work *prepare(const double *u, int mapped, const double *external, const double *theta) {
+  work *w = aligned_alloc(64, (sizeof(work) + 63) / 64 * 64);
+  if (!w) return 0;
+  w->theta = theta;
+  if (mapped) memcpy(w->a, u, sizeof w->a);
+  else {
+    const double *arg[] = {u, theta};
+    double *res[] = {w->a};
+    run(input_map, w, arg, res);
+  }
+  set_properties(w, external);
+  return w;
+}
+
+/* Effective actuation a under the commanded u. */
+void actuation(const double *u, const double *theta, double *a) {
+  double kernel_work[SZ_W + 1];
+  casadi_int kernel_iwork[SZ_IW + 1];
+  const double *arg[] = {u, theta};
+  double *res[] = {a};
+  input_map(arg, res, kernel_iwork, kernel_work, 0);
+}
+
+/* Equilibrium from the start x, levels 0 … NLEV, in place; `mapped`: u is the effective actuation.
+   observed: points in G, lengths. info: iterations, residual in N, energy in J. Returns a status. */
+int statics(double *x, const double *u, int mapped, const double *external, const double *theta, double tolerance, int most,
+            double *observed, double *info) {
+  work *w = prepare(u, mapped, external, theta);
+  if (!w) return STALLED;
+  int status = EXHAUSTED, iteration;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  for (iteration = 0; iteration <= most; iteration++) {
+    double here = assemble(w, 0), far = residual(w), slope = 0, t = 1;
+    info[1] = far; info[2] = here;
+    int indefinite = factor_safely(w), found = 0;
+    if (far < tolerance) { status = indefinite ? UNSTABLE : SOLVED; break; }
+    if (!(far < 1e300)) { status = STALLED; break; }
+    newton_step(w);
+    if (!indefinite && far < FAR) {
+      for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->x[l][i] += w->step[l][i];
+      gradient(w);
+      info[1] = residual(w);
+      if (info[1] < tolerance) { status = SOLVED; iteration++; break; } /* stable: so was the factor less than FAR away */
+      continue;
+    }
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) slope += w->force[l][i] * w->step[l][i];
+    for (int halving = 0; halving < 40; halving++) {
+      move(w, t);
+      double there = energy(w, w->trial);
+      if (there <= here + 1e-4 * t * slope + NOISE * (1 + fabs(here))) { found = 1; break; }
+      double shorter = -slope * t * t / 2 / (there - here - slope * t);
+      t = shorter > 0.1 * t ? (shorter < 0.5 * t ? shorter : 0.5 * t) : 0.1 * t;
+    }
+    if (!found) { status = STALLED; break; }
+    memcpy(w->x, w->trial, sizeof w->x);
+  }
+  info[0] = iteration > most ? most : iteration;
+  memcpy(x, w->x, sizeof w->x);
+  const double *arg[] = {x, theta};
+  double *res[] = {observed, observed + NPOINT};
+  run(observe, w, arg, res);
+  free(w);
+  return status;
+}
+
+/* `sensitivity` for up to ROWS rows, with the factor at hand; `shift`, unless null, takes each row's gradient by the gradient
+   of the energy, (rows, NLEV + 1, NB): how the sum moves where the network is not in equilibrium. */
+static void adjoint(work *w, const double *u, int mapped, const double *external, int rows, const double *weights, double *by_u,
+                    double *by_external, double *by_theta, double *shift) {
+  double sum[ROWS][NTHETA] = {{0}}, by_level_0[ROWS][NB] = {{0}}, spare[ROWS][NTHETA], by_x[NLEV + 1][NB];
+  double by_P[ROWS][NLEV][NPROP], kernel_P[ROWS][NPROP], pair[ROWS][2][NB];
+  vector step[NLEV + 2][NB] = {{{0}}};
+  for (int row = 0; row < rows; row++) {
+    const double *weight = weights + row * (NPOINT + NLEN), *arg[] = {w->x[0], w->theta, weight, weight + NPOINT};
+    double *res[] = {by_x[0], sum[row]};
+    run(observe_adjoint, w, arg, res);
+    memcpy(by_level_0[row], by_x[0], sizeof by_x[0]);
+    for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) step[l][i][row] = -by_x[l][i];
+  }
+  solve(w, step);
+  for (int row = 0; row < rows; row++)
+    for (int c = 0; c < NB; c++) for (int r = 0; r < NB; r++) by_level_0[row][c] += w->panel[0][c][NB + r] * step[1][r][row];
+  memset(step[0], 0, sizeof step[0]);
+  if (shift)
+    for (int row = 0; row < rows; row++) for (int l = 0; l <= NLEV; l++) for (int i = 0; i < NB; i++) *shift++ = step[l][i][row];
+  int count = by_theta ? NPROP : NDRIVEN;
+  for (int s = 0; s < NLEV; s++) {
+    for (int row = 0; row < ROWS; row++) for (int i = 0; i < NB; i++) { pair[row][0][i] = step[s][i][row]; pair[row][1][i] = step[s + 1][i][row]; }
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta, pair[0][0]};
+    double *res[] = {kernel_P[0], spare[0]};
+    if (by_theta) run(segment_theta_adjoint, w, arg, res);
+    else run(segment_adjoint, w, arg, res);
+    for (int row = 0; row < rows; row++) {
+      memcpy(by_P[row][0] + s * count, kernel_P[0] + row * count, count * sizeof(double));
+      if (by_theta) for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[row][k];
+    }
+  }
+  for (int row = 0; row < rows; row++) {
+    double by_a[NU], driven[NLEV][NDRIVEN];
+    if (by_theta) {
+      const double *arg[] = {w->a, external, w->theta, by_P[row][0], by_level_0[row]};
+      double *res[] = {by_theta + row * NTHETA};
+      run(properties_theta_adjoint, w, arg, res);
+      for (int s = 0; s < NLEV; s++) for (int k = 0; k < NDRIVEN; k++) driven[s][k] = by_P[row][s][DRIVEN[k]];
+    } else memcpy(driven, by_P[row], sizeof driven);
+    const double *arg[] = {w->a, external, w->theta, driven[0]};
+    double *res[] = {by_a, by_external + row * NEXT};
+    run(properties_adjoint, w, arg, res);
+    const double *arg_map[] = {u, w->theta, by_a};
+    double *res_map[] = {by_u + row * NU, spare[0]};
+    if (mapped) memcpy(by_u + row * NU, by_a, sizeof by_a);
+    else {
+      run(input_map_adjoint, w, arg_map, res_map);
+      for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[0][k];
+    }
+    if (by_theta) for (int k = 0; k < NTHETA; k++) by_theta[row * NTHETA + k] += sum[row][k];
+  }
+}
+
+/* Gradients of `rows` weighted sums of the observations (points in G, then lengths) at an equilibrium x, with respect to
+   u (the effective actuation if `mapped`), external forces and, unless by_theta is null, parameters. Returns a status. */
+int sensitivity(const double *x, const double *u, int mapped, const double *external, const double *theta, int rows,
+                const double *weights, double *by_u, double *by_external, double *by_theta) {
+  work *w = prepare(u, mapped, external, theta);
+  if (!w) return STALLED;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  assemble(w, 0);
+  if (factor(w)) { free(w); return INDEFINITE; }
+  for (int row = 0; row < rows; row += ROWS)
+    adjoint(w, u, mapped, external, rows - row < ROWS ? rows - row : ROWS, weights + row * (NPOINT + NLEN), by_u + row * NU,
+            by_external + row * NEXT, by_theta ? by_theta + row * NTHETA : 0, 0);
+  free(w);
+  return SOLVED;
+}
+
+/* The matrix of the free levels in the panels in lower banded storage, column by column: (NLEV * NB, 2 * NB). */
+static void store_band(work *w, double *band) {
+  for (int l = 1; l <= NLEV; l++)
+    for (int c = 0; c < NB; c++) for (int r = 0; r < 2 * NB; r++) *band++ = c + r < 2 * NB ? w->panel[l][c][c + r] : 0;
+}
+
+/* Stiffness and damping matrices of the free levels at x in lower banded storage; `mapped`: u is the effective actuation.
+   Returns a status. */
+int matrices(const double *x, const double *u, int mapped, const double *external, const double *theta, double *stiffness,
+             double *damping) {
+  work *w = prepare(u, mapped, external, theta);
+  if (!w) return STALLED;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  assemble(w, 0);
+  store_band(w, stiffness);
+  for (int s = 0; s < NLEV; s++) {
+    const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], theta};
+    double *res[] = {w->first, w->second};
+    run(segment_damping, w, arg, res);
+    place(w, s);
+  }
+  store_band(w, damping);
+  free(w);
+  return SOLVED;
+}
+
+/* Solve the square system of n equations, matrix[row][column] row by row, in place of the right-hand side b. Returns 1 if singular. */
+static int solve_dense(int n, double *matrix, double *b) {
+  for (int k = 0; k < n; k++) {
+    int pivot = k;
+    for (int r = k + 1; r < n; r++) if (fabs(matrix[r * n + k]) > fabs(matrix[pivot * n + k])) pivot = r;
+    if (!(fabs(matrix[pivot * n + k]) > 0)) return 1;
+    for (int c = 0; c < n; c++) { double t = matrix[k * n + c]; matrix[k * n + c] = matrix[pivot * n + c]; matrix[pivot * n + c] = t; }
+    double t = b[k]; b[k] = b[pivot]; b[pivot] = t;
+    for (int r = k + 1; r < n; r++) {
+      double scale = matrix[r * n + k] / matrix[k * n + k];
+      for (int c = k; c < n; c++) matrix[r * n + c] -= scale * matrix[k * n + c];
+      b[r] -= scale * b[k];
+    }
+  }
+  for (int k = n - 1; k >= 0; k--) {
+    for (int c = k + 1; c < n; c++) b[k] -= matrix[k * n + c] * b[c];
+    b[k] /= matrix[k * n + k];
+  }
+  return 0;
+}
+
+/* Effective pressures a[0 … NU/2) and levels x, in place, at which NU/2 weighted sums of the observations have their targets in
+   equilibrium: Newton on both together. `largest` change of a pressure in a step; tolerances for observations and forces.
+   Meant for starts nearby; returns SOLVED, or another status and leaves the rest to a safeguarded method. */
+int inverse(double *x, double *a, const double *external, const double *theta, const double *weights, const double *targets,
+            double largest, double close, double tolerance, int most, double *info) {
+  enum { N = NU / 2, NOBS = NPOINT + NLEN };
+  work *w = prepare(a, 1, external, theta);
+  if (!w) return STALLED;
+  int status = EXHAUSTED, iteration;
+  memcpy(w->x, x, sizeof w->x);
+  memcpy(w->x[0], w->level_0, sizeof w->level_0);
+  for (iteration = 0; iteration < most; iteration++) {
+    double observed[NOBS], by_a[N][NU], by_external[ROWS * NEXT], shift[N][NLEV + 1][NB], matrix[N * N], change[N], step = 0, far = 0;
+    assemble(w, 0);
+    if (factor(w)) { status = INDEFINITE; break; }
+    const double *arg[] = {w->x[0], theta};
+    double *res[] = {observed, observed + NPOINT};
+    run(observe, w, arg, res);
+    for (int row = 0; row < N; row += ROWS)
+      adjoint(w, w->a, 1, external, N - row < ROWS ? N - row : ROWS, weights + row * NOBS, by_a[row], by_external, 0, shift[row][0]);
+    for (int row = 0; row < N; row++) {
+      double error = -targets[row], settling = 0;
+      for (int k = 0; k < NOBS; k++) error += weights[row * NOBS + k] * observed[k];
+      for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) settling += shift[row][l][i] * w->force[l][i];
+      for (int k = 0; k < N; k++) matrix[row * N + k] = by_a[row][k];
+      change[row] = -error - settling;
+      if (!(fabs(error) <= far)) far = fabs(error);
+    }
+    if (far < close && residual(w) < tolerance) { status = SOLVED; break; }
+    if (!(far < 1e3) || solve_dense(N, matrix, change)) { status = STALLED; break; }
+    for (int k = 0; k < N; k++) if (fabs(change[k]) > step) step = fabs(change[k]);
+    for (int k = 0; k < N; k++) w->a[k] += change[k] * (step > largest ? largest / step : 1);
+    set_properties(w, external);
+    gradient(w);
+    newton_step(w);
+    move(w, 1);
+    memcpy(w->x, w->trial, sizeof w->x);
+  }
+  memcpy(x, w->x, sizeof w->x);
+  memcpy(a, w->a, N * sizeof(double));
+  info[0] = iteration;
+  free(w);
+  return status;
+}

@@ -1,0 +1,314 @@
+"""The loops of statics.c in Python on CasADi's virtual machine: the reference for the C ones, and what runs without a compiler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import casadi as ca
+import numpy as np
+import scipy.linalg as sla
+
+from tepm_opt.models.network import ROWS, Network
+
+SOLVED, UNSTABLE, STALLED, EXHAUSTED, INDEFINITE = range(5)
+FAR = 1e-6  # N, residual below which plain Newton steps are taken
+NOISE = 1e-14  # relative rounding noise of the energy
+
+
+class Solution(NamedTuple):
+    """What `StaticsBackend.statics` returns: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
+    largest residual force in N, energy in J."""
+
+    status: int
+    x: np.ndarray
+    observed: np.ndarray
+    iterations: float
+    residual: float
+    energy: float
+
+
+class StaticsBackend(Protocol):
+    """What a backend offers; arrays are float64 and C-contiguous, levels x have the shape (n + 1, block)."""
+
+    def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Effective actuation a = [pressures, tensions] behind the effects' input maps."""
+        ...
+
+    def statics(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, most: int
+    ) -> Solution:
+        """Equilibrium from a start x under inputs u (the effective actuation if `mapped`) and external forces (3 · points,)."""
+        ...
+
+    def sensitivity(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+    ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Status and gradients by u, external forces and parameters, a row for each row of weights (rows, points · 3 + lengths)."""
+        ...
+
+    def matrices(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each."""
+        ...
+
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        largest: float, close: float, tolerance: float, most: int,
+    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """Status, levels, effective pressures (tensions are 0) and iterations at which weighted observations have their targets.
+
+        Newton on levels and pressures together from a start nearby: as many sums (rows of weights) as actuators, `largest` change of
+        a pressure in a step in Pa, `close` enough to the targets in m and `tolerance` of the forces in N, at `most` iterations.
+        """
+        ...
+
+
+def rotated(rotation: np.ndarray, vectors: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    """Vectors rotated by rotation vectors (all (…, 3)), after their linear changes less what the rotation accounts for."""
+    e = vectors + changes - np.cross(rotation, vectors)
+    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    once = np.cross(rotation, e)
+    s = np.sinc(angle / np.pi)
+    c = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    return e + s * once + c * np.cross(rotation, once)
+
+
+def move(x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Levels x (n + 1, block) moved by a step, each level as a rotation plus the rest, so that bending keeps lengths."""
+    nodes, changes = (array.reshape(len(x), -1, 3) for array in (x, step))
+    centres, d_centres = nodes.mean(axis=1), changes.mean(axis=1)
+    r, d = nodes - centres[:, None], changes - d_centres[:, None]
+    inertia = np.einsum("lik,lik->l", r, r)[:, None, None] * np.eye(3) - np.einsum("lip,liq->lpq", r, r)
+    turn = np.linalg.solve(inertia, np.cross(r, d).sum(axis=1)[..., None])[..., 0]
+    links = rotated((turn[1:] + turn[:-1]) / 2, np.diff(centres, axis=0), np.diff(d_centres, axis=0))
+    moved = np.concatenate([centres[:1], centres[:1] + np.cumsum(links, axis=0)])
+    return (moved[:, None] + rotated(turn[:, None], r, d)).reshape(x.shape)
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Energy, force (levels 1 … n) and stiffness of the free levels in lower banded storage, with its coupling to level 0."""
+
+    energy: float
+    force: np.ndarray
+    band: np.ndarray
+    base_coupling: np.ndarray
+
+
+def banded(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Lower banded storage (2 · block, n · block) from the segments' block columns (n, 2 · block, block) and (n, block, block)."""
+    count, block = len(first), first.shape[2]
+    band = np.zeros((2 * block, count * block))
+    diagonal = second.copy()
+    diagonal[:-1] += first[1:, :block]
+    for column in range(block):
+        at = slice(column, None, block)
+        band[: block - column, at] = diagonal[:, column:, column].T
+        band[block - column : 2 * block - column, column : (count - 1) * block : block] = first[1:, block:, column].T
+    return band
+
+
+class PythonStatics:
+    """Reference backend."""
+
+    def __init__(self, network: Network) -> None:
+        self.network = network
+
+    @cached_property
+    def _mapped(self) -> dict[str, ca.Function]:
+        n = self.network.layout.levels
+        names = [name for name in self.network.functions if name.startswith("segment_")]
+        return {name: self.network.functions[name].map(n) for name in names}
+
+    def _call(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
+        function = self._mapped.get(name) or self.network.functions[name]
+        results = function.call([ca.DM(np.asarray(argument).T if np.ndim(argument) == 2 else argument) for argument in arguments])
+        return [np.array(result) for result in results]
+
+    def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """See `StaticsBackend.actuation`."""
+        return self._call("input_map", u, theta)[0].ravel()
+
+    def prepare(self, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Effective actuation, properties (n, rows) and level 0 (block,)."""
+        a = u if mapped else self.actuation(u, theta)
+        columns, level_0 = self._call("properties", a, external.reshape(-1, 3), theta)
+        return a, np.ascontiguousarray(columns.T), level_0.ravel()
+
+    def energy(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray) -> float:
+        """Potential Π in J."""
+        return float(self._call("segment_energy", x[:-1], x[1:], P, self._repeat(theta))[0].sum())
+
+    def _repeat(self, theta: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(theta, (self.network.layout.levels, len(theta)))
+
+    def assemble(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray, convex: bool = False) -> Assembly:
+        """Energy, force and stiffness at x."""
+        n, block = self.network.layout.levels, self.network.layout.block
+        name = "segment_convex" if convex else "segment_stiffness"
+        energy, force, first, second = self._call(name, x[:-1], x[1:], P, self._repeat(theta))
+        first, second = first.reshape(2 * block, n, block).transpose(1, 0, 2), second.reshape(block, n, block).transpose(1, 0, 2)
+        total = force.T[:, block:].copy()
+        total[:-1] += force.T[1:, :block]
+        return Assembly(float(energy.sum()), total, banded(first, second), first[0, block:])
+
+    def damping(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Damping matrix of the free levels at x in lower banded storage."""
+        n, block = self.network.layout.levels, self.network.layout.block
+        first, second = self._call("segment_damping", x[:-1], x[1:], P, self._repeat(theta))
+        return banded(first.reshape(2 * block, n, block).transpose(1, 0, 2), second.reshape(block, n, block).transpose(1, 0, 2))
+
+    def _factor_safely(self, at: Assembly, x: np.ndarray, P: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, bool]:
+        try:
+            return sla.cholesky_banded(at.band, lower=True), False
+        except np.linalg.LinAlgError:
+            band, shift = self.assemble(x, P, theta, convex=True).band, 1e-6
+        while True:
+            try:
+                shifted = band.copy()
+                shifted[0] += shift
+                return sla.cholesky_banded(shifted, lower=True), True
+            except np.linalg.LinAlgError:
+                shift *= 100
+                if shift > 1e12:
+                    raise
+
+    def statics(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, most: int
+    ) -> Solution:
+        """See `StaticsBackend.statics`; the algorithm is described in docs/architecture.md."""
+        status, x, *info = self._newton(x, *self.prepare(u, mapped, external, theta)[1:], theta, tolerance, most)
+        return Solution(status, x, self.observe(x, theta), *info)
+
+    def observe(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Reference points in G and actuator lengths (3 · points + lengths,) of levels x."""
+        return np.concatenate([result.ravel() for result in self._call("observe", x.ravel(), theta)])
+
+    def edges(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Axial force (pulling positive) and length of every edge, (n, edges) each."""
+        force, length = self._call("segment_edges", x[:-1], x[1:], P, self._repeat(theta))
+        return force.T, length.T
+
+    def _newton(
+        self, x: np.ndarray, P: np.ndarray, level_0: np.ndarray, theta: np.ndarray, tolerance: float, most: int
+    ) -> tuple[int, np.ndarray, int, float, float]:
+        x = np.concatenate([level_0[None], x[1:]])
+        at = self.assemble(x, P, theta)
+        for iteration in range(most + 1):
+            far = float(np.abs(at.force).max())
+            if not far < 1e300:
+                return STALLED, x, iteration, far, at.energy
+            factor, indefinite = self._factor_safely(at, x, P, theta)
+            if far < tolerance:
+                return UNSTABLE if indefinite else SOLVED, x, iteration, far, at.energy
+            step = np.zeros_like(x)
+            step[1:] = sla.cho_solve_banded((factor, True), -at.force.ravel()).reshape(at.force.shape)
+            plain = not indefinite and far < FAR
+            moved = x + step if plain else self._search(x, step, at, P, theta)
+            if moved is None:
+                return STALLED, x, iteration, far, at.energy
+            x, at = moved, self.assemble(moved, P, theta)
+            far = float(np.abs(at.force).max())
+            if plain and far < tolerance:  # stable: so was the factor less than FAR away
+                return SOLVED, x, iteration + 1, far, at.energy
+        return EXHAUSTED, x, most, float(np.abs(at.force).max()), at.energy
+
+    def _search(self, x: np.ndarray, step: np.ndarray, at: Assembly, P: np.ndarray, theta: np.ndarray) -> np.ndarray | None:
+        """Rotation-aware line search on the energy (Armijo); None where no length of the step lowers it."""
+        slope, t = float(at.force.ravel() @ step[1:].ravel()), 1.0
+        for _ in range(40):
+            trial = move(x, t * step)
+            there = self.energy(trial, P, theta)
+            if there <= at.energy + 1e-4 * t * slope + NOISE * (1 + abs(at.energy)):
+                return trial
+            shorter = -slope * t * t / 2 / (there - at.energy - slope * t)
+            t = min(max(shorter, 0.1 * t), 0.5 * t) if shorter > 0 else 0.1 * t
+        return None
+
+    def sensitivity(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+    ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray | None]:
+        """See `StaticsBackend.sensitivity`: one factorisation, one adjoint solve a row."""
+        layout = self.network.layout
+        a, P, level_0 = self.prepare(u, mapped, external, theta)
+        x = np.concatenate([level_0[None], x[1:]])
+        at = self.assemble(x, P, theta)
+        shapes = (len(u), external.size, len(theta))
+        results = [np.zeros((len(weights), size)) for size in shapes]
+        try:
+            factor = sla.cholesky_banded(at.band, lower=True)
+        except np.linalg.LinAlgError:
+            return INDEFINITE, results[0], results[1], results[2] if by_theta else None
+        for row, weight in enumerate(weights):
+            by_x, direct = self._call("observe_adjoint", x.ravel(), theta, weight[: 3 * layout.points], weight[3 * layout.points :])
+            total = direct.ravel()
+            by_x = by_x.reshape(x.shape)
+            adjoint = np.zeros_like(x)
+            adjoint[1:] = -sla.cho_solve_banded((factor, True), by_x[1:].ravel()).reshape(by_x[1:].shape)
+            by_level_0 = by_x[0] + at.base_coupling.T @ adjoint[1]
+            pairs = np.concatenate([adjoint[:-1], adjoint[1:]], axis=1)
+            weights_of_row = np.zeros((len(pairs) * ROWS, pairs.shape[1]))  # the kernel takes ROWS weights; one is used
+            weights_of_row[::ROWS] = pairs
+            by_P, part = self._call("segment_theta_adjoint", x[:-1], x[1:], P, self._repeat(theta), weights_of_row)
+            by_P, total = by_P[:, ::ROWS], total + part[:, ::ROWS].sum(axis=1)
+            outer = (a, external.reshape(-1, 3), theta)
+            driven = by_P[list(self.network.driven)].T
+            by_a, by_external = (result.ravel(order="F") for result in self._call("properties_adjoint", *outer, driven))
+            if not mapped:
+                by_a, part = (result.ravel() for result in self._call("input_map_adjoint", u, theta, by_a))
+                total = total + part
+            if by_theta:
+                total = total + self._call("properties_theta_adjoint", *outer, by_P.T, by_level_0)[0].ravel()
+            results[0][row], results[1][row], results[2][row] = by_a, by_external, total
+        return SOLVED, results[0], results[1], results[2] if by_theta else None
+
+    def matrices(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `StaticsBackend.matrices`."""
+        _, P, level_0 = self.prepare(u, mapped, external, theta)
+        x = np.concatenate([level_0[None], x[1:]])
+        return self.assemble(x, P, theta).band, self.damping(x, P, theta)
+
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        largest: float, close: float, tolerance: float, most: int,
+    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """See `StaticsBackend.inverse`."""
+        layout, a = self.network.layout, np.concatenate([pressures, np.zeros(len(pressures))])
+        for iteration in range(most):
+            _, P, level_0 = self.prepare(a, True, external, theta)
+            x = np.concatenate([level_0[None], x[1:]])
+            at = self.assemble(x, P, theta)
+            try:
+                factor = sla.cholesky_banded(at.band, lower=True)
+            except np.linalg.LinAlgError:
+                return INDEFINITE, x, a[: len(pressures)], iteration
+            errors = weights @ self.observe(x, theta) - targets
+            _, by_a, _, _ = self.sensitivity(x, a, True, external, theta, weights, False)
+            if np.abs(errors).max() < close and np.abs(at.force).max() < tolerance:
+                return SOLVED, x, a[: len(pressures)], iteration
+            settled = np.zeros_like(x)
+            settled[1:] = sla.cho_solve_banded((factor, True), at.force.ravel()).reshape(at.force.shape)
+            settling = np.array([self._directional(x, theta, weight, settled) for weight in weights])
+            if not np.abs(errors).max() < 1e3:
+                return STALLED, x, a[: len(pressures)], iteration
+            try:
+                change = np.linalg.solve(by_a[:, : len(pressures)], settling - errors)
+            except np.linalg.LinAlgError:
+                return STALLED, x, a[: len(pressures)], iteration
+            a[: len(pressures)] += change * min(1.0, largest / np.abs(change).max())
+            force = self.assemble(x, self.prepare(a, True, external, theta)[1], theta).force
+            step = np.zeros((layout.levels + 1, layout.block))
+            step[1:] = -sla.cho_solve_banded((factor, True), force.ravel()).reshape(force.shape)
+            x = move(x, step)
+        return EXHAUSTED, x, a[: len(pressures)], most
+
+    def _directional(self, x: np.ndarray, theta: np.ndarray, weight: np.ndarray, direction: np.ndarray) -> float:
+        """Change of a weighted sum of the observations when the levels move in a direction."""
+        points = 3 * self.network.layout.points
+        by_x = self._call("observe_adjoint", x.ravel(), theta, weight[:points], weight[points:])[0]
+        return float(by_x.ravel() @ direction.ravel())

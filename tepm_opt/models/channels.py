@@ -1,0 +1,47 @@
+"""What data need to know about a robot, taken from its file; data sets read with the robot they name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.checks.dataset import check_folder
+from tepm_opt.data.checks.findings import Finding
+from tepm_opt.data.datasets import DataSet, read_dataset, read_description
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.robot import Robot, load_robot
+
+
+def channels_of(robot: Robot) -> Channels:
+    """Names and magnitudes of the quantities in a robot's data."""
+    layout = Layout.of(robot)
+    x, y, z = (float(value) for value in robot.mount.rotation[:, 2])
+    return Channels(
+        layout.actuator_names,
+        layout.point_names,
+        robot.actuation.pressure_max_Pa,
+        robot.actuation.tension_max_N,
+        robot.modules * robot.parameters.L_0,
+        robot.mount.base_position_m,
+        (x, y, z),
+    )
+
+
+def open_dataset(folder: str | Path) -> DataSet:
+    """A data set with the columns of the robot that it names.
+
+    Raises:
+        InputError: as for `read_dataset` and `load_robot`.
+    """
+    description = read_description(folder)
+    robot = Path(folder) / description.robot
+    return read_dataset(folder, channels_of(load_robot(robot if robot.is_file() else description.robot)))
+
+
+def check(folder: str | Path) -> list[Finding]:
+    """What is wrong or doubtful in a data set's folder, with the limits and the size of the robot it names.
+
+    Raises:
+        InputError: no folder, no `dataset.toml`, or one that is not TOML.
+    """
+    return check_folder(folder, lambda robot: channels_of(load_robot(robot)))

@@ -1,0 +1,179 @@
+"""The moving network written symbolically: damping, internal states of effects, inputs with memory (see `network` for rest).
+
+The equations of motion are M dv/dt = -force(x, v, y, P), summed over segments like everything else. Internal states y are local:
+those of the inputs follow from the inputs alone, those of an edge from its own motion, so both are eliminated on the spot and
+the matrices stay block tridiagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from tepm_opt.models.effects import Effect
+from tepm_opt.models.layout import VERTICAL, Layout
+from tepm_opt.models.model import Model
+from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """The CasADi functions of a moving model; arguments are dense column vectors, SI, base frame.
+
+    Attributes:
+        layout: geometry.
+        parameter_names: of theta.
+        functions: by name, see `write_dynamics`.
+        input_states, edge_states: numbers of internal states of the inputs, and of the edges of one segment.
+    """
+
+    layout: Layout
+    parameter_names: tuple[str, ...]
+    functions: Mapping[str, ca.Function]
+    input_states: int
+    edge_states: int
+
+
+def write_dynamics(model: Model) -> Dynamics:
+    """The CasADi functions of a moving model.
+
+    Functions (arguments → results); `…_by` are sparse Jacobians, results below each other by arguments beside each other:
+        delay(theta) → time by which commands are late;  delay_by (theta);
+        input_motion(u, du/dt, y, time, theta) → a, y: at the end of a time over which u arrived at its rate, with y as they were before;
+        input_motion_by (u, du/dt, y, theta);
+        properties(a, external, theta) → P, level 0;  properties_by (a, external, theta);
+        segment_motion(lower, upper, their velocities, y, step, P_j, theta) → force, dy/dt;
+        segment_tangent(…) → force, dy/dt, d force / d positions where the velocities are positions over `step`;
+        segment_by (lower, upper, their velocities, y, P_j, theta);
+        observe(x, theta) → points in G, lengths;  observe_by (x, theta).
+
+    A segment's y are those at the start of an implicit stage of length `step` and act as they are at its end; step 0 takes them as
+    they are.
+    """
+    writer = Writer(model)
+    theta = writer.theta
+    delay = sum((kind.delay(own) for kind, own, _ in writer.effects), start=ca.SX(0))
+    a, external, columns, level_0 = writer.properties()
+    x, points, lengths = writer.observe()
+    inputs, moving = _input_dynamics(writer), _segment_dynamics(writer)
+    functions = {
+        "delay": function("delay", [theta], [delay]),
+        "delay_by": _jacobian("delay_by", [theta], [delay], [theta]),
+        "properties": function("properties", [a, external, theta], [columns, level_0]),
+        "properties_by": _jacobian("properties_by", [a, external, theta], [columns, level_0], [a, external, theta]),
+        "observe": function("observe", [x, theta], [points, lengths]),
+        "observe_by": _jacobian("observe_by", [x, theta], [points, lengths], [x, theta]),
+        **inputs,
+        **moving,
+    }
+    states = inputs["input_motion"].numel_in(2), moving["segment_motion"].numel_in(4)
+    return Dynamics(writer.layout, writer.names, functions, *states)
+
+
+def _jacobian(name: str, arguments: list[ca.SX], results: list[ca.SX], by: list[ca.SX]) -> ca.Function:
+    """Sparse Jacobian of all results by some of the arguments."""
+    stacked = ca.vertcat(*(ca.vec(ca.densify(result)) for result in results))
+    return ca.Function(name, arguments, ca.cse([ca.jacobian(stacked, ca.vertcat(*(ca.vec(symbol) for symbol in by)))]))
+
+
+def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
+    half = writer.layout.inputs // 2
+    u, rate, time = ca.SX.sym("u", 2 * half), ca.SX.sym("rate", 2 * half), ca.SX.sym("time")
+    signal = [writer.actuators(u[:half]), writer.actuators(u[half:])]
+    speed = [writer.actuators(rate[:half]), writer.actuators(rate[half:])]
+    before: list[ca.SX] = []
+    after: list[ca.SX] = []
+    for kind, own, context in writer.effects:
+        signal, speed = _mapped(kind, own, context, signal, speed)
+        for which, remembers in enumerate((kind.pressure_memory, kind.tension_memory)):
+            if getattr(type(kind), remembers.__name__) is getattr(Effect, remembers.__name__):
+                continue
+            state = ca.SX.sym("y", half)
+            y = writer.actuators(state)
+            memory = remembers(signal[which], speed[which], y, own, context)
+            if memory is not None:
+                reached = memory.after(y, time)
+                signal[which], speed[which] = signal[which] + reached, speed[which] + (reached - y) / time
+                before.append(state)
+                after.append(ca.vec(reached.T))
+    a = ca.vertcat(*(ca.vec(part.T) for part in signal))
+    y, reached = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *after)
+    arguments = [u, rate, y, time, writer.theta]
+    return {
+        "input_motion": function("input_motion", arguments, [a, reached]),
+        "input_motion_by": _jacobian("input_motion_by", arguments, [a, reached], [u, rate, y, writer.theta]),
+    }
+
+
+def _mapped(
+    kind: Effect, own: Mapping[str, ca.SX], context: object, signal: list[ca.SX], speed: list[ca.SX]
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Signals and their rates behind an effect's input map."""
+    if type(kind).inputs is Effect.inputs:
+        return signal, speed
+    symbols = [ca.SX.sym("s", *part.shape) for part in signal]
+    mapped = ca.vertcat(*kind.inputs(*symbols, own, context))  # type: ignore[arg-type]
+    at, along = (ca.vertcat(*(ca.vec(part) for part in parts)) for parts in (symbols, speed))
+    results = ca.substitute(
+        [mapped, ca.reshape(ca.jtimes(ca.vec(mapped), at, along), *mapped.shape)], [at], [ca.vertcat(*(ca.vec(part) for part in signal))]
+    )
+    return ca.vertsplit(results[0], signal[0].shape[0]), ca.vertsplit(results[1], signal[0].shape[0])
+
+
+def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
+    layout, s, step = writer.layout, writer.segment(), ca.SX.sym("step")
+    block = layout.block
+    velocity = [ca.SX.sym("v_lower", block), ca.SX.sym("v_upper", block)]
+    force, tangent = ca.SX.zeros(2 * block), ca.SX.zeros(2 * block, 2 * block)
+    before: list[ca.SX] = []
+    rates: list[ca.SX] = []
+    for index, edge in enumerate(layout.edges):
+        span, speed = ca.SX.sym("span"), ca.SX.sym("speed")
+        pull, states, changes = _edge_pull(writer, s, index, span, speed, step)
+        stretched, dragged = ca.gradient(pull, span), ca.gradient(pull, speed)
+        a, b = s.ends(edge)
+        v_a, v_b = (velocity[level][3 * node : 3 * node + 3] for level, node in (edge.a, edge.b))
+        length = norm(b - a)
+        inverse = 1 / length
+        along = inverse * (b - a)
+        rate = ca.dot(along, v_b - v_a)
+        pull, stretched, dragged, *changes = ca.substitute([pull, stretched, dragged, *changes], [span, speed], [length, rate])
+        across = inverse * pull
+        turning = inverse * ((v_b - v_a) - rate * along)  # how the rate changes with the edge's direction
+        pull_apart(layout, edge, pull * along, force)
+        pair = along @ ((stretched + dragged / step - across) * along + dragged * turning).T + across * ca.SX.eye(3)
+        spread(layout, edge, pair, tangent)
+        before += states
+        rates += changes
+    if layout.guided:
+        off, rail, rub = writer.rails(s.upper)
+        force[block:] += rail * off + rub * velocity[1]
+        tangent[block:, block:] += ca.diag(rail + rub / step)
+    force[block:] -= ca.repmat(s.column[writer.rows["load"]], layout.actuators, 1)
+    y, change = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *rates)
+    arguments = [s.lower, s.upper, *velocity, y, step, s.column, writer.theta]
+    by = [s.lower, s.upper, *velocity, y, s.column, writer.theta]
+    return {
+        "segment_motion": function("segment_motion", arguments, [force, change]),
+        "segment_tangent": function("segment_tangent", arguments, [force, change, tangent]),
+        "segment_by": _jacobian("segment_by", arguments, [force, change], by),
+    }
+
+
+def _edge_pull(writer: Writer, s: Segment, index: int, span: ca.SX, speed: ca.SX, step: ca.SX) -> tuple[ca.SX, list[ca.SX], list[ca.SX]]:
+    """What pulls an edge's ends together, its internal states before a stage and their rates at its end."""
+    edge = writer.layout.edges[index]
+    own = {name: s.column[writer.rows[name]][index] for name in ("stiffness", "damping", "rest")}
+    if edge.kind == VERTICAL:
+        own["axial"] = s.column[writer.rows["axial"]][index]
+    pull = writer.edge_law(index, edge, s.column)(span)[1] + own["damping"] * speed
+    states, rates = [], []
+    for kind, parameters, context in writer.effects:
+        memory = kind.edge_memory(edge, span, speed, own, parameters, context)
+        if memory is not None:
+            states.append(ca.SX.sym("y"))
+            rates.append(memory.rate(states[-1], step))
+            pull += states[-1] + step * rates[-1]
+    return pull, states, rates

@@ -1,0 +1,308 @@
+"""Plans: the fastest, or the gentlest, motion from rest to rest that the actuators can make, as set points.
+
+A plan moves through configurations of equal curvature (`plan_family`), chosen by a nonlinear program (`plan_program`). Its set points
+come from the configurations themselves: exact equilibria, the forces of inertia and damping, pressures on the regulators' grid ahead of
+their lag, and tensions that take what the pressures leave. Because the robot never leaves the planned motion, none of it sways at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.errors import InputError
+from tepm_opt.models.compile import CompiledModel, finite_array
+from tepm_opt.solvers.allocation import ActuationMode
+from tepm_opt.solvers.kinematics import Configuration, each_configuration
+from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.planning.family import FamilyError, FamilyFit, axial, make_family
+from tepm_opt.solvers.planning.program import Box, Limits, Obstacle, PlannedMotion, PlanTask, Route, Sphere, distance, solve
+from tepm_opt.solvers.planning.result import MotionPlan, Objective, Outcome
+from tepm_opt.solvers.planning.setpoints import commands, left_over, tensions
+from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.trajectories import Trajectory
+
+__all__ = ["Box", "MotionPlan", "Objective", "Obstacle", "Outcome", "PlanSettings", "Sphere", "plan_move", "plan_path"]
+
+EXACT = FamilyFit()
+INTERVAL = 0.02  # m of a long way to each interval of the splines, up to twice their number
+SMOOTHER = np.array([1.0, 10.0, 100.0])  # times the smoothness, until the full network is still enough
+INSIDE = 0.02  # N by which the program may leave the limits of the forces, which set points on the grid do not
+ROUTE_POINTS = 121  # inverse kinematics along a path, between which it is a spline
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """Settings of a plan.
+
+    Attributes:
+        filling_time, exhausting_time: of the regulators' first-order lag, s.
+        slew: largest rate of a tension, N/s.
+        mid_tension: tension at rest at both ends, N; the middle of the range where absent.
+        tension_reserve, slew_reserve: what the program leaves to the regulators' grid, N and N/s.
+        stability: smallest stiffness eigenvalue, N/m; not looked at where absent.
+        clearance: of the reference points from obstacles, m.
+        frequency_doubt: part by which the sway's frequencies may differ from the model's; 0 trusts it.
+        sway: sway that this may leave, m.
+        spacing: longest time between set points, s.
+        intervals: of the splines over time, at least.
+        iterations: most of IPOPT's.
+        smoothness: weight of the effort in the fastest plan, s per N²/s.
+        left_over: sway in the full network above which the fastest plan is made anew, smoother, m.
+        fit: of the family of configurations.
+    """
+
+    filling_time: float = 0.12
+    exhausting_time: float = 0.24
+    slew: float = 10.0
+    mid_tension: float | None = None
+    tension_reserve: float = 0.15
+    slew_reserve: float = 2.0
+    stability: float | None = None
+    clearance: float = 0.002
+    frequency_doubt: float = 0.0
+    sway: float = 5e-4
+    spacing: float = 0.02
+    intervals: int = 20
+    iterations: int = 300
+    smoothness: float = 3e-5
+    left_over: float = 8e-4
+    fit: FamilyFit = EXACT
+
+
+DEFAULT = PlanSettings()
+
+
+def plan_move(
+    model: CompiledModel, start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray, objective: Objective = Objective.TIME,
+    duration: float | None = None, obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT,
+    progress: Progress = lambda stage: None,
+) -> MotionPlan:  # fmt: skip
+    """From rest with the tip at `start` to rest with the tip at `end`, by any way.
+
+    Args:
+        model: compiled model; its lags and delays are left to the settings.
+        start, end: tips in G, (3,) in m.
+        objective: fastest, or least effort.
+        duration: in s, for the least effort.
+        obstacles: that no reference point may enter.
+        settings: limits and accuracy.
+        progress: called with what is being done.
+
+    Raises:
+        InputError: arguments that are not finite or do not fit together.
+    """
+    targets = np.array([finite_array(start, (3,), "start"), finite_array(end, (3,), "end")])
+    if np.linalg.norm(targets[1] - targets[0]) < 1e-6:
+        raise InputError(f"end {targets[1].tolist()}: is the start; valid: another place")
+    return _plan(model, targets, None, objective, duration, tuple(obstacles), settings, progress)
+
+
+def plan_path(
+    model: CompiledModel, trajectory: Trajectory, objective: Objective = Objective.TIME, duration: float | None = None,
+    obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT, progress: Progress = lambda stage: None,
+) -> MotionPlan:  # fmt: skip
+    """Along a trajectory's path from rest to rest, at speeds of its own; see `plan_move` for the other arguments.
+
+    The path is the quintic spline through the trajectory's points; its times do not count.
+
+    Raises:
+        InputError: fewer than 6 points, points that repeat, or as for `plan_move`.
+    """
+    points = np.vstack([trajectory.positions, trajectory.positions[:1]]) if trajectory.closed else trajectory.positions
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if len(points) < 6 or not np.isfinite(points).all() or chords.min() < 1e-6:
+        raise InputError(f"trajectory: {len(points)} points; valid: at least 6 finite ones, each but a closing one other than the last")
+    along = np.concatenate([[0.0], np.cumsum(chords)]) / chords.sum()
+    if trajectory.closed:  # smooth where it closes
+        wrapped = np.concatenate([along[-6:-1] - 1, along, along[1:6] + 1]), np.vstack([points[-6:-1], points, points[1:6]])
+        curve = make_interp_spline(*wrapped, k=5)
+    else:
+        curve = make_interp_spline(along, points, k=5)
+    parts = np.linspace(0.0, 1.0, ROUTE_POINTS)
+    return _plan(model, curve(parts), parts, objective, duration, tuple(obstacles), settings, progress)
+
+
+def _check(model: CompiledModel, objective: Objective, duration: float | None, settings: PlanSettings) -> float:
+    """The tension at rest.
+
+    Raises:
+        InputError: see `plan_move`.
+    """
+    if model.layout.actuators != 3:
+        raise InputError(f"robot {model.robot.name!r}: {model.layout.actuators} actuators a module; valid for a plan: 3")
+    if (duration is None) != (objective is Objective.TIME):
+        raise InputError(f"duration: {duration}; valid: seconds for objective 'effort', none for 'time'")
+    if duration is not None and not 0.05 <= duration <= 600:
+        raise InputError(f"duration: {duration:g} s; valid: 0.05 … 600 s")
+    if not 0 <= settings.frequency_doubt <= 0.5:
+        raise InputError(f"frequency_doubt: {settings.frequency_doubt:g}; valid: 0 … 0.5")
+    if settings.stability is not None and not np.isfinite(settings.stability):
+        raise InputError(f"stability: {settings.stability:g} N/m; valid: a number")
+    highest = float(model.input_max[model.layout.inputs // 2 :].min())
+    mid = highest / 2 if settings.mid_tension is None else settings.mid_tension
+    if not 2 * settings.tension_reserve <= mid <= highest - 2 * settings.tension_reserve:
+        low, high = 2 * settings.tension_reserve, highest - 2 * settings.tension_reserve
+        raise InputError(f"mid_tension: {mid:g} N; valid: {low:g} … {high:g} N")
+    return mid
+
+
+def _plan(
+    model: CompiledModel, targets: np.ndarray, parts: np.ndarray | None, objective: Objective, duration: float | None,
+    obstacles: tuple[Obstacle, ...], settings: PlanSettings, progress: Progress,
+) -> MotionPlan:  # fmt: skip
+    """A plan between two targets or, with parts, along many."""
+    mid, layout = _check(model, objective, duration, settings), model.layout
+
+    def none(outcome: Outcome, message: str) -> MotionPlan:
+        rows = SetPoints(np.zeros(0), np.zeros((0, layout.inputs)), np.zeros((0, 3)))
+        points = np.zeros((0, layout.points, 3))
+        return MotionPlan(model, objective, outcome, message, rows.time, points[:, 0], points, np.zeros((0, layout.inputs // 2)), rows)
+
+    progress("inverse kinematics")
+    configurations = []
+    for found in each_configuration(model, targets, ActuationMode.HYBRID, None, mid):
+        if not found.solved:
+            return none(Outcome.OUT_OF_REACH, f"({', '.join(f'{v:g}' for v in found.target)}): {found.message}")
+        configurations.append(found)
+    ends = configurations[0], configurations[-1]
+    for name, checked in (("start", ends[:1]), ("end", ends[1:])) if parts is None else (("path", configurations),):
+        for found in checked:
+            if why := _blocked(found.equilibrium, obstacles, settings):
+                return none(Outcome.BLOCKED, f"{name}: {why}")
+    progress("configurations about the task")
+    lengths = np.array([found.equilibrium.lengths[0] for found in configurations])
+    try:
+        family = make_family(model, lengths, configurations[len(configurations) // 2].equilibrium, settings.fit)
+    except FamilyError as error:
+        return none(Outcome.FAILED, f"the configurations about the task are not all stable: {error}")
+    y, area, half = family.within(lengths), model.values["A"], layout.inputs // 2
+    air = area * ends[0].allocation.inputs[:half], area * ends[1].allocation.inputs[:half]
+    sway = np.array([np.sqrt(modal_model(at, modes=2).stiffness) for at in (ends[0].equilibrium, family.middle, ends[1].equilibrium)])
+    limits = _limits(model, ends, settings, (float(sway.min()), float(sway.max())))
+    route = None if parts is None else Route(parts, y)
+    way = float(np.linalg.norm(np.diff(targets, axis=0), axis=1).sum())
+    intervals = int(np.clip(way / INTERVAL, settings.intervals, 2 * settings.intervals))
+    task = PlanTask(family, (y[0], y[-1]), air, limits, obstacles, route, duration, intervals, settings.iterations, settings.smoothness)
+    progress("nonlinear program")
+    iterations, seconds, plan = 0, 0.0, none(Outcome.FAILED, "")
+    for smoothness in settings.smoothness * SMOOTHER if duration is None else (settings.smoothness,):
+        motion, tries = _solved(replace(task, smoothness=float(smoothness)))
+        iterations, seconds = iterations + sum(one.iterations for one in tries), seconds + sum(one.seconds for one in tries)
+        if not motion.solved:
+            if plan.solved:
+                break
+            return none(Outcome.FAILED, _why(task, motion))
+        progress("set points and simulation")
+        try:
+            plan = _played(task, motion, ends, settings, objective)
+        except FamilyError as error:
+            return none(Outcome.FAILED, f"on the way: {error}")
+        if plan.solved and plan.left_over <= settings.left_over:
+            break
+    if not plan.solved:
+        return none(plan.outcome, plan.message)
+    lowest, highest = float(sway.min()) / (2 * np.pi), float(sway.max()) / (2 * np.pi)
+    return replace(plan, sway_frequencies=(lowest, highest), iterations=iterations, seconds=seconds)
+
+
+def _solved(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
+    """The first motion found, from several guesses where there are obstacles to pass, and all tries."""
+    tries = [solve(task)]
+    for bulge in _bulges(*task.ends) if task.obstacles and task.route is None else ():
+        if tries[-1].solved:
+            break
+        tries.append(solve(task, bulge))
+    return tries[-1], tries
+
+
+def _why(task: PlanTask, motion: PlannedMotion) -> str:
+    """Words for a program without a solution."""
+    ended = f"{motion.status} after {motion.iterations} iterations of IPOPT"
+    if task.duration is None:
+        return f"no motion keeps the limits, margin and obstacles ({ended})"
+    fastest = solve(replace(task, duration=None))
+    hint = f"; the fastest plan takes {fastest.duration:.2f} s" if fastest.solved else ", nor does one of any duration"
+    return f"no motion of {task.duration:g} s keeps the limits, margin and obstacles ({ended}){hint}"
+
+
+def _blocked(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSettings) -> str:
+    """What is wrong with a configuration on the way: too little stability, a point in an obstacle; empty where nothing is."""
+    if settings.stability is not None and (found := at.smallest_eigenvalue) < settings.stability:
+        return f"its smallest stiffness eigenvalue is {found:.4f} N/m; valid: at least the margin of {settings.stability:g} N/m"
+    for number, obstacle in enumerate(obstacles, start=1):
+        outside = distance(obstacle)
+        for name, point in zip(at.model.layout.point_names, at.points, strict=True):
+            if (away := float(outside(point))) < settings.clearance:
+                where = f"{1e3 * abs(away):.1f} mm {'from' if away >= 0 else 'inside'} obstacle {number}"
+                return f"{name} is {where}; valid: at least {1e3 * settings.clearance:g} mm away"
+    return ""
+
+
+def _limits(model: CompiledModel, ends: tuple[Configuration, Configuration], settings: PlanSettings, sway: tuple[float, float]) -> Limits:
+    """Limits of the program; those of the forces leave both ends inside, or it had no interior."""
+    half, doubt, highest = model.layout.inputs // 2, settings.frequency_doubt, model.input_max
+    held = np.array([found.allocation.inputs[half:] for found in ends])
+    frequencies = np.linspace(sway[0] * (1 - doubt), sway[1] * (1 + doubt), 3) if doubt else ()
+    return Limits(
+        air=(-INSIDE, float(model.values["A"] * highest[:half].min()) + INSIDE),
+        tension=(
+            float(min(settings.tension_reserve, held.min() - INSIDE)),
+            float(max(highest[half:].min() - settings.tension_reserve, held.max() + INSIDE)),
+        ),
+        slew=settings.slew - settings.slew_reserve,
+        lags=(settings.filling_time, settings.exhausting_time),
+        stability=settings.stability, clearance=settings.clearance, sway=settings.sway,
+        frequencies=tuple(float(value) for value in frequencies), doubt=doubt,
+    )  # fmt: skip
+
+
+def _bulges(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+    """First guesses to four sides of the straight one."""
+    across = np.linalg.svd((end - start)[None])[2][1:]
+    return [sign * 0.5 * side for side in across for sign in (1.0, -1.0)]
+
+
+def _played(
+    task: PlanTask, motion: PlannedMotion, ends: tuple[Configuration, Configuration], settings: PlanSettings, objective: Objective
+) -> MotionPlan:
+    """The plan at its rows: exact equilibria, forces and set points that make them."""
+    family, model, layout = task.family, task.family.model, task.family.model.layout
+    half, area = layout.inputs // 2, model.values["A"]
+    rows = int(np.ceil(motion.duration / settings.spacing - 1e-9)) + 1
+    part = np.linspace(0.0, 1.0, rows)
+    time, (y, v, a) = motion.duration * part, motion.lengths(part)
+    at = [ends[0].equilibrium, *(family.exact(row) for row in y[1:-1]), ends[1].equilibrium]
+    points, held = np.array([found.points for found in at]), np.array([axial(found) for found in at])
+    errors = [
+        float(np.abs(np.array([np.asarray(function(row)).ravel() for row in y]) - exact.reshape(rows, -1)).max())
+        for function, exact in ((family.points, points), (family.forces, held))
+    ]
+    forces = held + np.array([np.asarray(family.moving(*row) - family.forces(row[0])).ravel() for row in zip(y, v, a, strict=True)])
+    wanted, rate = motion.air(part) / area, motion.air(part, 1) / area / motion.duration
+    lags = settings.filling_time, settings.exhausting_time
+    ahead = wanted + np.where(rate > 0, *lags) * rate
+    effort = ((np.diff(area * ahead, axis=0) ** 2).sum() + (np.diff(area * wanted - forces, axis=0) ** 2).sum()) / time[1]
+    inputs = np.zeros((rows, layout.inputs))
+    inputs[:, :half], muscle = commands(model, ahead, wanted, time, lags)
+    inputs[:, half:] = [tensions(model, pressures, needed) for pressures, needed in zip(muscle, forces, strict=True)]
+    inputs[0], inputs[-1] = ends[0].allocation.inputs, ends[1].allocation.inputs
+    message, wind = "", inputs[:, half:]
+    wound = np.abs(np.diff(wind, axis=0)).max() / time[1]
+    if wound > settings.slew or wind.min() < -3 * INSIDE or (wind > model.input_max[half:] + 3 * INSIDE).any():
+        message = (
+            f"the tensions leave their limits ({wind.min():.2f} … {wind.max():.2f} N, up to {wound:.1f} N/s): "
+            "the reserves of the settings are too small"
+        )
+    outcome = Outcome.FAILED if message else Outcome.SOLVED
+    setpoints = SetPoints(time, np.clip(inputs, 0.0, model.input_max), np.zeros((rows, 3)))
+    muscle[-1] = wanted[-1]
+    left = left_over(model, time, muscle, wind, points[-1, -1])
+    margin = min(found.smallest_eigenvalue for found in at)
+    return MotionPlan(model, objective, outcome, message, time, points[:, -1], points, forces, setpoints, margin, float(effort),
+                left_over=left, surrogate_error=(errors[0], errors[1]))  # fmt: skip

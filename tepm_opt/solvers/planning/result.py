@@ -1,0 +1,117 @@
+"""What planning comes to: the motion, its set points, its numbers, its files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tepm_opt.data.setpoints import SetPoints, write_setpoints
+from tepm_opt.data.tables import write_table
+from tepm_opt.models.compile import CompiledModel
+
+
+class Objective(StrEnum):
+    """What a plan makes as small as can be."""
+
+    TIME = "time"
+    EFFORT = "effort"
+    """Integral of the squared rates of all set points, pressures as p A, in N²/s; in a given duration."""
+
+
+class Outcome(Enum):
+    """How planning ended."""
+
+    SOLVED = "solved"
+    OUT_OF_REACH = "out of reach"
+    BLOCKED = "blocked"
+    FAILED = "no plan found"
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPlan:
+    """A motion from rest to rest, at the rows of its set points; without rows where there is none.
+
+    Attributes:
+        model: of which.
+        objective: what was made small.
+        outcome, message: how planning ended; the message explains every outcome but SOLVED.
+        time: (n,) in s.
+        tips: (n, 3) in m in G.
+        points: reference points by exact equilibria, (n, points, 3) in m in G.
+        forces: axial forces F, inertia and damping included, (n, modules · 3) in N.
+        setpoints: what the rig plays.
+        margin: smallest stiffness eigenvalue on the way, N/m.
+        effort: see `Objective`, N²/s.
+        sway_frequencies: of the arm at both ends and on the way, lowest and highest, Hz.
+        left_over: largest distance of the tip from rest in the 5 s after the end, in a simulation of the full network, m.
+        surrogate_error: of the reference points and forces of the polynomials against the exact ones along the way, m and N.
+        iterations, seconds: of IPOPT, all attempts together.
+    """
+
+    model: CompiledModel
+    objective: Objective
+    outcome: Outcome
+    message: str
+    time: np.ndarray
+    tips: np.ndarray
+    points: np.ndarray
+    forces: np.ndarray
+    setpoints: SetPoints
+    margin: float = 0.0
+    effort: float = 0.0
+    sway_frequencies: tuple[float, float] = (0.0, 0.0)
+    left_over: float = 0.0
+    surrogate_error: tuple[float, float] = (0.0, 0.0)
+    iterations: int = 0
+    seconds: float = 0.0
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a plan."""
+        return self.outcome is Outcome.SOLVED
+
+    @property
+    def duration(self) -> float:
+        """In s; 0 without a plan."""
+        return float(self.time[-1]) if len(self.time) else 0.0
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of the plan."""
+        found: dict[str, Any] = {"robot": self.model.robot.name, "objective": self.objective.value, "outcome": self.outcome.value}
+        found |= {"message": self.message or None, "rows": len(self.time), "iterations": self.iterations, "seconds": round(self.seconds, 3)}
+        if not len(self.time):
+            return found
+        half, inputs = self.model.layout.inputs // 2, self.setpoints.inputs
+        speeds = np.linalg.norm(np.gradient(self.tips, self.time, axis=0), axis=1)
+        return found | {
+            "duration_s": self.duration,
+            "path_length_m": float(np.linalg.norm(np.diff(self.tips, axis=0), axis=1).sum()),
+            "largest_speed_m_per_s": float(speeds.max()),
+            "largest_pressure_Pa": float(inputs[:, :half].max()),
+            "tensions_N": [float(inputs[:, half:].min()), float(inputs[:, half:].max())],
+            "largest_tension_rate_N_per_s": float((np.abs(np.diff(inputs[:, half:], axis=0)).max(axis=1) / np.diff(self.time)).max()),
+            "smallest_stiffness_eigenvalue_N_per_m": self.margin,
+            "effort_N2_per_s": self.effort,
+            "sway_frequencies_Hz": list(self.sway_frequencies),
+            "left_over_m": self.left_over,
+            "surrogate_error_m": self.surrogate_error[0],
+            "surrogate_error_N": self.surrogate_error[1],
+        }
+
+    def save(self, folder: str | Path) -> None:
+        """Write inputs.csv (set points) and reference.csv (tip over time, for `read_trajectory`); earlier ones go where there is no plan.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        inputs, reference = Path(folder) / "inputs.csv", Path(folder) / "reference.csv"
+        if not self.solved:
+            inputs.unlink(missing_ok=True)
+            reference.unlink(missing_ok=True)
+            return
+        write_setpoints(inputs, self.setpoints, self.model.layout.actuator_names)
+        write_table(reference, ["time_s", "x_m", "y_m", "z_m"], np.column_stack([self.time, self.tips]))

@@ -1,0 +1,250 @@
+"""The closed loop's ends: on rigs that do one thing wrong, each is noticed and the rig is stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from collections.abc import Callable
+from dataclasses import replace
+from types import TracebackType
+
+import numpy as np
+import pytest
+
+from tepm_opt.control.controllers import CONTROLLERS, LengthFollower, controller_named
+from tepm_opt.control.loop import Guard, LoopEnd, LoopRecord, close_loop
+from tepm_opt.control.mpc import Mpc
+from tepm_opt.control.reference import Reference
+from tepm_opt.errors import InputError
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.robot import load_robot
+
+ROBOT = load_robot("kang2017")
+GUARD = Guard(glide=0.5, rest=0.4)
+CLOSED = 0.9  # s after which the loop is closed
+
+
+class Fake:
+    """A rig that is where the reference has the robot, until something is done to its samples.
+
+    Attributes:
+        commands: given.
+        stopped: how often.
+    """
+
+    def __init__(self, reference: Reference, change: Callable[[float, Sample], Sample] = lambda _, sample: sample) -> None:
+        self.reference, self.change, self.now = reference, change, -1
+        self.commands: list[Command] = []
+        self.stopped = 0
+
+    def read(self) -> Sample:
+        """Ten milliseconds on."""
+        self.now += 1
+        row = int(self.reference.at(self.now - round(CLOSED / 0.01)))
+        sample = Sample(0.01 * self.now, self.reference.equilibria[row].points.copy(), np.zeros(6), np.zeros(6))
+        return self.change(0.01 * self.now - CLOSED, sample)
+
+    def apply(self, command: Command) -> None:
+        """Keep it."""
+        self.commands.append(command)
+
+    def stop(self) -> None:
+        """Count it."""
+        self.stopped += 1
+
+    def __enter__(self) -> Fake:
+        """Itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Stop."""
+        self.stop()
+
+
+class Still:
+    """A controller that always wants the same."""
+
+    def __init__(self, reference: Reference) -> None:
+        self.reference = reference
+
+    def start(self) -> Command:
+        """Half of everything, one motor off."""
+        return Command(np.full(6, 2e5), np.full(6, 3.0), np.arange(6) > 0)
+
+    def command(self, sample: Sample) -> Command:
+        """Likewise."""
+        return self.start()
+
+
+def blind(now: float, sample: Sample) -> Sample:
+    """No points from 1 s on."""
+    return replace(sample, points=np.full((4, 3), np.nan)) if now > 1.0 else sample
+
+
+def astray(now: float, sample: Sample) -> Sample:
+    """All points half a metre off from 1 s on."""
+    return replace(sample, points=sample.points + 0.5 * (now > 1.0))
+
+
+def strained(now: float, sample: Sample) -> Sample:
+    """A tension beyond its limit from 1 s on."""
+    tensions = np.zeros(6)
+    tensions[4] = 7.5 if now > 1.0 else 7.3
+    return replace(sample, tensions=tensions)
+
+
+def over(now: float, sample: Sample) -> Sample:
+    """The recording ends after 1 s."""
+    if now > 1.0:
+        raise EOFError("no more samples")
+    return sample
+
+
+def interrupted(now: float, sample: Sample) -> Sample:
+    """Ctrl-C after 1 s."""
+    if now > 1.0:
+        raise KeyboardInterrupt
+    return sample
+
+
+def broken(now: float, sample: Sample) -> Sample:
+    """The line is cut after 1 s."""
+    if now > 1.0:
+        raise OSError("the cable is out")
+    return sample
+
+
+def test_reference_is_followed_to_its_end(short):
+    """Every period once, after a glide to the start from nothing; in the end slowly back to nothing, and the rig is stopped."""
+    rig = Fake(short)
+    done = close_loop(rig, Still(short), ROBOT, GUARD)
+    assert done.end is LoopEnd.DONE
+    assert done.rows == list(range(len(short)))
+    assert done.time[-1] == pytest.approx(short.duration)
+    assert done.error(False) == pytest.approx(0.0, abs=1e-9)
+    assert np.isnan(done.error())
+    assert done.counted.sum() == 100
+    glide = np.array([command.pressures[0] for command in rig.commands[:80]])
+    assert glide[0] == 0
+    assert (np.diff(glide) >= 0).all()
+    assert np.diff(glide).max() < 2e5 * 1.875 * 0.01 / 0.5 * 1.01
+    assert glide[-1] == pytest.approx(2e5)
+    assert all(command.tensions[0] == 0 for command in rig.commands[:80])  # of a motor that is off
+    back = np.array([command.pressures[0] for command in rig.commands[-50:]])
+    assert (np.diff(back) <= 0).all()
+    assert np.diff(back).min() > -2e5 * 1.875 * 0.01 / 0.5 * 1.01
+    assert back[-1] < 0.01 * back[0]
+    assert rig.stopped == 1
+
+
+def test_rig_that_rests_at_the_start_is_not_taken_there(short):
+    """Without a glide the first command is the start, and the first sample closes the loop."""
+    rig = Fake(short)
+    rig.now = round(CLOSED / 0.01) - 1
+    done = close_loop(rig, Still(short), ROBOT, replace(GUARD, glide=0.0))
+    assert done.end is LoopEnd.DONE
+    assert done.rows == list(range(len(short)))
+    assert (rig.commands[0].pressures == 2e5).all()
+    assert len(rig.commands) == 1 + len(short)
+    assert rig.stopped == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "end", "at", "says"),
+    [
+        (blind, LoopEnd.BLIND, 2.0, "no tracked point for 1 s"),
+        (astray, LoopEnd.DISAGREED, 1.5, "more than 200 mm off"),
+        (strained, LoopEnd.LIMIT, 1.0, "tension_22"),
+        (over, LoopEnd.OVER, 1.0, "no more samples"),
+        (interrupted, LoopEnd.INTERRUPTED, 1.0, "by the user"),
+    ],
+)
+def test_ends(short, change, end, at, says):
+    """Each with its reason, in time, with what was done until then and the rig stopped."""
+    rig = Fake(short, change)
+    done = close_loop(rig, Still(short), ROBOT, GUARD)
+    assert done.end is end
+    assert says in done.message
+    assert done.time[-1] == pytest.approx(at, abs=0.03)
+    assert rig.stopped == 1
+
+
+@pytest.mark.parametrize("change", [broken, lambda now, sample: replace(sample, points=sample.points[:3])])
+def test_rig_is_stopped_whatever_is_raised(short, change):
+    """And what was done until then is kept."""
+    rig, kept = Fake(short, change), LoopRecord(short)
+    with pytest.raises((OSError, InputError)):
+        close_loop(rig, Still(short), ROBOT, GUARD, keep=kept)
+    assert rig.stopped == 1
+    assert len(kept.rows) == (101 if change is broken else 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda now, sample: replace(sample, points=sample.points + np.array([0.1, 0, 0])), "miss the model's by 100 mm"),
+        (lambda now, sample: replace(sample, points=np.full((4, 3), np.nan)), "sees nothing"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Mean of empty slice")
+def test_start_that_disagrees_is_refused(short, change, says):
+    """Before the loop is closed: nothing but the glide was sent."""
+    rig, kept = Fake(short, change), LoopRecord(short)
+    with pytest.raises(InputError, match=says):
+        close_loop(rig, Still(short), ROBOT, GUARD, keep=kept)
+    assert not kept.rows
+    assert rig.stopped == 1
+
+
+def test_short_trouble_is_no_reason_to_stop(short):
+    """Half a second without points, a third off by half a metre, one point lost for good."""
+
+    def change(now: float, sample: Sample) -> Sample:
+        points = sample.points + 0.5 * (2.0 < now < 2.3)
+        points[1] = np.nan
+        return replace(sample, points=np.full((4, 3), np.nan) if 1.0 < now < 1.5 else points)
+
+    assert close_loop(Fake(short, change), Still(short), ROBOT, GUARD).end is LoopEnd.DONE
+
+
+def test_faster_rig_gets_a_command_a_period(short):
+    """Two frames a period: every row is there once all the same; a slower rig leaves rows out."""
+    for factor, rows in ((0.5, list(range(450))), (2.0, list(range(0, 450, 2)))):
+        rig = Fake(short, lambda now, sample, factor=factor: replace(sample, time=factor * sample.time))
+        assert close_loop(rig, Still(short), ROBOT, replace(GUARD, far=np.inf)).rows == rows
+
+
+def test_measured_inputs_look_and_progress(short):
+    """Rows of measured inputs where both are measured, and everybody who wants to see is told."""
+    told, seen = [], []
+    rig = Fake(short)
+    done = close_loop(rig, Still(short), ROBOT, GUARD, lambda *what: told.append(what), lambda sample, target: seen.append(target))
+    assert np.array(done.measured).shape == (450, 12)
+    assert {stage for stage, _, _ in told} == {"to the start", "tracking", "back to zero"}
+    np.testing.assert_array_equal(seen, short.tips)
+    without = close_loop(Fake(short, lambda _, sample: replace(sample, tensions=None)), Still(short), ROBOT, GUARD)
+    assert np.isnan(without.measured).all()
+
+
+def test_controllers_by_name(kang, short):
+    """The three of them, and nothing else."""
+    kinds = [type(controller_named(name, kang, short)) for name in CONTROLLERS]
+    assert kinds == [Mpc, LengthFollower, LengthFollower]
+    with pytest.raises(InputError, match="mode3"):
+        controller_named("mode3", kang, short)
+
+
+@pytest.mark.parametrize("change", [lambda time, sample: sample, lambda time, sample: 1 / (time < 0.1) and sample])
+def test_nothing_is_collected_while_the_loop_is_closed(short, change):
+    """Python's collector pauses; it is on again afterwards, whatever is raised."""
+    seen = []
+
+    def noted(time: float, sample: Sample) -> Sample:
+        seen.append(gc.isenabled())
+        return change(time, sample)
+
+    with contextlib.suppress(ZeroDivisionError):
+        close_loop(Fake(short, noted), Still(short), ROBOT, GUARD)
+    assert len(seen) > 50
+    assert not any(seen)
+    assert gc.isenabled()

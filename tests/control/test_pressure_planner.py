@@ -1,0 +1,171 @@
+"""Coarse pressures, and what a controller knows of the devices between commands and forces."""
+
+import numpy as np
+import pytest
+
+from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
+from tepm_opt.control.friction import course, turned
+from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.compile import compile_model
+from tepm_opt.models.model import Model
+
+NOMINAL = Model.of("kang2017")
+AREA, STEP, STAGE = 50.27e-6, 4500.0, 0.02
+DEVICES = Devices(filling=0.12, exhausting=0.24, tension_rate=10.0, delay=0.005)
+LIMITS = np.full(6, 0.5e6)
+
+
+def planner(**settings) -> PressurePlanner:
+    """For the usual devices."""
+    return PressurePlanner(DEVICES, LIMITS, STEP, STAGE, PressurePlannerSettings(**settings))
+
+
+def test_pressures_stay_on_the_grid_and_within_the_limits():
+    """Whatever is needed, also far beyond what the muscles can do."""
+    random, coarse = np.random.default_rng(4), planner()
+    command, pressure = np.zeros(6), np.zeros(6)
+    for _ in range(200):
+        command, reached = coarse.plan(8e5 * random.normal(size=(29, 6)), command, pressure, 15)
+        pressure = reached[0]
+        assert command / STEP == pytest.approx(np.round(command / STEP), abs=1e-9)
+        assert ((command >= 0) & (command <= 0.5e6)).all()
+        assert ((reached >= 0) & (reached <= 0.5e6)).all()
+    assert coarse.plan(np.full((29, 6), 2e7), command, pressure, 15)[0] == pytest.approx(111 * STEP)
+
+
+@pytest.mark.parametrize(("steps", "moves"), [(0.4, False), (2.9, False), (3.1, True), (-2.9, False), (-3.1, True)])
+def test_pressure_moves_only_when_it_is_worth_a_move(steps, moves):
+    """By whole steps, to the nearest to what is needed; less than `worth` steps off is left alone."""
+    command = np.full(6, 20 * STEP)
+    new, _ = planner(worth=3.0).plan(np.full((29, 6), (20 + steps) * STEP), command, command, 15)
+    assert new == pytest.approx((20 + round(steps)) * STEP if moves else command)
+
+
+def test_continuous_pressures_move_freely():
+    """Without the grid to what is needed, to the Pa."""
+    new, _ = planner(on_grid=False).plan(np.full((29, 6), 12345.6), np.zeros(6), np.zeros(6), 15)
+    assert new == pytest.approx(12345.6)
+
+
+@pytest.mark.parametrize("slope", [2e5, -2e5])
+def test_pressure_leads_its_lag(slope):
+    """Along a ramp, up or down, the pressure in the muscle is where it is needed; a command that is only what is needed lags behind."""
+    coarse, start = planner(worth=0.5, window=3), 2.5e5 - 0.5 * slope
+    lagging = np.full(6, start)
+    pressure, command, off, without = np.full(6, start), np.full(6, start), [], []
+    for k in range(50):
+        time = STAGE * (k + np.arange(29))
+        need = np.repeat((start + slope * time)[:, None], 6, axis=1)
+        command, _ = coarse.plan(need, command, pressure, 15)
+        pressure, lagging = DEVICES.lag(pressure, command, STAGE), DEVICES.lag(lagging, need[0], STAGE)
+        off.append(np.abs(pressure - need[1]).max())
+        without.append(np.abs(lagging - need[1]).max())
+    assert max(off[25:]) < 1.5 * STEP
+    assert min(without[25:]) > 4 * STEP
+
+
+def test_reached_pressures_are_what_the_lag_makes_of_the_commands():
+    """When nothing changes any more: exponentially to the new command, faster up than down."""
+    need = np.tile(np.array([3e5, 1e5, 2e5, 2e5, 2e5, 2e5]), (29, 1))
+    new, reached = planner().plan(need, np.full(6, 2e5), np.full(6, 2e5), 15)
+    passed = STAGE * np.arange(1, 16)
+    assert reached[:, 0] == pytest.approx(new[0] + (2e5 - new[0]) * np.exp(-passed / 0.12))
+    assert reached[:, 1] == pytest.approx(new[1] + (2e5 - new[1]) * np.exp(-passed / 0.24))
+
+
+def test_devices_of_the_robot_file_and_of_a_model_with_a_lag_of_its_own():
+    """A lag or delay that was identified goes before what the robot file says."""
+    assert Devices.of(compile_model(NOMINAL, backend="python")) == DEVICES
+    known = NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.3).with_effect("time_delay", delay=0.02)
+    assert Devices.of(compile_model(known, backend="python")) == Devices(0.05, 0.3, 10.0, 0.02)
+
+
+def test_actuators_lag_and_slew():
+    """Pressures exponentially, tensions at the motors' rate; F_a at the start and the end; a look ahead changes nothing."""
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 2.0))))
+    actuators.command = Command.of(np.append(np.full(6, 2e5), np.full(6, 2.05)))
+    ahead = actuators.copy()
+    before, after = ahead.advance(0.01)
+    assert before == pytest.approx(AREA * 1e5 - 2.0)
+    assert ahead.pressure == pytest.approx(2e5 - 1e5 * np.exp(-0.01 / 0.12))
+    assert ahead.tension == pytest.approx(2.05)
+    assert after == pytest.approx(AREA * ahead.pressure - 2.05)
+    assert actuators.pressure == pytest.approx(1e5)
+    actuators.command.tensions[:] = 7.0
+    actuators.advance(0.01)
+    assert actuators.tension == pytest.approx(2.1)
+    actuators.command.enabled[0] = False
+    actuators.advance(0.01)
+    assert actuators.tension == pytest.approx([0.0, *[2.2] * 5])
+
+
+def test_measurements_correct_where_there_are_any():
+    """Half-way; NaN and what is not measured change nothing."""
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 2.0))))
+    actuators.correct(Sample(0.0, np.zeros((4, 3)), pressures=np.array([2e5, np.nan, 1e5, 1e5, 1e5, 0.0])))
+    assert actuators.pressure == pytest.approx([1.5e5, 1e5, 1e5, 1e5, 1e5, 0.5e5])
+    assert actuators.tension == pytest.approx(2.0)
+
+
+def test_commands_on_their_way():
+    """What is in force in an interval, before, between and after commands; what was forgotten does not change that."""
+    sent = Sent(np.array([0.0]))
+    sent.add(0.10, np.array([1.0]))
+    sent.add(0.20, np.array([2.0]))
+
+    def force() -> list[float]:
+        return [float(sent.between(time, time + 0.01)[0]) for time in (0.15, 0.19, 0.20, 0.90)]
+
+    assert sent.between(0.0, 0.01) == 0.0
+    assert force() == [1.0, 1.0, 2.0, 2.0]
+    sent.forget(0.15)
+    assert force() == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_no_effects_no_extra_forces(kang):
+    """Of the nominal model, and of one whose only effects are the devices'."""
+    inputs = np.append(np.full(6, 2e5), np.full(6, 3.0))
+    lagging = compile_model(NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.3), backend="python")
+    for model in (kang, lagging):
+        effects = InputEffects(model, inputs)
+        actuators = Actuators(DEVICES, AREA, Command.of(inputs))
+        actuators.pressure = np.full(6, 3e5)
+        effects.advance(actuators, 0.01)
+        assert effects.forces == pytest.approx(np.zeros(6), abs=1e-9)
+
+
+def test_weaker_muscle_lacks_its_share():
+    """A tenth of muscle 13's p A, from the start and after a change."""
+    model = compile_model(NOMINAL.with_effect("actuator_gain", "13", loss=0.1), backend="python")
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 2e5), np.full(6, 3.0))))
+    effects = InputEffects(model, np.concatenate([actuators.pressure, actuators.tension]))
+    assert effects.forces == pytest.approx([0, 0, -0.1 * AREA * 2e5, 0, 0, 0])
+    actuators.pressure = np.full(6, 3e5)
+    effects.advance(actuators, 0.01)
+    assert effects.forces == pytest.approx([0, 0, -0.1 * AREA * 3e5, 0, 0, 0])
+
+
+def test_hysteresis_trails_by_its_width():
+    """After a long way up the force lacks A · width, after the way back it has as much too much."""
+    width = 8e3
+    model = compile_model(NOMINAL.with_effect("pressure_hysteresis", width=width, distance=1e4), backend="python")
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 3.0))))
+    effects = InputEffects(model, np.concatenate([actuators.pressure, actuators.tension]))
+    assert effects.forces == pytest.approx(np.zeros(6))
+    for change, sign in ((1e3, -1), (-1e3, 1)):
+        for _ in range(100):
+            actuators.pressure = actuators.pressure + change
+            effects.advance(actuators, 0.01)
+        assert effects.forces == pytest.approx(sign * AREA * width, rel=1e-3)
+
+
+def test_friction_turns_over_within_its_distance():
+    """1 − 2 exp(−x / distance) after a reversal, however the way is cut into pieces; at rest it stays."""
+    one = turned(np.array([-1.0]), np.array([1e-3]), 5e-4)
+    assert one == pytest.approx(1 - 2 * np.exp(-2))
+    pieces = course(np.array([-1.0]), np.full((10, 1), 1e-4), 5e-4)
+    assert pieces[-1] == pytest.approx(one)
+    assert pieces[4] == pytest.approx(turned(np.array([-1.0]), np.array([5e-4]), 5e-4))
+    assert turned(np.array([0.3]), np.zeros(1), 5e-4) == 0.3
+    assert course(np.array([0.3]), np.zeros((3, 1)), 5e-4)[-1] == pytest.approx(0.3)
