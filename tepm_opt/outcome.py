@@ -1,0 +1,55 @@
+"""How solvers, fits, plans and loops end: one vocabulary for all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Ending(StrEnum):
+    """How a piece of work ended; the values stand in summaries and logs."""
+
+    SOLVED = "solved"
+    DONE = "done"
+    INTERRUPTED = "interrupted"
+    NOT_CONVERGED = "not converged"
+    FAILED = "failed"
+    # equilibria
+    UNSTABLE = "unstable"
+    COLLAPSED = "collapsed"
+    NO_INPUTS = "no inputs"
+    # inverse kinematics and plans
+    OUT_OF_REACH = "out of reach"
+    BLOCKED = "blocked"
+    NO_PLAN = "no plan found"
+    # quadratic programs
+    INFEASIBLE = "infeasible"
+    ITERATION_LIMIT = "iteration limit"
+    NOT_FINITE = "not finite"
+    NOT_CONVEX = "not convex"
+    # closed loops
+    BLIND = "the tracker saw nothing"
+    DISAGREED = "the rig and the reference disagree"
+    LIMIT = "a measured tension or pressure is beyond its limit"
+    OVER = "the rig has no more samples"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a piece of work ended, and why.
+
+    Attributes:
+        ending: the kind of end.
+        message: the explanation with its numbers, for people; empty where there is nothing to explain.
+    """
+
+    ending: Ending = Ending.SOLVED
+    message: str = ""
+
+    @property
+    def solved(self) -> bool:
+        """Whether it came to its proper end."""
+        return self.ending in (Ending.SOLVED, Ending.DONE)
+
+    def __str__(self) -> str:
+        return f"{self.ending}: {self.message}" if self.message else str(self.ending)
