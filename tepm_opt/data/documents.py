@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from types import UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from tepm_opt.errors import InputError, unknown_name
 
 Checked = TypeVar("Checked", bound=BaseModel)
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, description="a number")]
+Vector = Annotated[tuple[Number, Number, Number], Field(description="three numbers")]
 
 
 class Section(BaseModel):
@@ -27,21 +31,39 @@ def between(low: float, high: float, unit: str) -> Any:
     return Field(ge=low, le=high, allow_inf_nan=False, strict=True, description=f"{low:g} … {high:g} {unit}".rstrip())
 
 
+def read_text(path: Path) -> str:
+    """The text of a file that a person names; a byte order mark is left out.
+
+    Raises:
+        InputError: it cannot be read, or is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not a text file (UTF-8)") from error
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """A TOML document from its text; `where` names the file in errors.
+
+    Raises:
+        InputError: no TOML, with line and column.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: not valid TOML: {error}") from error
+
+
 def read_toml(path: str | Path) -> dict[str, Any]:
     """A TOML document.
 
     Raises:
         InputError: unreadable file; no TOML, with line and column.
     """
-    path = Path(path)
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not a text file (UTF-8)") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    return parse_toml(read_text(Path(path)), str(path))
 
 
 def toml_string(text: str) -> str:
@@ -53,12 +75,14 @@ def validated(model: type[Checked], content: Mapping[str, Any], where: str) -> C
     """`content` checked by a pydantic model; `where` names the file in errors.
 
     Raises:
-        InputError: the first fault in one line with file, key, value and what is valid.
+        InputError: one fault in one line with file, key, value and what is valid.
     """
     try:
         return model.model_validate(content)
     except ValidationError as failure:
-        raise InputError(f"{where}: {explain(model, failure)[0]}") from failure
+        # a key nobody knows explains a missing one better than the other way round
+        error = min(failure.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
+        raise InputError(f"{where}: {_explain(model, error)}") from failure
 
 
 def explain(model: type[BaseModel], failure: ValidationError) -> list[str]:
@@ -67,31 +91,83 @@ def explain(model: type[BaseModel], failure: ValidationError) -> list[str]:
 
 
 def _explain(model: type[BaseModel], error: Any) -> str:
-    location = error["loc"]
-    prefix, key = _place(location[:-1]), str(location[-1]) if location else ""
-    kind, section = error["type"], _section(model, location[:-1])
-    if kind == "extra_forbidden" and section is not None:
-        return str(unknown_name("key", key, section.model_fields, prefix))
-    field = section.model_fields.get(key) if section is not None else None
-    if kind == "literal_error" and field is not None:
-        return str(unknown_name(key, str(error["input"]), _literals(field.annotation), prefix))
-    description = None if field is None else field.description or _described(field.annotation)
-    valid = f"; valid: {description}" if description else ""
+    place = _Place.of(model, error["loc"])
+    kind, value, message = error["type"], error["input"], error["msg"].lower().replace(" after validation", "")
+    valid = f"; valid: {place.valid}" if place.valid else ""
     if kind == "value_error":
-        message = error["msg"].removeprefix("Value error, ")
-        return ": ".join(part for part in (_place(location), message) if part)
-    start = f"{prefix}: " if prefix else ""
+        found = f"{place.text} = {value!r}" if place.is_value else place.text
+        return ": ".join(part for part in (found, error["msg"].removeprefix("Value error, ")) if part)
+    if kind == "missing" and isinstance(place.key, int):  # of a list of fixed length
+        return f"{place.around} = {list(value)!r}: too few values{valid}"
+    if kind == "extra_forbidden" and place.section is not None:
+        return str(unknown_name("key", str(place.key), place.section.model_fields, place.around))
+    if kind == "literal_error" and (names := _literals(place.annotation)):
+        return str(unknown_name(str(place.key), str(value), names, place.around))
+    start = f"{place.around}: " if place.around else ""
     if kind == "missing":
-        return f"{start}missing key {key!r}{valid}"
-    if isinstance(location[-1] if location else key, int):
-        return f"{_place(location)} = {error['input']!r}: {error['msg'].lower()}"
-    return f"{start}{key} = {error['input']!r}: {error['msg'].lower()}{valid}"
+        return f"{start}missing key {place.key!r}{valid}"
+    return f"{place.text} = {value!r}: {message}{valid}"
 
 
-def _place(location: Sequence[int | str]) -> str:
+@dataclass(frozen=True)
+class _Place:
+    """Where in a document a fault is.
+
+    Attributes:
+        named: keys and indices that lead there.
+        section: the table that holds the key; None where it is in none.
+        annotation: type of what belongs there; None where unknown.
+        valid: description of what belongs there, or of the list or table it is in.
+    """
+
+    named: tuple[int | str, ...]
+    section: type[BaseModel] | None
+    annotation: Any
+    valid: str | None
+
+    @staticmethod
+    def of(model: type[BaseModel], location: Sequence[int | str]) -> _Place:
+        """Follow pydantic's location through tables, lists and alternatives, whose own names are left out."""
+        at, section, valid, named = model, None, None, []
+        for part in location:
+            at, section = _without_none(at), None
+            if isinstance(part, str) and get_origin(at) in (Union, UnionType):
+                at = None  # the name of an alternative, which is none of the document's
+                continue
+            named.append(part)
+            if isinstance(at, type) and issubclass(at, BaseModel):
+                section, field = at, at.model_fields.get(str(part))
+                at, valid = (None, None) if field is None else (field.annotation, field.description or _described(field.annotation))
+            else:
+                at = _within(at, part)
+                valid = valid or _described(at)
+        return _Place(tuple(named), section, _without_none(at), valid)
+
+    @property
+    def key(self) -> int | str:
+        """The last key or index."""
+        return self.named[-1] if self.named else ""
+
+    @property
+    def is_value(self) -> bool:
+        """Whether a value belongs there, not a table."""
+        return not (isinstance(self.annotation, type) and issubclass(self.annotation, BaseModel))
+
+    @property
+    def around(self) -> str:
+        """What the last key or index is in."""
+        return _words(self.named[:-1])
+
+    @property
+    def text(self) -> str:
+        """The place in words."""
+        return _words(self.named)
+
+
+def _words(named: Sequence[int | str]) -> str:
     """`("runs", 1, "role")` as "runs entry 2: role"."""
     parts: list[str] = []
-    for part in location:
+    for part in named:
         if isinstance(part, int):
             parts[-1:] = [f"{parts[-1] if parts else ''} entry {part + 1}".strip()]
         else:
@@ -99,16 +175,22 @@ def _place(location: Sequence[int | str]) -> str:
     return ": ".join(parts)
 
 
-def _section(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
-    """The pydantic model at a place within another."""
-    section: Any = model
-    for part in location:
-        if isinstance(part, str):
-            field = getattr(section, "model_fields", {}).get(part)
-            section = None if field is None else field.annotation
-        else:
-            section = next(iter(get_args(section)), None)
-    return section if isinstance(section, type) and issubclass(section, BaseModel) else None
+def _without_none(annotation: Any) -> Any:
+    """`X` of `Annotated[X, …]` and of `X | None`."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    kinds = [kind for kind in get_args(annotation) if kind is not type(None)]
+    optional = get_origin(annotation) in (Union, UnionType) and len(kinds) == 1
+    return _without_none(kinds[0]) if optional else annotation
+
+
+def _within(annotation: Any, part: int | str) -> Any:
+    """Type of an entry of a list or a table; None where unknown."""
+    kinds = get_args(annotation)
+    if isinstance(part, str):
+        return kinds[1] if get_origin(annotation) is dict else None
+    fixed = get_origin(annotation) is tuple and Ellipsis not in kinds
+    return kinds[part] if fixed and part < len(kinds) else next(iter(kinds), None)
 
 
 def _literals(annotation: Any) -> list[str]:
@@ -120,7 +202,7 @@ def _literals(annotation: Any) -> list[str]:
 def _described(annotation: Any) -> str | None:
     """The description within an annotation such as `Annotated[float, Field(description=…)] | None`."""
     for inner in get_args(annotation):
-        found = getattr(inner, "description", None) or _described(inner)
-        if isinstance(found, str):
+        found = inner.description if isinstance(inner, FieldInfo) else _described(inner)
+        if found:
             return found
     return None

@@ -13,11 +13,12 @@ from zlib import crc32
 import numpy as np
 
 from tepm_opt.data.datasets import DESCRIPTION, Description, RunEntry, read_description, write_description
+from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder, remove_leftovers, write_atomically
 from tepm_opt.data.journal import mend_journal
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig
-from tepm_opt.models.robot import builtin_robots, read_text
+from tepm_opt.models.robot import builtin_robots
 from tepm_opt.recording.drive import Show, Virtual, silent
 from tepm_opt.recording.measure import UNFINISHED, journal_path, measure
 from tepm_opt.recording.plan import RecordingPlan

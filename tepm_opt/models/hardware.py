@@ -19,7 +19,7 @@ def each_between(low: float, high: float, unit: str) -> AfterValidator:
 
     def check(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
         if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
-            raise ValueError(f"{value}; valid: {low:g} … {high:g} {unit}, one number or one for each actuator")
+            raise ValueError(f"outside its range; valid: {low:g} … {high:g} {unit}, one number or one for each actuator")
         return value
 
     return AfterValidator(check)

@@ -7,15 +7,16 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from tepm_opt.data.documents import Section, read_toml, toml_string, validated
 from tepm_opt.data.files import write_atomically
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.effects import ActiveEffect, find_effect
 from tepm_opt.models.layout import Layout
-from tepm_opt.models.robot import UNITS, Parameters, Robot, builtin_robots, load_robot, parse_toml, read_text, validated
+from tepm_opt.models.robot import UNITS, Parameters, Robot, builtin_robots, load_robot
 
 
 @dataclass(frozen=True)
@@ -116,16 +117,18 @@ def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -
             raise InputError(f"{where}: effect {label(effect)} stands twice; valid: once, with all its parameters")
 
 
-class _EffectTable(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+class _EffectTable(Section):
+    """An effect in a model file."""
+
     name: str
     detail: str | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
 
 
-class _ModelFile(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    robot: str
+class _ModelFile(Section):
+    """The content of a model file."""
+
+    robot: Annotated[str, Field(description="a built-in robot or the path of a robot file")]
     parameters: dict[str, Any] = Field(default_factory=dict)
     effects: list[_EffectTable] = Field(default_factory=list)
 
@@ -138,7 +141,7 @@ def read_model(path: str | Path) -> Model:
     """
     path = Path(path)
     where = str(path)
-    table = validated(_ModelFile, parse_toml(read_text(path), where), where)
+    table = validated(_ModelFile, read_toml(path), where)
     source = table.robot if table.robot in builtin_robots() else str(path.parent / table.robot)
     robot = load_robot(source, where)
     check_parameters(robot, table.parameters, where)
@@ -157,15 +160,11 @@ def write_model(model: Model, path: str | Path) -> None:
     if load_robot(model.source) != model.robot:
         raise InputError(f"{path}: the model's robot differs from {model.source!r}; save the robot as a file and set `source` to it")
     source = model.source if model.source in builtin_robots() else os.path.relpath(model.source, path.parent or ".")
-    lines = [f"robot = {_toml(source)}"]
+    lines = [f"robot = {toml_string(source)}"]
     if model.parameters:
         lines += ["", "[parameters]", *(f"{name} = {float(value)!r}  # {UNITS[name]}" for name, value in model.parameters.items())]
     for effect in model.effects:
-        lines += ["", "[[effects]]", f"name = {_toml(effect.name)}"]
-        lines += [f"detail = {_toml(effect.detail)}"] if effect.detail else []
+        lines += ["", "[[effects]]", f"name = {toml_string(effect.name)}"]
+        lines += [f"detail = {toml_string(effect.detail)}"] if effect.detail else []
         lines += [f"parameters = {{{', '.join(f'{name} = {float(value)!r}' for name, value in effect.parameters.items())}}}"]
     write_atomically(path, "\n".join(lines) + "\n")
-
-
-def _toml(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -2,36 +2,20 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
+from tepm_opt.data.documents import Section, Vector, between, parse_toml, read_text, validated
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.hardware import Hardware
 
 SUFFIX = ".toml"
-Checked = TypeVar("Checked", bound=BaseModel)
-
-
-def within(low: float, high: float, unit: str) -> Any:
-    """Range that a value in this unit can sensibly have, so that a wrong unit is caught."""
-    return Field(ge=low, le=high, allow_inf_nan=False, strict=True, description=f"{low:g} … {high:g} {unit}")
-
-
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Vector = Annotated[tuple[Number, Number, Number], Field(description="three numbers")]
-
-
-class Section(BaseModel):
-    """A table of the robot file: frozen, unknown keys refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Geometry(Section):
@@ -40,7 +24,7 @@ class Geometry(Section):
     modules: Annotated[int, Field(strict=True, ge=1, le=20, description="1 … 20")]
     segments_per_module: Annotated[int, Field(strict=True, ge=1, le=100, description="1 … 100")]
     actuator_angles_deg: Annotated[
-        tuple[Annotated[float, within(-360, 360, "deg")], ...], Field(min_length=3, max_length=12, description="3 … 12 angles")
+        tuple[Annotated[float, between(-360, 360, "deg")], ...], Field(min_length=3, max_length=12, description="3 … 12 angles")
     ]
     bracing: Literal["crossed", "single"]
     guide: Annotated[bool, Field(strict=True, description="true where the plates slide on straight rails along the base axis")] = False
@@ -59,16 +43,16 @@ class Geometry(Section):
 class Parameters(Section):
     """The physical parameters, all symbolic in the network; symbols are the paper's."""
 
-    L_0: Annotated[float, within(1e-3, 10, "m")]
-    r: Annotated[float, within(1e-3, 0.3, "m")]
-    A: Annotated[float, within(1e-7, 1e-2, "m^2")]
-    m_d: Annotated[float, within(1e-4, 100, "kg")]
-    K_a: Annotated[float, within(5, 1e5, "N/m")]
-    c_a: Annotated[float, within(0, 500, "N s/m")]
-    alpha_1: Annotated[float, within(1e-6, 1e5, "")]
-    alpha_2: Annotated[float, within(1e-6, 1e5, "")]
-    beta_1: Annotated[float, within(0, 1e5, "")]
-    beta_2: Annotated[float, within(0, 1e5, "")]
+    L_0: Annotated[float, between(1e-3, 10, "m")]
+    r: Annotated[float, between(1e-3, 0.3, "m")]
+    A: Annotated[float, between(1e-7, 1e-2, "m^2")]
+    m_d: Annotated[float, between(1e-4, 100, "kg")]
+    K_a: Annotated[float, between(5, 1e5, "N/m")]
+    c_a: Annotated[float, between(0, 500, "N s/m")]
+    alpha_1: Annotated[float, between(1e-6, 1e5, "")]
+    alpha_2: Annotated[float, between(1e-6, 1e5, "")]
+    beta_1: Annotated[float, between(0, 1e5, "")]
+    beta_2: Annotated[float, between(0, 1e5, "")]
 
 
 UNITS: Mapping[str, str] = {
@@ -84,16 +68,16 @@ class Actuation(Section):
     late they act.
     """
 
-    pressure_max_Pa: Annotated[float, within(1e3, 2e7, "Pa")]
-    pressure_full_scale_Pa: Annotated[float, within(1e3, 2e7, "Pa")]
-    pressure_resolution: Annotated[float, within(0, 0.5, "of full scale")]
-    tension_max_N: Annotated[float, within(1e-3, 1e4, "N")]
-    tension_full_scale_N: Annotated[float, within(1e-3, 1e4, "N")]
-    tension_resolution: Annotated[float, within(0, 0.5, "of full scale")]
-    filling_time_s: Annotated[float, within(0, 10, "s")] = 0.0
-    exhausting_time_s: Annotated[float, within(0, 10, "s")] = 0.0
-    tension_rate_N_per_s: Annotated[float, within(0, 1e5, "N/s")] = 0.0
-    command_delay_s: Annotated[float, within(0, 1, "s")] = 0.0
+    pressure_max_Pa: Annotated[float, between(1e3, 2e7, "Pa")]
+    pressure_full_scale_Pa: Annotated[float, between(1e3, 2e7, "Pa")]
+    pressure_resolution: Annotated[float, between(0, 0.5, "of full scale")]
+    tension_max_N: Annotated[float, between(1e-3, 1e4, "N")]
+    tension_full_scale_N: Annotated[float, between(1e-3, 1e4, "N")]
+    tension_resolution: Annotated[float, between(0, 0.5, "of full scale")]
+    filling_time_s: Annotated[float, between(0, 10, "s")] = 0.0
+    exhausting_time_s: Annotated[float, between(0, 10, "s")] = 0.0
+    tension_rate_N_per_s: Annotated[float, between(0, 1e5, "N/s")] = 0.0
+    command_delay_s: Annotated[float, between(0, 1, "s")] = 0.0
 
     @property
     def pressure_step(self) -> float:
@@ -139,9 +123,9 @@ class Mount(Section):
 class TrackerSpec(Section):
     """The position tracker: noise of a position (3-D), frames a second, age of a frame when it is read."""
 
-    noise_rms_m: Annotated[float, within(0, 0.1, "m")]
-    rate_Hz: Annotated[float, within(1, 4000, "Hz")] = 100.0
-    latency_s: Annotated[float, within(0, 1, "s")] = 0.0
+    noise_rms_m: Annotated[float, between(0, 0.1, "m")]
+    rate_Hz: Annotated[float, between(1, 4000, "Hz")] = 100.0
+    latency_s: Annotated[float, between(0, 1, "s")] = 0.0
 
 
 class Robot(Section):
@@ -150,7 +134,7 @@ class Robot(Section):
     name: Annotated[str, Field(min_length=1)]
     geometry: Geometry
     parameters: Parameters
-    priors: dict[str, Annotated[float, within(0, 10, "relative half-width")]] = Field(default_factory=dict)
+    priors: dict[str, Annotated[float, between(0, 10, "relative half-width")]] = Field(default_factory=dict)
     actuation: Actuation
     mount: Mount
     tracker: TrackerSpec
@@ -228,24 +212,6 @@ def load_robot(robot: str | Path, where: str = "") -> Robot:
     return parse_robot(read_text(path), str(path))
 
 
-def read_text(path: Path) -> str:
-    """The text of a file a person names, or an `InputError` that says why it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not a text file (UTF-8)") from error
-
-
-def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """A TOML document, or an `InputError` with file, line and column."""
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: not valid TOML: {error}") from error
-
-
 def parse_robot(text: str, where: str) -> Robot:
     """A robot from the text of a robot file; `where` names the file in errors.
 
@@ -253,47 +219,3 @@ def parse_robot(text: str, where: str) -> Robot:
         InputError: as for `load_robot`.
     """
     return validated(Robot, parse_toml(text, where), where)
-
-
-def validated(model: type[Checked], content: Mapping[str, Any], where: str) -> Checked:
-    """`content` checked by a pydantic model; the first error in one line naming file, key, value and what is valid."""
-    try:
-        return model.model_validate(content)
-    except ValidationError as failure:
-        raise InputError(f"{where}: {_explain(model, failure)}") from failure
-
-
-def _explain(model: type[BaseModel], failure: ValidationError) -> str:
-    # a key nobody knows explains a missing one better than the other way round
-    error = min(failure.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
-    key = ".".join(str(part) for part in error["loc"])
-    if error["type"] == "extra_forbidden":
-        return str(
-            unknown_name(
-                "key",
-                str(error["loc"][-1]),
-                getattr(_at(model, error["loc"][:-1])[0], "model_fields", {}),
-                ".".join(str(part) for part in error["loc"][:-1]),
-            )
-        )
-    valid = _at(model, error["loc"])[1]
-    ending = f"; valid: {valid}" if valid else ""
-    if error["type"] == "missing" and isinstance(error["loc"][-1], str):
-        return f"missing key {key!r}{ending}"
-    if error["type"] == "missing":
-        return f"{'.'.join(str(part) for part in error['loc'][:-1])} = {list(error['input'])!r}: too few values{ending}"
-    if error["type"] == "value_error":
-        return ": ".join(part for part in (key, error["msg"].removeprefix("Value error, ")) if part)
-    return f"{key} = {error['input']!r}: {error['msg'].lower().replace(' after validation', '')}{ending}"
-
-
-def _at(model: Any, location: tuple[int | str, ...]) -> tuple[Any, str | None]:
-    """Type and description of a place in a pydantic model, through lists and tables."""
-    description = None
-    for part in location:
-        fields = getattr(model, "model_fields", {})
-        if part in fields:
-            description, model = fields[part].description, fields[part].annotation
-        elif isinstance(part, int) and get_args(model) and hasattr(get_args(model)[0], "model_fields"):
-            model = get_args(model)[0]
-    return model, description

@@ -54,6 +54,13 @@ def test_values_are_the_robots_then_the_effects():
     assert (values["m_d"], values["L_0"], values["payload.mass"]) == (0.3, 0.2, 0.01)
 
 
+def test_a_model_file_may_begin_with_a_byte_order_mark(tmp_path):
+    model = NOMINAL.with_parameters(m_d=0.3).with_effect("payload")
+    write_model(model, tmp_path / "model.toml")
+    (tmp_path / "marked.toml").write_text("\ufeff" + (tmp_path / "model.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    assert read_model(tmp_path / "marked.toml") == model
+
+
 def test_a_models_robot_file_is_found_relative_to_the_model_file(tmp_path, monkeypatch):
     for name in ("robots", "models"):
         (tmp_path / name).mkdir()
@@ -92,10 +99,10 @@ MALFORMED = {
     "missing effect parameter": (PAYLOAD, "effect 'payload': parameter 'mass' is missing; it needs: mass"),
     "detail where there is none": (PAYLOAD + 'detail = "23"', "effect 'payload' has no detail, found detail = '23'"),
     "unknown key": ("effect = 1", "unknown key 'effect': did you mean 'effects'? valid: effects, parameters, robot"),
-    "unknown key of an effect": (PAYLOAD + "mass = 1", "effects.0: unknown key 'mass': "),
+    "unknown key of an effect": (PAYLOAD + "mass = 1", "effects entry 1: unknown key 'mass': "),
     "true for a number": (PAYLOAD + "parameters = {mass = true}", "effect 'payload': mass = True; valid: 0 … 10 kg"),
     "effect twice": (2 * (PAYLOAD + "parameters = {mass = 1}\n"), "effect payload stands twice"),
-    "effect without a name": ("[[effects]]\nparameters = {mass = 1}", "missing key 'effects.0.name'"),
+    "effect without a name": ("[[effects]]\nparameters = {mass = 1}", "effects entry 1: missing key 'name'"),
     "effects not a list": ("effects = 3", "effects = 3: input should be a valid list"),
     "not TOML": ("K_a", "not valid TOML: "),
 }

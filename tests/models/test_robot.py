@@ -35,6 +35,12 @@ def test_a_robot_file_is_the_same_as_the_built_in_robot(tmp_path):
     assert load_robot(path) == load_robot(str(path)) == load_robot("kang2017")
 
 
+def test_a_robot_file_may_begin_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("\ufeff" + TEXT, encoding="utf-8")
+    assert load_robot(path) == load_robot("kang2017")
+
+
 def test_base_rotation_is_a_rotation_vector_into_g():
     mount = variant(mount={"base_rotation_deg": (0.0, 0.0, 90.0)}).mount
     np.testing.assert_allclose(mount.rotation @ [1, 0, 0], [0, 1, 0], atol=1e-15)
@@ -49,28 +55,28 @@ MALFORMED = {
         "modules, segments_per_module",
     ),
     "unknown table": ("[tracker]", "[camera]\nnoise = 1\n[tracker]", "unknown key 'camera': ", "tracker"),
-    "missing key": ("m_d = 0.22 ", "", "missing key 'parameters.m_d'", "0.0001 … 100 kg"),
+    "missing key": ("m_d = 0.22 ", "", "parameters: missing key 'm_d'", "0.0001 … 100 kg"),
     "missing table": (TRACKER, "", "missing key 'tracker'", ""),
-    "pressure in MPa": ("pressure_max_Pa = 0.5e6", "pressure_max_Pa = 0.5", "actuation.pressure_max_Pa = 0.5: ", "1000 … 2e+07 Pa"),
-    "length in mm": ("L_0 = 0.200", "L_0 = 200", "parameters.L_0 = 200: ", "0.001 … 10 m"),
-    "area in mm2": ("A = 50.27e-6", "A = 50.27", "parameters.A = 50.27: ", "1e-07 … 0.01 m^2"),
-    "mass in g": ("m_d = 0.22 ", "m_d = 220 ", "parameters.m_d = 220: ", "0.0001 … 100 kg"),
+    "pressure in MPa": ("pressure_max_Pa = 0.5e6", "pressure_max_Pa = 0.5", "actuation: pressure_max_Pa = 0.5: ", "1000 … 2e+07 Pa"),
+    "length in mm": ("L_0 = 0.200", "L_0 = 200", "parameters: L_0 = 200: ", "0.001 … 10 m"),
+    "area in mm2": ("A = 50.27e-6", "A = 50.27", "parameters: A = 50.27: ", "1e-07 … 0.01 m^2"),
+    "mass in g": ("m_d = 0.22 ", "m_d = 220 ", "parameters: m_d = 220: ", "0.0001 … 100 kg"),
     "gravity in mm/s2": ("-9.81]", "-9810]", "mount: gravity_m_per_s2 has the magnitude 9810", "0 … 30 m/s^2"),
     "base in mm": ("-0.050]", "-500]", "mount: base_position_m is further than 10 m", "metres"),
-    "resolution in Pa": ("resolution = 0.005", "resolution = 4500", "actuation.pressure_resolution = 4500: ", "0 … 0.5 of full scale"),
-    "stiffness 0": ("K_a = 358.86", "K_a = 0", "parameters.K_a = 0: ", "5 … 100000 N/m"),
-    "stiffness below 0": ("alpha_2 = 1 ", "alpha_2 = -1 ", "parameters.alpha_2 = -1: ", "1e-06 … 100000"),
-    "NaN": ("K_a = 358.86", "K_a = nan", "parameters.K_a = nan: input should be a finite number", "5 … 100000 N/m"),
-    "infinite": ("[0, 0, -9.81]", "[0, 0, -inf]", "mount.gravity_m_per_s2.2 = -inf: input should be a finite number", "three numbers"),
-    "text for a number": ("K_a = 358.86", 'K_a = "358.86"', "parameters.K_a = '358.86': input should be a valid number", "5 … 100000 N/m"),
-    "true for a number": ("modules = 2", "modules = true", "geometry.modules = True: input should be a valid integer", "1 … 20"),
-    "fraction of a module": ("modules = 2", "modules = 2.5", "geometry.modules = 2.5: input should be a valid integer", "1 … 20"),
-    "no segments": ("segments_per_module = 6", "segments_per_module = 0", "geometry.segments_per_module = 0: ", "1 … 100"),
-    "two actuators": ("[90, 210, 330]", "[90, 270]", "geometry.actuator_angles_deg = [90, 270]: ", "3 … 12 angles"),
+    "resolution in Pa": ("resolution = 0.005", "resolution = 4500", "actuation: pressure_resolution = 4500: ", "0 … 0.5 of full scale"),
+    "stiffness 0": ("K_a = 358.86", "K_a = 0", "parameters: K_a = 0: ", "5 … 100000 N/m"),
+    "stiffness below 0": ("alpha_2 = 1 ", "alpha_2 = -1 ", "parameters: alpha_2 = -1: ", "1e-06 … 100000"),
+    "NaN": ("K_a = 358.86", "K_a = nan", "parameters: K_a = nan: input should be a finite number", "5 … 100000 N/m"),
+    "infinite": ("[0, 0, -9.81]", "[0, 0, -inf]", "mount: gravity_m_per_s2 entry 3 = -inf: input should be a finite", "three numbers"),
+    "text for a number": ("K_a = 358.86", 'K_a = "358.86"', "parameters: K_a = '358.86': input should be a valid number", "5 … 100000 N/m"),
+    "true for a number": ("modules = 2", "modules = true", "geometry: modules = True: input should be a valid integer", "1 … 20"),
+    "fraction of a module": ("modules = 2", "modules = 2.5", "geometry: modules = 2.5: input should be a valid integer", "1 … 20"),
+    "no segments": ("segments_per_module = 6", "segments_per_module = 0", "geometry: segments_per_module = 0: ", "1 … 100"),
+    "two actuators": ("[90, 210, 330]", "[90, 270]", "geometry: actuator_angles_deg = [90, 270]: ", "3 … 12 angles"),
     "equal angles": ("[90, 210, 330]", "[90, 330, -30]", "geometry: actuator_angles_deg: two actuators sit at the same", "1 deg apart"),
-    "two components": ("[0, 0, -9.81]", "[0, -9.81]", "mount.gravity_m_per_s2 = [0, -9.81]: too few values", "three numbers"),
+    "two components": ("[0, 0, -9.81]", "[0, -9.81]", "mount: gravity_m_per_s2 = [0, -9.81]: too few values", "three numbers"),
     "angles on one side": ("[90, 210, 330]", "[90, 100, 260]", "geometry: actuator_angles_deg: all actuators sit on one side", "180 deg"),
-    "unknown bracing": ('"crossed"', '"cross"', "geometry.bracing = 'cross': input should be ", "'crossed' or 'single'"),
+    "unknown bracing": ('"crossed"', '"cross"', "geometry: unknown bracing 'cross': did you mean 'crossed'? valid: ", "crossed, single"),
     "prior of no parameter": ("K_a = 0.03", "K_b = 0.03", "priors: unknown parameter 'K_b': did you mean 'K_a'? valid: A, K_a, L_0", "r"),
     "range beyond full scale": (
         "tension_max_N = 7.0",
@@ -78,7 +84,33 @@ MALFORMED = {
         "actuation: tension_max_N = 8 exceeds",
         "tension_full_scale_N = 7",
     ),
-    "table for a number": ("K_a = 358.86", "K_a = {value = 1}", "parameters.K_a = {'value': 1}: input should be a valid number", "N/m"),
+    "table for a number": ("K_a = 358.86", "K_a = {value = 1}", "parameters: K_a = {'value': 1}: input should be a valid number", "N/m"),
+    "angle beyond a turn": ("[90, 210, 330]", "[90, 210, 1330]", "geometry: actuator_angles_deg entry 3 = 1330: ", "3 … 12 angles"),
+    "prior in per cent": ("K_a = 0.03", "K_a = 30", "priors: K_a = 30: input should be less", "0 … 10 relative half-width"),
+    "holder of no sensor": (
+        "[hardware.pressure]",
+        '[hardware.tracker]\ndevices = ["Tip", "Base"]\nholders_m = [[0, 0, 0.01]]\n[hardware.pressure]',
+        "hardware: tracker: holders_m has 1 entries",
+        "one for each",
+    ),
+    "unknown key of the electronics": (
+        "[hardware.pressure]",
+        "[hardware.pressure]\nV_per_Mpa = 5.5",
+        "hardware: pressure: unknown key 'V_per_Mpa': did you mean 'V_per_MPa'?",
+        "zero_V",
+    ),
+    "calibration out of range": (
+        "\nzero_V = 0.0",
+        "\nzero_V = [0, 0, 50]",
+        "hardware: pressure: zero_V = [0, 0, 50]: outside its range; valid: ",
+        "-1 … 5 V, one number or one for each actuator",
+    ),
+    "text in a calibration": (
+        "\nzero_V = 0.0",
+        '\nzero_V = [0, "x"]',
+        "hardware: pressure: zero_V",
+        "a number",
+    ),
     "not TOML": ("K_a = 358.86", "K_a 358.86", "not valid TOML: ", "(at line 16, column 5)"),
     "key twice": ("m_d = 0.22 ", "m_d = 0.22\nm_d = 0.22 ", "not valid TOML: ", "(at line 16, column 11)"),
 }
