@@ -61,7 +61,7 @@ class _Step:
     @staticmethod
     def of(model: CompiledModel, high: np.ndarray) -> _Step:
         setpoints = _step_of_pressure(model, high)
-        return _Step(model, setpoints, simulate(model, setpoints, step=FINE_STEP, hold=True, tolerance=FINE_TOLERANCE).tip[2:])
+        return _Step(model, setpoints, simulate(model, setpoints, step=FINE_STEP, hold=True, tolerance=FINE_TOLERANCE).complete().tip[2:])
 
     def error(self, tips: np.ndarray) -> np.ndarray:
         """Distance from the converged tips at every sample."""
@@ -71,7 +71,7 @@ class _Step:
         """Ours at a step in ms."""
         return Contender(
             name,
-            lambda: simulate(self.model, self.setpoints, step=1e-3 * step, hold=True),
+            lambda: simulate(self.model, self.setpoints, step=1e-3 * step, hold=True).complete(),
             lambda found: self.error(found.tip[2:]),
             ours=True,
         )
@@ -94,7 +94,7 @@ class _Step:
 
         yield Contender(
             f"{RK4}, 1/3 ms",
-            lambda: simulate(model, self.setpoints, "rk4", RK4_STEP, hold=True),
+            lambda: simulate(model, self.setpoints, "rk4", RK4_STEP, hold=True).complete(),
             lambda found: self.error(found.tip[2:]),
             ours=True,
         )
@@ -127,12 +127,12 @@ def _sensitivities(step: _Step) -> Task:
         return np.tensordot(model.theta, found.sensitivities[: len(names), :, -1], 1)[2:].ravel()
 
     def changed(factor: float) -> np.ndarray:
-        return simulate(model.with_theta(factor * model.theta), step.setpoints, hold=True, tolerance=1e-10).tip[2:].ravel()
+        return simulate(model.with_theta(factor * model.theta), step.setpoints, hold=True, tolerance=1e-10).complete().tip[2:].ravel()
 
     expected = (changed(1 + part) - changed(1 - part)) / (2 * part)
     sensitive = Contender(
         f"{IMPLICIT}, 10 ms, {DIRECTIONS} directions",
-        lambda: simulate(model, step.setpoints, step=10e-3, hold=True, directions=directions),
+        lambda: simulate(model, step.setpoints, step=10e-3, hold=True, directions=directions).complete(),
         lambda found: np.abs(along(found) - expected).max(),
         ours=True,
     )
@@ -167,7 +167,7 @@ def _data_set(model: CompiledModel, folder: Path | None) -> Task:
     """Simulations of all runs; errors are those from the recorded tips, of made-up runs from a step of 1 ms."""
     if folder is None:
         runs, kind = _made_up(model), "made-up runs"
-        points = [simulate(model, run, step=1e-3).points for run in runs]
+        points = [simulate(model, run, step=1e-3).complete().points for run in runs]
     else:
         found = read_dataset(folder, Channels(model.layout.actuator_names, model.layout.point_names))
         runs, kind = [SetPoints(run.time, run.inputs, run.tip_force) for run in found.runs], f"runs of {folder.name}"
@@ -177,7 +177,7 @@ def _data_set(model: CompiledModel, folder: Path | None) -> Task:
         return np.concatenate([np.linalg.norm(a.tip - b[:, -1], axis=1) for a, b in zip(simulations, points, strict=True)])
 
     def all_runs(step: float) -> Callable[[], Any]:
-        return lambda: [simulate(model, run, step=step) for run in runs]
+        return lambda: [simulate(model, run, step=step).complete() for run in runs]
 
     contenders = [Contender(f"{IMPLICIT}, {_ms(1e3 * step)}", all_runs(step), errors, ours=True) for step in (10e-3, 20e-3, 5e-3)]
     length = sum(float(run.time[-1] - run.time[0]) for run in runs)

@@ -26,7 +26,7 @@ def short(kang: CompiledModel) -> Simulation:
     time = np.arange(41) * 0.01
     inputs = np.zeros((41, 12))
     inputs[:, 0] = np.linspace(0, 3e5, 41)
-    return simulate(kang, SetPoints(time, inputs, np.zeros((41, 3))))
+    return simulate(kang, SetPoints(time, inputs, np.zeros((41, 3)))).complete()
 
 
 def test_frames_are_25_a_second_of_real_time() -> None:

@@ -98,7 +98,7 @@ def identify(
         print(json.dumps(summary, indent=2))
     else:
         _tell(summary, folder)
-    return 0 if estimate.converged else 1
+    return 0 if estimate.solved else 1
 
 
 def _summary(estimate: ParameterEstimate, before: CompiledModel, sets: Sequence[DataSet], intervals: bool) -> dict[str, Any]:
@@ -121,8 +121,8 @@ def _summary(estimate: ParameterEstimate, before: CompiledModel, sets: Sequence[
         },
         "cannot_tell": unidentifiable(estimate),
         "iterations": estimate.iterations,
-        "converged": estimate.converged,
-        "message": estimate.message,
+        "converged": estimate.solved,
+        "message": estimate.outcome.message,
     }
 
 

@@ -249,7 +249,7 @@ def modes_command(
     seen = [name.strip() for name in end.split(",")] if end else [layout.point_names[-1]]
     equilibrium = _operating_point(compiled, inputs, row, pressures, tensions, tip_force)
     if not equilibrium.solved:
-        stderr.print(f"[yellow]no stable operating point: {escape(equilibrium.message)}[/]", soft_wrap=True, highlight=False)
+        stderr.print(f"[yellow]no stable operating point: {escape(equilibrium.outcome.message)}[/]", soft_wrap=True, highlight=False)
         return UNSOLVED
     analysis = analyse(equilibrium, chosen, seen, order)
     if out is not None:

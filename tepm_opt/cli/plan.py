@@ -56,7 +56,7 @@ def stages(quiet: bool) -> Iterator[Progress]:
 def lines(plan: MotionPlan, out: Path) -> list[str]:
     """What a plan says to people."""
     if not plan.solved:
-        return [f"[yellow]no plan: {escape(plan.message)}[/]"]
+        return [f"[yellow]no plan: {escape(plan.outcome.message)}[/]"]
     told = plan.summary()
     low, high = told["tensions_N"]
     return [

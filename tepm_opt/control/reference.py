@@ -91,7 +91,7 @@ def reference_of(
     found = []
     for k, configuration in enumerate(track(each_configuration(model, tips, ActuationMode.HYBRID))):
         if not configuration.solved:
-            raise InputError(f"reference: at {k * period:.2f} s, {tips[k].round(4).tolist()} m: {configuration.message}")
+            raise InputError(f"reference: at {k * period:.2f} s, {tips[k].round(4).tolist()} m: {configuration.outcome.message}")
         found.append(configuration)
     counted = np.ones(len(tips), dtype=bool) if counted is None else counted
     point = np.zeros(len(tips), dtype=int) if point is None else point
@@ -114,7 +114,7 @@ def reference_by_forces(model: CompiledModel, forces: np.ndarray, period: float 
         effective = np.concatenate([row / model.values["A"], np.zeros(len(row))])
         found.append(equilibrium(model, effective, model.check_loads(None), found[-1] if found else None, mapped=True))
         if not found[-1].solved:
-            raise InputError(f"reference: at {k * period:.2f} s: {found[-1].message}")
+            raise InputError(f"reference: at {k * period:.2f} s: {found[-1].outcome.message}")
     count = len(forces)
     tips = np.array([at.tip for at in found])
     return Reference(tips, np.array(forces), found, np.ones(count, dtype=bool), np.zeros(count, dtype=int), period)

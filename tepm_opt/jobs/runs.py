@@ -18,8 +18,9 @@ from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.setpoints import SetPoints, gain_columns, length_columns, point_columns, write_setpoints
 from tepm_opt.data.tables import write_table
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.gain import Actuation, Gain, solve_gain
-from tepm_opt.solvers.kinematics import ActuationMode, Configuration, Reach, each_configuration
+from tepm_opt.solvers.kinematics import ActuationMode, Configuration, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics, without_inputs
 from tepm_opt.solvers.trajectories import Trajectory
 
@@ -98,7 +99,7 @@ class IkRun:
     def setpoints(self, rounded: bool = False) -> SetPoints:
         """The set points; rows that failed (not those merely out of reach) are NaN."""
         rows = [c.allocation.rounded if rounded else c.allocation.inputs for c in self.configurations]
-        good = [[c.reach is not Reach.FAILED] for c in self.configurations]
+        good = [[c.outcome.ending is not Ending.FAILED] for c in self.configurations]
         force = np.array([c.equilibrium.loads[-1] for c in self.configurations])
         return SetPoints(self.trajectory.time, np.where(good, rows, np.nan), force)
 
@@ -118,7 +119,7 @@ class IkRun:
             "rounded_tip_error_rms_m": float(np.sqrt(np.mean(rounded**2))) if solved.any() else None,
             "largest_rounded_tip_error_m": float(rounded.max()) if solved.any() else None,
             "unsolved": [
-                {"point": k, "status": c.reach.value, "miss_m": c.miss, "limits": list(c.limits), "message": c.message}
+                {"point": k, "status": c.outcome.ending.value, "miss_m": c.miss, "limits": list(c.limits), "message": c.outcome.message}
                 for k, c in enumerate(self.configurations)
                 if not c.solved
             ],
@@ -135,7 +136,7 @@ class IkRun:
         folder, names = output_folder(folder), self.model.layout.actuator_names
         write_setpoints(folder / "inputs.csv", self.setpoints(), names)
         write_setpoints(folder / "inputs_rounded.csv", self.setpoints(rounded=True), names)
-        good = [at.solved and c.reach is not Reach.FAILED for at, c in zip(self.reached, self.configurations, strict=True)]
+        good = [at.solved and c.outcome.ending is not Ending.FAILED for at, c in zip(self.reached, self.configurations, strict=True)]
         _save_shapes(folder, self.trajectory.time, self.reached, good)
         save_summary(folder, "ik", self.summary())
 
@@ -178,8 +179,8 @@ def _checked(found: Configuration) -> tuple[Configuration, Equilibrium, Equilibr
     held = solve_statics(at.model, allocation.inputs, at.loads)
     away = float(np.linalg.norm(held.tip - at.tip))
     if found.solved and not (held.solved and away < SAME):
-        message = f"from rest the set points lead elsewhere, {1e3 * away:.2f} mm away: more than one equilibrium, {held.status.value}"
-        found = replace(found, reach=Reach.FAILED, message=message)
+        message = f"from rest the set points lead elsewhere, {1e3 * away:.2f} mm away: more than one equilibrium, {held.outcome.ending}"
+        found = replace(found, outcome=Outcome(Ending.FAILED, message))
     return found, held, solve_statics(at.model, allocation.rounded, at.loads, held)
 
 
@@ -224,7 +225,7 @@ class StaticsRun:
 
 def _unsolved(equilibria: Sequence[Equilibrium]) -> list[dict[str, Any]]:
     return [
-        {"point": k, "status": at.status.value, "reached": at.reached, "message": at.message}
+        {"point": k, "status": at.outcome.ending.value, "reached": at.reached, "message": at.outcome.message}
         for k, at in enumerate(equilibria)
         if not at.solved
     ]

@@ -22,7 +22,8 @@ from tepm_opt.data.tables import write_table
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.runs import save_summary
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.simulate import Directions, Method, Simulation, SimulationError, SimulationInterrupted, simulate
+from tepm_opt.outcome import Ending
+from tepm_opt.solvers.simulate import Directions, Method, Simulation, simulate
 
 DENSE = 0.04  # s between two kept instants
 MOST_ADDED = 20000  # instants between the rows
@@ -92,8 +93,6 @@ class SimulateRun:
         duration: from the file's first to its last row in s.
         hold: whether a row holds until the next one.
         measured: points of the recorded run in G at the rows done, (rows done, points, 3) in m; None where there are none.
-        failure: why it ended early; empty where it did not.
-        interrupted: whether the user ended it early.
     """
 
     simulation: Simulation
@@ -102,8 +101,16 @@ class SimulateRun:
     duration: float
     hold: bool
     measured: np.ndarray | None = None
-    failure: str = ""
-    interrupted: bool = False
+
+    @property
+    def failure(self) -> str:
+        """Why the motion ended early by itself; empty where it did not."""
+        return self.simulation.outcome.message if self.simulation.outcome.ending is Ending.FAILED else ""
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user ended it early."""
+        return self.simulation.outcome.ending is Ending.INTERRUPTED
 
     @property
     def model(self) -> CompiledModel:
@@ -113,7 +120,7 @@ class SimulateRun:
     @property
     def ok(self) -> bool:
         """Whether it came to the end."""
-        return not self.failure and not self.interrupted
+        return self.simulation.solved
 
     @property
     def time(self) -> np.ndarray:
@@ -211,14 +218,8 @@ def run_simulation(
         InputError: as for `simulate`.
     """
     dense, places = densified(task.setpoints, hold)
-    failure, interrupted = "", False
-    try:
-        found = simulate(model, dense, method, step, hold, None, directions, progress=progress)
-    except SimulationError as error:
-        found, failure = error.partial, str(error)
-    except SimulationInterrupted as error:
-        found, interrupted = error.partial, True
+    found = simulate(model, dense, method, step, hold, None, directions, progress=progress)
     done = places[places < len(found.setpoints.time)]
     measured = None if task.measured is None else task.measured[: len(done)]
     duration = float(task.setpoints.time[-1] - task.setpoints.time[0])
-    return SimulateRun(found, done, len(places), duration, hold, measured, failure, interrupted)
+    return SimulateRun(found, done, len(places), duration, hold, measured)

@@ -80,7 +80,7 @@ def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = Fal
     if not -points <= point < points:
         raise ValueError(f"point {point}; valid: 0 … {points - 1}")
     if not equilibrium.solved:
-        raise ValueError(f"no gain at this operating point: {equilibrium.message}")
+        raise ValueError(f"no gain at this operating point: {equilibrium.outcome.message}")
     point %= points
     status, by_u, by_load, by_theta = model.statics.sensitivity(
         equilibrium.x,

@@ -15,6 +15,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.model import label
 from tepm_opt.models.robot import UNITS, Parameters
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
 
 ITERATIONS = 15
@@ -207,8 +208,7 @@ class ParameterEstimate:
         residuals: measured less modelled of every run at the values, with their derivatives by the parameters.
         cost: sum of the (weighted) squares over the noise.
         iterations: Gauss-Newton steps.
-        converged: whether the steps ended by themselves.
-        message: how they ended.
+        outcome: SOLVED where the steps ended by themselves, else NOT_CONVERGED; its message says how they ended.
     """
 
     problem: Problem
@@ -217,8 +217,12 @@ class ParameterEstimate:
     residuals: list[Residual]
     cost: float
     iterations: int
-    converged: bool
-    message: str
+    outcome: Outcome
+
+    @property
+    def solved(self) -> bool:
+        """Whether the steps ended by themselves."""
+        return self.outcome.solved
 
     @property
     def std(self) -> np.ndarray:
@@ -298,7 +302,8 @@ def identify(
                 converged, message = bool(np.isfinite(new)), "no shorter step helps"
                 break
         progress(f"step {done}: residuals {np.sqrt(cost / max(count, 1)):.4g} times the noise")
-    return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, converged, message)
+    outcome = Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message)
+    return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, outcome)
 
 
 def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]:

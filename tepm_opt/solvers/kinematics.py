@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import lru_cache
 
 import numpy as np
@@ -17,17 +16,10 @@ from scipy.optimize import minimize
 from tepm_opt.models.backends.statics import SOLVED
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.layout import Layout
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.allocation import ActuationMode, Allocation, allocate, force_range
 from tepm_opt.solvers.constant_curvature import lengths_from_tip
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
-
-
-class Reach(Enum):
-    """How the solve of a target ended."""
-
-    SOLVED = "solved"
-    OUT_OF_REACH = "out of reach"
-    FAILED = "failed"
 
 
 @dataclass(frozen=True)
@@ -63,10 +55,9 @@ class Configuration:
         equilibrium: of the axial forces, before any allocation or rounding.
         forces: axial forces F_a, (modules · actuators,) in N.
         allocation: set points.
-        reach: SOLVED, OUT_OF_REACH (this is the nearest reachable point) or FAILED.
+        outcome: SOLVED, OUT_OF_REACH (this is the nearest reachable point) or FAILED; its message explains all but SOLVED.
         miss: distance of the tip from the target in m.
         limits: which limits bind, as "pressure_13 at its maximum".
-        message: explains every reach but SOLVED.
         steps: Gauss-Newton steps taken.
     """
 
@@ -74,16 +65,15 @@ class Configuration:
     equilibrium: Equilibrium
     forces: np.ndarray
     allocation: Allocation
-    reach: Reach
+    outcome: Outcome
     miss: float
     limits: tuple[str, ...] = ()
-    message: str = ""
     steps: int = 0
 
     @property
     def solved(self) -> bool:
         """Whether the tip is at the target."""
-        return self.reach is Reach.SOLVED
+        return self.outcome.solved
 
 
 _range = lru_cache(maxsize=16)(force_range)
@@ -214,21 +204,20 @@ def _solve(
     limits = _limits(problem, found.forces, mode)
     miss = float(np.linalg.norm(found.equilibrium.tip - target))
     found = replace(found, allocation=allocation, miss=miss, limits=limits)
-    if not found.solved and not found.message:
+    if not found.solved and not found.outcome.message:
         binding = ", ".join(limits) or "no limit binding (the stable branch may end there)"
-        return replace(found, message=f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm, with {binding}")
+        message = f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm, with {binding}"
+        return replace(found, outcome=replace(found.outcome, message=message))
     if allocation.error > 1e-6:
         message = f"the set points miss an axial force by {allocation.error:.3g} N: no inputs within the limits make it"
-        return replace(found, reach=Reach.OUT_OF_REACH, message=message)
+        return replace(found, outcome=Outcome(Ending.OUT_OF_REACH, message))
     return found
 
 
-def _configuration(
-    target: np.ndarray, at: Equilibrium, forces: np.ndarray, reach: Reach, message: str = "", steps: int = 0
-) -> Configuration:
+def _configuration(target: np.ndarray, at: Equilibrium, forces: np.ndarray, outcome: Outcome, steps: int = 0) -> Configuration:
     """A configuration whose set points are still to be allocated."""
     empty = Allocation(np.zeros(0), np.zeros(0), 0.0)
-    return Configuration(target, at, forces, empty, reach, 0.0, (), message, steps)
+    return Configuration(target, at, forces, empty, outcome, 0.0, (), steps)
 
 
 def _seed(problem: _IkProblem, target: np.ndarray) -> np.ndarray:
@@ -273,7 +262,7 @@ def _gauss_newton(
     errors, change = problem.errors(at, target), np.inf
     for step in range(settings.iterations):
         if np.abs(errors).max() < settings.tolerance and (change < settings.settled or not problem.redundant):
-            return _configuration(target, at, forces, Reach.SOLVED, steps=step)
+            return _configuration(target, at, forces, Outcome(), step)
         jacobian = problem.jacobian(at)
         full = _minimum_norm(jacobian, jacobian @ forces - errors) - forces
         part = min(1.0, settings.largest_step / np.abs(full).max())
@@ -307,7 +296,7 @@ def _full_space_newton(
     at = problem.at(forces, replace(start, x=x))
     if not at.solved or np.abs(problem.errors(at, target)).max() > settings.tolerance:
         return None
-    return _configuration(target, at, forces, Reach.SOLVED, steps=steps)
+    return _configuration(target, at, forces, Outcome(), steps)
 
 
 def _minimum_norm(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -340,7 +329,7 @@ def _nearest(problem: _IkProblem, target: np.ndarray, settings: IkSettings) -> C
     message = "no stable equal-curvature configuration within the limits was found"
     if not problem.at(np.zeros(problem.half), None).solved:
         message += "; without inputs the robot is not stable either (it buckles under its weight or load)"
-    return _configuration(target, problem.at(middle, None), middle, Reach.FAILED, message)
+    return _configuration(target, problem.at(middle, None), middle, Outcome(Ending.FAILED, message))
 
 
 def _constrained(
@@ -384,8 +373,8 @@ def _constrained(
         return None
     if not at.solved or scale * np.abs(missed[3:]).max(initial=0.0) > 1e-7:
         return None
-    reach = Reach.SOLVED if scale * np.abs(missed[:3]).max() < 100 * settings.tolerance else Reach.OUT_OF_REACH
-    return _configuration(target, at, problem.low + part * span, reach, steps=int(result.nit))
+    there = scale * np.abs(missed[:3]).max() < 100 * settings.tolerance
+    return _configuration(target, at, problem.low + part * span, Outcome() if there else Outcome(Ending.OUT_OF_REACH), int(result.nit))
 
 
 def _limits(problem: _IkProblem, forces: np.ndarray, mode: ActuationMode) -> tuple[str, ...]:

@@ -13,7 +13,8 @@ import scipy.linalg as sla
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.layout import Layout
-from tepm_opt.solvers.statics import Equilibrium, EquilibriumStatus
+from tepm_opt.outcome import Ending
+from tepm_opt.solvers.statics import Equilibrium
 
 if TYPE_CHECKING:
     import control
@@ -169,8 +170,8 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
     Raises:
         InputError: not an equilibrium.
     """
-    if equilibrium.status not in (EquilibriumStatus.SOLVED, EquilibriumStatus.UNSTABLE):
-        raise InputError(f"no equilibrium to linearise about: {equilibrium.message}")
+    if equilibrium.outcome.ending not in (Ending.SOLVED, Ending.UNSTABLE):
+        raise InputError(f"no equilibrium to linearise about: {equilibrium.outcome.message}")
     model, layout = equilibrium.model, equilibrium.model.layout
     A, by_actuation, by_force = _network(equilibrium)
     F, E, N, M = _inputs(equilibrium, actuators, rising)

@@ -92,7 +92,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
     """
     model = at.model
     if not at.solved:
-        raise InputError(f"no stable equilibrium to linearise about: {at.message}")
+        raise InputError(f"no stable equilibrium to linearise about: {at.outcome.message}")
     fixed = _fixed(model)
     most = len(fixed.masses)
     if not 1 <= modes <= most:

@@ -59,7 +59,7 @@ def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: b
         return _equilibria(model, run, directions)
     setpoints = SetPoints(run.time, run.inputs, run.tip_force)
     try:
-        found = simulate(model, setpoints, step=step, directions=directions if names else None)
+        found = simulate(model, setpoints, step=step, directions=directions if names else None).complete()
     except (SimulationError, InputError) as error:
         raise PredictionError(f"{run.file}: {error}") from error
     return Prediction(found.points, found.sensitivities)
@@ -90,7 +90,7 @@ def _equilibria(model: CompiledModel, run: Run, directions: Directions) -> Predi
         except InputError as error:
             raise PredictionError(f"{run.file}: set points: row {row + 1}: {str(error).removeprefix('inputs: ')}") from error
         if not found.solved:
-            raise PredictionError(f"{run.file}: row {row + 1}: {found.message}")
+            raise PredictionError(f"{run.file}: row {row + 1}: {found.outcome.message}")
         points[row], last = found.points, found
         if directions.names:
             x, loads, theta = found.x, found.loads.ravel(), model.theta

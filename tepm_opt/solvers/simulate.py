@@ -13,6 +13,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.backends.interface import DIVERGED, DONE, EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import rk4_step_limit
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
@@ -25,19 +26,7 @@ CHUNK = 0.5  # s of simulated time between two reports of progress
 
 
 class SimulationError(RuntimeError):
-    """A simulation that could not go on; `partial` holds what was done until then."""
-
-    def __init__(self, message: str, partial: Simulation) -> None:
-        super().__init__(message)
-        self.partial = partial
-
-
-class SimulationInterrupted(KeyboardInterrupt):
-    """The user interrupted a simulation; `partial` holds what was done until then."""
-
-    def __init__(self, partial: Simulation) -> None:
-        super().__init__()
-        self.partial = partial
+    """A simulation that is needed to its last sample did not get there; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +70,7 @@ class Directions:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Motion at the samples of its set points.
+    """Motion at the samples of its set points, all of them or, where it ended early, those until then.
 
     Attributes:
         model: of which.
@@ -94,6 +83,7 @@ class Simulation:
         directions: their names.
         method, step: how it was done; the step in s.
         effort: steps and iterations it took.
+        outcome: SOLVED; FAILED where the motion left all bounds or a stage had no solution; INTERRUPTED by Ctrl-C.
     """
 
     model: CompiledModel
@@ -108,6 +98,25 @@ class Simulation:
     method: Method
     step: float
     effort: Effort
+    outcome: Outcome
+
+    @property
+    def solved(self) -> bool:
+        """Whether it came to the last sample."""
+        return self.outcome.solved
+
+    def complete(self) -> Simulation:
+        """This simulation, where it came to the last sample: for those who can do nothing with a part.
+
+        Raises:
+            SimulationError: it failed.
+            KeyboardInterrupt: the user interrupted it.
+        """
+        if self.outcome.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
+        if not self.solved:
+            raise SimulationError(self.outcome.message)
+        return self
 
     @property
     def tip(self) -> np.ndarray:
@@ -120,7 +129,9 @@ def simulate(
     loads: np.ndarray | None = None, directions: Directions | None = None, tolerance: float = 1e-6,
     progress: Callable[[float], None] = lambda part: None,
 ) -> Simulation:  # fmt: skip
-    """Simulate from the equilibrium under the first row.
+    """Simulate from the equilibrium under the first row; the result's outcome says whether it came to the last.
+
+    A motion that leaves all bounds, an implicit stage without a solution and Ctrl-C end it early, with the samples until then.
 
     Args:
         model: compiled model, with its effects.
@@ -136,8 +147,6 @@ def simulate(
     Raises:
         InputError: set points that do not fit, "rk4" with a step above its stable one or with directions, no stable equilibrium
             to start from.
-        SimulationError: the motion left all bounds or a stage had no solution.
-        SimulationInterrupted: Ctrl-C.
     """
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
@@ -155,14 +164,14 @@ def simulate(
     record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
     state, total, done = model.stepper.start(start.x, len(names)), Effort(), 0
 
-    def result(rows: int) -> Simulation:
+    def result(rows: int, outcome: Outcome) -> Simulation:
         kept, points = slice(rows), 3 * model.layout.points
         observed = record.observed[kept]
         sensitivities = np.moveaxis(record.d_observed[kept, :points].reshape(rows, points // 3, 3, len(names)), -1, 0)
         return Simulation(
             model, start, SetPoints(setpoints.time[kept], setpoints.inputs[kept], setpoints.tip_force[kept]),
             observed[:, :points].reshape(rows, -1, 3), observed[:, points:], record.trajectory[kept, 0], record.trajectory[kept, 1],
-            sensitivities, names, method, step, total,
+            sensitivities, names, method, step, total, outcome,
         )  # fmt: skip
 
     ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
@@ -173,12 +182,13 @@ def simulate(
             if status != DONE:
                 why = "left all bounds" if status == DIVERGED else "has no solution nearby"
                 hint = "a shorter step may help" if method == "rk4" or status == DIVERGED else "inputs may jump too far"
-                raise SimulationError(f"the motion {why} after {total.reached:.4g} s ({hint}; step {step:g} s)", result(done + 1))
+                message = f"the motion {why} after {total.reached:.4g} s ({hint}; step {step:g} s)"
+                return result(done + 1, Outcome(Ending.FAILED, message))
             done = int(end)
             progress(float((drive.time[done] - drive.time[0]) / (drive.time[-1] - drive.time[0])))
     except KeyboardInterrupt:
-        raise SimulationInterrupted(result(done + 1 if done else 0)) from None
-    return result(len(drive.time))
+        return result(done + 1 if done else 0, Outcome(Ending.INTERRUPTED, "interrupted by the user"))
+    return result(len(drive.time), Outcome())
 
 
 def stable_step(equilibrium: Equilibrium) -> float:
@@ -233,7 +243,7 @@ def _start(model: CompiledModel, setpoints: SetPoints, row: int, drive: Drive, s
     forces = drive.rows[row, model.layout.inputs :].reshape(-1, 3)
     found = solve_statics(model, setpoints.inputs[row], forces)
     if strict and not found.solved:
-        raise InputError(f"set points: row {row + 1}: no stable equilibrium to start from: {found.message}")
+        raise InputError(f"set points: row {row + 1}: no stable equilibrium to start from: {found.outcome.message}")
     return found
 
 

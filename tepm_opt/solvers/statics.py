@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,16 +11,7 @@ import scipy.linalg as sla
 
 from tepm_opt.models.backends.statics import SOLVED, UNSTABLE
 from tepm_opt.models.compile import CompiledModel
-
-
-class EquilibriumStatus(Enum):
-    """How a solve ended."""
-
-    SOLVED = "solved"
-    UNSTABLE = "unstable"
-    COLLAPSED = "collapsed"
-    NOT_CONVERGED = "not converged"
-    NO_INPUTS = "no inputs"
+from tepm_opt.outcome import Ending, Outcome
 
 
 @dataclass(frozen=True)
@@ -53,7 +43,7 @@ class Equilibrium:
         x: levels 0 … n in the base frame, (n + 1, 3 · actuators) in m.
         points: reference points in G, (points, 3) in m; the last is the tip.
         lengths: actuator lengths L_hj, (modules, actuators) in m.
-        status, message: how the solve ended; the message explains every status but SOLVED.
+        outcome: SOLVED, UNSTABLE, COLLAPSED, NOT_CONVERGED or NO_INPUTS; its message explains all but SOLVED.
         iterations, residual: Newton steps; largest residual force in N.
         reached: part of the inputs and loads, scaled together from rest, that has a stable equilibrium on the branch from rest.
         mapped: whether `inputs` are effective actuations (behind the effects' input maps).
@@ -65,8 +55,7 @@ class Equilibrium:
     x: np.ndarray
     points: np.ndarray
     lengths: np.ndarray
-    status: EquilibriumStatus
-    message: str
+    outcome: Outcome
     iterations: int
     residual: float
     reached: float = 1.0
@@ -75,7 +64,7 @@ class Equilibrium:
     @property
     def solved(self) -> bool:
         """Whether this is a stable equilibrium."""
-        return self.status is EquilibriumStatus.SOLVED
+        return self.outcome.solved
 
     @property
     def tip(self) -> np.ndarray:
@@ -164,10 +153,11 @@ def equilibrium(
 
 
 def without_inputs(model: CompiledModel, inputs: np.ndarray, loads: np.ndarray) -> Equilibrium:
-    """The result for a row that has no inputs: status NO_INPUTS, nothing in it."""
+    """The result for a row that has no inputs: it ended with NO_INPUTS, its points and lengths are NaN."""
     layout = model.layout
     points, lengths = np.full((layout.points, 3), np.nan), np.full((layout.modules, layout.actuators), np.nan)
-    return Equilibrium(model, inputs, loads, model.rest, points, lengths, EquilibriumStatus.NO_INPUTS, "the row has no inputs", 0, 0.0, 0.0)
+    outcome = Outcome(Ending.NO_INPUTS, "the row has no inputs")
+    return Equilibrium(model, inputs, loads, model.rest, points, lengths, outcome, 0, 0.0, 0.0)
 
 
 def _newton(
@@ -177,18 +167,17 @@ def _newton(
     solution = model.statics.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.iterations)
     layout, split = model.layout, 3 * model.layout.points
     points, lengths = solution.observed[:split].reshape(-1, 3), solution.observed[split:].reshape(layout.modules, layout.actuators)
-    status, message = EquilibriumStatus.SOLVED, ""
+    outcome = Outcome()
     if solution.status == UNSTABLE:
-        status, message = EquilibriumStatus.UNSTABLE, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue"
+        outcome = Outcome(Ending.UNSTABLE, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue")
     elif solution.status != SOLVED:
-        status = EquilibriumStatus.NOT_CONVERGED
-        message = f"not converged after {solution.iterations:.0f} iterations: residual {solution.residual:.3g} N"
+        why = f"not converged after {solution.iterations:.0f} iterations: residual {solution.residual:.3g} N"
+        outcome = Outcome(Ending.NOT_CONVERGED, why)
     elif lengths.min() < settings.shortest * model.values["L_0"]:
-        status = EquilibriumStatus.COLLAPSED
-        message = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.shortest:g} of its rest length"
-    return Equilibrium(
-        model, u, loads, solution.x, points, lengths, status, message, int(solution.iterations), solution.residual, reached, mapped
-    )  # fmt: skip
+        why = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.shortest:g} of its rest length"
+        outcome = Outcome(Ending.COLLAPSED, why)
+    steps = int(solution.iterations)
+    return Equilibrium(model, u, loads, solution.x, points, lengths, outcome, steps, solution.residual, reached, mapped)
 
 
 def _continued(
@@ -207,6 +196,6 @@ def _continued(
     if reached == 1.0:
         return last
     where = f"on the branch from rest the last stable equilibrium is at {100 * reached:.1f} % of the inputs and loads"
-    explained = f"{failed.message}; {where if reached > 0 or last.solved else 'without inputs and loads the robot is not stable either'}"
-    values = {name: getattr(failed, name) for name in ("model", "inputs", "loads", "x", "points", "lengths", "status", "iterations")}
-    return Equilibrium(**values, message=explained, residual=failed.residual, reached=reached, mapped=mapped)
+    if not (reached > 0 or last.solved):
+        where = "without inputs and loads the robot is not stable either"
+    return replace(failed, outcome=replace(failed.outcome, message=f"{failed.outcome.message}; {where}"), reached=reached)

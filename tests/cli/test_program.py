@@ -18,7 +18,7 @@ import pytest
 
 from tepm_opt import load_robot
 from tepm_opt.jobs import runs
-from tepm_opt.solvers.kinematics import Reach
+from tepm_opt.outcome import Ending, Outcome
 from tests.cli.conftest import Command, script
 from tests.cli.tables import IK_FILES, names_in, summary, values
 
@@ -140,7 +140,7 @@ class TestDemo:
 
         def each(*arguments: Any, **options: Any) -> Iterator[Any]:
             for number, found in enumerate(solve(*arguments, **options)):
-                yield replace(found, reach=Reach.FAILED, message="it fails") if number == 2 else found
+                yield replace(found, outcome=Outcome(Ending.FAILED, "it fails")) if number == 2 else found
 
         monkeypatch.setattr(runs, "each_configuration", each)
         done = tepm("demo", "--out", "out")

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ import pytest
 
 from tepm_opt.jobs import simulate as simulations
 from tepm_opt.models.compile import compile_model
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.plots import film
-from tepm_opt.solvers.simulate import SimulationError, SimulationInterrupted, simulate
+from tepm_opt.solvers.simulate import simulate
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import input_columns, length_columns, names_in, shape_columns, summary, table, values, write_rows
 
@@ -182,7 +184,8 @@ def partial(*arguments: Any, **options: Any) -> Any:
 @pytest.mark.usefixtures("in_csv")
 def test_a_motion_that_leaves_all_bounds_is_kept_until_then(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(*arguments: Any, **options: Any) -> Any:
-        raise SimulationError("the motion left all bounds after 1.01 s", partial(*arguments, **options))
+        failed = Outcome(Ending.FAILED, "the motion left all bounds after 1.01 s")
+        return replace(partial(*arguments, **options), outcome=failed)
 
     monkeypatch.setattr(simulations, "simulate", failing)
     done = plain(tepm)
@@ -202,7 +205,7 @@ def test_interruption(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch
     def interrupted(*arguments: Any, **options: Any) -> Any:
         if first:
             raise KeyboardInterrupt
-        raise SimulationInterrupted(partial(*arguments, **options))
+        return replace(partial(*arguments, **options), outcome=Outcome(Ending.INTERRUPTED))
 
     monkeypatch.setattr(simulations, "simulate", interrupted)
     done = plain(tepm)

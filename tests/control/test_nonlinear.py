@@ -53,7 +53,7 @@ def test_large_motion_is_foreseen(kang: CompiledModel, short: Reference, operati
     more = np.vstack([np.zeros(6), plan])
     inputs = at.inputs + np.hstack([np.maximum(more, 0) / kang.values["A"], np.maximum(-more, 0)])
     time = 2 * short.period * np.arange(STAGES + 1)
-    true = simulate(kang, SetPoints(time, inputs, np.zeros((STAGES + 1, 3))), step=2e-3).points[1:-1, -1] - at.tip
+    true = simulate(kang, SetPoints(time, inputs, np.zeros((STAGES + 1, 3))), step=2e-3).complete().points[1:-1, -1] - at.tip
     off = {}
     for kind in (Forecast, NonlinearForecast):
         forecast = kind(Weights(), STAGES)

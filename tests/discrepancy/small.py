@@ -45,7 +45,7 @@ def measured(model: CompiledModel, runs: Sequence[Excitation], seed: int = 1, no
     found = []
     for run in runs:
         asked = run.setpoints
-        points = simulate(model, asked, step=STEP).points
+        points = simulate(model, asked, step=STEP).complete().points
         points = points + noise * random.normal(size=points.shape)
         found.append(Run(run.file, run.role, asked.time, asked.inputs, asked.tip_force, points))
     return found

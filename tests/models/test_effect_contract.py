@@ -142,7 +142,7 @@ def excitation(kang):
     waves = 0.5 - 0.5 * np.cos(np.outer(2 * np.pi * active / 1.6, rng.integers(1, 3, 12)))
     force = 0.05 * np.column_stack([np.sin(4 * active), np.cos(3 * active), 0 * time])
     points = SetPoints(time, (0.1 + 0.1 * waves) * kang.input_max, force)
-    assert simulate(kang, points).effort.halvings == 0
+    assert simulate(kang, points).complete().effort.halvings == 0
     return points
 
 
@@ -287,7 +287,7 @@ def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
 
 def test_in_motion_it_vanishes_at_its_null_values(subject, kang, excitation):
     for settings in ({"tolerance": 1e-10}, {"method": "rk4", "step": 3e-4}):
-        found, plain = (simulate(model, excitation, **settings) for model in (subject.null, kang))
+        found, plain = (simulate(model, excitation, **settings).complete() for model in (subject.null, kang))
         assert abs(found.points - plain.points).max() < 1e-9
 
 

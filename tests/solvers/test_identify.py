@@ -111,7 +111,7 @@ class TestPredictions:
 
 class TestRecovery:
     def test_parameters_with_priors(self, kang: CompiledModel, estimate: ParameterEstimate) -> None:
-        assert estimate.converged
+        assert estimate.solved
         assert estimate.cost / estimate.count == pytest.approx(1.0, abs=0.03)
         assert set(estimate.named) == {"K_a", "m_d", "alpha_2", "c_a"}
         assert largest(missed := misses(estimate, true_values(kang))) < DEVIATIONS, missed

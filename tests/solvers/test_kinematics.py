@@ -8,8 +8,9 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
+from tepm_opt.outcome import Ending
 from tepm_opt.solvers.allocation import force_range
-from tepm_opt.solvers.kinematics import ActuationMode, Reach, solve_ik, solve_trajectory
+from tepm_opt.solvers.kinematics import ActuationMode, solve_ik, solve_trajectory
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import circle
 from tests.tools import random_directions, variant
@@ -79,7 +80,7 @@ class TestCircle:
         for configuration in configurations:
             assert configuration.solved
             assert configuration.limits == ()
-            assert configuration.message == ""
+            assert configuration.outcome.message == ""
             check_held(kang, configuration)
         if mode is ActuationMode.PRESSURE:
             assert not any(configuration.allocation.inputs[6:].any() for configuration in configurations)
@@ -133,10 +134,10 @@ def check_targets(kang, cloud, mode, targets) -> int:
             check_held(kang, found)
             solved += 1
             continue
-        assert found.reach is Reach.OUT_OF_REACH
+        assert found.outcome.ending is Ending.OUT_OF_REACH
         assert found.limits
-        assert f"misses by {1e3 * found.miss:.2f} mm" in found.message
-        assert all(limit in found.message for limit in found.limits)
+        assert f"misses by {1e3 * found.miss:.2f} mm" in found.outcome.message
+        assert all(limit in found.outcome.message for limit in found.limits)
         assert (found.forces >= low - 1e-9).all()
         assert (found.forces <= high + 1e-9).all()
         held = solve_statics(kang, found.allocation.inputs)
@@ -190,7 +191,7 @@ class TestOutOfReach:
     def test_two_metres_up(self, kang, mode, highest):
         """Straight up at full pressure: equal lengths leave the upper module, which carries less, below its limit."""
         found = solve_ik(kang, [0, 0, 2.0], mode)
-        assert found.reach is Reach.OUT_OF_REACH
+        assert found.outcome.ending is Ending.OUT_OF_REACH
         assert found.limits == tuple(f"pressure_1{j} at its maximum" for j in (1, 2, 3))
         np.testing.assert_allclose(found.forces[:3], highest * AREA, atol=1e-6)
         straight = equal_curvature(kang, np.full(3, highest * AREA)).held
@@ -200,7 +201,7 @@ class TestOutOfReach:
         """A point that needs a negative force: reported as the pressure at 0, and reached with tension."""
         target = [-0.028, -0.22, 0.261]
         pressure, hybrid = (solve_ik(kang, target, mode) for mode in MODES)
-        assert pressure.reach is Reach.OUT_OF_REACH
+        assert pressure.outcome.ending is Ending.OUT_OF_REACH
         assert all(limit.startswith("pressure_") and limit.endswith(" at 0") for limit in pressure.limits)
         assert pressure.miss > 0.01
         assert hybrid.solved

@@ -61,7 +61,7 @@ def test_inverse_kinematics(model, mode):
     """A little higher than at rest and aside: within reach of all of them."""
     target = solve_statics(model, np.zeros(model.layout.inputs)).tip + np.array([0.03, 0.02, 0.01])
     found = solve_ik(model, target, mode)
-    assert found.solved, found.message
+    assert found.solved, found.outcome.message
     held = solve_statics(model, found.allocation.inputs)
     assert np.linalg.norm(held.tip - target) < 1e-6
     assert abs(held.lengths - held.lengths[0]).max() < 1e-7

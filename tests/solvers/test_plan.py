@@ -13,8 +13,9 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
+from tepm_opt.outcome import Ending
 from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, Outcome, PlanSettings, Sphere, plan_move, plan_path
+from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, PlanSettings, Sphere, plan_move, plan_path
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import circle, line
@@ -133,8 +134,8 @@ class TestMove:
         check_limits(plan)
         assert plan.margin > margin - 1e-4
         impossible = plan_move(kang, START, END, settings=PlanSettings(stability=max(ends)))
-        assert impossible.outcome is Outcome.BLOCKED
-        assert impossible.message.startswith("start: its smallest stiffness eigenvalue is 0.29")
+        assert impossible.outcome.ending is Ending.BLOCKED
+        assert impossible.outcome.message.startswith("start: its smallest stiffness eigenvalue is 0.29")
 
 
 class TestObstacles:
@@ -157,8 +158,8 @@ class TestObstacles:
 
     def test_a_goal_inside_is_refused(self, kang: CompiledModel) -> None:
         plan = plan_move(kang, START, END, obstacles=[Sphere(END, RADIUS)])
-        assert plan.outcome is Outcome.BLOCKED
-        assert plan.message == "end: s4 is 20.0 mm inside obstacle 1; valid: at least 2 mm away"
+        assert plan.outcome.ending is Ending.BLOCKED
+        assert plan.outcome.message == "end: s4 is 20.0 mm inside obstacle 1; valid: at least 2 mm away"
         assert len(plan.time) == len(plan.setpoints.inputs) == 0
 
 
@@ -182,14 +183,14 @@ class TestPath:
 class TestWrongUse:
     def test_out_of_reach(self, kang: CompiledModel) -> None:
         plan = plan_move(kang, START, (0.05, 0.0, 0.65))
-        assert plan.outcome is Outcome.OUT_OF_REACH
-        assert plan.message.startswith("(0.05, 0, 0.65): out of reach: the nearest point misses by")
+        assert plan.outcome.ending is Ending.OUT_OF_REACH
+        assert plan.outcome.message.startswith("(0.05, 0, 0.65): out of reach: the nearest point misses by")
 
     @pytest.mark.slow
     def test_too_short(self, kang: CompiledModel, fastest: MotionPlan) -> None:
         plan = plan_move(kang, START, END, Objective.EFFORT, 0.2, settings=PlanSettings(iterations=60))
-        assert plan.outcome is Outcome.FAILED
-        assert plan.message.endswith(f"; the fastest plan takes {fastest.duration:.2f} s")
+        assert plan.outcome.ending is Ending.NO_PLAN
+        assert plan.outcome.message.endswith(f"; the fastest plan takes {fastest.duration:.2f} s")
 
     @pytest.mark.parametrize(
         ("change", "message"),

@@ -10,8 +10,9 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
+from tepm_opt.outcome import Ending
 from tepm_opt.solvers import simulate as module
-from tepm_opt.solvers.simulate import Directions, SimulationError, SimulationInterrupted, simulate, stable_step
+from tepm_opt.solvers.simulate import Directions, SimulationError, simulate, stable_step
 from tepm_opt.solvers.statics import solve_statics
 from tests.models.test_time_stepping import gentle
 from tests.paths import reference
@@ -286,9 +287,10 @@ def test_an_interrupted_simulation_keeps_what_it_has(kang):
         if part > 0.5:
             raise KeyboardInterrupt
 
-    with pytest.raises(SimulationInterrupted) as caught:
-        simulate(kang, points, progress=interrupt)
-    partial = caught.value.partial
+    partial = simulate(kang, points, progress=interrupt)
+    assert partial.outcome.ending is Ending.INTERRUPTED
+    with pytest.raises(KeyboardInterrupt):
+        partial.complete()
     assert 15 <= len(partial.points) <= 25
     np.testing.assert_array_equal(partial.points, simulate(kang, points).points[: len(partial.points)])
 
@@ -296,9 +298,12 @@ def test_an_interrupted_simulation_keeps_what_it_has(kang):
 def test_a_failure_says_when(kang, monkeypatch):
     """An RK4 step beyond stability, let through: the motion is stopped when it leaves all bounds."""
     monkeypatch.setattr(module, "_stable_step", lambda *_: 6e-4)
-    with pytest.raises(SimulationError, match=r"left all bounds after 0\.\d+ s \(a shorter step may help; step 0\.0006 s\)") as caught:
-        simulate(kang, gentle(kang, 1.0, 51), "rk4")
-    assert np.isfinite(caught.value.partial.points).all()
+    failed = simulate(kang, gentle(kang, 1.0, 51), "rk4")
+    assert failed.outcome.ending is Ending.FAILED
+    assert 0 < len(failed.points) < 51
+    assert np.isfinite(failed.points).all()
+    with pytest.raises(SimulationError, match=r"left all bounds after 0\.\d+ s \(a shorter step may help; step 0\.0006 s\)"):
+        failed.complete()
 
 
 def test_two_runs_are_the_same_bytes(kang):

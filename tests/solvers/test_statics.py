@@ -9,7 +9,8 @@ from tepm_opt.data.tables import read_table
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.statics import EquilibriumStatus, StaticsSettings, solve_statics, without_inputs
+from tepm_opt.outcome import Ending
+from tepm_opt.solvers.statics import StaticsSettings, solve_statics, without_inputs
 from tests.independent import Network
 from tests.paths import reference
 from tests.tools import observed, random_directions, random_inputs, variant
@@ -218,7 +219,7 @@ class TestRobustness:
         corners = np.random.default_rng(1).integers(0, 2, (500, 12)) * kang.input_max
         for u in np.concatenate([random_inputs(kang, 1500, 0), corners]):
             held = solve_statics(kang, u)
-            assert held.solved, held.message
+            assert held.solved, held.outcome.message
             assert held.residual < 1e-9
             assert held.iterations <= 20
             assert held.reached == 1
@@ -237,31 +238,31 @@ class TestRobustness:
         for u, force in zip(inputs, sizes[:, None] * random_directions(300, 5), strict=True):
             held = solve_statics(kang, u, force)
             solved += held.solved
-            assert held.solved or (held.message and 0 < held.reached < 1)
+            assert held.solved or (held.outcome.message and 0 < held.reached < 1)
         assert solved >= 297
 
     def test_straight_down_it_buckles(self, kang):
         held = solve_statics(kang, np.zeros(12), [0, 0, -3.0])
-        assert held.status is EquilibriumStatus.UNSTABLE
+        assert held.outcome.ending is Ending.UNSTABLE
         assert not held.solved
         assert 0.4 < held.reached < 0.5
         assert held.smallest_eigenvalue < 0
-        assert "unstable" in held.message
-        assert f"{100 * held.reached:.1f} %" in held.message
+        assert "unstable" in held.outcome.message
+        assert f"{100 * held.reached:.1f} %" in held.outcome.message
         just_below, just_above = (solve_statics(kang, np.zeros(12), [0, 0, -3.0 * held.reached * part]) for part in (0.999, 1.001))
         assert just_below.solved
         assert not just_above.solved
 
     def test_too_few_iterations_are_explained(self, kang):
         held = solve_statics(kang, ELONGATION, [1, 0, 0], settings=StaticsSettings(iterations=1))
-        assert held.status is EquilibriumStatus.NOT_CONVERGED
-        assert "not converged" in held.message
+        assert held.outcome.ending is Ending.NOT_CONVERGED
+        assert "not converged" in held.outcome.message
         assert held.reached < 1
 
     def test_what_counts_as_collapsed_is_a_setting(self, kang):
         held = solve_statics(kang, [0.0] * 6 + [7.0] * 6, settings=StaticsSettings(shortest=0.99))
-        assert held.status is EquilibriumStatus.COLLAPSED
-        assert "below 0.99 of its rest length" in held.message
+        assert held.outcome.ending is Ending.COLLAPSED
+        assert "below 0.99 of its rest length" in held.outcome.message
 
     def test_warm_start_equals_cold_start(self, kang):
         path = random_inputs(kang, 2, 6)
@@ -286,9 +287,9 @@ class TestRobustness:
 
 def test_a_row_without_inputs_has_a_status_too(kang):
     nothing = without_inputs(kang, np.full(12, np.nan), np.zeros((4, 3)))
-    assert nothing.status is EquilibriumStatus.NO_INPUTS
+    assert nothing.outcome.ending is Ending.NO_INPUTS
     assert not nothing.solved
-    assert nothing.message
+    assert nothing.outcome.message
     assert np.isnan(observed(nothing)).all()
 
 

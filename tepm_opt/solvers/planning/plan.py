@@ -16,17 +16,18 @@ from scipy.interpolate import make_interp_spline
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, finite_array
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.allocation import ActuationMode
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.planning.family import FamilyError, FamilyFit, axial, make_family
 from tepm_opt.solvers.planning.program import Box, Limits, Obstacle, PlannedMotion, PlanTask, Route, Sphere, distance, solve
-from tepm_opt.solvers.planning.result import MotionPlan, Objective, Outcome
+from tepm_opt.solvers.planning.result import MotionPlan, Objective
 from tepm_opt.solvers.planning.setpoints import commands, left_over, tensions
 from tepm_opt.solvers.statics import Equilibrium
 from tepm_opt.solvers.trajectories import Trajectory
 
-__all__ = ["Box", "MotionPlan", "Objective", "Obstacle", "Outcome", "PlanSettings", "Sphere", "plan_move", "plan_path"]
+__all__ = ["Box", "MotionPlan", "Objective", "Obstacle", "PlanSettings", "Sphere", "plan_move", "plan_path"]
 
 EXACT = FamilyFit()
 INTERVAL = 0.02  # m of a long way to each interval of the splines, up to twice their number
@@ -159,28 +160,29 @@ def _plan(
     """A plan between two targets or, with parts, along many."""
     mid, layout = _check(model, objective, duration, settings), model.layout
 
-    def none(outcome: Outcome, message: str) -> MotionPlan:
+    def none(ending: Ending, message: str) -> MotionPlan:
         rows = SetPoints(np.zeros(0), np.zeros((0, layout.inputs)), np.zeros((0, 3)))
         points = np.zeros((0, layout.points, 3))
-        return MotionPlan(model, objective, outcome, message, rows.time, points[:, 0], points, np.zeros((0, layout.inputs // 2)), rows)
+        forces, outcome = np.zeros((0, layout.inputs // 2)), Outcome(ending, message)
+        return MotionPlan(model, objective, outcome, rows.time, points[:, 0], points, forces, rows)
 
     progress("inverse kinematics")
     configurations = []
     for found in each_configuration(model, targets, ActuationMode.HYBRID, None, mid):
         if not found.solved:
-            return none(Outcome.OUT_OF_REACH, f"({', '.join(f'{v:g}' for v in found.target)}): {found.message}")
+            return none(Ending.OUT_OF_REACH, f"({', '.join(f'{v:g}' for v in found.target)}): {found.outcome.message}")
         configurations.append(found)
     ends = configurations[0], configurations[-1]
     for name, checked in (("start", ends[:1]), ("end", ends[1:])) if parts is None else (("path", configurations),):
         for found in checked:
             if why := _blocked(found.equilibrium, obstacles, settings):
-                return none(Outcome.BLOCKED, f"{name}: {why}")
+                return none(Ending.BLOCKED, f"{name}: {why}")
     progress("configurations about the task")
     lengths = np.array([found.equilibrium.lengths[0] for found in configurations])
     try:
         family = make_family(model, lengths, configurations[len(configurations) // 2].equilibrium, settings.fit)
     except FamilyError as error:
-        return none(Outcome.FAILED, f"the configurations about the task are not all stable: {error}")
+        return none(Ending.NO_PLAN, f"the configurations about the task are not all stable: {error}")
     y, area, half = family.within(lengths), model.values["A"], layout.inputs // 2
     air = area * ends[0].allocation.inputs[:half], area * ends[1].allocation.inputs[:half]
     sway = np.array([np.sqrt(modal_model(at, modes=2).stiffness) for at in (ends[0].equilibrium, family.middle, ends[1].equilibrium)])
@@ -190,23 +192,23 @@ def _plan(
     intervals = int(np.clip(way / INTERVAL, settings.intervals, 2 * settings.intervals))
     task = PlanTask(family, (y[0], y[-1]), air, limits, obstacles, route, duration, intervals, settings.iterations, settings.smoothness)
     progress("nonlinear program")
-    iterations, seconds, plan = 0, 0.0, none(Outcome.FAILED, "")
+    iterations, seconds, plan = 0, 0.0, none(Ending.NO_PLAN, "")
     for smoothness in settings.smoothness * SMOOTHER if duration is None else (settings.smoothness,):
         motion, tries = _solved(replace(task, smoothness=float(smoothness)))
         iterations, seconds = iterations + sum(one.iterations for one in tries), seconds + sum(one.seconds for one in tries)
         if not motion.solved:
             if plan.solved:
                 break
-            return none(Outcome.FAILED, _why(task, motion))
+            return none(Ending.NO_PLAN, _why(task, motion))
         progress("set points and simulation")
         try:
             plan = _played(task, motion, ends, settings, objective)
         except FamilyError as error:
-            return none(Outcome.FAILED, f"on the way: {error}")
+            return none(Ending.NO_PLAN, f"on the way: {error}")
         if plan.solved and plan.left_over <= settings.left_over:
             break
     if not plan.solved:
-        return none(plan.outcome, plan.message)
+        return none(plan.outcome.ending, plan.outcome.message)
     lowest, highest = float(sway.min()) / (2 * np.pi), float(sway.max()) / (2 * np.pi)
     return replace(plan, sway_frequencies=(lowest, highest), iterations=iterations, seconds=seconds)
 
@@ -223,7 +225,7 @@ def _solved(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
 
 def _why(task: PlanTask, motion: PlannedMotion) -> str:
     """Words for a program without a solution."""
-    ended = f"{motion.status} after {motion.iterations} iterations of IPOPT"
+    ended = f"{motion.outcome.message} after {motion.iterations} iterations of IPOPT"
     if task.duration is None:
         return f"no motion keeps the limits, margin and obstacles ({ended})"
     fastest = solve(replace(task, duration=None))
@@ -299,10 +301,10 @@ def _played(
             f"the tensions leave their limits ({wind.min():.2f} … {wind.max():.2f} N, up to {wound:.1f} N/s): "
             "the reserves of the settings are too small"
         )
-    outcome = Outcome.FAILED if message else Outcome.SOLVED
+    outcome = Outcome(Ending.NO_PLAN, message) if message else Outcome()
     setpoints = SetPoints(time, np.clip(inputs, 0.0, model.input_max), np.zeros((rows, 3)))
     muscle[-1] = wanted[-1]
     left = left_over(model, time, muscle, wind, points[-1, -1])
     margin = min(found.smallest_eigenvalue for found in at)
-    return MotionPlan(model, objective, outcome, message, time, points[:, -1], points, forces, setpoints, margin, float(effort),
+    return MotionPlan(model, objective, outcome, time, points[:, -1], points, forces, setpoints, margin, float(effort),
                 left_over=left, surrogate_error=(errors[0], errors[1]))  # fmt: skip

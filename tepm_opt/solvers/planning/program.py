@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.planning.family import Family
 
 SOFTNESS = 1e-3  # m over which the faces of a box are blended
@@ -130,17 +131,22 @@ class PlannedMotion:
         place: of y, or of the part of the route, by the part of the duration.
         route: see `PlanTask`.
         air: P by the part of the duration, (modules · 3,) in N.
-        solved, status, iterations, seconds: how IPOPT ended.
+        outcome: SOLVED or NOT_CONVERGED, with IPOPT's own status.
+        iterations, seconds: of IPOPT.
     """
 
     duration: float
     place: BSpline
     route: Route | None
     air: BSpline
-    solved: bool
-    status: str
+    outcome: Outcome
     iterations: int
     seconds: float
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a motion."""
+        return self.outcome.solved
 
     def lengths(self, part: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """y, y' and y'' by time, (n, 3) each."""
@@ -288,9 +294,10 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None, guess: float = 1.0) -
     parts = np.split(values, np.cumsum([1, free_guess.size, air_guess.size]))
     place = _held(ends[0], parts[1].reshape(free_guess.shape, order="F"), ends[1])
     air = _held(task.air[0], parts[2].reshape(air_guess.shape, order="F"), task.air[1])
+    outcome = Outcome(Ending.SOLVED if stats["success"] else Ending.NOT_CONVERGED, str(stats["return_status"]))
     return PlannedMotion(
         float(values[0]), BSpline(_knots(intervals, ORDER), place, ORDER), route, BSpline(_knots(intervals, AIR_ORDER), air, AIR_ORDER),
-        bool(stats["success"]), str(stats["return_status"]), int(stats["iter_count"]), time.perf_counter() - began,
+        outcome, int(stats["iter_count"]), time.perf_counter() - began,
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
 from tepm_opt.data.tables import write_table
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.outcome import Outcome
 
 
 class Objective(StrEnum):
@@ -22,15 +23,6 @@ class Objective(StrEnum):
     """Integral of the squared rates of all set points, pressures as p A, in N²/s; in a given duration."""
 
 
-class Outcome(Enum):
-    """How planning ended."""
-
-    SOLVED = "solved"
-    OUT_OF_REACH = "out of reach"
-    BLOCKED = "blocked"
-    FAILED = "no plan found"
-
-
 @dataclass(frozen=True, eq=False)
 class MotionPlan:
     """A motion from rest to rest, at the rows of its set points; without rows where there is none.
@@ -38,7 +30,7 @@ class MotionPlan:
     Attributes:
         model: of which.
         objective: what was made small.
-        outcome, message: how planning ended; the message explains every outcome but SOLVED.
+        outcome: SOLVED, OUT_OF_REACH, BLOCKED or NO_PLAN; its message explains all but SOLVED.
         time: (n,) in s.
         tips: (n, 3) in m in G.
         points: reference points by exact equilibria, (n, points, 3) in m in G.
@@ -55,7 +47,6 @@ class MotionPlan:
     model: CompiledModel
     objective: Objective
     outcome: Outcome
-    message: str
     time: np.ndarray
     tips: np.ndarray
     points: np.ndarray
@@ -72,7 +63,7 @@ class MotionPlan:
     @property
     def solved(self) -> bool:
         """Whether there is a plan."""
-        return self.outcome is Outcome.SOLVED
+        return self.outcome.solved
 
     @property
     def duration(self) -> float:
@@ -81,8 +72,13 @@ class MotionPlan:
 
     def summary(self) -> dict[str, Any]:
         """Numbers of the plan."""
-        found: dict[str, Any] = {"robot": self.model.robot.name, "objective": self.objective.value, "outcome": self.outcome.value}
-        found |= {"message": self.message or None, "rows": len(self.time), "iterations": self.iterations, "seconds": round(self.seconds, 3)}
+        found: dict[str, Any] = {"robot": self.model.robot.name, "objective": self.objective.value, "outcome": self.outcome.ending.value}
+        found |= {
+            "message": self.outcome.message or None,
+            "rows": len(self.time),
+            "iterations": self.iterations,
+            "seconds": round(self.seconds, 3),
+        }
         if not len(self.time):
             return found
         half, inputs = self.model.layout.inputs // 2, self.setpoints.inputs

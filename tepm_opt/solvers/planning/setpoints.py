@@ -75,7 +75,7 @@ def left_over(model: CompiledModel, time: np.ndarray, muscle: np.ndarray, tensio
     after = time[-1] + np.arange(1, round(WATCHED / ROW) + 1) * ROW
     inputs = np.vstack([inputs, np.repeat(inputs[-1:], len(after), axis=0)])
     try:
-        motion = simulate(model, SetPoints(np.concatenate([time, after]), inputs, np.zeros((len(inputs), 3))))
+        motion = simulate(model, SetPoints(np.concatenate([time, after]), inputs, np.zeros((len(inputs), 3)))).complete()
     except (SimulationError, InputError):
         return np.inf
     return float(np.linalg.norm(motion.tip[len(time) - 1 :] - rest, axis=1).max())
