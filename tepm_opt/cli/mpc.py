@@ -49,7 +49,7 @@ def live(wanted: bool, rig: Rig) -> Iterator[Look | None]:
     stream = RerunStream("tepm mpc")
 
     def look(sample: Sample, command: Command) -> None:
-        stream.show(sample, command, nodes=getattr(rig, "true_nodes", None))
+        stream.show(sample, command, nodes=None if rig.simulated is None else rig.simulated.true_nodes)
 
     try:
         yield look

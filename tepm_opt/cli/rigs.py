@@ -36,9 +36,8 @@ def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:
 
     def open_seeded(noise: int) -> Rig:
         rig = open_rig(text, robot)
-        reseed = getattr(rig, "reseed", None)
-        if reseed is not None:
-            reseed(noise)
+        if simulated := rig.simulated:
+            simulated.reseed(noise)
         elif seed:
             raise InputError(f"--seed {seed}: rig {text!r} has no noise that can be seeded; leave the option out")
         return rig

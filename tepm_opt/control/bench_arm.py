@@ -9,7 +9,8 @@ import numpy as np
 
 from tepm_opt.control.mpc import MpcSettings
 from tepm_opt.control.reference import PERIOD, Reference, reference_by_forces, rising
-from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import Robot
@@ -66,11 +67,30 @@ def bench_settings() -> MpcSettings:
 
 
 class BenchArm:
-    """A bench that looks like the guided robot: one point at the actuator's end, three muscles of which each does a third."""
+    """A bench that looks like the guided robot: one point at the actuator's end, three muscles of which each does a third.
+
+    Attributes:
+        bench: as given.
+        robot: `guided`, of three muscles.
+    """
 
     def __init__(self, bench: BenchRig) -> None:
         self.bench = bench
         self.robot = guided(bench.robot)
+
+    @property
+    def time(self) -> float:
+        """Seconds since the bench's start."""
+        return self.bench.time
+
+    @property
+    def simulated(self) -> Simulated:
+        """The arm itself."""
+        return self
+
+    def reseed(self, noise: int) -> None:
+        """Draw other noise for the same bench; 0 is its own."""
+        self.bench.reseed(noise)
 
     def read(self) -> Sample:
         """The bench's next sample."""
@@ -85,10 +105,30 @@ class BenchArm:
         pressure, tension = np.array([command.pressures.mean()]), np.array([command.tensions.sum()])
         self.bench.apply(Command(pressure, tension, command.enabled[:1]))
 
+    def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:
+        """The mean of the pressures, the tensions together; see `BenchRig.schedule`."""
+        pressures, tensions = np.split(setpoints.inputs, 2, axis=1)
+        inputs = np.stack([pressures.mean(axis=1), tensions.sum(axis=1)], axis=1)
+        self.bench.schedule(SetPoints(setpoints.time, inputs, setpoints.tip_force), linear)
+
+    def push(self, forces: np.ndarray) -> None:
+        """As the bench, which cannot push."""
+        self.bench.push(forces)
+
     @property
     def true_points(self) -> np.ndarray:
         """Middle and end, (2, 3) in m."""
-        return np.array([[0.0, 0.0, self.bench.true_length / 2], [0.0, 0.0, self.bench.true_length]])
+        return self.bench.true_points[1] * np.array([[0.5], [1.0]])
+
+    @property
+    def true_nodes(self) -> np.ndarray:
+        """Nodes of all muscles, which are at the same place, (n + 1, 3, 3) in m."""
+        return np.repeat(self.bench.true_nodes, MUSCLES, axis=1)
+
+    @property
+    def true_lengths(self) -> np.ndarray:
+        """Lengths of the muscles, (3,) in m."""
+        return np.repeat(self.bench.true_lengths, MUSCLES)
 
     def stop(self) -> None:
         """As the bench."""

@@ -16,7 +16,7 @@ from tepm_opt.control.mpc import Mpc, Step
 from tepm_opt.control.reference import Reference, rising
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
-from tepm_opt.hw.rig import Command, Rig, Sample, Virtual
+from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
@@ -137,7 +137,7 @@ def close_loop(
         InputError: a rig that does not fit the robot, or that disagrees with the model before the loop is closed.
     """
     guard, done = guard or Guard(), keep or LoopRecord(controller.reference)
-    rests = isinstance(rig, Virtual) or guard.glide <= 0
+    rests = rig.simulated is not None or guard.glide <= 0
     watch = _Supervisor(guard, robot)
     with rig, _uncollected():
         try:
@@ -278,11 +278,10 @@ def _measured(sample: Sample, count: int) -> np.ndarray:
 def _note(
     done: LoopRecord, rig: Rig, sample: Sample, passed: float, row: int, command: Command, seconds: float, controller: Controller
 ) -> None:
-    true = getattr(rig, "true_points", None)
     done.rows.append(row)
     done.time.append(passed)
     done.points.append(sample.points)
-    done.truth.append(np.full(3, np.nan) if true is None else np.array(true[-1]))
+    done.truth.append(np.full(3, np.nan) if rig.simulated is None else rig.simulated.true_points[-1])
     done.commands.append(command)
     done.measured.append(_measured(sample, 2 * len(command.pressures)))
     done.seconds.append(seconds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command
 from tepm_opt.models.layout import Layout
@@ -36,3 +37,15 @@ def check_command(command: Command, robot: Robot) -> np.ndarray:
             f"command: {kind} of actuator {names[first % count]} = {values[first]:g} {unit}; valid: 0 … {limits[first]:g} {unit}"
         )
     return np.concatenate([np.clip(values, 0.0, limits), np.asarray(command.enabled, dtype=float)])
+
+
+def check_setpoints(setpoints: SetPoints, robot: Robot) -> np.ndarray:
+    """[pressures, tensions, ENA] of every row with all motors enabled, (rows, 3 · modules · actuators) in Pa, N and 1.
+
+    Raises:
+        InputError: a value that is NaN or outside the robot's limits, or a tip force that is not finite.
+    """
+    values = np.array([check_command(Command.of(row), robot) for row in setpoints.inputs])
+    if not np.isfinite(setpoints.tip_force).all():
+        raise InputError("set points: a tip force is not a finite number")
+    return values

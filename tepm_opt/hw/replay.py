@@ -82,6 +82,11 @@ class ReplayRig:
         """Nothing moves."""
 
     @property
+    def simulated(self) -> None:
+        """A recording is no simulation."""
+        return None
+
+    @property
     def recorded(self) -> Command:
         """The set points of the last sample's row (the first row's before the first `read`); recordings do not have ENA, so all are on."""
         return Command.of(self.run.inputs[max(self._row - 1, 0)])

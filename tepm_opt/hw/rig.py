@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.models.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,10 @@ class Sample:
         pressures: measured, (modules · actuators,) in Pa; None where the rig does not measure them.
         tensions: measured, (modules · actuators,) in N; None where the rig does not measure them.
         lengths: measured actuator lengths in m; only the single-actuator bench has them.
+        transforms: full poses of the tracker's sensors in G, (points, 4, 4) with the position in m; NaN where one was lost, None where the
+            rig has only points.
         status: what the rig says about itself; "ok" when all is well.
+        extra: other measured numbers by the name of their column.
     """
 
     time: float
@@ -50,12 +54,28 @@ class Sample:
     pressures: np.ndarray | None = None
     tensions: np.ndarray | None = None
     lengths: np.ndarray | None = None
+    transforms: np.ndarray | None = None
     status: str = "ok"
     extra: dict[str, float] = field(default_factory=dict)
 
 
 class Rig(Protocol):
     """A robot, simulated or real. Use it as a context manager: leaving it, also by an exception, stops the robot."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot as its file says: what a controller may know."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Seconds since the rig's start: when a command given now is given."""
+        ...
+
+    @property
+    def simulated(self) -> Simulated | None:
+        """The rig itself where it is a simulation, else None."""
+        ...
 
     def read(self) -> Sample:
         """Wait for the next sample (a full pose where the tracker gives one) and return it; simulated rigs advance virtual time."""
@@ -82,16 +102,47 @@ class Rig(Protocol):
         ...
 
 
-@runtime_checkable
-class Virtual(Protocol):
-    """A rig of virtual time: rests from the start under what is commanded before the first `read`, and takes set points in advance."""
+class Simulated(Rig, Protocol):
+    """A rig of virtual time, which passes only in `read`: it takes set points in advance, and what happens in it is known.
 
-    time: float
+    It rests from the start under what is commanded before the first `read`.
+    """
+
+    def reseed(self, noise: int) -> None:
+        """Draw other noise for the same machine; 0 is its own."""
+        ...
 
     def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:
-        """Set points from now on, linear between rows."""
+        """Give set points in advance, from now on.
+
+        Args:
+            setpoints: inputs (rows, 2 · modules · actuators) in Pa and N, tip forces (rows, 3) in N. All motors are enabled.
+            linear: linear between the rows, or each row held until the next.
+
+        Raises:
+            InputError: a value is NaN, outside the robot's limits, or a force where the rig cannot push; nothing changes then.
+        """
         ...
 
     def push(self, forces: np.ndarray) -> None:
-        """A known force on the tip, (3,) in N."""
+        """Push the tip from now on with a known force in G, (3,) in N.
+
+        Raises:
+            InputError: wrong shape, not finite, or the rig cannot push.
+        """
+        ...
+
+    @property
+    def true_points(self) -> np.ndarray:
+        """Where the reference points are in truth at the last sample's time, in G, (points, 3) in m."""
+        ...
+
+    @property
+    def true_nodes(self) -> np.ndarray:
+        """Where all nodes are in truth at the last sample's time, in G, (n + 1, actuators, 3) in m."""
+        ...
+
+    @property
+    def true_lengths(self) -> np.ndarray:
+        """Lengths of the actuators in truth at the last sample's time, (modules · actuators,) in m."""
         ...

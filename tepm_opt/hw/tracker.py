@@ -81,6 +81,11 @@ class Tracker(Protocol):
     def close(self) -> None:
         """Let go of the tracker."""
 
+    @property
+    def status(self) -> str:
+        """ "ok", or "tracker silent for 0.52 s": what to say where `read` gives None."""
+        ...
+
 
 class ServerClock:
     """Host's clock − server's clock (`offset` in s), from when messages with the server's stamps arrive.

@@ -21,7 +21,7 @@ from tepm_opt.data.files import output_folder
 from tepm_opt.data.journal import Journal
 from tepm_opt.data.tables import field_text
 from tepm_opt.errors import InputError
-from tepm_opt.hw.rig import Command, Rig, Sample, Virtual
+from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.jobs.closed_loop import LOG, ClosedLoop, LoopSetup
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
@@ -109,13 +109,12 @@ def run_closed_loop(
             cannot be written to.
         RuntimeError, OSError: the rig failed before the loop was closed.
     """
-    known = getattr(rig, "robot", None)
-    if known is not None and channels_of(known) != channels_of(model.robot):
+    if channels_of(rig.robot) != channels_of(model.robot):
         raise InputError(
-            f"the rig's robot is {known.name!r}, the model's {model.robot.name!r}; name the one that is there (--robot, --model)"
+            f"the rig's robot is {rig.robot.name!r}, the model's {model.robot.name!r}; name the one that is there (--robot, --model)"
         )
     settings = setup.settings
-    if not isinstance(rig, Virtual):  # there time does not wait for a step
+    if rig.simulated is None:  # there time does not wait for a step
         settings = replace(settings, late=min(settings.late, reference.period))
     controller = controller_named(setup.controller, model, reference, settings)
     done, failure = LoopRecord(reference), ""

@@ -19,7 +19,7 @@ from tepm_opt.data.journal import mend_journal
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import builtin_robots
-from tepm_opt.recording.drive import Show, Virtual, silent
+from tepm_opt.recording.drive import Show, silent
 from tepm_opt.recording.measure import UNFINISHED, journal_path, measure
 from tepm_opt.recording.plan import RecordingPlan
 
@@ -100,7 +100,7 @@ def record(
             continue
         journal = journal_path(output_folder(folder / UNFINISHED), file)
         rig, force = rigs(seed_of(seed, file)), setpoints.tip_force[0]
-        if not isinstance(rig, Virtual) and np.any(force != hanging):
+        if rig.simulated is None and np.any(force != hanging):
             ask(f"{file}: make the force on the tip x, y, z = {', '.join(f'{value:g}' for value in force)} N")
             hanging = force
         measured = measure(rig, setpoints, plan.robot, journal, folder / file, planned.role, plan.sample_rate, show(file), at_once=True)

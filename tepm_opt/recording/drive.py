@@ -14,7 +14,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.findings import noise_level, spread
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw.rig import Command, Rig, Sample, Virtual
+from tepm_opt.hw.rig import Command, Rig, Sample
 
 FULL_RANGE, SHORTEST = 6.0, 2.0
 """Seconds in which inputs glide over their full range, and the least that a glide takes."""
@@ -105,14 +105,13 @@ class Driver:
 
     @property
     def now(self) -> float:
-        """The rig's time at which a command given now is given; the last sample's where the rig does not tell."""
-        known = getattr(self.rig, "time", None)
-        return float(known) if isinstance(known, int | float) else self._times[-1]
+        """The rig's time in s at which a command given now is given."""
+        return self.rig.time
 
     def start(self, setpoints: SetPoints, at_once: bool = False) -> bool:
         """Bring the robot to rest under the first row, slowly or, where time is virtual and if wished, at once; whether it rests."""
-        if isinstance(self.rig, Virtual):
-            self.rig.push(setpoints.tip_force[0])
+        if simulated := self.rig.simulated:
+            simulated.push(setpoints.tip_force[0])
             if at_once:
                 self.apply(setpoints.inputs[0])
                 self.read()
@@ -169,7 +168,7 @@ class Driver:
         self._refuse_rate(rate)
         time = setpoints.time - setpoints.time[0]
         origin = self._begin(setpoints, time)
-        scheduled, tolerance = isinstance(self.rig, Virtual), 0.45 * min(self.period, 1 / rate)
+        scheduled, tolerance = self.rig.simulated is not None, 0.45 * min(self.period, 1 / rate)
         due, last, late, sent = 0, int(np.floor(time[-1] * rate + 1e-6)), 0.0, self.now
         before = -np.inf
         while due <= last:
@@ -199,12 +198,12 @@ class Driver:
         """The rig's time at which the set points begin: when the next sample is due that is not yet past."""
         last = self._times[-1]
         origin = last + self.period * max(int(np.ceil((self.now - last) / self.period - 1e-6)), 1)
-        if isinstance(self.rig, Virtual):
+        if simulated := self.rig.simulated:
             wait = origin - self.now
             values = (setpoints.inputs, setpoints.tip_force)
             if wait > 1e-4:
                 time, values = np.append(0.0, time + wait), tuple(np.vstack([rows[:1], rows]) for rows in values)
-            self.rig.schedule(SetPoints(time, *values))
+            simulated.schedule(SetPoints(time, *values))
         return origin
 
     def finish(self) -> None:

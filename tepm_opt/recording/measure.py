@@ -17,7 +17,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig, Sample
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import Robot
-from tepm_opt.recording.drive import Driver, Row, Show, Virtual, silent
+from tepm_opt.recording.drive import Driver, Row, Show, silent
 
 STATUS, GOOD = "status", "ok"
 UNFINISHED = "unfinished"
@@ -62,12 +62,11 @@ def measure(
         RuntimeError: the rig gave no sample.
     """
     channels, force = channels_of(robot), setpoints.tip_force
-    at_once = at_once and isinstance(rig, Virtual)
+    at_once = at_once and rig.simulated is not None
     with rig:
-        known = getattr(rig, "robot", None)
-        if known is not None and channels_of(known) != channels:
-            raise InputError(f"the rig's robot is {known.name!r}, the set points are for {robot.name!r}; name the robot that is there")
-        if not isinstance(rig, Virtual) and np.any(force != force[0]):
+        if channels_of(rig.robot) != channels:
+            raise InputError(f"the rig's robot is {rig.robot.name!r}, the set points are for {robot.name!r}; name the robot that is there")
+        if rig.simulated is None and np.any(force != force[0]):
             raise InputError(f"{out.name}: the tip force changes, but this rig cannot push; hang a weight and give a constant force")
         driver = Driver(rig, channels, show)
         rested = driver.start(setpoints, at_once)

@@ -40,7 +40,7 @@ def record_poses(rig: Rig, setpoints: SetPoints, robot: Robot, hold: float, show
     """Rest at every row in turn for `hold` s, then go back to zero. The rig is stopped whatever happens.
 
     Args:
-        rig: has `frame`, the tracker's last one; not yet entered.
+        rig: any whose samples have `transforms`; not yet entered.
         setpoints: their times do not count.
         robot: that they are for.
         hold: seconds in which poses are averaged.
@@ -64,15 +64,13 @@ def record_poses(rig: Rig, setpoints: SetPoints, robot: Robot, hold: float, show
 
 def _frames(driver: Driver, hold: float, row: int) -> np.ndarray:
     """All poses of some time, (samples, points, 4, 4)."""
-    begin, taken, last = driver.now, [], None
+    begin, taken = driver.now, []
     while driver.now - begin < hold:
         driver.apply(driver.inputs)
-        driver.read()
+        sample = driver.read()
         driver.show(f"measuring row {row}", driver.now - begin, hold)
-        frame = getattr(driver.rig, "frame", None)
-        if frame is not None and frame is not last:
-            taken.append(frame.transforms)
-            last = frame
+        if sample.transforms is not None:
+            taken.append(sample.transforms)
     return np.array(taken) if taken else np.full((1, len(driver.channels.points), 4, 4), np.nan)
 
 

@@ -28,7 +28,6 @@ from tepm_opt.hw.rig import Command as RigCommand
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.service import monitor as watch
 from tepm_opt.hw.service.line import Line, open_line
-from tepm_opt.hw.tracker import Frame
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, load_robot, robot_text
 from tepm_opt.solvers.statics import solve_statics
@@ -337,14 +336,14 @@ class PosedRig:
     mount = Mount(gravity_m_per_s2=(0, 0, -9.81), base_position_m=(0.1, -0.2, 0.03), base_rotation_deg=(8.0, -5.0, 30.0))
     holders = np.array([[0.04, 0, 0], [0.0, 0.04, 0.005], [0.02, -0.03, 0], [0.04, 0.001, -0.01]])
 
+    robot, simulated = load_robot("kang2017"), None
+
     def __init__(self) -> None:
-        robot = load_robot("kang2017")
-        self.model = compile_model(robot.model_copy(update={"mount": self.mount}), backend="python")
+        self.model = compile_model(self.robot.model_copy(update={"mount": self.mount}), backend="python")
         self.random = np.random.default_rng(1)
         self.time, self.stops = 0.0, 0
         self.wanted = self.solved = np.zeros(12)
         self.points = np.zeros((4, 3))
-        self.frame: Frame | None = None
 
     def read(self) -> Sample:
         self.time += 0.01
@@ -354,8 +353,7 @@ class PosedRig:
         transforms[:, :3, :3] = self.mount.rotation @ turns
         transforms[:, :3, 3] = self.points - np.einsum("pij,pj->pi", transforms[:, :3, :3], self.holders)
         transforms[:, :3, 3] += 3e-4 * self.random.normal(size=(4, 3))
-        self.frame = Frame(self.time, self.points, transforms, "ok")
-        return Sample(self.time, self.points)
+        return Sample(self.time, self.points, transforms=transforms)
 
     def apply(self, command: RigCommand) -> None:
         new = np.concatenate([command.pressures, command.tensions])

@@ -221,9 +221,15 @@ class TestEarlyEnds:
 class Real:
     """A rig that has no virtual time: the simulated one without what a real one does not have."""
 
+    simulated = None
+
     def __init__(self) -> None:
         self._rig = SimulatedRig(load_rig_file())
         self.robot, self.read, self.apply, self.stop = self._rig.robot, self._rig.read, self._rig.apply, self._rig.stop
+
+    @property
+    def time(self) -> float:
+        return self._rig.time
 
     def __enter__(self) -> Real:
         return self

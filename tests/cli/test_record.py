@@ -18,13 +18,13 @@ from tepm_opt.data.run import read_run
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
 from tests.cli.conftest import Command
 from tests.data.made import ACTUATORS
-from tests.recording.fake_rig import FakeRig, SeededLater, write_plan
+from tests.recording.fake_rig import FakeRig, FakeSimulation, write_plan
 
 SLOW = """
 import sys
 from tepm_opt.cli import main, rigs
-from tests.recording.fake_rig import SeededLater
-rigs.open_rig = lambda text, robot: SeededLater(wait=0.002)
+from tests.recording.fake_rig import FakeRig
+rigs.open_rig = lambda text, robot: FakeRig(wait=0.002)
 main(sys.argv[1:])
 """
 
@@ -35,7 +35,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[FakeRig]:
     opened: list[FakeRig] = []
 
     def open_fake(text: str, robot: object) -> FakeRig:
-        opened.append(SeededLater())
+        opened.append(FakeRig())
         return opened[-1]
 
     monkeypatch.setattr(rigs, "open_rig", open_fake)
@@ -60,8 +60,9 @@ class TestRecord:
         assert tepm("data", "check", "set").out == "set: nothing to complain of\n"
         assert len(fake) == 3
 
-    def test_json_and_nothing_else(self, tepm: Command, here: Path, fake: list[FakeRig]) -> None:
+    def test_json_and_nothing_else(self, tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         write_plan(here)
+        monkeypatch.setattr(rigs, "open_rig", lambda text, robot: FakeSimulation())
         done = tepm("record", "plan.toml", "--rig", "fake", "--out", "set", "--seed", 3, "--json")
         assert (done.status, done.err) == (0, "")
         assert done.json() == {"dataset": "set", "recorded": ["steps.csv", "ramp.csv", "sweep.csv"], "kept": [], "notes": {}}
@@ -87,14 +88,14 @@ class TestRecord:
 
     def test_a_rig_that_fails(self, tepm: Command, here: Path, fake: list[FakeRig], monkeypatch: pytest.MonkeyPatch) -> None:
         write_plan(here)
-        plain = SeededLater.read
+        plain = FakeRig.read
 
-        def read(self: SeededLater):
+        def read(self: FakeRig):
             if self.ticks == 700:
                 raise OSError("the line is dead")
             return plain(self)
 
-        monkeypatch.setattr(SeededLater, "read", read)
+        monkeypatch.setattr(FakeRig, "read", read)
         done = tepm("record", "plan.toml", "--rig", "fake", "--out", "set")
         assert (done.status, done.err.count("\n")) == (1, 1)
         assert "the rig failed: the line is dead; 0 of 3 runs are in set, what there is of the next one in set/unfinished" in done.err

@@ -8,6 +8,7 @@ import pytest
 from tepm_opt.control.loop import LoopEnd, close_loop
 from tepm_opt.control.mpc import Mpc
 from tepm_opt.hw.board.rig import SerialRig, Tendons
+from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tests.control import study
 from tests.hw.emulator import Board
@@ -33,23 +34,31 @@ class Witnessed(World):
 
 
 class Emulated(SerialRig):
-    """The virtual prototype behind the emulated board, with the truth of which the controller knows nothing."""
+    """The virtual prototype behind the emulated board.
+
+    Attributes:
+        truth: of the tip at the last sample's time, (3,) in m; the controller knows nothing of it.
+    """
 
     def __init__(self, world: Witnessed, tendons: Tendons) -> None:
         super().__init__(world.port, study.model().robot, world.tracker, clock=world.clock, threaded=False, tendons=tendons)
-        self.world = world
+        self.world, self.truth = world, np.full(3, np.nan)
 
-    @property
-    def true_points(self) -> np.ndarray:
-        """At the last frame's time, in G, (points, 3) in m."""
-        return np.full((4, 3), np.nan) if self.frame is None else self.world.truth[self.frame.time]
+    def read(self) -> Sample:
+        sample = super().read()
+        at = min(self.world.truth, key=lambda time: abs(time - self._origin - sample.time))
+        self.truth = self.world.truth[at][-1]
+        return sample
 
 
 @pytest.mark.slow
 def test_circle_through_the_firmware_as_on_the_simulated_rig(board: Board) -> None:
     """Root mean square error of the true tip on the 8 s circle: within 10 % of the same controller's without board and line."""
     world = Witnessed(board, study.prototype(1))
-    through = close_loop(Emulated(world, "tension"), Mpc(study.model(), study.reference("circle")), study.model().robot)
+    rig, truth = Emulated(world, "tension"), list[np.ndarray]()
+    controller, look = Mpc(study.model(), study.reference("circle")), lambda sample, target: truth.append(rig.truth)
+    through = close_loop(rig, controller, study.model().robot, look=look)
+    through.truth[:] = truth
     direct = study.follow("circle", "mpc", 1)
     print(f"through the firmware {1e3 * through.error():.2f} mm, direct {1e3 * direct.error():.2f} mm")
     assert through.end is direct.end is LoopEnd.DONE

@@ -32,10 +32,17 @@ class Fake:
         stopped: how often.
     """
 
+    robot, simulated = ROBOT, None
+
     def __init__(self, reference: Reference, change: Callable[[float, Sample], Sample] = lambda _, sample: sample) -> None:
         self.reference, self.change, self.now = reference, change, -1
         self.commands: list[Command] = []
         self.stopped = 0
+
+    @property
+    def time(self) -> float:
+        """Of the last sample in s."""
+        return 0.01 * self.now
 
     def read(self) -> Sample:
         """Ten milliseconds on."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Command
 from tepm_opt.hw.simulation.bench import BenchRig
@@ -22,7 +23,7 @@ def bench_with(**sections) -> BenchRig:
 def rest(rig: BenchRig, seconds: float = 2.0) -> float:
     for _ in range(round(100 * seconds)):
         rig.read()
-    return rig.true_length
+    return float(rig.true_lengths[0])
 
 
 def test_length_follows_equation_1():
@@ -74,13 +75,38 @@ def test_friction_that_grows_with_the_pull_vanishes_at_rest():
 
 def test_same_seed_same_samples_and_another_noise_other_ones():
     rigs = [open_rig("bench") for _ in range(3)]
-    rigs[2].reseed(1)  # type: ignore[attr-defined]
+    rigs[2].simulated.reseed(1)  # type: ignore[union-attr]
     for rig in rigs:
         rig.apply(command(0.2e6))
     first, again, other = ([float(rig.read().lengths[0]) for _ in range(200)] for rig in rigs)  # type: ignore[index]
     assert first == again
     assert first != other
     assert np.std(first) == pytest.approx(np.sqrt(2 / 3) * 1e-3, rel=0.15)
+
+
+def test_set_points_in_advance_are_the_same_as_one_by_one():
+    pressures = np.array([0.0, 0.1e6, 0.3e6, 0.2e6])
+    ahead, stepwise = (bench_with(imperfections={"time_delay": {"delay_s": 0.02}, "regulator_lag": {}}) for _ in range(2))
+    rows = np.stack([pressures, np.zeros(4)], axis=1)
+    for rig in (ahead, stepwise):
+        rig.apply(command())
+        rig.read()
+    ahead.schedule(SetPoints(0.1 * np.arange(4), rows, np.zeros((4, 3))), linear=False)
+    for pressure in pressures:
+        stepwise.apply(command(pressure))
+        for _ in range(10):
+            assert ahead.read().lengths == stepwise.read().lengths
+    assert ahead.true_lengths[0] > LENGTH + 0.01
+    assert ahead.true_nodes[-1, 0, 2] == pytest.approx(ahead.true_lengths[0])
+
+
+def test_nothing_pushes_the_bench():
+    rig = bench_with()
+    rig.push(np.zeros(3))
+    with pytest.raises(ValueError, match="the bench cannot push"):
+        rig.push(np.array([0, 0, 1.0]))
+    with pytest.raises(ValueError, match="the bench cannot push"):
+        rig.schedule(SetPoints(np.arange(2.0), np.zeros((2, 2)), np.ones((2, 3))))
 
 
 def test_wrong_commands_are_refused_and_stop_empties():

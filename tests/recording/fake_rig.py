@@ -9,6 +9,7 @@ from types import TracebackType
 
 import numpy as np
 
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.robot import load_robot
@@ -22,9 +23,12 @@ class FakeRig:
     """Virtual time, but no set points in advance: it has to be approached slowly, as hardware.
 
     Attributes:
+        robot: kang2017.
         applied: every command, (inputs,) each, with its time.
         stops: how often it was stopped.
     """
+
+    robot, simulated = ROBOT, None
 
     def __init__(self, seed: int = 0, measures: bool = True, wait: float = 0.0, noise: float = 3e-4) -> None:
         self.random = np.random.default_rng(seed)
@@ -36,6 +40,11 @@ class FakeRig:
         self.lose: dict[int, int] = {}  # tick: point that the tracker loses
         self.fail_at: dict[int, BaseException] = {}
         self.gaps: dict[int, int] = {}  # tick: how many more pass unseen
+
+    @property
+    def time(self) -> float:
+        """Of the last sample in s."""
+        return self.ticks * PERIOD
 
     def read(self) -> Sample:
         if self.wait:
@@ -89,18 +98,59 @@ def record_slowly(plan: str, out: str, log: str, wait: float) -> None:
         plain(self, rig, channels, tell)  # type: ignore[arg-type]
 
     drive.Driver.__init__ = logging  # type: ignore[method-assign]
-    rigs.open_rig = lambda text, robot: SeededLater(wait)  # type: ignore[assignment,return-value]
+    rigs.open_rig = lambda text, robot: FakeRig(wait=wait)  # type: ignore[assignment,return-value]
     raise SystemExit(run(["record", plan, "--out", out, "--rig", "fake", "--json"]))
 
 
-class SeededLater(FakeRig):
-    """Takes its seed as a simulated rig does."""
+class FakeSimulation(FakeRig):
+    """Takes seed, set points in advance and pushes as a simulated rig does, and rests from the start under what it is told first.
 
-    def __init__(self, wait: float = 0.0) -> None:
-        super().__init__(wait=wait)
+    Attributes:
+        pushed: last, (3,) in N.
+        scheduled: last, and the time in s from which on it is followed.
+    """
 
-    def reseed(self, seed: int) -> None:
-        self.random = np.random.default_rng(seed)
+    def __init__(self, seed: int = 0, noise: float = 3e-4) -> None:
+        super().__init__(seed, noise=noise)
+        self.pushed = np.zeros(3)
+        self.scheduled: tuple[float, SetPoints] | None = None
+
+    @property
+    def simulated(self) -> FakeSimulation:  # type: ignore[override]
+        return self
+
+    def reseed(self, noise: int) -> None:
+        self.random = np.random.default_rng(noise)
+
+    def apply(self, command: Command) -> None:
+        super().apply(command)
+        self.scheduled = None
+        self.state = self.commanded.copy() if self.ticks == 0 else self.state
+
+    def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:
+        assert linear
+        self.scheduled = (self.time, setpoints)
+
+    def push(self, forces: np.ndarray) -> None:
+        self.pushed = np.asarray(forces)
+
+    def read(self) -> Sample:
+        if self.scheduled is not None:
+            start, points = self.scheduled
+            self.commanded = np.array([np.interp(self.time - start, points.time, column) for column in points.inputs.T])
+        return super().read()
+
+    @property
+    def true_points(self) -> np.ndarray:
+        return shape(self.state)
+
+    @property
+    def true_nodes(self) -> np.ndarray:
+        return np.tile(self.true_points[:, None], (1, 3, 1))
+
+    @property
+    def true_lengths(self) -> np.ndarray:
+        return np.full(6, np.nan)
 
 
 def plan_text(*runs: str, rate: int = 50) -> str:

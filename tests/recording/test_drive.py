@@ -11,7 +11,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.channels import channels_of
 from tepm_opt.recording.drive import FULL_RANGE, Driver, Row, at_rest
-from tests.recording.fake_rig import PERIOD, ROBOT, FakeRig
+from tests.recording.fake_rig import PERIOD, ROBOT, FakeRig, FakeSimulation
 
 CHANNELS = channels_of(ROBOT)
 
@@ -68,6 +68,14 @@ class TestApproach:
         assert not Driver(rig, CHANNELS).start(ramp())
         assert rig.ticks * PERIOD < 60
 
+    def test_a_simulation_rests_there_at_once(self) -> None:
+        setpoints = replace(ramp(), tip_force=np.tile([0.0, 0.0, -0.1], (3, 1)))
+        rig = FakeSimulation()
+        assert Driver(rig, CHANNELS).start(setpoints, at_once=True)
+        assert [inputs.tolist() for _, inputs in rig.applied] == [setpoints.inputs[0].tolist()]
+        assert rig.ticks == 2
+        np.testing.assert_array_equal(rig.pushed, setpoints.tip_force[0])
+
     def test_back_to_zero(self) -> None:
         rig = FakeRig()
         driver = Driver(rig, CHANNELS)
@@ -90,6 +98,19 @@ class TestFollow:
         for row in found:
             np.testing.assert_allclose(row.inputs, expected(setpoints, row.time))
             assert row.late == 0.0
+
+    def test_a_simulation_is_given_them_in_advance(self) -> None:
+        setpoints, rig = ramp(), FakeSimulation()
+        driver = Driver(rig, CHANNELS)
+        driver.start(setpoints, at_once=True)
+        before = len(rig.applied)
+        rows = list(driver.follow(setpoints, 50.0))
+        assert rig.scheduled is not None
+        begin, told = rig.scheduled
+        assert len(rig.applied) == before
+        for row in rows:
+            np.testing.assert_allclose(row.inputs, expected(setpoints, row.time))
+            np.testing.assert_allclose(expected(told, row.sample.time - begin), row.inputs)
 
     def test_commands_are_on_average_on_time(self) -> None:
         rig, setpoints = FakeRig(), ramp()

@@ -25,7 +25,7 @@ from tepm_opt.data.journal import mend_journal
 from tepm_opt.data.run import read_run
 from tepm_opt.data.tables import read_table
 from tepm_opt.models.channels import open_dataset
-from tests.recording.fake_rig import RAMP, SeededLater, record_slowly, write_plan
+from tests.recording.fake_rig import RAMP, FakeRig, record_slowly, write_plan
 
 RATE = 50
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKI
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rigs, "open_rig", lambda text, robot: SeededLater())
+    monkeypatch.setattr(rigs, "open_rig", lambda text, robot: FakeRig())
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -20,7 +20,7 @@ from tepm_opt.hw.board.ports import BAUD, Clock, Port, SerialPort
 from tepm_opt.hw.board.protocol import DISARM, ESTOP, POSITION_MODE, State
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
-from tepm_opt.hw.tracker import Frame, IgtlTracker, Tracker
+from tepm_opt.hw.tracker import IgtlTracker, Tracker
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
@@ -92,7 +92,6 @@ class SerialRig:
         robot: as given.
         hello: what the board says about itself.
         link: the conversation with it.
-        frame: the tracker's last one, None before the first.
 
     Raises:
         InputError: the robot has no calibration or too many actuators.
@@ -116,7 +115,6 @@ class SerialRig:
         self._tracker, self._clock, self._tendons = tracker, clock, tendons
         self._armed: bool | None = None  # None: not yet, False: not again
         self._armed_at = math.inf
-        self.frame: Frame | None = None
         rate = robot.hardware.tracker.rate_hz if robot.hardware and robot.hardware.tracker else 100.0
         self._period = 1 / rate
         self.link = Link(port, clock, log, threaded)
@@ -134,6 +132,11 @@ class SerialRig:
     def time(self) -> float:
         """Now, in s since the rig was opened."""
         return self._clock() - self._origin
+
+    @property
+    def simulated(self) -> None:
+        """The real robot is no simulation."""
+        return None
 
     @property
     def board(self) -> BoardStatus:
@@ -161,7 +164,6 @@ class SerialRig:
             frame = None
         else:
             frame = self._tracker.read(SILENT_PERIODS * self._period)
-            self.frame = frame or self.frame
         self._last = self._clock()
         self.link.listen()
         points = np.full((self.layout.points, 3), np.nan) if frame is None else frame.points
@@ -179,7 +181,8 @@ class SerialRig:
         if self._armed and status is not None and status.state is not State.ARMED:
             told.append(status.describe())
         at = (self._last if frame is None else frame.time) - self._origin
-        return Sample(at, points, *measured, status="; ".join(told) or "ok", extra=extra)
+        transforms = None if frame is None else frame.transforms
+        return Sample(at, points, *measured, transforms=transforms, status="; ".join(told) or "ok", extra=extra)
 
     def apply(self, command: Command) -> None:
         """Send set points; the first ones arm the board.

@@ -144,7 +144,7 @@ class Monitor:
     def _tracker_words(self) -> str:
         if self._tracker is None:
             return ""
-        said = getattr(self._tracker, "status", "ok")
+        said = self._tracker.status
         if said != "ok" or self._frame is None:
             return said if said != "ok" else "tracker: no pose yet"
         return self._frame.status

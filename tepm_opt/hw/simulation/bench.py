@@ -10,13 +10,15 @@ from types import TracebackType
 import numpy as np
 from scipy.linalg import expm
 
-from tepm_opt.hw.commands import check_command
-from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.errors import InputError
+from tepm_opt.hw.commands import check_command, check_setpoints
+from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.actuation import ActuationDynamics
 from tepm_opt.hw.simulation.devices import Lens
 from tepm_opt.hw.simulation.imperfections import Body, Imperfections
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
-from tepm_opt.hw.simulation.timeline import Timeline
+from tepm_opt.hw.simulation.timeline import Timeline, knots
 from tepm_opt.models.robot import Robot
 
 OF_ONE_ACTUATOR = ("time_delay", "regulator_lag", "pressure_dead_zone", "pressure_hysteresis", "tendon_slack", "tendon_friction",
@@ -77,8 +79,7 @@ class BenchRig:
         self._frame += 1
         before, self.time = self.time, until * self._tick + tracker.latency_s
         self._wait(self.time - before)
-        ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, self.true_length]])
-        points = self._lens.look(ends)
+        points = self._lens.look(self.true_points)
         lost = bool(np.isnan(points).any())
         length = np.array([np.linalg.norm(points[1] - points[0])])
         return Sample(until * self._tick, points, lengths=length, status="tracker lost an end" if lost else "ok")
@@ -89,19 +90,61 @@ class BenchRig:
         Raises:
             InputError: a value is NaN or outside the robot's limits; nothing changes then.
         """
-        value = check_command(command, self.robot)
-        self._settled = self._frame > 0
-        self._commands.set(round(self.time / self._tick) + self._delay if self._frame else 0, value)
+        self._commands.set(self._change(), check_command(command, self.robot))
+
+    def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:
+        """Give set points in advance, from now on: the first row is for the present, whatever its time.
+
+        Args:
+            setpoints: inputs (rows, 2) in Pa and N; there are no tip forces.
+            linear: linear between the rows, or each row held until the next.
+
+        Raises:
+            InputError: a value is NaN, outside the robot's limits, or a force; nothing changes then.
+        """
+        values, steps = check_setpoints(setpoints, self.robot), knots(setpoints.time, self._tick)
+        self.push(setpoints.tip_force)
+        now = self._change()
+        if not self._frame:
+            self._commands.set(0, values[0])
+            now += self._delay
+        self._commands.follow(now + steps, values, linear)
+
+    def push(self, forces: np.ndarray) -> None:
+        """Refuse forces: nothing can push an actuator in its guide.
+
+        Raises:
+            InputError: one is not zero.
+        """
+        if np.any(forces):
+            raise InputError(f"forces: {np.asarray(forces).tolist()} N; valid: 0, the bench cannot push its actuator")
 
     def stop(self) -> None:
         """Motor off, pressure to zero."""
         if self._frame:
-            self._commands.set(round(self.time / self._tick) + self._delay, np.zeros(3))
+            self._commands.set(self._change(), np.zeros(3))
 
     @property
-    def true_length(self) -> float:
-        """Length at the last sample's time in m."""
-        return float(self._line.lengths.sum())
+    def simulated(self) -> Simulated:
+        """The rig itself."""
+        return self
+
+    @property
+    def true_points(self) -> np.ndarray:
+        """The actuator's two ends at the last sample's time, (2, 3) in m."""
+        return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, self.true_lengths[0]]])
+
+    @property
+    def true_nodes(self) -> np.ndarray:
+        """Ends of its parts at the last sample's time, (n + 1, 1, 3) in m."""
+        nodes = np.zeros((len(self._line.lengths) + 1, 1, 3))
+        nodes[1:, 0, 2] = np.cumsum(self._line.lengths)
+        return nodes
+
+    @property
+    def true_lengths(self) -> np.ndarray:
+        """Length of the actuator at the last sample's time, (1,) in m."""
+        return np.array([self._line.lengths.sum()])
 
     def __enter__(self) -> BenchRig:
         """The rig itself."""
@@ -111,11 +154,16 @@ class BenchRig:
         """Stop."""
         self.stop()
 
+    def _change(self) -> int:
+        """The tick from which a command given now acts; before time has started the actuator has to settle anew."""
+        self._settled = self._frame > 0
+        return round(self.time / self._tick) + self._delay if self._frame else 0
+
     def _settle(self) -> None:
         """Rest under the first command; what depends on the length settles with it."""
         self.actuation.settle(self._commands.between(0, 0)[0])
         for _ in range(60):
-            axial = self.actuation.force_at_rest(np.array([self.true_length]))
+            axial = self.actuation.force_at_rest(self.true_lengths)
             lengths = self._line.lengths[:, None]
             force = reduce(np.add, (stage.settle(lengths) for stage in self._edges)) if self._edges else np.zeros_like(lengths)
             self._line.rest(axial[0] + force[:, 0])

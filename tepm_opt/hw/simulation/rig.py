@@ -10,14 +10,14 @@ import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw.commands import check_command
-from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.hw.commands import check_command, check_setpoints
+from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.devices import Lens, generator
 from tepm_opt.hw.simulation.imperfections import Sighting
 from tepm_opt.hw.simulation.machine import Machine
 from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
-from tepm_opt.hw.simulation.timeline import Timeline
+from tepm_opt.hw.simulation.timeline import Timeline, knots
 from tepm_opt.models.layout import Layout
 
 
@@ -45,12 +45,12 @@ class SimulatedRig:
         self.robot = self.file.nominal
         self.layout = Layout.of(self.robot)
         self.time = 0.0
-        self._plant = Machine(self.file)
+        self._machine = Machine(self.file)
         self._lens = Lens(self.file.tracker, self.layout.points, self.file.seed)
         self._random = {name: generator(self.file.seed, name) for name in ("pressure_monitor", "dynamometer")}
-        self._delay = round(self.file.imperfections.time_delay.delay_s / self._plant.step)
-        self._commands = Timeline(np.zeros(3 * self._plant.network.count), self._plant.step)
-        self._forces = Timeline(np.zeros((self.layout.points, 3)), self._plant.step)
+        self._delay = round(self.file.imperfections.time_delay.delay_s / self._machine.step)
+        self._commands = Timeline(np.zeros(3 * self._machine.network.count), self._machine.step)
+        self._forces = Timeline(np.zeros((self.layout.points, 3)), self._machine.step)
         self._wait = wait
         self._frame = 0
         self._settled = False
@@ -68,9 +68,9 @@ class SimulatedRig:
             NoEquilibriumError, Diverged: the robot does not come to rest before the start, or the simulation leaves all bounds.
         """
         self._start()
-        step, tracker = self._plant.step, self.file.tracker
+        step, tracker = self._machine.step, self.file.tracker
         at = round(self._frame / tracker.rate_hz / step)
-        self._plant.advance(at, self._commands, self._forces)
+        self._machine.advance(at, self._commands, self._forces)
         self._commands.forget(at)
         self._forces.forget(at)
         self._frame += 1
@@ -100,14 +100,10 @@ class SimulatedRig:
         Raises:
             InputError: a value is NaN or outside the robot's limits; nothing changes then.
         """
-        values = np.array([check_command(Command.of(row), self.robot) for row in setpoints.inputs])
+        values = check_setpoints(setpoints, self.robot)
         forces = np.zeros((len(values), self.layout.points, 3))
         forces[:, -1] = setpoints.tip_force
-        if not np.isfinite(forces).all():
-            raise InputError("set points: a tip force is not a finite number")
-        steps = np.round((setpoints.time - setpoints.time[0]) / self._plant.step).astype(int)
-        if (np.diff(steps) <= 0).any():
-            raise InputError(f"set points: times must increase by at least the simulation's step of {self._plant.step:g} s")
+        steps = knots(setpoints.time, self._machine.step)
         now = self._change()
         if not self._frame:
             self._commands.set(0, values[0])
@@ -132,13 +128,18 @@ class SimulatedRig:
     def stop(self) -> None:
         """Motors off, pressure to zero; the robot then moves under its own weight if it is read on."""
         if self._frame:
-            self._commands.set(self._change() + self._delay, np.zeros(3 * self._plant.network.count))
+            self._commands.set(self._change() + self._delay, np.zeros(3 * self._machine.network.count))
+
+    @property
+    def simulated(self) -> Simulated:
+        """The rig itself."""
+        return self
 
     @property
     def network(self) -> MujocoNetwork:
         """MuJoCo's model and data, as they are at the last sample's time; for rendering and for looking inside."""
         self._start()
-        return self._plant.network
+        return self._machine.network
 
     @property
     def true_points(self) -> np.ndarray:
@@ -167,26 +168,26 @@ class SimulatedRig:
         """Settle, once, before time starts."""
         if not self._settled:
             self._settled = True
-            self._plant.settle(self._commands.between(0, 0)[0], self._forces.between(0, 0)[0])
+            self._machine.settle(self._commands.between(0, 0)[0], self._forces.between(0, 0)[0])
 
     def _change(self) -> int:
         """The present step, before something changes: if time has not started the robot has to settle anew."""
         self._settled = self._frame > 0
-        return round(self.time / self._plant.step)
+        return round(self.time / self._machine.step)
 
     def _seen(self) -> np.ndarray:
         """Reference points as the tracker sees them but for its noise, (points, 3) in m."""
-        network, points = self._plant.network, self.true_points
-        for imperfection in self._plant.imperfections.values():
+        network, points = self._machine.network, self.true_points
+        for imperfection in self._machine.imperfections.values():
             points = imperfection.measure(Sighting(points, self.true_nodes, network.rest, self.layout))
         return points
 
     def _monitored(self) -> np.ndarray | None:
-        monitor, pressure = self.file.pressure_monitor, self._plant.actuation.pressure
+        monitor, pressure = self.file.pressure_monitor, self._machine.actuation.pressure
         noise = monitor.noise_rms_Pa * self._random["pressure_monitor"].normal(size=pressure.shape)
         return pressure + monitor.offset_Pa + noise if monitor.fitted else None
 
     def _weighed(self) -> np.ndarray | None:
-        meter, tension = self.file.dynamometer, self._plant.actuation.tension
+        meter, tension = self.file.dynamometer, self._machine.actuation.tension
         noise = meter.noise_rms_N * self._random["dynamometer"].normal(size=tension.shape)
         return tension + meter.offset_N + noise if meter.fitted else None

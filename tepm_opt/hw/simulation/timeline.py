@@ -6,6 +6,8 @@ from bisect import bisect_right
 
 import numpy as np
 
+from tepm_opt.errors import InputError
+
 
 class Timeline:
     """Piecewise linear and, at its knots, perhaps discontinuous; times are whole steps of `step` s.
@@ -57,3 +59,15 @@ class Timeline:
         """Drop knots that a time from `before` on does not need."""
         done = bisect_right(self.at, before) - 1
         del self.at[:done], self.values[:done], self.slopes[:done]
+
+
+def knots(time: np.ndarray, step: float) -> np.ndarray:
+    """Whole steps from the first of times (rows,) in s, (rows,).
+
+    Raises:
+        InputError: they do not increase by at least a step.
+    """
+    steps = np.round((time - time[0]) / step).astype(int)
+    if (np.diff(steps) <= 0).any():
+        raise InputError(f"set points: times must increase by at least the simulation's step of {step:g} s")
+    return steps

@@ -57,14 +57,14 @@ class World:
     def _couple(self) -> None:
         """The board's outputs move the robot, the robot's sensors reach the board and the tracker."""
         rig, board, calibration = self.rig, self.board, self._calibration
-        plant = rig._plant
-        now = round(self.time / plant.step)
+        machine = rig._machine
+        now = round(self.time / machine.step)
         on = np.array([board.enabled >> k & 1 for k in range(6)], dtype=float)
         pressures = np.maximum(board.dac - calibration.codes_zero, 0) / calibration.codes
         self._unwound = np.where(on > 0, self._unwound, board.positions)
         tensions = np.maximum(board.positions - self._unwound, 0) / calibration.steps
         rig._commands.set(now, np.concatenate([pressures, tensions, on]))
-        plant.advance(now, rig._commands, rig._forces)
+        machine.advance(now, rig._commands, rig._forces)
         rig._commands.forget(now)
         for k, (pressure, tension) in enumerate(zip(rig._monitored(), rig._weighed(), strict=True)):
             board.monitor(k, (calibration.monitor_zero + calibration.monitor * pressure)[k] * 5 / 32768)
@@ -108,6 +108,8 @@ class LockstepPort:
 
 class LockstepTracker:
     """The tracker of the simulated robot."""
+
+    status = "ok"
 
     def __init__(self, world: World) -> None:
         self.world = world
