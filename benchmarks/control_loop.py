@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from rich.console import Console
 
+from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.mpc import Mpc
 from tepm_opt.control.reference import Reference, along, approach, reference_of
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig

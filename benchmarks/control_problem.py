@@ -14,7 +14,7 @@ import scipy.linalg as sla
 
 from tepm_opt.control.qp import QpSolver
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.kinematics import Mode, solve_trajectory
+from tepm_opt.solvers.kinematics import ActuationMode, solve_trajectory
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.trajectories import circle
 
@@ -70,7 +70,7 @@ class Problem:
     @staticmethod
     def of(model: CompiledModel, modes: int) -> Problem:
         """At the first point of the circle; disturbed, so that some tensions meet their bounds."""
-        at = solve_trajectory(model, circle().positions[:1], Mode.HYBRID)[0].equilibrium
+        at = solve_trajectory(model, circle().positions[:1], ActuationMode.HYBRID)[0].equilibrium
         local = modal_model(at, modes=modes)
         actuators = local.drive.shape[1]
         continuous = np.block([[np.zeros((modes, modes)), np.eye(modes)], [-np.diag(local.stiffness), -local.damping]])
@@ -108,7 +108,7 @@ class Problem:
             row_low, row_high = first - RATE, first + RATE
             found = solver.solve(self.hessian, gradient, low, high, row_low, row_high)
             if found.x is None:
-                raise RuntimeError(f"step {k} of the closed loop: {found.status.value}")
+                raise RuntimeError(f"step {k} of the closed loop: {found.outcome}")
             best = found.x[:actuators]
             yield Program(state, before, wanted, gradient, row_low, row_high, best)
             push = UNKNOWN * np.sin(0.3 * k + np.arange(actuators))

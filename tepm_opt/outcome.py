@@ -32,6 +32,7 @@ class Ending(StrEnum):
     DISAGREED = "the rig and the reference disagree"
     LIMIT = "a measured tension or pressure is beyond its limit"
     OVER = "the rig has no more samples"
+    RIG_FAILED = "the rig failed"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from tepm_opt import plots
 from tepm_opt.cli import gain as gain_command
 from tepm_opt.cli import ik as ik_command
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, stderr
+from tepm_opt.control.controllers import DEFAULT, find_controller
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
@@ -27,8 +28,8 @@ from tepm_opt.report import write_page
 from tepm_opt.solvers.allocation import ActuationMode
 from tepm_opt.solvers.trajectories import Trajectory, circle
 
-CONTROLLERS = ("mpc", "mode2", "mode1")  # the one that takes longest first
-NAMES = {"mode1": "mode 1", "mode2": "mode 2", "mpc": "MPC"}
+CONTROLLERS = (DEFAULT, "mode2", "mode1")  # the one that takes longest first
+NAMES = {name: find_controller(name).title for name in reversed(CONTROLLERS)}
 COURSE = Course()
 SEED = 1
 OF_ANY_ROBOT = ("time_delay", "regulator_lag")  # imperfections
@@ -58,8 +59,8 @@ def closed_loops(model: CompiledModel, path: Trajectory, run: IkRun, quiet: bool
         with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as bar:
             shown = {name: bar.add_task(f"closed loop, {NAMES[name]}", total=None) for name in CONTROLLERS}
 
-            def show(name: str, done: float, of: float) -> None:
-                bar.update(shown[name], completed=done, total=of)  # type: ignore[arg-type]
+            def show(stage: str, done: float, of: float) -> None:
+                bar.update(shown[stage], completed=done, total=of)  # type: ignore[arg-type]
 
             found = compare(tasks, os.cpu_count() or 1, show)
     except (InputError, RuntimeError) as error:
@@ -119,5 +120,5 @@ def _draw(loops: dict[str, ClosedLoop], folder: Path) -> dict[str, Path]:
         return {}
     plots.save(control.path_figure(loops), made["path"])
     plots.save(control.distance_figure(loops), made["distance"])
-    plots.save(control.inputs_figure(loops[NAMES["mpc"]]), made["inputs"])
+    plots.save(control.inputs_figure(loops[NAMES[DEFAULT]]), made["inputs"])
     return made

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,13 +11,14 @@ import typer
 from rich.markup import escape
 
 from tepm_opt import plots
-from tepm_opt.cli.common import INTERRUPTED, UNSOLVED, JsonOption, ModelOption, RobotOption, load, progress, report, stderr
+from tepm_opt.cli.common import INTERRUPTED, UNSOLVED, JsonOption, ModelOption, RobotOption, load, report, stderr
 from tepm_opt.cli.ik import trajectory
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
+from tepm_opt.cli.progress import shown
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
 from tepm_opt.cli.simulate import folder_for
-from tepm_opt.control.controllers import CONTROLLERS
-from tepm_opt.control.mpc import MpcSettings, Use
-from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.control.controllers import DEFAULT, controllers
+from tepm_opt.control.controllers.mpc import Use
+from tepm_opt.control.reference import Reference
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.jobs.closed_loop import LOG, ClosedLoop, LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
@@ -26,6 +27,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.plots import control
 
 COURSE = Course()
+KINDS = "; ".join(f"{kind.name}: the {kind.description}" for kind in controllers())
 FIGURES = {
     "path.png": lambda loop: control.path_figure({loop.setup.controller: loop}),
     "errors.png": control.error_figure,
@@ -98,30 +100,13 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
     return text
 
 
-def setup_of(controller: str, rig: str, seed: int, rule: bool, nonlinear: bool, use: str) -> LoopSetup:
-    """What the options ask for.
-
-    Raises:
-        InputError: unknown controller or actuators, or options that do not fit the controller.
-    """
-    if controller not in CONTROLLERS:
-        raise unknown_name("controller", controller, CONTROLLERS)
-    kinds = [kind.value for kind in Use]
-    if use not in kinds:
-        raise unknown_name("use", use, kinds)
-    asked = [name for name, given in (("rule", rule), ("nonlinear", nonlinear), ("use", use != Use.BOTH.value)) if given]
-    if controller != "mpc" and asked:
-        raise InputError(f"--{asked[0]} belongs to the predictive controller; leave it out with --controller {controller}")
-    return LoopSetup(controller, rig, seed, MpcSettings(rule=rule, nonlinear=nonlinear, use=Use(use)))
-
-
 def mpc(
     path: Annotated[
         str,
         typer.Argument(metavar="TRAJ", help="circle, line, lissajous or a CSV file, such as reference.csv of tepm plan."),
     ],
     rig: RigOption = "sim",
-    controller: Annotated[str, typer.Option("--controller", help="mpc, or the paper's mode1 or mode2.")] = "mpc",
+    controller: Annotated[str, typer.Option("--controller", help=f"{KINDS}.")] = DEFAULT,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("mpc"),
     duration: Annotated[float | None, typer.Option("--duration", help="Of the trajectory in s, where it has no time.")] = None,
     laps: Annotated[float, typer.Option("--laps", help="How often round a closed path.")] = 1.0,
@@ -135,7 +120,7 @@ def mpc(
     end: Annotated[str | None, typer.Option("--to", help="End of a line, x,y,z in m.")] = None,
     nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False,
     rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
-    use: Annotated[str, typer.Option("--use", help="MPC: both, tension or pressure.")] = Use.BOTH.value,
+    use: Annotated[str | None, typer.Option("--use", help="MPC: both, tension or pressure.", show_default=Use.BOTH.value)] = None,
     view: Annotated[bool, typer.Option("--view", help="Live 3-D view in rerun.")] = False,
     seed: SeedOption = 0,
     robot: RobotOption = None,
@@ -147,13 +132,15 @@ def mpc(
     A real robot is brought to the start slowly and refused if it is not where the model has it. The loop stops on a limit, a blind
     tracker or a tip that is far off, and with Ctrl-C.
     """
-    setup = setup_of(controller, rig, seed, rule, nonlinear, use)
+    given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
+    setup = LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
     targets = trajectory(path, points, duration, radius, height, start, end)
     with folder_for(out) as folder:
         compiled = load(robot, model)
         device = opener(rig, compiled.robot, seed)(seed)
-        course = Course(COURSE.approach, COURSE.pause, laps, stay, COURSE.start_up, steps=controller != "mpc")
-        reference = whole_reference(compiled, targets, course, lambda count: progress("inverse kinematics", count, as_json))
+        course = Course(COURSE.approach, COURSE.pause, laps, stay, COURSE.start_up, steps=setup.kind.jumps)
+        with shown(as_json) as bars:
+            reference = whole_reference(compiled, targets, course, bars)
         try:
             loop = _run(compiled, reference, device, setup, folder, view, as_json)
         except (RuntimeError, OSError) as error:
@@ -166,12 +153,10 @@ def mpc(
             return INTERRUPTED
     status = report(loop.summary(), lines(loop, out), as_json, loop.ok)
     if as_json and status == UNSOLVED:
-        stderr.print(f"ended early: {escape(loop.failure or loop.message)}", style="yellow", soft_wrap=True, highlight=False)
+        stderr.print(f"ended early: {escape(loop.outcome.message)}", style="yellow", soft_wrap=True, highlight=False)
     return status
 
 
-def _run(compiled: CompiledModel, reference: Any, device: Rig, setup: LoopSetup, folder: Path, view: bool, quiet: bool) -> ClosedLoop:
-    show: Callable[[str, float, float], None]
-    with stopped_by_signals(), live(view, device) as look, stages(quiet) as (of_run, _):
-        show = of_run(setup.controller)
-        return run_closed_loop(compiled, reference, device, setup, folder, show=show, look=look)
+def _run(compiled: CompiledModel, reference: Reference, device: Rig, setup: LoopSetup, folder: Path, view: bool, quiet: bool) -> ClosedLoop:
+    with stopped_by_signals(), live(view, device) as look, shown(quiet) as bars:
+        return run_closed_loop(compiled, reference, device, setup, folder, progress=bars, look=look)

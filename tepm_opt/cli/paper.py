@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from tepm_opt.cli.common import JsonOption, report, stderr
+from tepm_opt import plots
+from tepm_opt.cli.common import JsonOption, report
+from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
-from tepm_opt.paper.study import EXPERIMENTS, chosen, run_study, save_study, seconds
+from tepm_opt.jobs.paper import EXPERIMENTS, Study, chosen, run_study
+from tepm_opt.plots.paper import draw
+from tepm_opt.report import write_paper_page
 
 
 def paper(
@@ -25,21 +28,25 @@ def paper(
     """The paper's Table I and Figs. 6 to 12 on the simulated rig and the model: figures, tables and one HTML page."""
     names = chosen(figure or [])
     folder = output_folder(out)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=stderr, transient=True, disable=as_json or not stderr.is_terminal) as bar:
-        task = bar.add_task("", total=sum(seconds(name, 1 if quick else 3, quick) for name in names))
-
-        def track(items: Iterable[str]) -> Iterator[str]:
-            done = 0.0
-            for name in items:
-                bar.update(task, description=name, completed=done)
-                yield name
-                done += seconds(name, 1 if quick else 3, quick)
-
-        study = run_study(rig, names, quick, track, lambda passed: bar.advance(task, passed), lambda found: save_study(found, folder))
-    save_study(study, folder)
+    with shown(as_json) as bars:
+        study = run_study(rig, names, quick, bars, lambda found: save(found, folder))
+    save(study, folder)
     summary = study.summary()
     return report(summary, _lines(summary, folder), as_json, ok=True)
+
+
+def save(study: Study, folder: Path) -> None:
+    """Write what a study found: figures (PNG), the tables behind them (CSV), paper.json and index.html.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    base = np.array(study.setting.model.robot.mount.base_position_m)
+    images = {result.figure: folder / f"{result.figure}.png" for result in study.results}
+    for result in study.results:
+        plots.save(draw(result, base), images[result.figure])
+    study.save(folder)
+    write_paper_page(folder / "index.html", study.summary(), study.results, images, study.setting.rig)
 
 
 def _lines(summary: dict, folder: Path) -> list[str]:

@@ -7,7 +7,7 @@ from types import TracebackType
 
 import numpy as np
 
-from tepm_opt.control.mpc import MpcSettings
+from tepm_opt.control.controllers.mpc import MpcSettings
 from tepm_opt.control.reference import PERIOD, Reference, reference_by_forces, rising
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.rig import Command, Sample, Simulated

@@ -12,6 +12,7 @@ from tepm_opt.control.pid import Gains, Pid
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.models.robot import Robot
+from tepm_opt.progress import Progress, silent
 
 Measure = Callable[[Sample], np.ndarray]
 
@@ -181,7 +182,7 @@ def hold(
     targets: list[LengthTarget],
     seconds: float,
     approach: float = 0.0,
-    show: Callable[[float], None] = lambda _: None,
+    progress: Progress = silent,
 ) -> HoldRecord:
     """Hold one target after the other on a rig, each for some seconds; works on every rig.
 
@@ -192,11 +193,12 @@ def hold(
         targets: in their order.
         seconds: for each target.
         approach: seconds before, in which the first target is approached along a straight line from the first sample's lengths.
-        show: called with the time in s that has passed.
+        progress: told the time in s that has passed.
     """
     rows: list[tuple] = []
     start: float | None = None
     first: LengthTarget | None = None
+    whole = approach + seconds * len(targets)
     while True:
         sample = rig.read()
         lengths = measure(sample)
@@ -211,7 +213,7 @@ def hold(
         rig.apply(command)
         inputs = np.concatenate([command.pressures, command.tensions])
         rows.append((passed, number, np.array(lengths), sample.points, inputs, command.enabled))  # a copy: views keep their owners
-        show(passed)
+        progress("lengths held", passed, whole)
     return HoldRecord(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

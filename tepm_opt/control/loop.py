@@ -5,36 +5,25 @@ from __future__ import annotations
 import contextlib
 import gc
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 
-from tepm_opt.control.controllers import Controller
-from tepm_opt.control.mpc import Mpc, Step
+from tepm_opt.control.controllers import Controller, Telemetry
 from tepm_opt.control.reference import Reference, rising
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
+from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.progress import Progress, silent
 
-Show = Callable[[str, float, float], None]
-"""Told what goes on: stage, how much is done, of how much (s)."""
 Look = Callable[[Sample, np.ndarray], None]
 """Given every sample with the tip's target (3,) in m, for a live view."""
-
-
-class LoopEnd(Enum):
-    """How a closed loop ended."""
-
-    DONE = "done"
-    INTERRUPTED = "interrupted"
-    BLIND = "the tracker saw nothing"
-    DISAGREED = "the rig and the reference disagree"
-    LIMIT = "a measured tension or pressure is beyond its limit"
-    OVER = "the rig has no more samples"
+DONE = Outcome(Ending.DONE)
+INTERRUPTED = Outcome(Ending.INTERRUPTED, "interrupted by the user")
 
 
 @dataclass(frozen=True)
@@ -71,10 +60,9 @@ class LoopRecord:
         truth: true tip, (3,) in m each, where the rig knows it; else NaN.
         commands: as sent.
         measured: pressures and tensions (2 · actuators,) where the rig measures both, else NaN.
-        steps: of the predictive controller, one a sample; empty for others.
         seconds: that the controller took, one a sample.
-        end: how it ended.
-        message: more about it.
+        telemetry: what the controller logs, one a sample; written last, so that rows before its end are whole.
+        outcome: how it ended, and why.
     """
 
     reference: Reference
@@ -84,15 +72,22 @@ class LoopRecord:
     truth: list[np.ndarray] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     measured: list[np.ndarray] = field(default_factory=list)
-    steps: list[Step] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
-    end: LoopEnd = LoopEnd.DONE
-    message: str = ""
-    fallbacks: dict[str, int] = field(default_factory=dict)
+    telemetry: list[Telemetry] = field(default_factory=list)
+    outcome: Outcome = DONE
+
+    @property
+    def fallbacks(self) -> Mapping[str, int]:
+        """Number of steps of the controller that went on with something older, by the reason."""
+        return self.telemetry[-1].fallbacks if self.telemetry else {}
+
+    def __repr__(self) -> str:
+        until = f"{self.time[-1]:.2f} s" if self.time else "no sample"
+        return f"LoopRecord({self.outcome}, samples={len(self.rows)}, until={until})"
 
     @property
     def targets(self) -> np.ndarray:
-        """Of the tip, (samples, 3) in m."""
+        """Targets of the tip, (samples, 3) in m."""
         return self.reference.tips[np.array(self.rows, dtype=int)]
 
     @property
@@ -111,14 +106,15 @@ class LoopRecord:
         return float(np.sqrt(known.mean())) if len(known) else float("nan")
 
 
-def _still(stage: str, done: float, of: float) -> None:
-    pass
-
-
 def close_loop(
-    rig: Rig, controller: Controller, robot: Robot, guard: Guard | None = None, show: Show = _still, look: Look | None = None,
+    rig: Rig,
+    controller: Controller,
+    robot: Robot,
+    guard: Guard | None = None,
+    progress: Progress = silent,
+    look: Look | None = None,
     keep: LoopRecord | None = None,
-) -> LoopRecord:  # fmt: skip
+) -> LoopRecord:
     """Follow a controller's reference on a rig, which is stopped at the end whatever happens.
 
     A rig of virtual time rests from the start where the controller wants it; any other is taken there slowly first, rests, is refused
@@ -129,8 +125,8 @@ def close_loop(
         controller: with its reference.
         robot: its limits.
         guard: when to stop.
-        show: progress.
-        look: a view.
+        progress: told the stage and how much of it is done, in s.
+        look: given every sample with its target.
         keep: filled, instead of a new one, so that a caller has what was done whatever is raised.
 
     Raises:
@@ -141,18 +137,16 @@ def close_loop(
     watch = _Supervisor(guard, robot)
     with rig, _uncollected():
         try:
-            first = _prepared(rig, controller, robot, guard, watch, show, rests)
-            _closed(rig, controller, watch, show, look, done, first)
+            first = _prepared(rig, controller, robot, guard, watch, progress, rests)
+            _closed(rig, controller, watch, progress, look, done, first)
             if not rests:
-                _down(rig, done.commands[-1], guard, watch, show)
+                _down(rig, done.commands[-1], guard, watch, progress)
         except Stopped as stop:
-            done.end, done.message = stop.end, str(stop)
+            done.outcome = stop.outcome
         except KeyboardInterrupt:
-            done.end, done.message = LoopEnd.INTERRUPTED, "interrupted by the user"
+            done.outcome = INTERRUPTED
         except EOFError as error:
-            done.end, done.message = LoopEnd.OVER, str(error)
-        finally:
-            done.fallbacks = dict(getattr(controller, "fallbacks", {}))
+            done.outcome = Outcome(Ending.OVER, str(error))
     return done
 
 
@@ -169,11 +163,15 @@ def _uncollected() -> Iterator[None]:
 
 
 class Stopped(Exception):  # noqa: N818  it says what happened
-    """The guard has stopped a loop."""
+    """The guard has stopped a loop.
 
-    def __init__(self, end: LoopEnd, message: str) -> None:
+    Attributes:
+        outcome: why.
+    """
+
+    def __init__(self, ending: Ending, message: str) -> None:
         super().__init__(message)
-        self.end = end
+        self.outcome = Outcome(ending, message)
 
 
 class _Supervisor:
@@ -201,14 +199,14 @@ class _Supervisor:
         part = _measured(sample, len(self._limits)) / self._limits
         if (part > 1 + guard.beyond).any():
             at = int(np.nanargmax(part))
-            raise Stopped(LoopEnd.LIMIT, f"measured {self._names[at]} is {100 * part[at]:.0f} % of its limit")
+            raise Stopped(Ending.LIMIT, f"measured {self._names[at]} is {100 * part[at]:.0f} % of its limit")
         if now - self._seen > guard.blind:
-            raise Stopped(LoopEnd.BLIND, f"no tracked point for {guard.blind:g} s")
+            raise Stopped(Ending.BLIND, f"no tracked point for {guard.blind:g} s")
         if now - self._near > guard.patience:
-            raise Stopped(LoopEnd.DISAGREED, f"the tip was more than {1e3 * guard.far:.0f} mm off for {guard.patience:g} s")
+            raise Stopped(Ending.DISAGREED, f"the tip was more than {1e3 * guard.far:.0f} mm off for {guard.patience:g} s")
 
 
-def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watch: _Supervisor, show: Show, rests: bool) -> Sample:
+def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watch: _Supervisor, progress: Progress, rests: bool) -> Sample:
     """The first sample, with the robot at rest where the controller starts."""
     start = controller.start()
     check_command(start, robot)
@@ -224,7 +222,7 @@ def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watc
     while (passed := sample.time - began) < whole:
         watch.check(sample)
         rig.apply(_part(start, float(rising(np.array(passed / guard.glide)))))
-        show("to the start", passed, whole)
+        progress("to the start", passed, whole)
         if passed > guard.glide + guard.rest / 2:
             missed.append(np.linalg.norm(sample.points - expected, axis=1))
         sample = rig.read()
@@ -241,17 +239,19 @@ def _part(command: Command, part: float) -> Command:
     return Command(part * command.pressures, part * command.tensions * command.enabled, command.enabled)
 
 
-def _down(rig: Rig, last: Command, guard: Guard, watch: _Supervisor, show: Show) -> None:
+def _down(rig: Rig, last: Command, guard: Guard, watch: _Supervisor, progress: Progress) -> None:
     """From the last command slowly to nothing; what ends that early is stopped, which is no worse than what was to come."""
     with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
         began = rig.read().time
         while (passed := (sample := rig.read()).time - began) < guard.glide:
             watch.check(sample)
             rig.apply(_part(last, 1 - float(rising(np.array(passed / guard.glide)))))
-            show("back to zero", passed, guard.glide)
+            progress("back to zero", passed, guard.glide)
 
 
-def _closed(rig: Rig, controller: Controller, watch: _Supervisor, show: Show, look: Look | None, done: LoopRecord, sample: Sample) -> None:
+def _closed(
+    rig: Rig, controller: Controller, watch: _Supervisor, progress: Progress, look: Look | None, done: LoopRecord, sample: Sample
+) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
     reference, zero, row = controller.reference, sample.time, -1
     while (now := round((sample.time - zero) / reference.period)) < len(reference):
@@ -262,7 +262,7 @@ def _closed(rig: Rig, controller: Controller, watch: _Supervisor, show: Show, lo
             seconds = time.perf_counter() - began
             rig.apply(command)
             _note(done, rig, sample, sample.time - zero, row, command, seconds, controller)
-            show("tracking", sample.time - zero, reference.duration)
+            progress("tracking", sample.time - zero, reference.duration)
             if look:
                 look(sample, reference.tips[row])
         watch.check(sample, reference.tips[row])
@@ -285,5 +285,4 @@ def _note(
     done.commands.append(command)
     done.measured.append(_measured(sample, 2 * len(command.pressures)))
     done.seconds.append(seconds)
-    if isinstance(controller, Mpc) and controller.last is not None:
-        done.steps.append(controller.last)
+    done.telemetry.append(controller.telemetry())

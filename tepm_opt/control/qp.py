@@ -13,7 +13,6 @@ from __future__ import annotations
 import time
 from ctypes import c_int
 from dataclasses import dataclass
-from enum import Enum
 
 import daqp
 import numpy as np
@@ -21,6 +20,7 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 
 from tepm_opt.errors import InputError
+from tepm_opt.outcome import Ending, Outcome
 
 WITHIN = 1e-6  # by which a solution may leave its bounds, beside 1 and the bound
 TOLERANCE = 1e-9  # of DAQP, on rows of length 1
@@ -33,18 +33,13 @@ SOFT = 8  # DAQP's mark of a soft row
 _factor, _inverse = sla.get_lapack_funcs(("potrf", "trtri"))
 
 
-class QpStatus(Enum):
-    """How a solve ended."""
-
-    SOLVED = "solved"
-    INFEASIBLE = "infeasible"
-    ITERATION_LIMIT = "iteration limit"
-    NOT_FINITE = "not finite"
-    NOT_CONVEX = "not convex"
-    FAILED = "failed"
-
-
-_STATUS = {1: QpStatus.SOLVED, 2: QpStatus.SOLVED, -1: QpStatus.INFEASIBLE, -4: QpStatus.ITERATION_LIMIT}
+_SOLVED = Outcome(Ending.SOLVED)
+_NOT_RUN = Outcome(Ending.FAILED, "nothing was solved")
+_INFEASIBLE = Outcome(Ending.INFEASIBLE, "no x is within all bounds")
+_NOT_FINITE = Outcome(Ending.NOT_FINITE, "a coefficient or a bound is not a finite number")
+_NOT_CONVEX = Outcome(Ending.NOT_CONVEX, "the Hessian is not positive semidefinite")
+_NO_HESSIAN = Outcome(Ending.FAILED, "the program before had no Hessian of use")
+_INEXACT = Outcome(Ending.FAILED, "the answer is outside its bounds by more than rounding")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +47,10 @@ class QpResult:
     """What `QpSolver.solve` found.
 
     Attributes:
-        x: the minimiser, (variables,), checked to be finite and within bounds; None unless `status` is SOLVED.
+        x: the minimiser, (variables,), checked to be finite and within bounds; None unless solved.
         multipliers: of the bounds, then of the rows, (variables + rows,), positive at upper bounds and negative at lower ones, so that
             H x + f + multipliers[:variables] + Rᵀ multipliers[variables:] = 0; None unless solved.
-        status: how it ended.
+        outcome: how it ended, and why.
         iterations: changes of the active set.
         violation: largest amount by which a soft row is beyond its bounds; 0 where rows are not soft.
         seconds: time taken.
@@ -63,7 +58,7 @@ class QpResult:
 
     x: np.ndarray | None = None
     multipliers: np.ndarray | None = None
-    status: QpStatus = QpStatus.FAILED
+    outcome: Outcome = _NOT_RUN
     iterations: int = 0
     violation: float = 0.0
     seconds: float = 0.0
@@ -71,7 +66,10 @@ class QpResult:
     @property
     def solved(self) -> bool:
         """Whether there is an x."""
-        return self.status is QpStatus.SOLVED
+        return self.outcome.solved
+
+    def __repr__(self) -> str:
+        return f"QpResult({self.outcome}, iterations={self.iterations}, seconds={self.seconds:.2g})"
 
 
 class QpSolver:
@@ -118,14 +116,14 @@ class QpSolver:
         row_upper: np.ndarray,
         rows: np.ndarray | None = None,
     ) -> QpResult:
-        """Minimiser of one program; a program without one is a status, never an exception.
+        """Minimiser of one program; a program without one is an outcome, never an exception.
 
         A hessian singular to rounding is regularised by as little as makes it definite. What fails from the active set of the program
         before is tried once more from none.
 
         Args:
             hessian: H, positive semidefinite, (variables, variables), of which the lower triangle is read; None for that of the program
-                before, which saves most of the time; FAILED where that one had none of use.
+                before, which saves most of the time; failed where that one had none of use.
             gradient: f, (variables,).
             lower, upper: of x, (variables,); infinite where there is none.
             row_lower, row_upper: of R x, (rows,); likewise.
@@ -146,41 +144,51 @@ class QpSolver:
             raise InputError(f"shapes {shapes}; valid: {self._shapes}")
         n = self.variables
         self._low[:n], self._high[:n], self._low[n:], self._high[n:] = given[2:]
-        status, count = self._prepare(None if hessian is None else H, given[1]), 0
-        if status is not QpStatus.SOLVED:
-            return QpResult(status=status, seconds=time.perf_counter() - began)
+        outcome, count = self._prepare(None if hessian is None else H, given[1]), 0
+        if not outcome.solved:
+            return QpResult(outcome=outcome, seconds=time.perf_counter() - began)
         for warm in (True, False) if self._workspace else (False,):
             flag, u, multipliers, more = self._run(warm)
-            status, count = _STATUS.get(flag, QpStatus.FAILED), count + more
-            if status is QpStatus.SOLVED:
+            outcome, count = self._outcome(flag), count + more
+            if outcome.solved:
                 x, beyond = self._within(u)
                 if x is not None:
-                    return QpResult(x, self._scale * multipliers, status, count, beyond, time.perf_counter() - began)
-                status = QpStatus.FAILED
+                    return QpResult(x, self._scale * multipliers, outcome, count, beyond, time.perf_counter() - began)
+                outcome = _INEXACT
             self._workspace = None
-        return QpResult(status=status, iterations=count, seconds=time.perf_counter() - began)
+        return QpResult(outcome=outcome, iterations=count, seconds=time.perf_counter() - began)
 
-    def _prepare(self, H: np.ndarray | None, f: np.ndarray) -> QpStatus:
-        """The change of variables: x and its rows are M u + rest, where u = 0 is the minimiser without bounds; SOLVED if there is one."""
+    def _outcome(self, flag: int) -> Outcome:
+        """What DAQP's exit flag means."""
+        if flag in (1, 2):
+            return _SOLVED
+        if flag == -1:
+            return _INFEASIBLE
+        if flag == -4:
+            return Outcome(Ending.ITERATION_LIMIT, f"no answer after {self.iterations} changes of the active set")
+        return Outcome(Ending.FAILED, f"DAQP ended with flag {flag}")
+
+    def _prepare(self, H: np.ndarray | None, f: np.ndarray) -> Outcome:
+        """The change of variables: x and its rows are M u + rest, where u = 0 is the minimiser without bounds; solved if there is one."""
         low, high, n = self._low, self._high, self.variables
         if H is not None:
             self._inverse, self._moved = None, True
             factor = _definite_factor(H)
             if factor is None:
-                return QpStatus.NOT_CONVEX if np.isfinite(H).all() else QpStatus.NOT_FINITE
+                return _NOT_CONVEX if np.isfinite(H).all() else _NOT_FINITE
             self._inverse = inverse = _inverse(factor, lower=1)[0]
             self._scale = float(factor[0, 0]) ** 2
             np.multiply(inverse.T, factor[0, 0], out=self._M[:n])  # rows neither long nor short, whatever the unit of the cost
             self._M[n:] = self._rows @ self._M[:n]
         if self._inverse is None:
-            return QpStatus.FAILED
+            return _NO_HESSIAN
         if not np.isfinite(f).all() or np.isnan(low).any() or np.isnan(high).any():
-            return QpStatus.NOT_FINITE
+            return _NOT_FINITE
         if not ((low <= high) & (low < np.inf) & (high > -np.inf)).all():
-            return QpStatus.INFEASIBLE
+            return _INFEASIBLE
         self._rest[:n] = free = -((self._inverse @ f) @ self._inverse)
         self._rest[n:] = self._rows @ free
-        return QpStatus.SOLVED if np.isfinite(self._rest).all() else QpStatus.NOT_FINITE
+        return _SOLVED if np.isfinite(self._rest).all() else _NOT_FINITE
 
     def _run(self, warm: bool) -> tuple[int, np.ndarray, np.ndarray, int]:
         """DAQP's flag, minimiser of |u|² / 2 within the bounds, multipliers and iterations."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +10,8 @@ from scipy.interpolate import CubicSpline
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.kinematics import ActuationMode, Configuration, each_configuration
+from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.solvers.kinematics import ActuationMode, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 
@@ -69,33 +69,36 @@ def rising(part: np.ndarray) -> np.ndarray:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
-Track = Callable[[Iterable[Configuration]], Iterable[Configuration]]
-
-
 def reference_of(
-    model: CompiledModel, tips: np.ndarray, counted: np.ndarray | None = None, point: np.ndarray | None = None,
-    track: Track = iter, period: float = PERIOD,
-) -> Reference:  # fmt: skip
+    model: CompiledModel,
+    tips: np.ndarray,
+    counts: np.ndarray | None = None,
+    point: np.ndarray | None = None,
+    period: float = PERIOD,
+    progress: Progress = silent,
+) -> Reference:
     """Inverse kinematics along tips that are already a control period apart.
 
     Args:
         model: the controller's.
         tips: (periods, 3) in m in G.
-        counted, point: see `Reference`; all periods and one target where absent.
-        track: wraps the configurations, for progress.
+        counts: over which periods the error counts, (periods,) of bool; all where absent.
+        point: number of the target at every period, (periods,); one target where absent.
         period: s.
+        progress: told how many periods are done.
 
     Raises:
         InputError: a tip is out of reach; names the time and why.
     """
     found = []
-    for k, configuration in enumerate(track(each_configuration(model, tips, ActuationMode.HYBRID))):
+    each = counted(each_configuration(model, tips, ActuationMode.HYBRID), progress, "inverse kinematics", len(tips))
+    for k, configuration in enumerate(each):
         if not configuration.solved:
             raise InputError(f"reference: at {k * period:.2f} s, {tips[k].round(4).tolist()} m: {configuration.outcome.message}")
         found.append(configuration)
-    counted = np.ones(len(tips), dtype=bool) if counted is None else counted
+    counts = np.ones(len(tips), dtype=bool) if counts is None else counts
     point = np.zeros(len(tips), dtype=int) if point is None else point
-    return Reference(tips, np.array([at.forces for at in found]), [at.equilibrium for at in found], counted, point, period)
+    return Reference(tips, np.array([at.forces for at in found]), [at.equilibrium for at in found], counts, point, period)
 
 
 def reference_by_forces(model: CompiledModel, forces: np.ndarray, period: float = PERIOD) -> Reference:

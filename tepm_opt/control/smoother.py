@@ -21,6 +21,7 @@ from scipy.sparse.linalg import splu
 from tepm_opt.control.estimator import DEFAULT, Estimator, FilterSettings, Operating, Transition
 from tepm_opt.control.loop import LoopRecord
 from tepm_opt.errors import InputError
+from tepm_opt.solvers.modal_model import modal_model
 
 SETS = 40  # active sets that are tried
 
@@ -45,19 +46,21 @@ class RecordedMotion:
 
     @staticmethod
     def of(done: LoopRecord, area: float) -> RecordedMotion:
-        """A run of the predictive controller, with pressures and tensions as measured; area of a muscle in m².
+        """A closed loop, linearised about its reference, with pressures and tensions as measured; area of a muscle in m².
 
         Raises:
-            InputError: no such run, a period without a sample, or inputs that were not measured.
+            InputError: fewer than two samples, a period without a sample, or inputs that were not measured.
         """
-        rows, inputs = np.array(done.rows), np.array(done.measured)
-        if len(done.steps) < 2 or len(done.steps) != len(rows) or (np.diff(rows) != 1).any() or not np.isfinite(inputs).all():
-            raise InputError("run: valid: one of the predictive controller, with a sample in every period and measured inputs")
+        rows, inputs, reference = np.array(done.rows, dtype=int), np.array(done.measured), done.reference
+        if len(rows) < 2 or (np.diff(rows) != 1).any() or not np.isfinite(inputs).all():
+            raise InputError("run: valid: one with a sample in every period, at least 2, and measured inputs")
         pressures, tensions = np.split(inputs, 2, axis=1)
-        rates = np.diff(done.reference.lengths[rows], axis=0) / done.reference.period
-        return RecordedMotion(
-            [step.estimate.operating for step in done.steps], np.array(done.points), area * pressures - tensions, tensions, rates
-        )
+        rates = np.diff(reference.lengths[rows], axis=0) / reference.period
+        operating, before = [], None
+        for row in rows:
+            before = modal_model(reference.equilibria[row], before)
+            operating.append(Operating.of(before, reference.forces[row], reference.period))
+        return RecordedMotion(operating, np.array(done.points), area * pressures - tensions, tensions, rates)
 
     def between(self, start: int, end: int) -> RecordedMotion:
         """A window from one sample to another, which is left out."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.control.actuators import Devices
-from tepm_opt.control.loop import LoopEnd, LoopRecord
-from tepm_opt.control.mpc import MpcSettings
+from tepm_opt.control.controllers import DEFAULT, ControllerKind, ControllerSettings, Option, Telemetry, find_controller, settings_of
+from tepm_opt.control.loop import DONE, LoopRecord
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import FORCE_COLUMNS
 from tepm_opt.data.tables import write_columns
@@ -22,6 +22,7 @@ from tepm_opt.jobs.runs import save_summary
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import Model
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.recording.measure import GOOD, STATUS
 
 LOG, JOB = "log.csv", "mpc"
@@ -31,26 +32,52 @@ PACKAGES = ("tepm-opt", "numpy", "scipy", "casadi", "daqp", "mujoco")
 
 @dataclass(frozen=True)
 class LoopSetup:
-    """What ran.
+    """What runs, on which rig.
 
     Attributes:
-        controller: "mpc", "mode1" or "mode2".
+        controller: name of a kind of controller, see `tepm_opt.control.controllers`.
         rig: as a person names it.
         seed: of the noise on a simulated rig.
-        settings: of the predictive controller.
+        settings: of the controller; its default ones where absent.
     """
 
-    controller: str = "mpc"
+    controller: str = DEFAULT
     rig: str = "sim"
     seed: int = 0
-    settings: MpcSettings = field(default_factory=MpcSettings)
+    settings: ControllerSettings | None = None
 
     @property
-    def asked(self) -> dict[str, str | bool]:
-        """What was asked of the predictive controller; nothing of others."""
-        if self.controller != "mpc":
-            return {}
-        return {"use": self.settings.use.value, "rule": self.settings.rule, "nonlinear": self.settings.nonlinear}
+    def kind(self) -> ControllerKind:
+        """Kind of the controller.
+
+        Raises:
+            InputError: no such controller.
+        """
+        return find_controller(self.controller)
+
+    @property
+    def chosen(self) -> ControllerSettings:
+        """Settings of the controller.
+
+        Raises:
+            InputError: no such controller.
+        """
+        return self.kind.settings({}) if self.settings is None else self.settings
+
+    @staticmethod
+    def of(controller: str, rig: str, seed: int, options: Mapping[str, Option]) -> LoopSetup:
+        """What a command line asks for.
+
+        Args:
+            controller: name of its kind.
+            rig: as the person named it.
+            seed: of the noise on a simulated rig.
+            options: those of the controller that were given, by name.
+
+        Raises:
+            InputError: no such controller, an option of another one, or a value that an option does not have.
+        """
+        return LoopSetup(controller, rig, seed, settings_of(find_controller(controller), options))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +97,9 @@ class ClosedLoop:
         pressures, tensions, enabled: commanded, (samples, actuators) in Pa, N and bool.
         measured: pressures and tensions, (samples, 2 · actuators), where the rig measures both.
         seconds: that the controller took, (samples,).
-        steps: more columns by name, (samples,) each: of the predictive controller, and what the rig said.
-        end, message: how it ended.
-        fallbacks: steps that went on with an older plan, by the reason.
-        failure: of the rig; empty where there was none.
+        steps: more columns by name, (samples,) each: what the controller logs, and what the rig said.
+        outcome: how it ended, and why.
+        fallbacks: number of steps that went on with something older, by the reason.
     """
 
     model: Model
@@ -92,17 +118,21 @@ class ClosedLoop:
     measured: np.ndarray
     seconds: np.ndarray
     steps: Mapping[str, np.ndarray]
-    end: LoopEnd = LoopEnd.DONE
-    message: str = ""
+    outcome: Outcome = DONE
     fallbacks: Mapping[str, int] = field(default_factory=dict)
-    failure: str = ""
 
     @staticmethod
-    def of(done: LoopRecord, model: CompiledModel, setup: LoopSetup, failure: str = "", rows: slice = slice(None)) -> ClosedLoop:
-        """From what was tracked, or some rows of it."""
-        half, names = model.layout.inputs // 2, model.layout.actuator_names
-        whole = min(len(done.seconds), len(done.steps) or len(done.seconds))  # an interruption may come between two columns
-        rows = slice(*rows.indices(whole))
+    def of(done: LoopRecord, model: CompiledModel, setup: LoopSetup, rows: slice = slice(None)) -> ClosedLoop:
+        """A record of a closed loop as arrays, or some rows of it.
+
+        Args:
+            done: the record; may still grow.
+            model: the controller's.
+            setup: what ran.
+            rows: which samples.
+        """
+        half = model.layout.inputs // 2
+        rows = slice(*rows.indices(len(done.telemetry)))  # an interruption may come between two columns
         commands, places = done.commands[rows], np.array(done.rows[rows], dtype=int)
 
         def stacked(values: Sequence[Any], *shape: int) -> np.ndarray:
@@ -113,13 +143,13 @@ class ClosedLoop:
             done.reference.tips[places], done.reference.counted[places], stacked(done.points[rows], model.layout.points, 3),
             stacked(done.truth[rows], 3), stacked([c.pressures for c in commands], half), stacked([c.tensions for c in commands], half),
             stacked([c.enabled for c in commands], half).astype(bool), stacked(done.measured[rows], 2 * half), stacked(done.seconds[rows]),
-            _steps(done, rows, names), done.end, done.message, done.fallbacks, failure,
+            _stacked(done.telemetry[rows]), done.outcome, dict(done.fallbacks),
         )  # fmt: skip
 
     @property
     def ok(self) -> bool:
         """Whether it came to the reference's end."""
-        return self.end is LoopEnd.DONE and not self.failure
+        return self.outcome.solved
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -215,10 +245,10 @@ class ClosedLoop:
             "robot": self.model.robot.name,
             "effects": [effect.name for effect in self.model.effects],
             "seed": self.setup.seed,
-            "settings": self.setup.asked,
-            "end": "the rig failed" if self.failure else self.end.value,
-            "message": self.failure or self.message,
-            "interrupted": self.end is LoopEnd.INTERRUPTED,
+            "settings": self.setup.chosen.asked,
+            "end": self.outcome.ending.value,
+            "message": self.outcome.message,
+            "interrupted": self.outcome.ending is Ending.INTERRUPTED,
             "samples": len(self.time),
             "duration_s": self.duration,
             "reached_s": float(self.time[-1]) if len(self.time) else 0.0,
@@ -271,21 +301,10 @@ class ClosedLoop:
         save_summary(folder, JOB, self.summary())
 
 
-def _steps(done: LoopRecord, rows: slice, names: Sequence[str]) -> dict[str, np.ndarray]:
-    steps = done.steps[rows]
-    if not steps:
-        return {}
-    found = {f"estimated_tip_{axis}_m": np.array([step.estimate.points[-1, k] for step in steps]) for k, axis in enumerate("xyz")}
-    for k, name in enumerate(names):
-        found[f"unknown_force_{name}_N"] = np.array([step.unknown[k] for step in steps])
-        found[f"friction_{name}_N"] = np.array([step.estimate.friction[k] for step in steps])
-    found["nis"] = np.array([step.estimate.nis for step in steps], dtype=float)
-    found["coordinates_seen"] = np.array([step.estimate.seen for step in steps], dtype=float)
-    found["points_refused"] = np.array([step.estimate.refused.sum() for step in steps], dtype=float)
-    found["program"] = np.array([step.status.value for step in steps], dtype=np.str_)
-    found["iterations"] = np.array([step.iterations for step in steps], dtype=float)
-    found["pressure_moves"] = np.array([step.moves for step in steps], dtype=float)
-    return found | {"program_seconds": np.array([step.seconds[1] for step in steps], dtype=float)}
+def _stacked(telemetry: Sequence[Telemetry]) -> dict[str, np.ndarray]:
+    """Columns of a controller's telemetry by name, (samples,) each."""
+    names = telemetry[0].columns if telemetry else {}
+    return {name: np.array([row.columns[name] for row in telemetry]) for name in names}
 
 
 def _tells(values: np.ndarray) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -11,18 +11,17 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.control.loop import LoopEnd
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
 from tepm_opt.jobs.mpc import run_closed_loop
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
+from tepm_opt.outcome import Ending
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.trajectories import Trajectory
 
 LOOK = 0.2  # s between looks at how far the processes are
-Progress = Callable[[str, float, float], None]
-"""Told controller, how much is done, of how much (s)."""
 
 
 @dataclass(frozen=True)
@@ -36,37 +35,37 @@ class LoopTask:
     setup: LoopSetup
 
 
-def compare(tasks: Sequence[LoopTask], workers: int = 1, show: Progress = lambda name, done, of: None) -> list[ClosedLoop]:
+def compare(tasks: Sequence[LoopTask], workers: int = 1, progress: Progress = silent) -> list[ClosedLoop]:
     """Closed loops on simulated rigs, beside each other where there are processors for it; the results do not depend on that.
 
     Args:
         tasks: what to run.
         workers: processes.
-        show: progress: controller, done, of (s).
+        progress: told the controller's name and how much of its loop is done, in s.
 
     Raises:
         InputError: as for `whole_reference`.
         KeyboardInterrupt: one was interrupted.
     """
     if workers < 2 or len(tasks) < 2:
-        found = [_alone(task, show) for task in tasks]
+        found = [_alone(task, progress) for task in tasks]
     else:
         context = get_context("spawn")
         told = context.SimpleQueue()
         with ProcessPoolExecutor(min(workers, len(tasks)), context, _begin, (told,)) as pool:
             waiting = [pool.submit(_told, task) for task in tasks]
             try:
-                _watch(waiting, told, show)
+                _watch(waiting, told, progress)
             except KeyboardInterrupt:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
             found = [job.result() for job in waiting]
-    if any(loop.end is LoopEnd.INTERRUPTED for loop in found):
+    if any(loop.outcome.ending is Ending.INTERRUPTED for loop in found):
         raise KeyboardInterrupt
     return found
 
 
-def _alone(task: LoopTask, show: Progress) -> ClosedLoop:
+def _alone(task: LoopTask, progress: Progress) -> ClosedLoop:
     from tepm_opt.hw.simulation.rig import SimulatedRig
 
     model = compile_model(task.model)
@@ -74,7 +73,7 @@ def _alone(task: LoopTask, show: Progress) -> ClosedLoop:
     rig = SimulatedRig(task.file)
     rig.reseed(task.setup.seed)
     name = task.setup.controller
-    return run_closed_loop(model, reference, rig, task.setup, show=lambda stage, done, of: show(name, done, of))
+    return run_closed_loop(model, reference, rig, task.setup, progress=lambda stage, done, of: progress(name, done, of))
 
 
 _TELL: Any = None  # of a process of the pool: where it says how far it is
@@ -89,20 +88,20 @@ def _told(task: LoopTask) -> ClosedLoop:
     """`_alone` in a process of its own, which compiles (or finds) the model for itself."""
     last = [0.0]
 
-    def show(name: str, done: float, of: float) -> None:
+    def tell(stage: str, done: float, of: float) -> None:
         if time.monotonic() > last[0] + LOOK:
             last[0] = time.monotonic()
-            _TELL.put((name, done, of))
+            _TELL.put((stage, done, of))
 
     with threadpool_limits(1, "blas"):  # as in the program itself
-        return _alone(task, show)
+        return _alone(task, tell)
 
 
-def _watch(waiting: Sequence[Future[ClosedLoop]], told: Any, show: Progress) -> None:
+def _watch(waiting: Sequence[Future[ClosedLoop]], told: Any, progress: Progress) -> None:
     """Pass on how far the processes are until all have ended."""
     while True:
         left = wait(waiting, LOOK).not_done
         while not told.empty():
-            show(*told.get())
+            progress(*told.get())
         if not left:
             return

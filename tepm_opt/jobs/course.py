@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.control.reference import PERIOD, START_UP, Reference, Track, along, approach, point_by_point, reference_of
+from tepm_opt.control.reference import PERIOD, START_UP, Reference, along, approach, point_by_point, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.trajectories import Trajectory
 
 AT_REST = 0.05  # of a path's largest speed, below which its ends are at rest
@@ -41,16 +41,14 @@ class Course:
 FULL = Course()
 
 
-def whole_reference(
-    model: CompiledModel, trajectory: Trajectory, course: Course = FULL, progress: Callable[[int], Track] = lambda count: iter
-) -> Reference:
+def whole_reference(model: CompiledModel, trajectory: Trajectory, course: Course = FULL, progress: Progress = silent) -> Reference:
     """From rest without forces to the trajectory's first point, a pause, then along it or point by point.
 
     Args:
         model: the controller's.
         trajectory: targets.
         course: how. An open path that starts and ends at rest by itself keeps its own timing.
-        progress: given the number of periods, wraps their configurations.
+        progress: told how many periods are done.
 
     Raises:
         InputError: laps or a stay that do not fit; a path of one point; a tip out of reach.
@@ -72,7 +70,8 @@ def whole_reference(
     lead = np.vstack([lead, np.repeat(tips[:1], round(course.pause / PERIOD), axis=0)])
     tips = np.vstack([lead, tips])
     counted = np.concatenate([np.zeros(len(lead), dtype=bool), counted])
-    return reference_of(model, tips, counted, np.concatenate([np.zeros(len(lead), dtype=int), point]), progress(len(tips)))
+    point = np.concatenate([np.zeros(len(lead), dtype=int), point])
+    return reference_of(model, tips, counted, point, progress=progress)
 
 
 def _rests(trajectory: Trajectory) -> bool:

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.controllers import controller_named
-from tepm_opt.control.loop import Guard, LoopEnd, LoopRecord, Show, close_loop
+from tepm_opt.control.loop import INTERRUPTED, Guard, LoopRecord, close_loop
 from tepm_opt.control.reference import Reference
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.journal import Journal
@@ -25,6 +24,8 @@ from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.jobs.closed_loop import LOG, ClosedLoop, LoopSetup
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.measure import GOOD, STATUS, journal_path
 
 Look = Callable[[Sample, Command], None]
@@ -87,9 +88,15 @@ def _said(loop: ClosedLoop, statuses: list[str]) -> ClosedLoop:
 
 
 def run_closed_loop(
-    model: CompiledModel, reference: Reference, rig: Rig, setup: LoopSetup, folder: str | Path | None = None, guard: Guard | None = None,
-    show: Show = lambda stage, done, of: None, look: Look | None = None,
-) -> ClosedLoop:  # fmt: skip
+    model: CompiledModel,
+    reference: Reference,
+    rig: Rig,
+    setup: LoopSetup,
+    folder: str | Path | None = None,
+    guard: Guard | None = None,
+    progress: Progress = silent,
+    look: Look | None = None,
+) -> ClosedLoop:
     """Follow a reference on a rig and write log.csv and summary.json; the rig is stopped whatever happens.
 
     An interruption, a guard that stops the loop and a rig that fails on the way end it early; the result says so and holds what was done.
@@ -101,8 +108,8 @@ def run_closed_loop(
         setup: names what runs; the rig is `rig`, whatever it says.
         folder: for the results; None writes nothing. While the loop runs a journal is there, named log-….unfinished.csv.
         guard: when to stop.
-        show: progress.
-        look: a view.
+        progress: told the stage and how much of it is done, in s.
+        look: given every sample with what was commanded then.
 
     Raises:
         InputError: unknown controller; the rig has another robot, or disagrees with the model before the loop is closed; a folder that
@@ -113,11 +120,10 @@ def run_closed_loop(
         raise InputError(
             f"the rig's robot is {rig.robot.name!r}, the model's {model.robot.name!r}; name the one that is there (--robot, --model)"
         )
-    settings = setup.settings
-    if rig.simulated is None:  # there time does not wait for a step
-        settings = replace(settings, late=min(settings.late, reference.period))
-    controller = controller_named(setup.controller, model, reference, settings)
-    done, failure = LoopRecord(reference), ""
+    kind, settings = setup.kind, setup.chosen
+    if rig.simulated is None:
+        settings = settings.in_real_time(reference.period)
+    controller, done = kind.make(model, reference, settings), LoopRecord(reference)
     statuses: list[str] = []
 
     def row(number: int) -> ClosedLoop:
@@ -132,14 +138,14 @@ def run_closed_loop(
                 look(sample, done.commands[-1])
 
         try:
-            close_loop(rig, controller, model.robot, guard, show, watched, done)
+            close_loop(rig, controller, model.robot, guard, progress, watched, done)
         except KeyboardInterrupt:  # while the rig was being opened or stopped
-            done.end, done.message = LoopEnd.INTERRUPTED, "interrupted by the user"
+            done.outcome = INTERRUPTED
         except (InputError, RuntimeError, OSError) as error:
             if not done.rows:
                 raise
-            failure = " ".join(str(error).split()) or type(error).__name__
-        found = _said(ClosedLoop.of(done, model, setup, failure), statuses)
+            done.outcome = Outcome(Ending.RIG_FAILED, " ".join(str(error).split()) or type(error).__name__)
+        found = _said(ClosedLoop.of(done, model, setup), statuses)
         if folder is not None:
             found.save(folder)
     return found

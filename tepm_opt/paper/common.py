@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,9 +12,46 @@ from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
+from tepm_opt.progress import Progress, silent
 
 SWAY = 1.1  # s, period of the slowest sway: what is averaged over it does not see it
-Show = Callable[[float], None]
+
+
+class Clock:
+    """Virtual time that experiments take, told as progress.
+
+    Attributes:
+        passed: how much of it has passed, in s.
+    """
+
+    def __init__(self, progress: Progress = silent, of: float = 0.0) -> None:
+        """A clock at zero.
+
+        Args:
+            progress: told the experiment and the virtual time that has passed since the first one began.
+            of: virtual time of all experiments in s; 0 where nobody knows.
+        """
+        self.passed = 0.0
+        self._progress, self._of, self._stage = progress, of, ""
+
+    def begin(self, stage: str, passed: float) -> None:
+        """Begin an experiment at a time in s, whatever those before took."""
+        self._stage = stage
+        self.advance(passed - self.passed)
+
+    def advance(self, seconds: float) -> None:
+        """Let some s pass."""
+        self.passed += seconds
+        self._progress(self._stage, self.passed, self._of)
+
+    def part(self) -> Progress:
+        """Progress of a part that begins now and tells its own time in s."""
+        start = self.passed
+
+        def progress(stage: str, done: float, of: float) -> None:
+            self.advance(start + done - self.passed)
+
+        return progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +62,14 @@ class Setting:
         model: nominal, compiled.
         rig: file of the virtual prototype.
         runs: repetitions of an experiment (the paper's are 3).
-        show: called with the virtual time in s that has passed since the last call; for progress.
+        clock: told the virtual time that passes.
         workers: processes for what takes longest; results do not depend on it.
     """
 
     model: CompiledModel
     rig: RigFile
     runs: int = 3
-    show: Show = lambda _: None
+    clock: Clock = field(default_factory=Clock)
     workers: int = 1
 
     def prototype(self, noise: int) -> SimulatedRig:
@@ -59,17 +95,25 @@ def inputs_of(robot: Robot, pressures: dict[str, float] | None = None, tensions:
     return inputs
 
 
-def play(rig: SimulatedRig, setpoints: SetPoints, until: float, show: Show = lambda _: None) -> tuple[np.ndarray, np.ndarray]:
-    """Play set points that are linear between their rows, from rest under the first; time (samples,), points (samples, points, 3)."""
+def play(rig: SimulatedRig, setpoints: SetPoints, until: float, progress: Progress = silent) -> tuple[np.ndarray, np.ndarray]:
+    """Play set points that are linear between their rows, from rest under the first.
+
+    Args:
+        rig: which; at its start.
+        setpoints: to play.
+        until: time of the last sample in s.
+        progress: told the time in s that has passed.
+
+    Returns:
+        Time in s, (samples,), and reference points in m in G, (samples, points, 3).
+    """
     rig.schedule(setpoints)
     times, points = [], []
-    before = 0.0
     while not times or times[-1] < until - 1e-9:
         sample = rig.read()
         times.append(sample.time)
         points.append(sample.points)
-        show(sample.time - before)
-        before = sample.time
+        progress("set points", sample.time, until)
     return np.array(times), np.array(points)
 
 

@@ -20,7 +20,7 @@ def sweep(setting: Setting, actuation: str, noise: int) -> tuple[np.ndarray, np.
     one = {"13": LAST * high}
     last = inputs_of(robot, one) if actuation == "pressure" else inputs_of(robot, tensions=one)
     setpoints = SetPoints(np.array([0.0, DURATION]), np.array([0 * last, last]), np.zeros((2, 3)))
-    time, points = play(setting.prototype(noise), setpoints, DURATION, setting.show)
+    time, points = play(setting.prototype(noise), setpoints, DURATION, setting.clock.part())
     return LAST * time / DURATION, points[:, -1, 2]
 
 

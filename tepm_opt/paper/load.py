@@ -32,12 +32,11 @@ def bend_and_return(setting: Setting, noise: int, ramp: float = RAMP) -> tuple[n
     knots = np.linspace(0.0, 2 * ramp, 2 * KNOTS - 1)
     size = (1 - np.abs(knots / ramp - 1)) ** 2
     rig.schedule(SetPoints(knots, np.zeros((len(knots), setting.model.layout.inputs)), size[:, None] * FORCE))
-    rows, before = [], 0.0
+    rows, progress = [], setting.clock.part()
     while not rows or rows[-1][0] < 2 * ramp - 1e-9:
         time = rig.read().time
         rows.append((time, float(np.interp(time, knots, size * FORCE[0])), tilt(rig)))
-        setting.show(time - before)
-        before = time
+        progress("force", time, 2 * ramp)
     time, force, angle = np.array(rows).T
     return time, force, angle
 

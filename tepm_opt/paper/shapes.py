@@ -30,7 +30,7 @@ def dynamic_bend_inputs(setting: Setting) -> np.ndarray:
 
 def settled_points(setting: Setting, inputs: np.ndarray, noise: int, force: np.ndarray | None = None) -> np.ndarray:
     """Where the prototype ends after a ramp, (points, 3) in m: the mean over the last period of its sway."""
-    time, points = play(setting.prototype(noise), ramp(inputs, RISE, force=force), RISE + HOLD, setting.show)
+    time, points = play(setting.prototype(noise), ramp(inputs, RISE, force=force), RISE + HOLD, setting.clock.part())
     return np.nanmean(points[time > RISE + HOLD - SWAY], axis=0)
 
 
@@ -71,8 +71,8 @@ def shape_table(setting: Setting, model: np.ndarray, prototype: np.ndarray) -> d
 def dynamic_bend(setting: Setting) -> ExperimentResult:
     """Fig. 9."""
     setpoints = ramp(dynamic_bend_inputs(setting), BEND)
-    time, model = play(setting.twin(), setpoints, BEND, setting.show)
-    runs = [play(setting.prototype(noise), setpoints, BEND, setting.show)[1] for noise in range(1, setting.runs + 1)]
+    time, model = play(setting.twin(), setpoints, BEND, setting.clock.part())
+    runs = [play(setting.prototype(noise), setpoints, BEND, setting.clock.part())[1] for noise in range(1, setting.runs + 1)]
     total = [float(np.sqrt(np.mean(point_errors(points, model) ** 2))) for points in runs]
     shown = runs[middle(total)]
     errors = 1e3 * point_errors(shown, model)

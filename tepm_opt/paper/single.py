@@ -36,7 +36,7 @@ def staircase(setting: Setting, noise: int) -> tuple[np.ndarray, np.ndarray]:
         rig.apply(Command(np.array([pressure]), np.zeros(1), np.zeros(1, dtype=bool)))
         samples = [float(rig.read().lengths[0]) for _ in range(frames)]  # type: ignore[index]
         lengths.append(float(np.mean(samples[-frames // 2 :])))
-        setting.show(REST)
+        setting.clock.advance(REST)
     return pressures, np.array(lengths)
 
 
@@ -57,7 +57,7 @@ def released(setting: Setting, noise: int) -> tuple[np.ndarray, np.ndarray]:
             rig.read()
         rig.apply(Command(pressure, np.zeros(1), np.zeros(1, dtype=bool)))
         curves.append([float(rig.read().lengths[0]) for _ in range(round(0.25 * rate))])  # type: ignore[index]
-        setting.show(2.25)
+        setting.clock.advance(2.25)
     return np.arange(len(curves[0])) / rate, np.mean(curves, axis=0)
 
 
@@ -112,7 +112,7 @@ def regulate(setting: Setting, use: TendonUse, noise: int) -> HoldRecord:
     controller = LengthController(rig.robot, use)
     with rig:
         held = hold(rig, controller, lambda sample: sample.lengths, wanted, STAY)  # type: ignore[arg-type, return-value]
-    setting.show(STAY * len(SET_POINTS))
+    setting.clock.advance(STAY * len(SET_POINTS))
     return held
 
 

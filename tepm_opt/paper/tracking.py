@@ -31,14 +31,8 @@ def follow(setting: Setting, use: TendonUse, noise: int, wanted: list[LengthTarg
     estimator = LengthEstimator(setting.model)
     rig = setting.prototype(noise)
     controller = LengthController(rig.robot, use)
-    last = [0.0]
-
-    def show(passed: float) -> None:
-        setting.show(passed - last[0])
-        last[0] = passed
-
     with rig:
-        return hold(rig, controller, lambda sample: estimator.update(sample.points), wanted, STAY, APPROACH, show)
+        return hold(rig, controller, lambda sample: estimator.update(sample.points), wanted, STAY, APPROACH, setting.clock.part())
 
 
 def _follow_alone(file: RigFile, use: TendonUse, noise: int, wanted: list[LengthTarget]) -> HoldRecord:
@@ -56,7 +50,7 @@ def rounds(setting: Setting, wanted: list[LengthTarget]) -> dict[TendonUse, list
             waiting = [pool.submit(_follow_alone, setting.rig, use, noise, wanted) for use, noise in jobs]
             try:
                 for _ in as_completed(waiting):
-                    setting.show(APPROACH + STAY * len(wanted))
+                    setting.clock.advance(APPROACH + STAY * len(wanted))
             except KeyboardInterrupt:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise

@@ -13,8 +13,6 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
 
 TOLERANCE = 2.0  # mm, shaded
-TITLES = {"mpc": "MPC", "mode1": "mode 1", "mode2": "mode 2"}
-COLORS = {"mpc": REACHED, "mode1": TENSION, "mode2": PRESSURE}
 AXES = "xyz"
 SPARE = 0.06  # of a span, around paths
 
@@ -27,7 +25,7 @@ def _true(loop: ClosedLoop) -> bool:
 def _label(loop: ClosedLoop) -> str:
     """Controller with its error."""
     rms = 1e3 * loop.rms(_true(loop))
-    return TITLES[loop.setup.controller] + (f", {rms:.3g} mm rms" if np.isfinite(rms) else "")
+    return loop.setup.kind.title + (f", {rms:.3g} mm rms" if np.isfinite(rms) else "")
 
 
 def _tip(loop: ClosedLoop, true: bool) -> np.ndarray:
@@ -49,7 +47,7 @@ def path_figure(loops: Mapping[str, ClosedLoop]) -> Figure:
         if number == 0:
             above.plot(target[:, 0], target[:, 1], "--", color="black", linewidth=1.4, label="target", zorder=4)
             height.plot(time, target[:, 2], "--", color="black", linewidth=1.4, label="target", zorder=4)
-        color, drawn = COLORS[loop.setup.controller], [*drawn, target]
+        color, drawn = loop.setup.kind.color, [*drawn, target]
         if single or not true:
             tracked = _tip(loop, False)[span]
             style = (
@@ -89,7 +87,7 @@ def _path_limits(axes: Axes, values: np.ndarray) -> None:
 
 def _title(loops: Mapping[str, ClosedLoop], what: str) -> str:
     first = next(iter(loops.values()))
-    controller = f"{TITLES[first.setup.controller]} on {first.setup.rig}: " if len(loops) == 1 else ""
+    controller = f"{first.setup.kind.title} on {first.setup.rig}: " if len(loops) == 1 else ""
     early = "" if all(loop.ok for loop in loops.values()) else " (ended early)"
     return f"{first.model.robot.name}, {controller}{what}{early}"
 
@@ -135,7 +133,7 @@ def distance_figure(loops: Mapping[str, ClosedLoop]) -> Figure:
         if number == 0:
             _shade(axes, loop)
         distance = 1e3 * np.linalg.norm(loop.errors(_true(loop)), axis=1)
-        axes.semilogy(loop.time, np.maximum(distance, 1e-2), color=COLORS[loop.setup.controller], linewidth=1.2, label=_label(loop))
+        axes.semilogy(loop.time, np.maximum(distance, 1e-2), color=loop.setup.kind.color, linewidth=1.2, label=_label(loop))
     axes.set(xlabel="time in s (grey: does not count)", ylabel="distance from the target in mm", ylim=(0.05, None))
     axes.grid(alpha=0.3, which="both")
     axes.margins(x=0.01)

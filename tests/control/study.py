@@ -13,9 +13,9 @@ from multiprocessing import get_context
 import numpy as np
 
 from tepm_opt.control.bench_arm import BenchArm, bench_settings, guided, length_reference
-from tepm_opt.control.controllers import controller_named
+from tepm_opt.control.controllers import find_controller
+from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.loop import Guard, LoopRecord, close_loop
-from tepm_opt.control.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.reference import Reference, along, approach, point_by_point, reference_of
 from tepm_opt.hw.rig import Sample
@@ -79,7 +79,8 @@ def follow(task: str, controller: str, seed: int, settings: MpcSettings | None =
     """A task by a controller; points are steps for the paper's modes, as they were for the paper. "weak circle": a muscle 20 % weaker."""
     path = reference(task.removeprefix("weak "), points, 1.0 if controller == "mpc" else 0.01)
     rig = prototype(seed, weaker(load_rig_file(), 0.20) if task.startswith("weak") else None)
-    return close_loop(rig, controller_named(controller, model(), path, settings), model().robot, WIDE)
+    kind = find_controller(controller)
+    return close_loop(rig, kind.make(model(), path, settings or kind.settings({})), model().robot, WIDE)
 
 
 WEIGHTS = {"weight": 0.010, "heavy": 0.060}  # kg, put on the tip

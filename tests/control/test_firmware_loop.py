@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.control.loop import LoopEnd, close_loop
-from tepm_opt.control.mpc import Mpc
+from tepm_opt.control.controllers.mpc import Mpc
+from tepm_opt.control.loop import close_loop
 from tepm_opt.hw.board.rig import SerialRig, Tendons
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.outcome import Ending
 from tests.control import study
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import World
@@ -61,7 +62,7 @@ def test_circle_through_the_firmware_as_on_the_simulated_rig(board: Board) -> No
     through.truth[:] = truth
     direct = study.follow("circle", "mpc", 1)
     print(f"through the firmware {1e3 * through.error():.2f} mm, direct {1e3 * direct.error():.2f} mm")
-    assert through.end is direct.end is LoopEnd.DONE
+    assert through.outcome.ending is direct.outcome.ending is Ending.DONE
     assert not through.fallbacks
     assert len(through.rows) == len(through.reference)
     assert board.safe

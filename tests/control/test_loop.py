@@ -11,13 +11,19 @@ from types import TracebackType
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers import CONTROLLERS, LengthFollower, controller_named
-from tepm_opt.control.loop import Guard, LoopEnd, LoopRecord, close_loop
-from tepm_opt.control.mpc import Mpc
+from tepm_opt.control import controllers as controllers_module
+from tepm_opt.control.controllers import DEFAULT, ControllerKind, NoSettings, Telemetry, controllers, find_controller, register, settings_of
+from tepm_opt.control.controllers.modes import LengthFollower
+from tepm_opt.control.controllers.mpc import Mpc
+from tepm_opt.control.loop import Guard, LoopRecord, close_loop
 from tepm_opt.control.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.jobs.closed_loop import LoopSetup
+from tepm_opt.jobs.mpc import run_closed_loop
 from tepm_opt.models.robot import load_robot
+from tepm_opt.outcome import Ending
+from tepm_opt.plots.control import path_figure
 
 ROBOT = load_robot("kang2017")
 GUARD = Guard(glide=0.5, rest=0.4)
@@ -82,6 +88,10 @@ class Still:
         """Likewise."""
         return self.start()
 
+    def telemetry(self) -> Telemetry:
+        """Nothing."""
+        return Telemetry()
+
 
 def blind(now: float, sample: Sample) -> Sample:
     """No points from 1 s on."""
@@ -125,7 +135,7 @@ def test_reference_is_followed_to_its_end(short):
     """Every period once, after a glide to the start from nothing; in the end slowly back to nothing, and the rig is stopped."""
     rig = Fake(short)
     done = close_loop(rig, Still(short), ROBOT, GUARD)
-    assert done.end is LoopEnd.DONE
+    assert done.outcome.ending is Ending.DONE
     assert done.rows == list(range(len(short)))
     assert done.time[-1] == pytest.approx(short.duration)
     assert done.error(False) == pytest.approx(0.0, abs=1e-9)
@@ -149,7 +159,7 @@ def test_rig_that_rests_at_the_start_is_not_taken_there(short):
     rig = Fake(short)
     rig.now = round(CLOSED / 0.01) - 1
     done = close_loop(rig, Still(short), ROBOT, replace(GUARD, glide=0.0))
-    assert done.end is LoopEnd.DONE
+    assert done.outcome.ending is Ending.DONE
     assert done.rows == list(range(len(short)))
     assert (rig.commands[0].pressures == 2e5).all()
     assert len(rig.commands) == 1 + len(short)
@@ -157,21 +167,21 @@ def test_rig_that_rests_at_the_start_is_not_taken_there(short):
 
 
 @pytest.mark.parametrize(
-    ("change", "end", "at", "says"),
+    ("change", "ending", "at", "says"),
     [
-        (blind, LoopEnd.BLIND, 2.0, "no tracked point for 1 s"),
-        (astray, LoopEnd.DISAGREED, 1.5, "more than 200 mm off"),
-        (strained, LoopEnd.LIMIT, 1.0, "tension_22"),
-        (over, LoopEnd.OVER, 1.0, "no more samples"),
-        (interrupted, LoopEnd.INTERRUPTED, 1.0, "by the user"),
+        (blind, Ending.BLIND, 2.0, "no tracked point for 1 s"),
+        (astray, Ending.DISAGREED, 1.5, "more than 200 mm off"),
+        (strained, Ending.LIMIT, 1.0, "tension_22"),
+        (over, Ending.OVER, 1.0, "no more samples"),
+        (interrupted, Ending.INTERRUPTED, 1.0, "by the user"),
     ],
 )
-def test_ends(short, change, end, at, says):
+def test_ends(short, change, ending, at, says):
     """Each with its reason, in time, with what was done until then and the rig stopped."""
     rig = Fake(short, change)
     done = close_loop(rig, Still(short), ROBOT, GUARD)
-    assert done.end is end
-    assert says in done.message
+    assert done.outcome.ending is ending
+    assert says in done.outcome.message
     assert done.time[-1] == pytest.approx(at, abs=0.03)
     assert rig.stopped == 1
 
@@ -211,7 +221,7 @@ def test_short_trouble_is_no_reason_to_stop(short):
         points[1] = np.nan
         return replace(sample, points=np.full((4, 3), np.nan) if 1.0 < now < 1.5 else points)
 
-    assert close_loop(Fake(short, change), Still(short), ROBOT, GUARD).end is LoopEnd.DONE
+    assert close_loop(Fake(short, change), Still(short), ROBOT, GUARD).outcome.ending is Ending.DONE
 
 
 def test_faster_rig_gets_a_command_a_period(short):
@@ -234,11 +244,49 @@ def test_measured_inputs_look_and_progress(short):
 
 
 def test_controllers_by_name(kang, short):
-    """The three of them, and nothing else."""
-    kinds = [type(controller_named(name, kang, short)) for name in CONTROLLERS]
-    assert kinds == [Mpc, LengthFollower, LengthFollower]
+    """The three of them, the default one first, and nothing else."""
+    kinds = {kind.name: type(kind.make(kang, short, kind.settings({}))) for kind in controllers()}
+    assert list(kinds.items()) == [(DEFAULT, Mpc), ("mode1", LengthFollower), ("mode2", LengthFollower)]
     with pytest.raises(InputError, match="mode3"):
-        controller_named("mode3", kang, short)
+        find_controller("mode3")
+    with pytest.raises(InputError, match="MpcSettings"):
+        find_controller("mpc").make(kang, short, NoSettings())
+
+
+def test_a_controller_of_ones_own(kang, short):
+    """Registered, it is set up, runs, logs and is drawn by its name like the others; no other file knows of it."""
+
+    class Counting(Still):
+        count = 0
+
+        def command(self, sample: Sample) -> Command:
+            """As ever, counted."""
+            self.count += 1
+            return self.start()
+
+        def telemetry(self) -> Telemetry:
+            """How often it was asked."""
+            return Telemetry({"asked": float(self.count), "mood": "calm"}, {"bored": self.count // 100})
+
+    kind = ControllerKind("counting", "Counting", "purple", "counting controller", lambda model, reference, settings: Counting(reference))
+    register(kind)
+    try:
+        with pytest.raises(InputError, match="exists already"):
+            register(kind)
+        with pytest.raises(InputError, match="--rule belongs to the predictive controller; leave it out with --controller counting"):
+            settings_of(kind, {"rule": True})
+        setup = LoopSetup.of("counting", "fake", 0, {})
+        loop = run_closed_loop(kang, short, Fake(short), setup, guard=GUARD)
+        assert loop.ok
+        told = loop.summary()
+        assert (told["controller"], told["settings"], told["fallbacks"]) == ("counting", {}, {"bored": 4})
+        columns = loop.columns()
+        np.testing.assert_array_equal(columns["asked"], np.arange(1, 451))
+        assert set(columns["mood"]) == {"calm"}
+        assert any("Counting" in text.get_text() for text in path_figure({"one": loop}).axes[0].get_legend().get_texts())
+    finally:
+        registry = controllers_module._registry()
+        registry.pop("counting")
 
 
 @pytest.mark.parametrize("change", [lambda time, sample: sample, lambda time, sample: 1 / (time < 0.1) and sample])

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.estimator import Operating
 from tepm_opt.control.forecast import Forecast, Weights
-from tepm_opt.control.loop import LoopEnd
-from tepm_opt.control.mpc import Mpc, MpcSettings, Use
-from tepm_opt.control.qp import QpResult, QpStatus
+from tepm_opt.control.qp import QpResult
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.robot import load_robot
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.modal_model import modal_model
 
 ROBOT = load_robot("kang2017")
@@ -141,7 +141,7 @@ def in_order(command: Command) -> None:
     assert np.isfinite(command.tensions).all()
 
 
-def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, status: QpStatus, when) -> SimpleNamespace:
+def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, ending: Ending, when) -> SimpleNamespace:
     """The quadratic program fails when asked to; counts how often."""
     solve, count = controller._solver.solve, SimpleNamespace(failed=0)
 
@@ -149,14 +149,14 @@ def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, status: QpStatus, 
         if not when():
             return solve(*args)
         count.failed += 1
-        return QpResult(status=status)
+        return QpResult(outcome=Outcome(ending))
 
     monkeypatch.setattr(controller._solver, "solve", unreliable)
     return count
 
 
-@pytest.mark.parametrize("status", [QpStatus.INFEASIBLE, QpStatus.NOT_FINITE, QpStatus.ITERATION_LIMIT])
-def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, status):
+@pytest.mark.parametrize("ending", [Ending.INFEASIBLE, Ending.NOT_FINITE, Ending.ITERATION_LIMIT])
+def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, ending):
     """Shifted by a period, half a stage; counted by its reason; when the program works again, its plan counts again."""
     controller, random = Mpc(kang, short), np.random.default_rng(1)
     for row in range(20):
@@ -164,22 +164,22 @@ def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, sta
     assert not controller.fallbacks
     plan = controller.last.plan
     with monkeypatch.context() as broken:
-        failing(controller, broken, status, lambda: True)
+        failing(controller, broken, ending, lambda: True)
         for row in range(20, 25):
             in_order(controller.command(sample_at(short, row, random)))
             plan = (plan + np.vstack([plan[1:], plan[-1:]])) / 2
             np.testing.assert_allclose(controller.last.plan, plan, atol=1e-12)
-            assert controller.last.status is status
-    assert controller.fallbacks == {status.value: 5}
+            assert controller.last.outcome.ending is ending
+    assert controller.fallbacks == {ending.value: 5}
     controller.command(sample_at(short, 25, random))
-    assert controller.last.status is QpStatus.SOLVED
-    assert controller.fallbacks == {status.value: 5}
+    assert controller.last.outcome.ending is Ending.SOLVED
+    assert controller.fallbacks == {ending.value: 5}
 
 
 def test_first_program_fails(kang, short, monkeypatch):
     """Without any plan yet the tensions stay where they are."""
     controller = Mpc(kang, short)
-    failing(controller, monkeypatch, QpStatus.FAILED, lambda: True)
+    failing(controller, monkeypatch, Ending.FAILED, lambda: True)
     first = controller.start().tensions
     for row in range(5):
         command = controller.command(sample_at(short, row, np.random.default_rng(2)))
@@ -189,7 +189,7 @@ def test_first_program_fails(kang, short, monkeypatch):
 def test_program_that_fails_now_and_then(kang, short, monkeypatch):
     """One of twenty, at random, with half of the points lost or wrong: commands are finite and within the limits, all failures counted."""
     controller, random = Mpc(kang, short), np.random.default_rng(3)
-    count = failing(controller, monkeypatch, QpStatus.INFEASIBLE, lambda: random.random() < 0.05)
+    count = failing(controller, monkeypatch, Ending.INFEASIBLE, lambda: random.random() < 0.05)
     for row in range(120):
         sample = sample_at(short, row, random)
         sample.points[random.random(4) < 0.3] = np.nan
@@ -248,9 +248,10 @@ def test_blind_from_the_start(kang, short):
 
 def test_loop_on_the_virtual_prototype(short, followed):
     """To the circle and along it for 1.5 s: 1.5 mm over the last second when this was written."""
-    assert followed.end is LoopEnd.DONE
+    assert followed.outcome.ending is Ending.DONE
     assert not followed.fallbacks
-    assert len(followed.steps) == len(short)
+    assert len(followed.telemetry) == len(short)
+    assert {row.columns["program"] for row in followed.telemetry} == {"solved"}
     assert followed.error() < 2e-3
     commanded = np.array([command.pressures for command in followed.commands])
     assert (np.diff(commanded, axis=0) != 0).sum() < 0.2 * commanded.size

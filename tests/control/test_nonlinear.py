@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tepm_opt.control.controllers.mpc import Mpc, MpcSettings
 from tepm_opt.control.estimator import Operating
 from tepm_opt.control.forecast import Forecast, Weights
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.mpc import Mpc, MpcSettings
 from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.reference import Reference
 from tepm_opt.data.setpoints import SetPoints

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tepm_opt.control.qp import QpSolver, QpStatus
+from tepm_opt.control.qp import QpSolver
 from tepm_opt.errors import InputError
+from tepm_opt.outcome import Ending
 
 FORCES, STAGES = 6, 15
 SIZE = FORCES * STAGES
@@ -109,7 +110,7 @@ def test_ten_thousand_programs():
         feasible = k % 20 != 7
         program = programs.make(feasible)
         result = solve(solver, program)
-        assert result.status is (QpStatus.SOLVED if feasible else QpStatus.INFEASIBLE), k
+        assert result.outcome.ending is (Ending.SOLVED if feasible else Ending.INFEASIBLE), k
         assert (result.x is None) != feasible
         if feasible:
             worst = max(worst, optimality(result, *program))
@@ -134,17 +135,17 @@ def test_the_same_hessian():
     """May be left out, also after a failure; not where there was none of use."""
     programs = Programs(10)
     solver, (H, f, low, high, _) = QpSolver(RATES), programs.make()
-    assert solve(solver, (None, f, low, high, None)).status is QpStatus.FAILED
+    assert solve(solver, (None, f, low, high, None)).outcome.ending is Ending.FAILED
     solve(solver, (H, f, low, high, None))
     for k in range(6):
         g = f * (1 + 0.01 * k)
         if k == 3:
-            assert solve(solver, spoiled((H, g, low, high, RATES), "out of reach")).status is QpStatus.INFEASIBLE
+            assert solve(solver, spoiled((H, g, low, high, RATES), "out of reach")).outcome.ending is Ending.INFEASIBLE
         found, expected = solve(solver, (None, g, low, high, None)), solve(QpSolver(RATES), (H, g, low, high, None))
         np.testing.assert_allclose(found.x, expected.x, atol=1e-9)
         np.testing.assert_allclose(found.multipliers, expected.multipliers, atol=1e-6 * abs(f).max())
-    assert solve(solver, spoiled((H, f, low, high, RATES), "matrix")).status is QpStatus.NOT_FINITE
-    assert solve(solver, (None, f, low, high, None)).status is QpStatus.FAILED
+    assert solve(solver, spoiled((H, f, low, high, RATES), "matrix")).outcome.ending is Ending.NOT_FINITE
+    assert solve(solver, (None, f, low, high, None)).outcome.ending is Ending.FAILED
 
 
 def test_degenerate_rows():
@@ -200,21 +201,21 @@ def spoiled(program, what):
 
 
 @pytest.mark.parametrize(
-    ("what", "status"),
+    ("what", "ending"),
     [
-        ("matrix", QpStatus.NOT_FINITE), ("vector", QpStatus.NOT_FINITE), ("bound", QpStatus.NOT_FINITE), ("row", QpStatus.NOT_FINITE),
-        ("crossed", QpStatus.INFEASIBLE), ("out of reach", QpStatus.INFEASIBLE), ("no number", QpStatus.INFEASIBLE),
-        ("concave", QpStatus.NOT_CONVEX),
+        ("matrix", Ending.NOT_FINITE), ("vector", Ending.NOT_FINITE), ("bound", Ending.NOT_FINITE), ("row", Ending.NOT_FINITE),
+        ("crossed", Ending.INFEASIBLE), ("out of reach", Ending.INFEASIBLE), ("no number", Ending.INFEASIBLE),
+        ("concave", Ending.NOT_CONVEX),
     ],
 )  # fmt: skip
-def test_failures_are_flagged_and_pass(what, status):
+def test_failures_are_flagged_and_pass(what, ending):
     """Before and after, cold and warm, the good program has its answer."""
     good = Programs(6).make()
     expected = solve(QpSolver(RATES), good).x
     solver = QpSolver(RATES)
     for _ in range(2):
         failed = solve(solver, spoiled(good, what))
-        assert failed.status is status
+        assert failed.outcome.ending is ending
         assert failed.x is None
         assert failed.multipliers is None
         assert not failed.solved
@@ -228,7 +229,7 @@ def test_too_many_iterations():
     solver = QpSolver(RATES, iterations=5)
     for _ in range(2):
         failed = solve(solver, program)
-        assert failed.status is QpStatus.ITERATION_LIMIT
+        assert failed.outcome.ending is Ending.ITERATION_LIMIT
         assert failed.x is None
 
 

@@ -179,8 +179,8 @@ def test_run_on_the_virtual_prototype(kang, followed):
 
 
 def test_run_without_measured_inputs_is_refused(kang, followed):
-    """Nor one with a gap, or of another controller."""
-    for change in ({"measured": [np.full(12, np.nan)] * len(followed.rows)}, {"steps": []}, {"rows": [*followed.rows[:-1], 999]}):
+    """Nor one with a gap, or of a single sample."""
+    for change in ({"measured": [np.full(12, np.nan)] * len(followed.rows)}, {"rows": [0]}, {"rows": [*followed.rows[:-1], 999]}):
         broken = copy(followed)
         for name, value in change.items():
             setattr(broken, name, value)

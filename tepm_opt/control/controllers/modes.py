@@ -1,38 +1,21 @@
-"""Controllers that follow a reference, whichever they are: the predictive one and the paper's two modes."""
+"""The paper's modes 1 and 2 (IV.A) along a reference: a PID on the length of every muscle."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from functools import partial
 
 import numpy as np
 
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry
 from tepm_opt.control.length_control import LengthController, LengthSettings, LengthTarget, TendonUse
 from tepm_opt.control.lengths import LengthEstimator
-from tepm_opt.control.mpc import Mpc, MpcSettings
 from tepm_opt.control.reference import Reference
-from tepm_opt.errors import unknown_name
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 
-CONTROLLERS = ("mpc", "mode1", "mode2")
-
-
-class Controller(Protocol):
-    """What follows a reference, sample by sample."""
-
-    reference: Reference
-
-    def start(self) -> Command:
-        """Where the robot shall rest before the first sample."""
-        ...
-
-    def command(self, sample: Sample) -> Command:
-        """Set points for a sample."""
-        ...
-
 
 class LengthFollower:
-    """The paper's length PID (IV.A) along a reference: set points are the reference's lengths, feed-forward its axial forces.
+    """Length PID along a reference: set points are the reference's lengths, feed-forward its axial forces.
 
     Lengths are those of the nominal equilibrium that fits the tracked points best, as everywhere.
 
@@ -63,15 +46,18 @@ class LengthFollower:
         lengths = self._estimator.update(sample.points)
         return self._controller.command(sample.time, lengths, LengthTarget(self.reference.lengths[row], self.reference.forces[row]))
 
+    def telemetry(self) -> Telemetry:
+        """Nothing beside what every log has."""
+        return Telemetry()
 
-def controller_named(name: str, model: CompiledModel, reference: Reference, settings: MpcSettings | None = None) -> Controller:
-    """The controller of a name, one of `CONTROLLERS`, on a reference.
+    def __repr__(self) -> str:
+        return f"LengthFollower(mode {self._controller.use.value}, {self.reference!r})"
 
-    Raises:
-        InputError: no such controller.
-    """
-    if name not in CONTROLLERS:
-        raise unknown_name("controller", name, CONTROLLERS)
-    if name == "mpc":
-        return Mpc(model, reference, settings or MpcSettings())
-    return LengthFollower(model, reference, TendonUse(int(name[-1])))
+
+def _follower(use: TendonUse, model: CompiledModel, reference: Reference, settings: ControllerSettings) -> LengthFollower:
+    """Length control with the gains of Figs. 6 and 12; there are no other settings."""
+    return LengthFollower(model, reference, use)
+
+
+MODE1 = ControllerKind("mode1", "mode 1", "#c8571b", "paper's mode 1 (pressure)", partial(_follower, TendonUse.FOLLOWS), jumps=True)
+MODE2 = ControllerKind("mode2", "mode 2", "#1f5fa8", "paper's mode 2 (with tension)", partial(_follower, TendonUse.ADJUSTS), jumps=True)

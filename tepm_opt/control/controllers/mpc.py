@@ -12,25 +12,31 @@ taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control, 2nd ed.
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option, Telemetry, Value
 from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, Weights
 from tepm_opt.control.friction import course, turned
 from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
-from tepm_opt.control.qp import QpResult, QpSolver, QpStatus
+from tepm_opt.control.qp import QpResult, QpSolver
 from tepm_opt.control.reference import Reference
+from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.outcome import Outcome
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 PERIODS = 2  # of control in a stage of the prediction
+LATE = "late"  # why a plan that was found is not used
 
 
 class Use(Enum):
@@ -73,7 +79,28 @@ class MpcSettings:
     nonlinear: bool = False
     coarse: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
     estimator: FilterSettings = field(default_factory=FilterSettings)
-    late: float = np.inf
+    late: float = math.inf
+
+    @property
+    def asked(self) -> dict[str, Option]:
+        """What the options of the command line say of these settings."""
+        return {"use": self.use.value, "rule": self.rule, "nonlinear": self.nonlinear}
+
+    def in_real_time(self, period: float) -> MpcSettings:
+        """Settings with which a step that takes longer than a control period in s is late."""
+        return replace(self, late=min(self.late, period))
+
+    @staticmethod
+    def of(options: Mapping[str, Option]) -> MpcSettings:
+        """Settings for options of the command line: "use", "rule", "nonlinear", those that were given.
+
+        Raises:
+            InputError: no such use.
+        """
+        use, known = str(options.get("use", Use.BOTH.value)), [kind.value for kind in Use]
+        if use not in known:
+            raise unknown_name("use", use, known)
+        return MpcSettings(use=Use(use), rule=bool(options.get("rule", False)), nonlinear=bool(options.get("nonlinear", False)))
 
 
 DEFAULT = MpcSettings()
@@ -90,7 +117,7 @@ class Step:
         moves: how many pressures were moved.
         unknown: forces with friction that stand against the known ones, (actuators,) in N.
         plan: tensions of the coming stages, (stages, actuators) in N.
-        status: of the quadratic program; the last plan goes on where it is not SOLVED.
+        outcome: of the quadratic program; the last plan goes on where it is not solved.
         iterations: of the program.
         seconds: of the whole step and, of these, of the program.
     """
@@ -102,7 +129,7 @@ class Step:
     moves: int
     unknown: np.ndarray
     plan: np.ndarray
-    status: QpStatus
+    outcome: Outcome
     iterations: int
     seconds: tuple[float, float]
 
@@ -186,6 +213,20 @@ class Mpc:
         self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
         return command
 
+    def telemetry(self) -> Telemetry:
+        """Estimate, quadratic program and moves of the last step, and how often an older plan went on."""
+        step, names = self.last, self.model.layout.actuator_names
+        if step is None:
+            return Telemetry()
+        estimate = step.estimate
+        columns: dict[str, Value] = {f"estimated_tip_{axis}_m": float(estimate.points[-1, k]) for k, axis in enumerate("xyz")}
+        for k, name in enumerate(names):
+            columns[f"unknown_force_{name}_N"] = float(step.unknown[k])
+            columns[f"friction_{name}_N"] = float(estimate.friction[k])
+        columns |= {"nis": float(estimate.nis), "coordinates_seen": float(estimate.seen), "points_refused": float(estimate.refused.sum())}
+        columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
+        return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks))
+
     def _point(self, period: int) -> Operating:
         """The network about the reference at a period."""
         row = int(self.reference.at(period))
@@ -252,7 +293,7 @@ class Mpc:
             plan = result.x.reshape(stages, -1)
             self._planned = offset - factor[:stages] * plan
         else:
-            reason = result.status.value if result.x is None else "late"
+            reason = result.outcome.ending.value if result.x is None else LATE
             self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
         forecast.take(self._planned)
@@ -261,7 +302,7 @@ class Mpc:
         against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
         moves = int(np.sum(pressures != before))
         seconds = (0.0, result.seconds)
-        step = Step(self._row, estimate, pressures, tensions, moves, against, plan, result.status, result.iterations, seconds)
+        step = Step(self._row, estimate, pressures, tensions, moves, against, plan, result.outcome, result.iterations, seconds)
         return Command(pressures, tensions, self._enabled.copy()), step
 
     def _shifted(self, tension: np.ndarray) -> np.ndarray:
@@ -325,3 +366,17 @@ class Mpc:
         rows = np.vstack([self._rates, forecast.tip_answer * scale])
         row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
         return self._solver.solve(H, f, low, high, row_low, row_high, rows)
+
+
+def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:
+    """The controller with its own settings.
+
+    Raises:
+        InputError: settings of another controller.
+    """
+    if not isinstance(settings, MpcSettings):
+        raise InputError(f"settings: {settings!r}; valid: MpcSettings")
+    return Mpc(model, reference, settings)
+
+
+MPC = ControllerKind("mpc", "MPC", "#1b7f4b", "predictive controller", _predictive, ("rule", "nonlinear", "use"), MpcSettings.of)

@@ -1,28 +1,24 @@
-"""All experiments of the paper, one after the other; what they leave in a folder."""
+"""All experiments of the paper, one after the other, and the numbers they leave in a folder."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from tepm_opt import plots
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.tables import write_columns
 from tepm_opt.errors import unknown_name
 from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tepm_opt.models.compile import compile_model
 from tepm_opt.paper import gains, load, shapes, single, tracking
-from tepm_opt.paper.common import Setting
-from tepm_opt.paper.figures import draw
-from tepm_opt.paper.page import write_paper_page
+from tepm_opt.paper.common import Clock, Setting
 from tepm_opt.paper.published import PUBLISHED, within
 from tepm_opt.paper.result import ExperimentResult
+from tepm_opt.progress import Progress, silent
 
 QUICK_POINTS = 8  # of the circle
 
@@ -66,7 +62,7 @@ def chosen(figures: Sequence[str]) -> list[str]:
 
 
 def seconds(name: str, runs: int, quick: bool) -> float:
-    """Virtual time of an experiment in s, for a bar of progress."""
+    """Virtual time in s that an experiment takes, for progress."""
     experiment = EXPERIMENTS[name]
     return experiment.once + runs * (experiment.quick_run if quick else experiment.a_run)
 
@@ -119,13 +115,28 @@ class Study:
             ],
         }
 
+    def save(self, folder: str | Path) -> None:
+        """Write paper.json and the tables behind the figures (CSV).
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        folder = output_folder(folder)
+        for result in self.results:
+            for name, columns in result.tables.items():
+                write_columns(folder / f"{name}.csv", columns)
+        write_atomically(folder / "paper.json", json.dumps(self.summary(), indent=2, ensure_ascii=False) + "\n")
+
+    def __repr__(self) -> str:
+        how = "interrupted" if self.interrupted else "finished"
+        return f"Study({how}: {', '.join(result.figure for result in self.results)}; runs={self.setting.runs}, quick={self.quick})"
+
 
 def run_study(
     rig: str = "virtual_prototype",
     figures: Sequence[str] = (),
     quick: bool = False,
-    track: Callable[[Iterable[str]], Iterable[str]] = iter,
-    show: Callable[[float], None] = lambda _: None,
+    progress: Progress = silent,
     finished: Callable[[Study], None] = lambda _: None,
     workers: int = 0,
 ) -> Study:
@@ -135,8 +146,7 @@ def run_study(
         rig: name of a built-in rig file or path of one.
         figures: names of `EXPERIMENTS`; all where empty.
         quick: one run each, part of the circle.
-        track: wraps the names, for progress.
-        show: called with the virtual time in s that has passed since its last call.
+        progress: told the experiment's name and the virtual time in s that has passed.
         finished: called after every experiment with what there is.
         workers: processes for what takes longest; as many as there are processors where 0.
 
@@ -145,30 +155,16 @@ def run_study(
     """
     names = chosen(figures)
     file = load_rig_file(rig)
-    setting = Setting(compile_model(file.robot), file, 1 if quick else 3, show, workers or os.cpu_count() or 1)
+    runs, begun = 1 if quick else 3, 0.0
+    clock = Clock(progress, sum(seconds(name, runs, quick) for name in names))
+    setting = Setting(compile_model(file.robot), file, runs, clock, workers or os.cpu_count() or 1)
     study = Study(setting, [], names, quick, True)
     try:
-        for name in track(names):
+        for name in names:
+            clock.begin(name, begun)
             study = replace(study, results=[*study.results, EXPERIMENTS[name].run(setting, quick)])
             finished(study)
+            begun += seconds(name, runs, quick)
     except KeyboardInterrupt:
         return study
     return replace(study, interrupted=False)
-
-
-def save_study(study: Study, folder: str | Path) -> None:
-    """Write figures (PNG), the tables behind them (CSV), paper.json and index.html.
-
-    Raises:
-        InputError: the folder cannot be written to.
-    """
-    folder = output_folder(folder)
-    base = np.array(study.setting.model.robot.mount.base_position_m)
-    images = {}
-    for result in study.results:
-        images[result.figure] = folder / f"{result.figure}.png"
-        plots.save(draw(result, base), images[result.figure])
-        for name, columns in result.tables.items():
-            write_columns(folder / f"{name}.csv", columns)
-    write_atomically(folder / "paper.json", json.dumps(study.summary(), indent=2, ensure_ascii=False) + "\n")
-    write_paper_page(folder / "index.html", study.summary(), study.results, images, study.setting.rig)

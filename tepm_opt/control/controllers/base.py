@@ -1,0 +1,110 @@
+"""What every controller offers, what it logs, what is asked of it, and how it is described to people."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from tepm_opt.control.reference import Reference
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.compile import CompiledModel
+
+Value = float | str
+"""A value of a column of the log."""
+Option = bool | str
+"""A value of an option of the command line."""
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """What a controller logs about itself.
+
+    Attributes:
+        columns: values at the last sample by the name of their column in the log; the same names at every sample.
+        fallbacks: number of steps so far that went on with something older, by the reason.
+    """
+
+    columns: Mapping[str, Value] = field(default_factory=dict)
+    fallbacks: Mapping[str, int] = field(default_factory=dict)
+
+
+class Controller(Protocol):
+    """What follows a reference, sample by sample."""
+
+    @property
+    def reference(self) -> Reference:
+        """What is followed."""
+        ...
+
+    def start(self) -> Command:
+        """Set points under which the robot shall rest before the first sample."""
+        ...
+
+    def command(self, sample: Sample) -> Command:
+        """Set points for a sample."""
+        ...
+
+    def telemetry(self) -> Telemetry:
+        """What is logged of the last sample."""
+        ...
+
+
+class ControllerSettings(Protocol):
+    """Settings of one kind of controller."""
+
+    @property
+    def asked(self) -> dict[str, Option]:
+        """Options of the command line with which these settings were made, by name; they stand in the summary."""
+        ...
+
+    def in_real_time(self, period: float) -> ControllerSettings:
+        """The same settings for a rig whose time does not wait for a step, with control periods in s."""
+        ...
+
+
+@dataclass(frozen=True)
+class NoSettings:
+    """Settings of a controller of which nothing can be asked."""
+
+    @property
+    def asked(self) -> dict[str, Option]:
+        """Nothing."""
+        return {}
+
+    def in_real_time(self, period: float) -> NoSettings:
+        """The same."""
+        return self
+
+
+def no_settings(options: Mapping[str, Option]) -> NoSettings:
+    """Settings of a controller that has no options, whatever was given."""
+    return NoSettings()
+
+
+@dataclass(frozen=True)
+class ControllerKind:
+    """A kind of controller: how it is named, drawn and made. One in a module of this folder is all that a new controller takes.
+
+    Attributes:
+        name: as the command line and the summary have it.
+        title: name in figures.
+        color: of its lines in figures, as matplotlib takes it.
+        description: continues "the …" in help texts and messages.
+        make: a controller for a compiled model, a reference and settings.
+        options: names of the options of `tepm mpc` that it understands.
+        settings: settings for the values of these options that were given, by name; `InputError` for a value that there is not.
+        jumps: whether its target jumps from point to point, as the paper's; else it moves there smoothly.
+    """
+
+    name: str
+    title: str
+    color: str
+    description: str
+    make: Callable[[CompiledModel, Reference, ControllerSettings], Controller]
+    options: tuple[str, ...] = ()
+    settings: Callable[[Mapping[str, Option]], ControllerSettings] = no_settings
+    jumps: bool = False
+
+    def __repr__(self) -> str:
+        return f"ControllerKind({self.name!r}, {self.title!r}, options={self.options})"
