@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tepm_opt.cli import run
+from tepm_opt.jobs.paper import EXPERIMENTS, chosen
 from tepm_opt.paper.load import hysteresis
 from tepm_opt.paper.published import PUBLISHED, within
 from tepm_opt.paper.single import stiffness
-from tepm_opt.jobs.paper import EXPERIMENTS, chosen
 from tests.hw.rigs import AREA, LENGTH, STIFFNESS
 
 
