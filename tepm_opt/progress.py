@@ -39,3 +39,17 @@ def counted(items: Iterable[Item], progress: Progress, stage: str, of: int) -> I
     for done, item in enumerate(items, start=1):
         yield item
         progress(stage, done, of)
+
+
+def named(progress: Progress, name: str) -> Progress:
+    """The same progress with a name before every stage, such as the file of a run.
+
+    Args:
+        progress: told.
+        name: before each stage.
+    """
+
+    def tell(stage: str, done: float, of: float) -> None:
+        progress(f"{name}: {stage}", done, of)
+
+    return tell

@@ -10,11 +10,13 @@ import typer
 from rich.markup import escape
 
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, RobotOption, stderr, stdout
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
+from tepm_opt.cli.progress import shown
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
 from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.jobs.play import play as play_setpoints
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
+from tepm_opt.progress import named
 from tepm_opt.recording.drive import refuse_unplayable
 from tepm_opt.recording.measure import UNFINISHED
 
@@ -34,8 +36,8 @@ def play(
     refuse_unplayable(setpoints, str(inputs))
     left = f"what was measured is in {out.parent / out.stem}-….{UNFINISHED}.csv"
     try:
-        with stopped_by_signals(), stages(as_json) as (show, _):
-            measured = play_setpoints(opener(rig, found, seed)(seed), setpoints, found, out, rate, show(inputs.name))
+        with stopped_by_signals(), shown(as_json) as progress:
+            measured = play_setpoints(opener(rig, found, seed)(seed), setpoints, found, out, rate, named(progress, inputs.name))
     except KeyboardInterrupt:
         stderr.print(f"interrupted: the rig is stopped; {left}", style="yellow", soft_wrap=True, highlight=False)
         return INTERRUPTED

@@ -10,7 +10,8 @@ import typer
 from rich.markup import escape
 
 from tepm_opt.cli.common import INTERRUPTED, JsonOption, stderr, stdout
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stages, stopped_by_signals
+from tepm_opt.cli.progress import shown
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
 from tepm_opt.data.datasets import DESCRIPTION, read_description
 from tepm_opt.jobs.record import record as record_plan
 from tepm_opt.recording.measure import UNFINISHED
@@ -27,8 +28,8 @@ def record(
     """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted."""
     planned = read_plan(plan)
     try:
-        with stopped_by_signals(), stages(as_json) as (show, ask):
-            done = record_plan(planned, out, opener(rig, planned.robot, seed), rig, seed, show, ask)
+        with stopped_by_signals(), shown(as_json) as bars:
+            done = record_plan(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
     except KeyboardInterrupt:
         stderr.print(f"interrupted: {kept(planned, out)}", style="yellow", soft_wrap=True, highlight=False)
         return INTERRUPTED

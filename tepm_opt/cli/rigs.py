@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,14 +11,12 @@ from typing import Annotated
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from tepm_opt.cli.common import UNSOLVED, stderr
 from tepm_opt.errors import InputError
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import Robot
-from tepm_opt.recording.drive import Show
 
 RigOption = Annotated[
     str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the default simulated rig, another one, a recording.")
@@ -67,32 +64,3 @@ def stopped_by_signals() -> Iterator[None]:
     finally:
         for name, handler in before.items():
             signal.signal(name, handler)
-
-
-@contextmanager
-def stages(quiet: bool) -> Iterator[tuple[Callable[[str], Show], Callable[[str], None]]]:
-    """Progress of runs on the error stream: a bar with the time left, named after the run and what goes on in it; and asking a person."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[passed]}"), TimeRemainingColumn())
-    with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as bar:
-
-        def of_run(name: str) -> Show:
-            for old in bar.task_ids:
-                bar.remove_task(old)
-            state = {"stage": "", "task": bar.add_task(name, total=None, passed="")}
-
-            def show(stage: str, done: float, of: float) -> None:
-                if stage != state["stage"]:
-                    bar.remove_task(state["task"])  # type: ignore[arg-type]
-                    state.update(stage=stage, task=bar.add_task(f"{name}: {stage}", total=of, passed=""))
-                bar.update(state["task"], completed=done, passed=f"{done:.1f} of {of:.1f} s")  # type: ignore[arg-type]
-
-            return show
-
-        def ask(request: str) -> None:
-            bar.stop()
-            stderr.print(f"[bold]{escape(request)}[/]", soft_wrap=True, highlight=False)
-            if sys.stdin.isatty():
-                stderr.input("Enter when it is done, Ctrl-C to stop here: ")
-            bar.start()
-
-        yield of_run, ask

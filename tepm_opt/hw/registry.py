@@ -34,13 +34,14 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
 
 
 def _simulated(target: str, robot: Robot | None) -> Rig:
+    from tepm_opt.hw.simulation.rig import SimulatedRig
+
     try:
-        from tepm_opt.hw.simulation.rig import SimulatedRig
+        return SimulatedRig(target) if target else SimulatedRig()
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "mujoco":
             raise
         raise InputError("simulated rigs need MuJoCo, which is not installed: pip install mujoco") from error
-    return SimulatedRig(target) if target else SimulatedRig()
 
 
 def _bench(target: str, robot: Robot | None) -> Rig:

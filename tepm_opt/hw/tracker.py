@@ -1,14 +1,8 @@
-"""Poses of the tracker's sensors as they come in: OpenIGTLink from a PlusServer, on the host's clock, with dropouts and jumps flagged.
-
-pyigtl packs and unpacks the messages. Its client keeps only the newest message of a device, takes a closed connection for a quiet one (and
-then burns a core), forgets the first half of a header that comes in two pieces, and cannot be stopped while messages come faster than every
-10 ms. So only its receiving and unpacking are used here: the connection, its end and the queue are this file's.
-"""
+"""Poses of the tracker's sensors as they come in: OpenIGTLink from a PlusServer, on the host's clock, with dropouts and jumps flagged."""
 
 from __future__ import annotations
 
 import math
-import socket
 import threading
 import time
 from collections import Counter, deque
@@ -18,7 +12,6 @@ from types import TracebackType
 from typing import Protocol
 
 import numpy as np
-from pyigtl import MessageBase, OpenIGTLinkClient, TransformMessage
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.hardware import TrackerLink
@@ -31,8 +24,6 @@ JUMP_FRAMES, MISSED_FRAMES = 5, 10
 """Frames after which a new place is believed; most missed frames for which a sensor may have moved on."""
 ORTHONORMAL, IDENTITY, LOST = 1e-3, np.eye(4), np.full((4, 4), np.nan)
 """Largest element of RᵀR − 1 in a rotation; what is sent in place of a pose; what is given then."""
-WATCHDOG_S, CONNECT_S, RETRY_S, LARGEST_BODY = 1.0, 1.0, 0.05, 1 << 27  # bytes
-"""Without a usable pose for so long the connection is made anew; for how long that is tried; pause between two attempts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +261,11 @@ class IgtlTracker:
     """
 
     def __init__(self, link: TrackerLink, clock: Callable[[], float] = time.monotonic, stale_periods: float = STALE_PERIODS) -> None:
+        from tepm_opt.hw.igtl import Client  # pyigtl is needed only where there is a tracker
+
         self.link, self._clock, self._since = link, clock, clock()
         self._frames, self._arrived = FrameAssembler(link, stale_periods), threading.Condition()
-        self._client = _Client(link.host, link.port, self._frames, self._arrived, clock)
+        self._client = Client(link.host, link.port, self._frames, self._arrived, clock)
 
     def read(self, timeout: float) -> Frame | None:
         """The next frame newer than the last one returned and not stale, None if none comes within `timeout` in s. Frames come in order."""
@@ -332,73 +325,3 @@ class IgtlTracker:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Close."""
         self.close()
-
-
-class _Client(OpenIGTLinkClient):
-    """pyigtl's client, receiving only, and itself what its receiver takes for socket and inbox: pieces come whole, the end is an error."""
-
-    def __init__(self, host: str, port: int, frames: FrameAssembler, arrived: threading.Condition, clock: Callable[[], float]) -> None:
-        super().__init__(host, port, start_now=False)
-        self.frames, self.arrived, self.clock, self.connections = frames, arrived, clock, 0
-        self.incoming_messages = self  # in place of a dictionary with the newest message of each device
-        self._bytes, self._received = bytearray(), 0.0
-        self.start()
-
-    def _client_thread_function(self) -> None:
-        try:
-            while not self.communication_thread_stop_requested:
-                try:
-                    with socket.create_connection((self.host, self.port), CONNECT_S) as self.socket:
-                        self._listen()
-                except (OSError, UnicodeError):  # refused, closed, silent, or not OpenIGTLink
-                    self._connected = False
-                    time.sleep(RETRY_S)
-        finally:
-            self.communication_thread_stopped = True
-
-    def _listen(self) -> None:
-        self._bytes.clear()
-        with self.arrived:
-            self.frames.restart(self.clock())
-            self.connections += 1
-        self._connected = True
-        while not self.communication_thread_stop_requested:
-            try:
-                self._receive_message_from_socket(self)
-            except (OSError, UnicodeError):
-                raise
-            except Exception:  # a body that pyigtl cannot unpack; the next header is where it should be
-                with self.arrived:
-                    self.frames.counts["malformed"] += 1
-            if self.clock() - self.frames.progress > WATCHDOG_S:
-                raise ConnectionError("silent, or only old poses")
-
-    def recv(self, count: int) -> bytes:
-        """`count` bytes; TimeoutError, with nothing lost, if they are not there yet; ConnectionError if they will never be."""
-        if count > LARGEST_BODY or self.socket is None:
-            raise ConnectionError(f"a message of {count} bytes")
-        while len(self._bytes) < count:
-            self.socket.settimeout(WAIT_PERIODS * self.frames.period if self.frames.pending else RETRY_S)
-            try:
-                chunk = self.socket.recv(1 << 16)
-            except TimeoutError:
-                with self.arrived:
-                    self.frames.flush(self.clock())
-                    self.arrived.notify_all()
-                raise
-            if not chunk or self.communication_thread_stop_requested:
-                raise ConnectionError("closed")
-            self._received = self.clock()
-            self._bytes += chunk
-        piece = bytes(self._bytes[:count])
-        del self._bytes[:count]
-        return piece
-
-    def __setitem__(self, name: str, message: MessageBase) -> None:
-        """What pyigtl does with a message: it goes on to the frames at once."""
-        if isinstance(message, TransformMessage):
-            valid = message.metadata.get("Status", "OK") == "OK"
-            with self.arrived:
-                self.frames.take(name, message.timestamp, message.matrix if valid else None, self._received)
-                if self.frames.ready:
-                    self.arrived.notify_all()

@@ -19,15 +19,13 @@ from tepm_opt.data.journal import mend_journal
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import builtin_robots
-from tepm_opt.recording.drive import Show, silent
+from tepm_opt.progress import Progress, named, silent
 from tepm_opt.recording.measure import UNFINISHED, journal_path, measure
 from tepm_opt.recording.plan import RecordingPlan
 
 LOG, ROBOT = "recording.json", "robot.toml"
 Rigs = Callable[[int], Rig]
 """Opens the rig anew for a run, with this seed where the rig has chance in it."""
-ShowRun = Callable[[str], Show]
-"""What to tell about the progress of a run, by its file."""
 Ask = Callable[[str], None]
 """Asks a person to do something and waits until it is done."""
 
@@ -65,7 +63,7 @@ def record(
     rigs: Rigs,
     rig_name: str,
     seed: int = 0,
-    show: ShowRun = lambda file: silent,
+    progress: Progress = silent,
     ask: Ask = lambda request: None,
 ) -> RecordResult:
     """Record the runs of a plan that the data set does not have yet.
@@ -80,7 +78,7 @@ def record(
         rigs: opens the rig.
         rig_name: stands in `recording.json`; runs of different rigs are not mixed.
         seed: of everything random on the rig.
-        show: makes what is told about the progress of a run.
+        progress: told of every stage in s; stages begin with the run's file.
         ask: is asked for another tip force where the rig cannot push; at first there is none.
 
     Raises:
@@ -103,7 +101,9 @@ def record(
         if rig.simulated is None and np.any(force != hanging):
             ask(f"{file}: make the force on the tip x, y, z = {', '.join(f'{value:g}' for value in force)} N")
             hanging = force
-        measured = measure(rig, setpoints, plan.robot, journal, folder / file, planned.role, plan.sample_rate, show(file), at_once=True)
+        measured = measure(
+            rig, setpoints, plan.robot, journal, folder / file, planned.role, plan.sample_rate, named(progress, file), at_once=True
+        )
         finished.add(file)
         log["runs"][file] = {
             "fingerprint": planned.fingerprint(plan.robot, plan.sample_rate),

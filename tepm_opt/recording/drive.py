@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
@@ -14,19 +14,14 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.findings import noise_level, spread
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
+from tepm_opt.hw.ramp import smooth_ramp
 from tepm_opt.hw.rig import Command, Rig, Sample
+from tepm_opt.progress import Progress, silent
 
 FULL_RANGE, SHORTEST = 6.0, 2.0
 """Seconds in which inputs glide over their full range, and the least that a glide takes."""
 REST_WINDOW, REST_SPREAD = 1.2, 5e-4
 """Seconds (more than a period of the sway) within which a robot at rest does not leave this many metres, beyond noise."""
-
-Show = Callable[[str, float, float], None]
-"""Told what is going on: stage, how much is done, of how much (s)."""
-
-
-def silent(stage: str, done: float, of: float) -> None:
-    """A `Show` for nobody."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +49,14 @@ class Driver:
     Args:
         rig: started and stopped by the caller.
         channels: of the robot.
-        show: is told about progress.
+        progress: told of every stage in s.
 
     Attributes:
         inputs: commanded last, (inputs,) in Pa and N; zeros at first.
     """
 
-    def __init__(self, rig: Rig, channels: Channels, show: Show = silent) -> None:
-        self.rig, self.channels, self.show = rig, channels, show
+    def __init__(self, rig: Rig, channels: Channels, progress: Progress = silent) -> None:
+        self.rig, self.channels, self.progress = rig, channels, progress
         self.inputs = np.zeros(len(channels.inputs))
         self._sample: Sample | None = None
         self._times: deque[float] = deque(maxlen=21)
@@ -133,11 +128,9 @@ class Driver:
         """From the inputs commanded last to others, smoothly, over a few seconds."""
         start, limits = self.inputs.copy(), self.channels.limits
         duration = max(SHORTEST, FULL_RANGE * float(np.max(np.abs(target - start) / limits, initial=0.0)))
-        begin, part = max(self.now, self.sample.time), 0.0
-        while part < 1.0:
-            part = min((self.now + self.period / 2 - begin) / duration, 1.0)
-            self.apply(start + (target - start) * part**2 * (3 - 2 * part))
-            self.show(stage, part * duration, duration)
+        for passed, share in smooth_ramp(lambda: self.now, duration):
+            self.apply(start + (target - start) * share)
+            self.progress(stage, passed, duration)
             self.read()
 
     def settle(self, least: float = 1.0, most: float = 40.0) -> bool:
@@ -149,7 +142,7 @@ class Driver:
             seen.append(self.read())
             while seen[-1].time - seen[0].time > REST_WINDOW:
                 seen.popleft()
-            self.show("waiting for rest", self.now - begin, most)
+            self.progress("waiting for rest", self.now - begin, most)
             if self.now >= ask:
                 ask = self.now + REST_WINDOW / 4
                 if at_rest(np.array([sample.points for sample in seen])):
@@ -178,7 +171,7 @@ class Driver:
                 self.apply(_at(time, setpoints.inputs, self.now - origin + self.period / 2))
             sample = self.read()
             passed = sample.time - origin
-            self.show("recording", min(passed, time[-1]), time[-1])
+            self.progress("recording", min(passed, time[-1]), time[-1])
             if passed >= due / rate - tolerance and passed > before + 1e-6:
                 inputs, force = (_at(time, values, passed) for values in (setpoints.inputs, setpoints.tip_force))
                 self.inputs = inputs if scheduled else self.inputs

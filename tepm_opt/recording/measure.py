@@ -17,7 +17,8 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig, Sample
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import Robot
-from tepm_opt.recording.drive import Driver, Row, Show, silent
+from tepm_opt.progress import Progress, silent
+from tepm_opt.recording.drive import Driver, Row
 
 STATUS, GOOD = "status", "ok"
 UNFINISHED = "unfinished"
@@ -39,7 +40,7 @@ def measure(
     out: Path,
     role: Role,
     rate: float,
-    show: Show = silent,
+    progress: Progress = silent,
     at_once: bool = False,
 ) -> MeasuredRun:
     """Bring a rig to rest under the first row, send the set points, bring it back to zero, and write what was measured meanwhile.
@@ -54,7 +55,7 @@ def measure(
         out: the CSV file to write in the end.
         role: of the run.
         rate: of the samples kept, in Hz.
-        show: is told about progress.
+        progress: told of every stage in s.
         at_once: a rig of virtual time may rest under the first row from the start, and need not come back.
 
     Raises:
@@ -68,7 +69,7 @@ def measure(
             raise InputError(f"the rig's robot is {rig.robot.name!r}, the set points are for {robot.name!r}; name the robot that is there")
         if rig.simulated is None and np.any(force != force[0]):
             raise InputError(f"{out.name}: the tip force changes, but this rig cannot push; hang a weight and give a constant force")
-        driver = Driver(rig, channels, show)
+        driver = Driver(rig, channels, progress)
         rested = driver.start(setpoints, at_once)
         write_journal(journal, driver.follow(setpoints, rate), driver.sample, channels)
         if not at_once:

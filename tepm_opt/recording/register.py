@@ -14,7 +14,8 @@ from tepm_opt.hw.service.registration import Registration, register_base
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, Robot
-from tepm_opt.recording.drive import Driver, Show, silent
+from tepm_opt.progress import Progress, silent
+from tepm_opt.recording.drive import Driver
 from tepm_opt.solvers.statics import solve_statics
 
 FEWEST = 5
@@ -36,7 +37,7 @@ class Recording:
     rested: tuple[bool, ...]
 
 
-def record_poses(rig: Rig, setpoints: SetPoints, robot: Robot, hold: float, show: Show = silent) -> Recording:
+def record_poses(rig: Rig, setpoints: SetPoints, robot: Robot, hold: float, progress: Progress = silent) -> Recording:
     """Rest at every row in turn for `hold` s, then go back to zero. The rig is stopped whatever happens.
 
     Args:
@@ -44,7 +45,7 @@ def record_poses(rig: Rig, setpoints: SetPoints, robot: Robot, hold: float, show
         setpoints: their times do not count.
         robot: that they are for.
         hold: seconds in which poses are averaged.
-        show: is told about progress.
+        progress: told of every stage in s.
 
     Raises:
         InputError: the rig has another robot.
@@ -52,7 +53,7 @@ def record_poses(rig: Rig, setpoints: SetPoints, robot: Robot, hold: float, show
     """
     poses, rested = [], []
     with rig:
-        driver = Driver(rig, channels_of(robot), show)
+        driver = Driver(rig, channels_of(robot), progress)
         driver.approach(setpoints.inputs[0])
         for number, inputs in enumerate(setpoints.inputs, start=1):
             driver.glide(inputs, f"to row {number} of {len(setpoints.inputs)}")
@@ -68,7 +69,7 @@ def _frames(driver: Driver, hold: float, row: int) -> np.ndarray:
     while driver.now - begin < hold:
         driver.apply(driver.inputs)
         sample = driver.read()
-        driver.show(f"measuring row {row}", driver.now - begin, hold)
+        driver.progress(f"measuring row {row}", driver.now - begin, hold)
         if sample.transforms is not None:
             taken.append(sample.transforms)
     return np.array(taken) if taken else np.full((1, len(driver.channels.points), 4, 4), np.nan)

@@ -13,6 +13,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.robot import load_robot
+from tepm_opt.progress import Progress
 from tests.data.made import shape
 
 ROBOT = load_robot("kang2017")
@@ -91,7 +92,7 @@ def record_slowly(plan: str, out: str, log: str, wait: float) -> None:
     handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     plain = drive.Driver.__init__
 
-    def logging(self: drive.Driver, rig: object, channels: object, show: drive.Show) -> None:
+    def logging(self: drive.Driver, rig: object, channels: object, progress: Progress) -> None:
         def tell(stage: str, done: float, of: float) -> None:
             os.write(handle, f"{stage},{done!r}\n".encode())
 

@@ -13,7 +13,7 @@ import typer
 from tepm_opt.cli.common import SOLVED, RobotOption, stderr
 from tepm_opt.cli.hw import shared as hw_shared
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
-from tepm_opt.cli.rigs import stages
+from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import write_atomically
 from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.errors import InputError
@@ -185,8 +185,8 @@ def base(
         except BaseException:
             tracker.close()
             raise
-        with stages(False) as (show, _):
-            recording = record_poses(rig, setpoints, found, hold, show(inputs.name))
+        with shown(False) as progress:
+            recording = record_poses(rig, setpoints, found, hold, progress)
         with stderr.status("comparing with the model"):
             registration, notes = register(found, setpoints, recording.poses, known_holders)
         restless = [str(k + 1) for k, rested in enumerate(recording.rested) if not rested]

@@ -7,9 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-import serial
-from serial.tools import list_ports
-
 from tepm_opt.errors import InputError
 
 Clock = Callable[[], float]
@@ -50,6 +47,8 @@ class SerialPort:
     """
 
     def __init__(self, device: str, baud: int = BAUD) -> None:
+        import serial
+
         try:
             self._serial = serial.serial_for_url(device, baudrate=baud, timeout=0, write_timeout=0.5, exclusive=True)
         except (serial.SerialException, ValueError) as error:
@@ -93,6 +92,8 @@ _MAKERS = {0x2341, 0x2A03, 0x1A86, 0x0403}  # Arduino (both), WCH, FTDI
 
 def find_ports() -> list[FoundPort]:
     """The serial ports of this computer, likely boards first."""
+    from serial.tools import list_ports
+
     found = [FoundPort(port.device, port.description or "", port.vid in _MAKERS) for port in list_ports.comports()]
     return sorted(found, key=lambda port: (not port.arduino, port.device))
 

@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Literal
 
 import numpy as np
-from platformdirs import user_log_path
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
@@ -41,6 +40,8 @@ def open_port(target: str, clock: Clock = time.monotonic) -> tuple[SerialPort, L
     Raises:
         InputError: the port cannot be opened, or the baud rate is no number.
     """
+    from platformdirs import user_log_path
+
     device, at, baud = target.rpartition("@")
     if at and not baud.isdigit():
         raise InputError(f"serial port {target!r}: baud rate {baud!r}; valid: a number, such as {BAUD}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import ValidationError
@@ -13,9 +14,11 @@ from tepm_opt.data.documents import explain
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
 from tepm_opt.hw.board.protocol import COUNTS_PER_V, DAC_CODES
-from tepm_opt.hw.service.registration import Registration
 from tepm_opt.models.hardware import Hardware, PressureLines, TensionLines
 from tepm_opt.models.robot import Robot
+
+if TYPE_CHECKING:
+    from tepm_opt.hw.service.registration import Registration
 
 STANDARD_GRAVITY = 9.80665
 """m/s²: a mass of 1 g pulls with 9.80665 mN."""

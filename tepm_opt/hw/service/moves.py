@@ -13,6 +13,7 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.board.rig import SerialRig
+from tepm_opt.hw.ramp import smooth_ramp, smooth_step
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
@@ -88,8 +89,7 @@ def refuse_outside(value: float, most: float, name: str, unit: str) -> None:
 
 def profile(part: float) -> float:
     """Share of the value at a share of the time of a jog: smoothly up, held, smoothly down."""
-    up = min(part, 1.0 - part) / RISE
-    return _smooth(min(max(up, 0.0), 1.0))
+    return smooth_step(min(part, 1.0 - part) / RISE)
 
 
 def jog(rig: SerialRig, single: Single, value: float, seconds: float) -> Iterator[tuple[float, float, Sample]]:
@@ -114,10 +114,8 @@ def held(now: float, seconds: float) -> bool:
 def glide(rig: SerialRig, single: Single, start: float, end: float) -> None:
     """From a value to another, smoothly."""
     seconds = max(SHORTEST, FULL_RANGE * abs(end - start) / single.most)
-    begin, part = rig.time, 0.0
-    while part < 1.0:
-        part = min((rig.time - begin) / seconds, 1.0)
-        rig.apply(single.command(start + (end - start) * _smooth(part)))
+    for _, share in smooth_ramp(lambda: rig.time, seconds):
+        rig.apply(single.command(start + (end - start) * share))
         rig.read()
 
 
@@ -173,7 +171,3 @@ def holding(rig: SerialRig, command: Command, threaded: bool = True) -> Iterator
             keeper.join()
     if failed:
         raise failed[0]
-
-
-def _smooth(part: float) -> float:
-    return part**2 * (3 - 2 * part)

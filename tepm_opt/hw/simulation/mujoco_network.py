@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from tepm_opt.hw.simulation.imperfections.base import Body
@@ -34,10 +33,13 @@ class MujocoNetwork:
     """
 
     def __init__(self, body: Body, step: float) -> None:
+        import mujoco
+
+        self._engine: Any = mujoco
         self.body, self.layout = body, body.layout
         self.rest = body.layout.rest_positions(body.robot.parameters.r, body.robot.parameters.L_0)
-        self.model: Any = mujoco.MjModel.from_xml_string(network_xml(body, step))  # type: ignore[attr-defined]
-        self.data: Any = mujoco.MjData(self.model)  # type: ignore[attr-defined]
+        self.model: Any = self._engine.MjModel.from_xml_string(network_xml(body, step))
+        self.data: Any = self._engine.MjData(self.model)
         self.count = self.layout.modules * self.layout.actuators
         self._weights = body.layout.point_weights[:, 1:] / body.layout.actuators
         muscles = np.arange(self.count).reshape(self.layout.modules, 1, -1)
@@ -49,7 +51,7 @@ class MujocoNetwork:
 
     def advance(self, steps: int) -> None:
         """Move on by whole steps; the motors' forces change at their slopes."""
-        mujoco.mj_step(self.model, self.data, steps)  # type: ignore[attr-defined]
+        self._engine.mj_step(self.model, self.data, steps)
 
     def drive(self, axial: np.ndarray, edges: np.ndarray | None, duration: float) -> None:
         """Forces for the coming steps, linear in time.
@@ -124,7 +126,7 @@ class MujocoNetwork:
         self.data.qvel[:] = 0.0
         self.data.act[:] = self._push(axial, edges)
         self.data.ctrl[:] = 0.0
-        mujoco.mj_forward(self.model, self.data)  # type: ignore[attr-defined]
+        self._engine.mj_forward(self.model, self.data)
         return self.data.qfrc_smooth.copy()
 
 

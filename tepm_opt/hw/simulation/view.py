@@ -6,7 +6,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from tepm_opt.errors import InputError
@@ -38,6 +37,8 @@ class RigView:
         return self._rendered(azimuth, *self._offscreen)
 
     def _rendered(self, azimuth: float, scene: Any, context: Any) -> np.ndarray:
+        import mujoco
+
         _screen().make_current()
         reach = self._reach
         camera: Any = mujoco.MjvCamera()  # type: ignore[attr-defined]
@@ -73,6 +74,8 @@ def _offscreen(rig: SimulatedRig) -> tuple[Any, Any] | None:
     """Scene and renderer of MuJoCo; None where it cannot render."""
     if _screen() is None:
         return None
+    import mujoco
+
     try:
         _screen().make_current()
         scene = mujoco.MjvScene(rig.network.model, maxgeom=20 * rig.network.model.ntendon + 1000)  # type: ignore[attr-defined]
