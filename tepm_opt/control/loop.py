@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tepm_opt.control.controllers import Controller, Telemetry
-from tepm_opt.control.reference import Reference, rising
+from tepm_opt.control.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
+from tepm_opt.hw.ramp import smooth_ramp, smooth_step
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
@@ -221,7 +222,7 @@ def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watc
     missed: list[np.ndarray] = []
     while (passed := sample.time - began) < whole:
         watch.check(sample)
-        rig.apply(_part(start, float(rising(np.array(passed / guard.glide)))))
+        rig.apply(_part(start, smooth_step(passed / guard.glide)))
         progress("to the start", passed, whole)
         if passed > guard.glide + guard.rest / 2:
             missed.append(np.linalg.norm(sample.points - expected, axis=1))
@@ -242,11 +243,10 @@ def _part(command: Command, part: float) -> Command:
 def _down(rig: Rig, last: Command, guard: Guard, watch: _Supervisor, progress: Progress) -> None:
     """From the last command slowly to nothing; what ends that early is stopped, which is no worse than what was to come."""
     with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
-        began = rig.read().time
-        while (passed := (sample := rig.read()).time - began) < guard.glide:
-            watch.check(sample)
-            rig.apply(_part(last, 1 - float(rising(np.array(passed / guard.glide)))))
+        for passed, share in smooth_ramp(lambda: rig.time, guard.glide):
+            rig.apply(_part(last, 1 - share))
             progress("back to zero", passed, guard.glide)
+            watch.check(rig.read())
 
 
 def _closed(
