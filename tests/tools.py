@@ -11,6 +11,7 @@ from tepm_opt.models.effects import Effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import Robot, load_robot
+from tepm_opt.progress import Progress
 from tepm_opt.solvers.statics import Equilibrium, StaticsSettings
 
 PRECISE = StaticsSettings(tolerance=1e-10)
@@ -64,3 +65,12 @@ def with_effect(model: Model, effect: Effect, **parameters: float) -> Model:
     layout = Layout.of(model.robot)
     names = {"actuator": layout.actuator_names, "point": layout.point_names}.get(effect.detail)
     return model.with_effect(effect.name, names[min(2, len(names) - 1)] if names else None, **parameters)
+
+
+def stages_into(found: list[str]) -> Progress:
+    """A progress that notes what it is told is going on."""
+
+    def told(stage: str, done: float, of: float) -> None:
+        found.append(stage)
+
+    return told

@@ -98,7 +98,7 @@ def discrepancy(
     """
     try:
         with told(as_json) as tell:
-            result = run_discrepancy(dataset, out, model, seed, despite_errors, tell)
+            result = run_discrepancy(dataset, out, model, seed, despite_errors, lambda stage, done, of: tell(stage))
             tell("drawing")
             drawn = draw(result)
             pictures = {name: out / f"{name}.png" for name in drawn}

@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, unsolved_lines
+from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.data.tables import write_table
@@ -39,7 +40,8 @@ def grid_map(model: CompiledModel, quiet: bool) -> WorkspaceMap:
     count = 17 if model.is_c else 9
     height = model.layout.modules * model.values["L_0"]
     across, up = np.linspace(-0.96, 0.96, count) * height, np.linspace(0.1, 1.3, count) * height
-    return workspace_map(model, across, up, track=progress("workspace", count**2, quiet))
+    with shown(quiet) as bars:
+        return workspace_map(model, across, up, progress=bars)
 
 
 def save_map(workspace: WorkspaceMap, path: Path) -> None:

@@ -83,7 +83,11 @@ def identify(
     problem = Problem(compiled, tuple(run for run, _ in runs), chosen, noise, sets[0].static, outliers, STEP)
     try:
         with stderr.status("compiling the motion") as status:
-            estimate = multi_start(problem, starts, seed, progress=status.update)
+
+            def tell(stage: str, done: float, of: float) -> None:
+                status.update(f"{stage}: step {done:.0f} of {of:.0f}")
+
+            estimate = multi_start(problem, starts, seed, progress=tell)
             status.update("judging")
             summary = _summary(estimate, compiled, sets, intervals)
     except PredictionError as error:

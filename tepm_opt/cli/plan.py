@@ -17,7 +17,8 @@ from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.runs import save_summary
 from tepm_opt.plots.plan import plan_figure
-from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, Obstacle, PlanSettings, Progress, Sphere, plan_move, plan_path
+from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, Obstacle, PlanSettings, Sphere, plan_move, plan_path
 
 FIGURE = "plan.png"
 OBSTACLES = "sphere:x,y,z,radius or box:x0,y0,z0,x1,y1,z1"
@@ -47,10 +48,10 @@ def obstacle(text: str) -> Obstacle:
 def stages(quiet: bool) -> Iterator[Progress]:
     """A line on the error stream that says what is being done."""
     if quiet or not stderr.is_terminal:
-        yield lambda stage: None
+        yield silent
         return
     with stderr.status("planning") as status:
-        yield lambda stage: status.update(f"planning: {stage}")
+        yield lambda stage, done, of: status.update(f"planning: {stage}")
 
 
 def lines(plan: MotionPlan, out: Path) -> list[str]:
@@ -93,7 +94,7 @@ def plan(
     """Plan a motion from rest to rest under all limits: set points to play, the tip's reference, figure."""
     first, last = vector(start, "--from"), vector(end, "--to")
     kept = [obstacle(text) for text in obstacles or ()]
-    settings = PlanSettings(stability=margin, mid_tension=mid_tension, frequency_doubt=doubt)
+    settings = PlanSettings(min_stiffness=margin, mid_tension=mid_tension, frequency_uncertainty=doubt)
     targets = None if path is None else trajectory(path, None, None, None, None, start, end)
     if targets is None and (first is None or last is None):
         raise InputError("a plan needs --from and --to, or --path")

@@ -124,7 +124,7 @@ def simulate(
             began = time.perf_counter()
             with bar("simulation", as_json) as progress:
                 seconds = None if step is None else 1e-3 * step
-                run = run_simulation(compiled, task, chosen, seconds, hold, directions, progress)
+                run = run_simulation(compiled, task, chosen, seconds, hold, directions, lambda stage, done, of: progress(done / of))
             took = time.perf_counter() - began
             run.save(folder)
             kept = f"the tables are in {out}"

@@ -49,6 +49,6 @@ def separated(body: Explanation, missing: Sequence[Candidate], settings: SearchS
 
     What that search found, and what acts on inputs; all candidates where it left structure that nothing explains.
     """
-    if body.best.excess > settings.quiet and not body.best.effects:
+    if body.best.excess > settings.max_noise_excess and not body.best.effects:
         return tuple(missing)
     return tuple(c for c in missing if c in body.best.effects or c.acts_on_inputs)

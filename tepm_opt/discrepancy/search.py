@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
 from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.discrepancy.screen import Score, screen
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import Free, ParameterEstimate, Problem, free_parameters, identify
 from tepm_opt.solvers.predict import PredictionError
 
 CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
 Effects = tuple[Candidate, ...]
-Progress = Callable[[str], None]
 Shares = dict[Candidate, float]
 
 
@@ -27,34 +27,37 @@ Shares = dict[Candidate, float]
 class SearchSettings:
     """When structure counts, when an effect is believed.
 
+    Squares are means over the measured coordinates; the excess is what they have beyond the noise's, over the noise's (1: as much
+    structure as noise).
+
     Attributes:
-        quiet: mean square beyond the noise, over the noise's, that counts as noise: 0.05 is 22 % of the noise's standard deviation.
-        material: the same of what an effect must take away alone to be named: 0.15 is 39 % of the noise's standard deviation.
-        form: part of the squared output of the other effects that their forms may be wrong by (0.0025: 5 % of the size); an effect
-            that takes away less beside them may only mend their forms.
-        improves: part of the structure left that one more effect must take away to be tried along (held-out data).
-        sure: probability by which it must beat going without.
-        stands_out: how many times the structure left the part that only this effect takes away must be for even odds that it is
+        max_noise_excess: excess that counts as noise: 0.05 is 22 % of the noise's standard deviation.
+        min_excess_removed: excess that an effect must take away alone to be named: 0.15 is 39 % of the noise's standard deviation.
+        form_error_ratio: part of the squared output of the other effects that their forms may be wrong by (0.0025: 5 % of the size);
+            an effect that takes away less beside them may only mend their forms.
+        min_share_closed: part of the excess left, on held-out data, that one more effect must take away to be tried along, 0 … 1.
+        min_probability: by which it must beat going without, 0 … 1.
+        even_odds_ratio: how many times the excess left the part that only this effect takes away must be for even odds that it is
             a cause, not a stand-in for something outside the library.
-        worth: part of the best candidate's first-order gain from which others are fitted, too.
-        fits, later: most candidates fitted in the first round and in each that follows.
-        effects: most effects at once.
-        strange: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
-        iterations: most Gauss-Newton steps of a fit.
+        min_gain_ratio: part of the best candidate's first-order gain from which others are fitted, too, 0 … 1.
+        fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
+        max_effects: most effects at once.
+        max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
+        max_iterations: most Gauss-Newton steps of a fit.
     """
 
-    quiet: float = 0.05
-    material: float = 0.15
-    form: float = 0.0025
-    improves: float = 0.1
-    sure: float = 0.95
-    stands_out: float = 3.0
-    worth: float = 0.25
-    fits: int = 5
-    later: int = 3
-    effects: int = 3
-    strange: float = 0.1
-    iterations: int = 10
+    max_noise_excess: float = 0.05
+    min_excess_removed: float = 0.15
+    form_error_ratio: float = 0.0025
+    min_share_closed: float = 0.1
+    min_probability: float = 0.95
+    even_odds_ratio: float = 3.0
+    min_gain_ratio: float = 0.25
+    fits_first_round: int = 5
+    fits_later_rounds: int = 3
+    max_effects: int = 3
+    max_unexplained_ratio: float = 0.1
+    max_iterations: int = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,14 +123,14 @@ class Fits:
         settings: iterations.
         store: a file, or None.
         key: what the file must have been made from.
-        progress: called with a line for every fit.
+        progress: told of every fit.
     """
 
     problem: Problem
     settings: SearchSettings
     store: Path | None = None
     key: str = ""
-    progress: Progress = lambda text: None
+    progress: Progress = silent
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
     screened: dict[Effects, list[Score]] = field(default_factory=dict)
     _kept: dict[str, Any] = field(default_factory=dict)
@@ -149,12 +152,12 @@ class Fits:
             return self.done[effects]
         name = "fit " + " ".join(c.label for c in effects)
         kept = self._kept.get(name)
-        self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}")
+        self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
         names = [parameter for c in effects for parameter in c.parameters]
         free = (*self.problem.free, *free_parameters(self.problem.model, names))
         free = tuple(_starting(f, (kept or start).get(f.name, f.start)) for f in free)
         try:
-            found = identify(replace(self.problem, free=free), 0 if kept else self.settings.iterations, tolerance=CLOSE)
+            found = identify(replace(self.problem, free=free), 0 if kept else self.settings.max_iterations, tolerance=CLOSE)
         except PredictionError:
             return None
         self.done[effects] = Hypothesis(effects, found, leave_out(found))
@@ -171,7 +174,8 @@ class Fits:
                 known = {candidate.label: candidate for candidate in others}
                 self.screened[effects] = [Score(known[label], gain, start) for label, gain, start in self._kept[name] if label in known]
             else:
-                self.progress(f"screening {len(others)} effects" + (f" beside {', '.join(c.label for c in effects)}" if effects else ""))
+                beside = f" beside {', '.join(c.label for c in effects)}" if effects else ""
+                self.progress(f"screening {len(others)} effects{beside}", 0, 0)
                 self.screened[effects] = screen(hypothesis.estimate, others)
                 self._keep(name, [[score.candidate.label, score.gain, score.start] for score in self.screened[effects]])
         return self.screened[effects]
@@ -198,21 +202,25 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
     best = without
-    while len(best.effects) < settings.effects and best.left > settings.quiet:
+    while len(best.effects) < settings.max_effects and best.left > settings.max_noise_excess:
         trials = _round(fits, best, missing)
         winner = _most_probable([best, *trials], seed)
-        if winner is best or winner.excess > (1 - settings.improves) * best.excess or not _beats(winner, best, seed, settings.sure):
+        if (
+            winner is best
+            or winner.excess > (1 - settings.min_share_closed) * best.excess
+            or not _beats(winner, best, seed, settings.min_probability)
+        ):
             break
         best = winner
     widest = best
     best, shares, groups = _settled(fits, best, missing, seed)
-    for _ in range(settings.effects):
+    for _ in range(settings.max_effects):
         weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
         better, weight = max(weakest, key=lambda pair: pair[1])
         if better is best or weight < 0.5:
             break
         best, shares, groups = _settled(fits, better, missing, seed)
-    if best.excess > settings.strange**2 * _motion(fits.problem):
+    if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
     return Explanation(without, best, widest, list(fits.done.values()), fits.screen(without, missing), shares, groups)
 
@@ -239,8 +247,8 @@ def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[H
     scores, settings = fits.screen(base, missing), fits.settings
     if not scores:
         return []
-    most = settings.later if base.effects else settings.fits
-    promising = [score for score in scores if score.gain >= settings.worth * scores[0].gain][:most]
+    most = settings.fits_later_rounds if base.effects else settings.fits_first_round
+    promising = [score for score in scores if score.gain >= settings.min_gain_ratio * scores[0].gain][:most]
     trials = [fits.fit((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
     return [trial for trial in trials if trial is not None]
 
@@ -261,8 +269,8 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
     settings = fits.settings
     while True:
         shares, smaller = {}, {}
-        doubt = {effect: settings.form * _output(best, effect) for effect in best.effects}
-        left = max(best.excess - sum(doubt.values()), 0.0) + settings.quiet / 10
+        doubt = {effect: settings.form_error_ratio * _output(best, effect) for effect in best.effects}
+        left = max(best.excess - sum(doubt.values()), 0.0) + settings.max_noise_excess / 10
         for effect in best.effects:
             rest = tuple(c for c in best.effects if c != effect)
             found = fits.fit(rest, best.estimate.named)
@@ -270,9 +278,9 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
             if found is not None:
                 smaller[effect] = found
                 taken = found.excess - best.excess
-                shares[effect] = taken / left if taken >= max(settings.material, sum(doubt[c] for c in rest)) else 0.0
+                shares[effect] = taken / left if taken >= max(settings.min_excess_removed, sum(doubt[c] for c in rest)) else 0.0
         weakest = min(shares, key=shares.__getitem__, default=None)
-        if weakest is None or shares[weakest] >= settings.stands_out:
+        if weakest is None or shares[weakest] >= settings.even_odds_ratio:
             return best, shares
         best = smaller[weakest]
 

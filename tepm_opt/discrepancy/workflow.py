@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,14 +24,13 @@ from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Value, Verdict, V
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
 CLEAR = 0.8  # probability among rivals from which one of them is named
 POSSIBLE = 0.1  # probability from which a rival counts
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +56,7 @@ class Discovery:
 
 def discover(
     dataset: DataSet, model: Model, channels: Channels, seed: int = 0, store: Path | None = None, key: str = "",
-    settings: SearchSettings | None = None, progress: Progress = lambda text: None,
+    settings: SearchSettings | None = None, progress: Progress = silent,
 ) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
@@ -69,7 +68,7 @@ def discover(
         store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
         key: what `store` must have been made from to be used.
         settings: when structure counts and when an effect is believed.
-        progress: called with a line for every piece of work.
+        progress: told of every piece of work.
 
     Raises:
         InputError: no run to fit to, the model cannot do the runs, or positions and inputs do not tell the same time.
@@ -79,9 +78,9 @@ def discover(
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
     noise = noise_of(dataset)
     missing = candidates(model)
-    progress(f"compiling a model with {len(missing)} effects at their null values")
+    progress(f"compiling a model with {len(missing)} effects at their null values", 0, 0)
     compiled = compile_model(wide(model, missing))
-    progress("simulating the runs with the model as it is")
+    progress("simulating the runs with the model as it is", 0, 0)
     nominal = _predict(compiled, dataset)
     _refuse_shifted_clock(dataset, nominal)
     own = [name for name in compiled.values if "." in name and not any(name in c.parameters for c in missing)]
@@ -90,15 +89,15 @@ def discover(
     try:
         behind = with_measured_inputs(dataset.fit, channels)
         if behind is not None:
-            progress("with measured inputs, for what happens behind them")
+            progress("with measured inputs, for what happens behind them", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-measured")
             body = explain(Fits(replace(problem, runs=behind), settings, aside, key, progress), missing, seed)
             missing = separated(body, missing, settings)
-            progress("with commanded inputs")
+            progress("with commanded inputs", 0, 0)
         explanation = explain(Fits(problem, settings, store, key, progress), missing, seed)
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
-    progress("judging on validation runs")
+    progress("judging on validation runs", 0, 0)
     best = _refined(explanation.best.estimate)
     predictions = {
         "nominal": nominal,
@@ -148,7 +147,7 @@ def _step(model: CompiledModel, dataset: DataSet, precise: Sequence[np.ndarray],
         return PRECISE_STEP
     fit = [points for run, points in zip(dataset.runs, precise, strict=True) if run.role == "fit"]
     square = np.mean([np.mean((a.points - b) ** 2) for a, b in zip(coarse, fit, strict=True)])
-    return LONGEST_STEP if square < settings.quiet / 5 * noise**2 else PRECISE_STEP
+    return LONGEST_STEP if square < settings.max_noise_excess / 5 * noise**2 else PRECISE_STEP
 
 
 def _refuse_shifted_clock(dataset: DataSet, nominal: Sequence[np.ndarray]) -> None:
@@ -173,14 +172,14 @@ def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
 
 def _status(explanation: Explanation, settings: SearchSettings) -> VerdictStatus:
     if not explanation.best.effects:
-        return VerdictStatus.NO_DISCREPANCY if explanation.without.left <= settings.quiet else VerdictStatus.UNEXPLAINED
+        return VerdictStatus.NO_DISCREPANCY if explanation.without.left <= settings.max_noise_excess else VerdictStatus.UNEXPLAINED
     unclear = any(group[0][1] < CLEAR for group in explanation.groups.values())
     return VerdictStatus.INDISTINGUISHABLE if unclear else VerdictStatus.NAMED
 
 
 def _belief(share: float, settings: SearchSettings) -> float:
-    """Probability that an effect is a cause: even odds where what only it takes away is `stands_out` times what is left."""
-    return 1 / (1 + (settings.stands_out / max(share, 1e-9)) ** 2)
+    """Probability that an effect is a cause: even odds where what only it takes away is `even_odds_ratio` times what is left."""
+    return 1 / (1 + (settings.even_odds_ratio / max(share, 1e-9)) ** 2)
 
 
 def _verdict(

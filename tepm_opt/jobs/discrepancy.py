@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
 from tepm_opt.models.channels import channels_of, check, open_dataset
 from tepm_opt.models.model import Model, read_model, write_model
+from tepm_opt.progress import Progress, silent
 
 VERDICT, MODEL, FITS = "verdict.json", "model.toml", ".fits.json"
 
@@ -36,7 +36,7 @@ def refuse_errors(folder: Path) -> list[str]:
 
 def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Progress = silent,
 ) -> Discovery:  # fmt: skip
     """Explain a data set and write `verdict.json` and `model.toml` into a folder.
 
@@ -48,7 +48,7 @@ def run_discrepancy(
         model: model file; the robot that the data set names where absent.
         seed: of all random draws.
         despite_errors: whether to go on where the check of the data finds errors.
-        progress: called with a line for every piece of work.
+        progress: told of every piece of work.
 
     Raises:
         InputError: data or model cannot be used; the message says why.

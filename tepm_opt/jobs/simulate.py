@@ -6,7 +6,6 @@ the file's rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.jobs.runs import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.simulate import Directions, Method, Simulation, simulate
 
 DENSE = 0.04  # s between two kept instants
@@ -208,7 +208,7 @@ class SimulateRun:
 
 def run_simulation(
     model: CompiledModel, task: SimulationTask, method: Method = "implicit", step: float | None = None, hold: bool = False,
-    directions: Directions | None = None, progress: Callable[[float], None] = lambda part: None,
+    directions: Directions | None = None, progress: Progress = silent,
 ) -> SimulateRun:  # fmt: skip
     """Simulate what a file asks for, from rest under its first row; see `simulate` for the arguments.
 

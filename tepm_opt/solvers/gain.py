@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -13,6 +13,7 @@ from tepm_opt.errors import unknown_name
 from tepm_opt.models.backends.statics import SOLVED
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
+from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.kinematics import ActuationMode, Configuration, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 
@@ -160,17 +161,23 @@ def workspace_map(
     height: Sequence[float] | np.ndarray,
     direction: float = 0.0,
     mode: ActuationMode = ActuationMode.HYBRID,
-    track: Callable[[Iterable[Configuration]], Iterable[Configuration]] = iter,
+    progress: Progress = silent,
 ) -> WorkspaceMap:
-    """G on a grid of tip positions: `across` m from the base axis in the direction (rad about it), `height` m along it.
+    """G on a grid of tip positions in a plane through the base axis.
 
-    `track` wraps the configurations, for progress.
+    Args:
+        model: compiled model.
+        across: distances from the base axis, (columns,) in m.
+        height: distances from the base plate along its axis, (rows,) in m.
+        direction: of the plane about the base axis, rad.
+        mode: how the forces are made.
+        progress: told of every point of the grid.
     """
     across, height = np.asarray(across, dtype=float), np.asarray(height, dtype=float)
     mount = model.robot.mount
     local = np.array([[a * np.cos(direction), a * np.sin(direction), z] for z in height for a in across])
     found = each_configuration(model, local @ mount.rotation.T + mount.base_position_m, mode)
-    gains = [gain_at(configuration) for configuration in track(found)]
+    gains = [gain_at(configuration) for configuration in counted(found, progress, "workspace", len(local))]
     rows = [gains[k * len(across) : (k + 1) * len(across)] for k in range(len(height))]
     return WorkspaceMap(across, height, np.array([[gain is not None for gain in row] for row in rows]), rows)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,12 +16,12 @@ from tepm_opt.models.effects import find_effect
 from tepm_opt.models.model import label
 from tepm_opt.models.robot import UNITS, Parameters
 from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
 
 ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation
 BLOCK = 1.0  # s; residuals further apart than this count as independent
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -257,15 +257,13 @@ class ParameterEstimate:
         return sum((r.by.T @ r.by for r in self.residuals), np.zeros((len(scale), len(scale)))) * np.outer(scale, scale)
 
 
-def identify(
-    problem: Problem, iterations: int = ITERATIONS, progress: Progress = lambda text: None, tolerance: float = 1e-5
-) -> ParameterEstimate:
+def identify(problem: Problem, max_iterations: int = ITERATIONS, progress: Progress = silent, tolerance: float = 1e-5) -> ParameterEstimate:
     """Least squares by Gauss-Newton steps within the bounds, damped where they fail (Levenberg-Marquardt; Nocedal and Wright 2006, ch. 10).
 
     Args:
         problem: what to fit.
-        iterations: most steps.
-        progress: called with a line after every step.
+        max_iterations: most steps.
+        progress: told of every step.
         tolerance: part of the squared residuals beyond the noise for which no further step is made.
 
     Raises:
@@ -279,7 +277,7 @@ def identify(
     weights = _weights(residuals, problem.robust)
     cost, damping, done, message = _cost(problem, values, residuals, weights), 1e-6, 0, "steps ended"
     converged, count = not problem.free, sum(r.count for r in residuals)
-    while done < iterations and not converged:
+    while done < max_iterations and not converged:
         step, promised = _step(problem, values, residuals, weights, damping)
         if promised < 0.1 + tolerance * max(cost - count, 0.0):
             converged, message = True, "no step promises less"
@@ -301,7 +299,7 @@ def identify(
             if damping > 1e6:
                 converged, message = bool(np.isfinite(new)), "no shorter step helps"
                 break
-        progress(f"step {done}: residuals {np.sqrt(cost / max(count, 1)):.4g} times the noise")
+        progress("fit", done, max_iterations)
     outcome = Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message)
     return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, outcome)
 

@@ -28,19 +28,19 @@ class IkSettings:
 
     Attributes:
         tolerance: largest error of tip and length differences, m.
-        iterations: most Gauss-Newton steps from one start.
-        largest_step: largest change of an axial force in one step, N.
-        settled: with redundant actuators, change of the forces below which they are of minimum norm, N.
-        homotopy: steps from rest to a target that no seed solves.
-        beyond: how far the search may leave the limits of the forces, in parts of their range.
+        max_iterations: most Gauss-Newton steps from one start.
+        max_step: largest change of an axial force in one step, N.
+        force_tolerance: with redundant actuators, change of the forces below which they are of minimum norm, N.
+        homotopy_steps: from rest to a target that no seed solves.
+        max_overshoot: how far the search may leave the limits of the forces, in parts of their range.
     """
 
     tolerance: float = 1e-9
-    iterations: int = 30
-    largest_step: float = 8.0
-    settled: float = 1e-6
-    homotopy: int = 12
-    beyond: float = 0.5
+    max_iterations: int = 30
+    max_step: float = 8.0
+    force_tolerance: float = 1e-6
+    homotopy_steps: int = 12
+    max_overshoot: float = 0.5
 
 
 DEFAULT = IkSettings()
@@ -242,7 +242,7 @@ def _free(problem: _IkProblem, target: np.ndarray, start: Configuration | None, 
         return found
     at, forces, found = problem.at(np.zeros(problem.half), None), np.zeros(problem.half), None
     origin = at.tip
-    for part in np.linspace(0, 1, settings.homotopy + 1)[1:]:
+    for part in np.linspace(0, 1, settings.homotopy_steps + 1)[1:]:
         found = _gauss_newton(problem, origin + part * (target - origin), forces, at, settings)
         if found is None:
             return None
@@ -260,12 +260,12 @@ def _gauss_newton(
     if not problem.redundant and (found := _full_space_newton(problem, target, forces, at, settings)):
         return found
     errors, change = problem.errors(at, target), np.inf
-    for step in range(settings.iterations):
-        if np.abs(errors).max() < settings.tolerance and (change < settings.settled or not problem.redundant):
+    for step in range(settings.max_iterations):
+        if np.abs(errors).max() < settings.tolerance and (change < settings.force_tolerance or not problem.redundant):
             return _configuration(target, at, forces, Outcome(), step)
         jacobian = problem.jacobian(at)
         full = _minimum_norm(jacobian, jacobian @ forces - errors) - forces
-        part = min(1.0, settings.largest_step / np.abs(full).max())
+        part = min(1.0, settings.max_step / np.abs(full).max())
         for _ in range(8):
             trial = problem.at(forces + part * full, at)
             changed = problem.errors(trial, target)
@@ -275,7 +275,7 @@ def _gauss_newton(
         else:
             return None
         forces, at, errors, change = forces + part * full, trial, changed, part * np.abs(full).max()
-        if (np.maximum(problem.low - forces, forces - problem.high) > settings.beyond * (problem.high - problem.low)).any():
+        if (np.maximum(problem.low - forces, forces - problem.high) > settings.max_overshoot * (problem.high - problem.low)).any():
             return None
     return None
 
@@ -288,7 +288,7 @@ def _full_space_newton(
     targets = np.concatenate([target, np.zeros(problem.half - 3)])
     status, x, pressures, steps = model.statics.inverse(
         start.x, forces / problem.area, problem.loads.ravel(), model.theta, problem.weights, targets,
-        settings.largest_step / problem.area, settings.tolerance / 2, 1e-9, settings.iterations,
+        settings.max_step / problem.area, settings.tolerance / 2, 1e-9, settings.max_iterations,
     )  # fmt: skip
     if status != SOLVED:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,6 +14,7 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.backends.interface import DIVERGED, DONE, EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import rk4_step_limit
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
@@ -127,7 +128,7 @@ class Simulation:
 def simulate(
     model: CompiledModel, setpoints: SetPoints, method: Method = "implicit", step: float | None = None, hold: bool = False,
     loads: np.ndarray | None = None, directions: Directions | None = None, tolerance: float = 1e-6,
-    progress: Callable[[float], None] = lambda part: None,
+    progress: Progress = silent,
 ) -> Simulation:  # fmt: skip
     """Simulate from the equilibrium under the first row; the result's outcome says whether it came to the last.
 
@@ -142,7 +143,7 @@ def simulate(
         loads: further known forces on the reference points in G, (samples, points, 3) in N.
         directions: what to differentiate by; "implicit" only.
         tolerance: residual forces in N to which implicit stages are solved.
-        progress: called with the part done, about twice per simulated second.
+        progress: told the time simulated in s, about twice per simulated second.
 
     Raises:
         InputError: set points that do not fit, "rk4" with a step above its stable one or with directions, no stable equilibrium
@@ -185,7 +186,7 @@ def simulate(
                 message = f"the motion {why} after {total.reached:.4g} s ({hint}; step {step:g} s)"
                 return result(done + 1, Outcome(Ending.FAILED, message))
             done = int(end)
-            progress(float((drive.time[done] - drive.time[0]) / (drive.time[-1] - drive.time[0])))
+            progress("simulation", float(drive.time[done] - drive.time[0]), float(drive.time[-1] - drive.time[0]))
     except KeyboardInterrupt:
         return result(done + 1 if done else 0, Outcome(Ending.INTERRUPTED, "interrupted by the user"))
     return result(len(drive.time), Outcome())

@@ -20,13 +20,13 @@ class StaticsSettings:
 
     Attributes:
         tolerance: largest residual force on a node's coordinate, N.
-        iterations: most Newton steps of one solve.
-        shortest: an actuator's edge shorter than this part of its rest length counts as collapsed.
+        max_iterations: most Newton steps of one solve.
+        min_length_ratio: an actuator shorter than this part of its rest length counts as collapsed.
     """
 
     tolerance: float = 1e-9
-    iterations: int = 400
-    shortest: float = 0.25
+    max_iterations: int = 400
+    min_length_ratio: float = 0.25
 
 
 DEFAULT = StaticsSettings()
@@ -164,7 +164,7 @@ def _newton(
     model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: StaticsSettings, mapped: bool, reached: float = 1.0
 ) -> Equilibrium:
     """One Newton solve from x."""
-    solution = model.statics.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.iterations)
+    solution = model.statics.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.max_iterations)
     layout, split = model.layout, 3 * model.layout.points
     points, lengths = solution.observed[:split].reshape(-1, 3), solution.observed[split:].reshape(layout.modules, layout.actuators)
     outcome = Outcome()
@@ -173,8 +173,8 @@ def _newton(
     elif solution.status != SOLVED:
         why = f"not converged after {solution.iterations:.0f} iterations: residual {solution.residual:.3g} N"
         outcome = Outcome(Ending.NOT_CONVERGED, why)
-    elif lengths.min() < settings.shortest * model.values["L_0"]:
-        why = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.shortest:g} of its rest length"
+    elif lengths.min() < settings.min_length_ratio * model.values["L_0"]:
+        why = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.min_length_ratio:g} of its rest length"
         outcome = Outcome(Ending.COLLAPSED, why)
     steps = int(solution.iterations)
     return Equilibrium(model, u, loads, solution.x, points, lengths, outcome, steps, solution.residual, reached, mapped)

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from tepm_opt.errors import unknown_name
-from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, Progress, identify
+from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
 from tepm_opt.solvers.predict import PredictionError
 
 
-def unidentifiable(estimate: ParameterEstimate, most: float = 0.5) -> list[str]:
-    """Directions whose uncertainty, from the runs alone, exceeds `most` of what was known before or of the parameters' size."""
+def unidentifiable(estimate: ParameterEstimate, max_relative_std: float = 0.5) -> list[str]:
+    """Directions whose uncertainty, from the runs alone, exceeds `max_relative_std` of what was known before or of the parameters' size."""
     free = estimate.problem.free
     if not free:
         return []
@@ -22,7 +23,7 @@ def unidentifiable(estimate: ParameterEstimate, most: float = 0.5) -> list[str]:
     values, vectors = np.linalg.eigh(information)
     words = []
     for value, vector in zip(values, vectors.T, strict=True):
-        if value > 0 and np.sqrt(excess / value) <= most:
+        if value > 0 and np.sqrt(excess / value) <= max_relative_std:
             continue
         taking_part = [f.name for f, part in zip(free, vector, strict=True) if abs(part) > 0.3 * np.max(np.abs(vector))]
         if len(taking_part) == 1:
@@ -33,19 +34,30 @@ def unidentifiable(estimate: ParameterEstimate, most: float = 0.5) -> list[str]:
 
 
 def multi_start(
-    problem: Problem, starts: int, seed: int, iterations: int = ITERATIONS, progress: Progress = lambda text: None
+    problem: Problem, starts: int, seed: int, max_iterations: int = ITERATIONS, progress: Progress = silent
 ) -> ParameterEstimate:
-    """The best of several fits: from the first values, then from random ones within the bounds (or three scales around)."""
+    """The best of several fits: from the first values, then from random ones within the bounds (or three scales around).
+
+    Args:
+        problem: what to fit.
+        starts: how many fits.
+        seed: of the random values.
+        max_iterations: most Gauss-Newton steps of each.
+        progress: told of every step of every fit.
+
+    Raises:
+        InputError: no runs, no parameters or no measured sample.
+        PredictionError: the model cannot do the runs with the first values.
+    """
     random = np.random.default_rng(seed)
-    best = identify(problem, iterations, progress)
+    best = identify(problem, max_iterations, _numbered(progress, 1, starts))
     for k in range(1, starts):
         low = np.maximum(problem.low, problem.start - 3 * problem.scale)
         high = np.minimum(problem.high, problem.start + 3 * problem.scale)
         values = random.uniform(low, high)
         free = tuple(replace(f, start=float(value)) for f, value in zip(problem.free, values, strict=True))
-        progress(f"start {k + 1} of {starts}")
         try:
-            found = identify(replace(problem, free=free), iterations, progress)
+            found = identify(replace(problem, free=free), max_iterations, _numbered(progress, k + 1, starts))
         except PredictionError:
             continue
         if found.cost < best.cost - 0.1:
@@ -53,11 +65,21 @@ def multi_start(
     return best
 
 
-def profile(estimate: ParameterEstimate, name: str, level: float = 3.841) -> tuple[float, float]:
-    """Profile interval of a parameter: where the least cost, all others fitted anew, exceeds the best by `level` (3.841: 95 %).
+def _numbered(progress: Progress, number: int, starts: int) -> Progress:
+    """Progress of one fit of several."""
+    return progress if starts == 1 else lambda stage, done, of: progress(f"{stage} {number} of {starts}", done, of)
+
+
+def profile(estimate: ParameterEstimate, name: str, threshold: float = 3.841) -> tuple[float, float]:
+    """Profile interval of a parameter: where the least cost, all others fitted anew, exceeds the best by a threshold.
 
     Costs are counted in units of what the residuals show, more than the noise where they are not white. An interval ends at a
     bound where that comes first.
+
+    Args:
+        estimate: the best fit.
+        name: full name of one of its free parameters.
+        threshold: quantile of chi-square with one degree of freedom (3.841: 95 %).
 
     Raises:
         InputError: no such free parameter.
@@ -77,7 +99,7 @@ def profile(estimate: ParameterEstimate, name: str, level: float = 3.841) -> tup
             if side * (trial - bound) >= 0:
                 trial = bound
             rise = (_held(estimate, at, trial) - estimate.cost) / unit
-            if rise > level:
+            if rise > threshold:
                 end = trial
                 break
             inside = trial
@@ -90,7 +112,7 @@ def profile(estimate: ParameterEstimate, name: str, level: float = 3.841) -> tup
             for _ in range(6):
                 middle = (inside + outside) / 2
                 rise = (_held(estimate, at, middle) - estimate.cost) / unit
-                inside, outside = (middle, outside) if rise <= level else (inside, middle)
+                inside, outside = (middle, outside) if rise <= threshold else (inside, middle)
             end = (inside + outside) / 2
         ends.append(float(end))
     return ends[0], ends[1]
@@ -102,6 +124,6 @@ def _held(estimate: ParameterEstimate, at: int, value: float) -> float:
     others = tuple(replace(f, start=float(v)) for k, (f, v) in enumerate(zip(problem.free, estimate.values, strict=True)) if k != at)
     held = replace(problem, free=(replace(problem.free[at], start=value),)).with_values(np.array([value]))
     try:
-        return identify(replace(problem, model=held, free=others), iterations=4).cost
+        return identify(replace(problem, model=held, free=others), max_iterations=4).cost
     except PredictionError:
         return np.inf

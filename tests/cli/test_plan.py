@@ -71,8 +71,8 @@ def test_no_plan(tepm: Command, arguments: tuple[str, ...], message: str) -> Non
         ((*MOVE, "--obstacle", "sphere:1,2,3,-1"), "radius -1 m; valid: more than 0"),
         ((*MOVE, "--obstacle", "box:0,0,0,1,1,0"), "valid: corners with x0 < x1, y0 < y1 and z0 < z1"),
         ((*MOVE, "--mid-tension", "9"), "mid_tension: 9 N; valid: 0.3 … 6.7 N"),
-        ((*MOVE, "--frequency-doubt", "0.9"), "frequency_doubt: 0.9; valid: 0 … 0.5"),
-        ((*MOVE, "--margin", "nan"), "stability: nan N/m; valid: a number"),
+        ((*MOVE, "--frequency-doubt", "0.9"), "frequency_uncertainty: 0.9; valid: 0 … 0.5"),
+        ((*MOVE, "--margin", "nan"), "min_stiffness: nan N/m; valid: a number"),
         (("--path", "spiral"), "unknown trajectory 'spiral'"),
     ],
 )

@@ -25,6 +25,7 @@ from tepm_opt.models.model import Model, read_model
 from tepm_opt.solvers.identify import Problem, free_parameters, identify
 from tepm_opt.solvers.predict import predict
 from tests.discrepancy.small import NOISE, STEP, changed, cut, dataset_of, measured, planned, true_values, write
+from tests.tools import stages_into
 
 NOMINAL = Model.of("kang2017")
 OFFSET = np.array([4e-3, -3e-3, 2e-3])  # m, of s3
@@ -55,7 +56,7 @@ def lines() -> list[str]:
 @pytest.fixture(scope="module")
 def result(folder: Path, out: Path, lines: list[str]) -> Discovery:
     """The answer; `lines` are what it told meanwhile."""
-    return run_discrepancy(folder, out, progress=lines.append)
+    return run_discrepancy(folder, out, progress=stages_into(lines))
 
 
 @pytest.fixture(scope="module")
@@ -127,12 +128,18 @@ class TestScreening:
 class TestFits:
     def test_are_done_once(self, library: CompiledModel, runs: list[Run], tmp_path: Path) -> None:
         said: list[str] = []
-        fits = Fits(problem(library, runs), SearchSettings(iterations=2), tmp_path / "fits.json", "key", said.append)
+        fits = Fits(
+            problem(library, runs),
+            SearchSettings(max_iterations=2),
+            tmp_path / "fits.json",
+            "key",
+            stages_into(said),
+        )
         first = fits.fit((), {})
         assert first is not None
         assert fits.fit((), {}) is first
         assert len(said) == 1
-        again = Fits(problem(library, runs), SearchSettings(iterations=2), tmp_path / "fits.json", "key").fit((), {})
+        again = Fits(problem(library, runs), SearchSettings(max_iterations=2), tmp_path / "fits.json", "key").fit((), {})
         assert again is not None
         np.testing.assert_array_equal(again.estimate.values, first.estimate.values)
         np.testing.assert_array_equal(again.evidence.squares, first.evidence.squares)
@@ -141,7 +148,7 @@ class TestFits:
     @pytest.mark.parametrize("left", ['{"key": "other", "fit ": {"K_a": 349.0}}', "{", "[]", "\x00"])
     def test_of_other_data_are_not_taken(self, library: CompiledModel, runs: list[Run], tmp_path: Path, left: str) -> None:
         (tmp_path / "fits.json").write_text(left)
-        fits = Fits(problem(library, runs), SearchSettings(iterations=1), tmp_path / "fits.json", "key")
+        fits = Fits(problem(library, runs), SearchSettings(max_iterations=1), tmp_path / "fits.json", "key")
         found = fits.fit((), {})
         assert found is not None
         assert found.estimate.iterations == 1
@@ -181,8 +188,8 @@ class TestAnswer:
         assert len(work) >= 4, work
         said: list[str] = []
 
-        def interrupt(text: str) -> None:
-            said.append(text)
+        def interrupt(stage: str, done: float, of: float) -> None:
+            said.append(stage)
             if len([line for line in said if line.startswith(("fitting", "screening"))]) == len(work) - 1:
                 raise KeyboardInterrupt
 
@@ -190,7 +197,7 @@ class TestAnswer:
             run_discrepancy(folder, tmp_path, progress=interrupt)
         assert [path.name for path in tmp_path.iterdir()] == [FITS]
         again: list[str] = []
-        run_discrepancy(folder, tmp_path, progress=again.append)
+        run_discrepancy(folder, tmp_path, progress=stages_into(again))
         assert contents(tmp_path) == contents(out)
         assert not (tmp_path / FITS).exists()
 

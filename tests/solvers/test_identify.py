@@ -18,7 +18,7 @@ from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 from tests.discrepancy.small import FILES, NOISE, STEP, changed, measured, planned, true_values
-from tests.tools import random_inputs, relative, slope
+from tests.tools import random_inputs, relative, slope, stages_into
 
 EIGHT = {"K_a": 1.02, "c_a": 0.85, "alpha_1": 1.1, "alpha_2": 1.04, "beta_1": 1.2, "beta_2": 0.9, "r": 1.01, "m_d": 0.985}
 """True parameters over the robot file's."""
@@ -211,7 +211,7 @@ class TestWhatRunsCannotTell:
     def test_nothing_moves(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
         """At rest without inputs nothing tells the damping, and stiffness is told from mass by their ratio at most."""
         still = replace(runs[0], inputs=np.zeros_like(runs[0].inputs), points=np.broadcast_to(runs[0].points[:1], runs[0].points.shape))
-        found = identify(problem(kang, (still,)), iterations=0)
+        found = identify(problem(kang, (still,)), max_iterations=0)
         words = unidentifiable(found)
         assert "c_a has hardly any influence in these runs" in words, words
         assert len(words) >= 2, words
@@ -228,7 +228,7 @@ class TestWhatRunsCannotTell:
     def test_profile_ends_at_a_bound(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
         """Nothing moves, so that the damping may be anything within its prior."""
         still = replace(runs[0], inputs=np.zeros_like(runs[0].inputs))
-        found = identify(replace(problem(kang, (still,), "c_a"), step=0.02), iterations=0)
+        found = identify(replace(problem(kang, (still,), "c_a"), step=0.02), max_iterations=0)
         (free,) = found.problem.free
         assert profile(found, "c_a") == (free.low, free.high)
 
@@ -239,10 +239,10 @@ class TestWhatRunsCannotTell:
 
 def test_several_starts_are_repeatable(kang: CompiledModel, runs: tuple[Run, ...]) -> None:
     task = replace(problem(kang, runs[:1]), step=0.02)
-    lines: list[str] = []
-    first, second = (multi_start(task, 2, seed=4, progress=lines.append) for _ in range(2))
+    stages: list[str] = []
+    first, second = (multi_start(task, 2, seed=4, progress=stages_into(stages)) for _ in range(2))
     np.testing.assert_array_equal(first.values, second.values)
-    assert lines.count("start 2 of 2") == 2
+    assert set(stages) == {"fit 1 of 2", "fit 2 of 2"}
     assert first.cost <= identify(task).cost
 
 

@@ -150,7 +150,7 @@ def test_wrong_names_are_refused(bent, arguments, says):
 
 
 def test_a_failed_equilibrium_is_refused(kang):
-    found = solve_statics(kang, np.zeros(12), [0, 0, 0.1], settings=StaticsSettings(iterations=0))
+    found = solve_statics(kang, np.zeros(12), [0, 0, 0.1], settings=StaticsSettings(max_iterations=0))
     assert not found.solved
     with pytest.raises(InputError, match="no equilibrium to linearise about: not converged"):
         linearise(found)

@@ -107,7 +107,7 @@ class TestMove:
         """Around the axis, far out: no force of the actuators holds the twist, so it must not be driven fast."""
         plan = plan_move(kang, (-0.044, 0.142, 0.359), (0.032, 0.163, 0.352))
         check_limits(plan)
-        assert plan.left_over < 8e-4
+        assert plan.residual_sway < 8e-4
         assert sway(devices, plan.setpoints) < STILL
 
     def test_is_much_faster_than_ramps(self, devices: CompiledModel, fastest: MotionPlan) -> None:
@@ -121,7 +121,7 @@ class TestMove:
     @pytest.mark.slow
     def test_doubt_makes_it_robust(self, kang: CompiledModel, devices: CompiledModel, fastest: MotionPlan) -> None:
         """Against an arm with muscles 3 % softer, which near buckling changes its frequencies by more."""
-        trusting, doubting = fastest, plan_move(kang, START, END, settings=PlanSettings(frequency_doubt=0.1))
+        trusting, doubting = fastest, plan_move(kang, START, END, settings=PlanSettings(frequency_uncertainty=0.1))
         check_limits(doubting)
         softer = devices.with_theta(np.where([name == "K_a" for name in devices.network.parameter_names], 0.97, 1.0) * devices.theta)
         assert sway(softer, doubting.setpoints) < 0.5 * sway(softer, trusting.setpoints)
@@ -130,10 +130,10 @@ class TestMove:
     def test_margin_is_kept(self, kang: CompiledModel) -> None:
         ends = [solve_ik(kang, np.array(tip)).equilibrium.smallest_eigenvalue for tip in (START, END)]
         margin = min(ends) - 1e-3
-        plan = plan_move(kang, START, END, settings=PlanSettings(stability=margin))
+        plan = plan_move(kang, START, END, settings=PlanSettings(min_stiffness=margin))
         check_limits(plan)
         assert plan.margin > margin - 1e-4
-        impossible = plan_move(kang, START, END, settings=PlanSettings(stability=max(ends)))
+        impossible = plan_move(kang, START, END, settings=PlanSettings(min_stiffness=max(ends)))
         assert impossible.outcome.ending is Ending.BLOCKED
         assert impossible.outcome.message.startswith("start: its smallest stiffness eigenvalue is 0.29")
 
@@ -188,7 +188,7 @@ class TestWrongUse:
 
     @pytest.mark.slow
     def test_too_short(self, kang: CompiledModel, fastest: MotionPlan) -> None:
-        plan = plan_move(kang, START, END, Objective.EFFORT, 0.2, settings=PlanSettings(iterations=60))
+        plan = plan_move(kang, START, END, Objective.EFFORT, 0.2, settings=PlanSettings(max_iterations=60))
         assert plan.outcome.ending is Ending.NO_PLAN
         assert plan.outcome.message.endswith(f"; the fastest plan takes {fastest.duration:.2f} s")
 

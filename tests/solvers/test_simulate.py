@@ -283,8 +283,8 @@ class TestWrongUse:
 def test_an_interrupted_simulation_keeps_what_it_has(kang):
     points = gentle(kang, 3.0, 31)
 
-    def interrupt(part):
-        if part > 0.5:
+    def interrupt(_, done, of):
+        if done > of / 2:
             raise KeyboardInterrupt
 
     partial = simulate(kang, points, progress=interrupt)

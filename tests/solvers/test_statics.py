@@ -254,13 +254,13 @@ class TestRobustness:
         assert not just_above.solved
 
     def test_too_few_iterations_are_explained(self, kang):
-        held = solve_statics(kang, ELONGATION, [1, 0, 0], settings=StaticsSettings(iterations=1))
+        held = solve_statics(kang, ELONGATION, [1, 0, 0], settings=StaticsSettings(max_iterations=1))
         assert held.outcome.ending is Ending.NOT_CONVERGED
         assert "not converged" in held.outcome.message
         assert held.reached < 1
 
     def test_what_counts_as_collapsed_is_a_setting(self, kang):
-        held = solve_statics(kang, [0.0] * 6 + [7.0] * 6, settings=StaticsSettings(shortest=0.99))
+        held = solve_statics(kang, [0.0] * 6 + [7.0] * 6, settings=StaticsSettings(min_length_ratio=0.99))
         assert held.outcome.ending is Ending.COLLAPSED
         assert "below 0.99 of its rest length" in held.outcome.message
 

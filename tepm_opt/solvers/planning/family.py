@@ -31,20 +31,20 @@ class FamilyFit:
 
     Attributes:
         degree, nodes: total degree, and Chebyshev nodes along each length, of the configurations.
-        slow_degree, slow_nodes: the same of the matrices H, D and Q and of the smallest eigenvalue.
+        dynamics_degree, dynamics_nodes: the same of the matrices H, D and Q and of the smallest eigenvalue.
         modes: of the network that count in the least squares.
-        checks: random configurations at which errors are measured.
-        pad, least_pad: how far the box goes beyond the task, in parts of its size and at least, m.
+        validation_samples: random configurations at which errors are measured.
+        box_margin, min_box_margin: how far the box goes beyond the task, in parts of its size and at least, m.
     """
 
     degree: int = 5
     nodes: int = 7
-    slow_degree: int = 3
-    slow_nodes: int = 5
+    dynamics_degree: int = 3
+    dynamics_nodes: int = 5
     modes: int = 30
-    checks: int = 60
-    pad: float = 0.25
-    least_pad: float = 0.004
+    validation_samples: int = 60
+    box_margin: float = 0.25
+    min_box_margin: float = 0.004
 
 
 class FamilyError(RuntimeError):
@@ -150,7 +150,7 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
         FamilyError: some configurations of the box do not exist.
     """
     low, high = lengths.min(axis=0), lengths.max(axis=0)
-    pad = np.maximum(fit.pad * (high - low), fit.least_pad)
+    pad = np.maximum(fit.box_margin * (high - low), fit.min_box_margin)
     low, high = low - pad, high + pad
     half, middle = (high - low) / 2, _exact(model, (low + high) / 2, start)
 
@@ -163,25 +163,25 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
     points = _fitted(y, np.array([at.points.ravel() for at in found]), degree)
     levels = _fitted(y, np.array([at.x[1:].ravel() for at in found]), degree)
 
-    y_slow = _nodes(fit.slow_nodes)
+    y_slow = _nodes(fit.dynamics_nodes)
     first = np.stack([_basis(y_slow, _exponents(degree), (k,)) @ levels for k in range(3)], axis=2)
     second = np.stack([_basis(y_slow, _exponents(degree), pair) @ levels for pair in PAIRS], axis=2)
     slow_found = solved(y_slow)
     maps = np.array([_maps(at, a, b, fit.modes) for at, a, b in zip(slow_found, first, second, strict=True)])
-    moving = _fitted(y_slow, maps.reshape(len(maps), -1), fit.slow_degree)
-    stability = _fitted(y_slow, np.array([[at.smallest_eigenvalue] for at in slow_found]), fit.slow_degree)
+    moving = _fitted(y_slow, maps.reshape(len(maps), -1), fit.dynamics_degree)
+    stability = _fitted(y_slow, np.array([[at.smallest_eigenvalue] for at in slow_found]), fit.dynamics_degree)
 
     place, speed, change = ca.SX.sym("y", 3), ca.SX.sym("v", 3), ca.SX.sym("a", 3)
     squares = ca.vertcat(*[(1 if i == j else 2) * speed[i] * speed[j] for i, j in PAIRS])
     held = _polynomial(place, forces, degree)
-    matrix = ca.reshape(_polynomial(place, moving, fit.slow_degree), 3 + 3 + len(PAIRS), -1).T
+    matrix = ca.reshape(_polynomial(place, moving, fit.dynamics_degree), 3 + 3 + len(PAIRS), -1).T
     functions = (
         ca.Function("forces", [place], [held]),
         ca.Function("points", [place], [_polynomial(place, points, degree)]),
         ca.Function("moving", [place, speed, change], [held + ca.mtimes(matrix, ca.vertcat(change, speed, squares))]),
-        ca.Function("stability", [place], [_polynomial(place, stability, fit.slow_degree)]),
+        ca.Function("stability", [place], [_polynomial(place, stability, fit.dynamics_degree)]),
     )
-    checks = np.random.default_rng(0).uniform(-1.0, 1.0, (fit.checks, 3))
+    checks = np.random.default_rng(0).uniform(-1.0, 1.0, (fit.validation_samples, 3))
     at = solved(checks)
     errors = [
         float(np.abs(np.array([np.asarray(function(row)).ravel() - exact for row, exact in zip(checks, exacts, strict=True)])).max())

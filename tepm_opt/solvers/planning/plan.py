@@ -7,7 +7,7 @@ their lag, and tensions that take what the pressures leave. Because the robot ne
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,13 +17,14 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.allocation import ActuationMode
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.planning.family import FamilyError, FamilyFit, axial, make_family
 from tepm_opt.solvers.planning.program import Box, Limits, Obstacle, PlannedMotion, PlanTask, Route, Sphere, distance, solve
 from tepm_opt.solvers.planning.result import MotionPlan, Objective
-from tepm_opt.solvers.planning.setpoints import commands, left_over, tensions
+from tepm_opt.solvers.planning.setpoints import commands, residual_sway, tensions
 from tepm_opt.solvers.statics import Equilibrium
 from tepm_opt.solvers.trajectories import Trajectory
 
@@ -34,7 +35,6 @@ INTERVAL = 0.02  # m of a long way to each interval of the splines, up to twice 
 SMOOTHER = np.array([1.0, 10.0, 100.0])  # times the smoothness, until the full network is still enough
 INSIDE = 0.02  # N by which the program may leave the limits of the forces, which set points on the grid do not
 ROUTE_POINTS = 121  # inverse kinematics along a path, between which it is a spline
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -43,36 +43,36 @@ class PlanSettings:
 
     Attributes:
         filling_time, exhausting_time: of the regulators' first-order lag, s.
-        slew: largest rate of a tension, N/s.
+        max_tension_rate: largest rate of a tension, N/s.
         mid_tension: tension at rest at both ends, N; the middle of the range where absent.
-        tension_reserve, slew_reserve: what the program leaves to the regulators' grid, N and N/s.
-        stability: smallest stiffness eigenvalue, N/m; not looked at where absent.
+        tension_reserve, tension_rate_reserve: what the program leaves to the regulators' grid, N and N/s.
+        min_stiffness: smallest stiffness eigenvalue, N/m; not looked at where absent.
         clearance: of the reference points from obstacles, m.
-        frequency_doubt: part by which the sway's frequencies may differ from the model's; 0 trusts it.
-        sway: sway that this may leave, m.
-        spacing: longest time between set points, s.
-        intervals: of the splines over time, at least.
-        iterations: most of IPOPT's.
-        smoothness: weight of the effort in the fastest plan, s per N²/s.
-        left_over: sway in the full network above which the fastest plan is made anew, smoother, m.
+        frequency_uncertainty: part by which the sway's frequencies may differ from the model's; 0 trusts it.
+        max_sway: sway that this may leave, m.
+        max_spacing: longest time between set points, s.
+        min_intervals: of the splines over time.
+        max_iterations: most of IPOPT's.
+        effort_weight: weight of the effort in the fastest plan, s per N²/s.
+        max_residual_sway: sway in the full network above which the fastest plan is made anew, smoother, m.
         fit: of the family of configurations.
     """
 
     filling_time: float = 0.12
     exhausting_time: float = 0.24
-    slew: float = 10.0
+    max_tension_rate: float = 10.0
     mid_tension: float | None = None
     tension_reserve: float = 0.15
-    slew_reserve: float = 2.0
-    stability: float | None = None
+    tension_rate_reserve: float = 2.0
+    min_stiffness: float | None = None
     clearance: float = 0.002
-    frequency_doubt: float = 0.0
-    sway: float = 5e-4
-    spacing: float = 0.02
-    intervals: int = 20
-    iterations: int = 300
-    smoothness: float = 3e-5
-    left_over: float = 8e-4
+    frequency_uncertainty: float = 0.0
+    max_sway: float = 5e-4
+    max_spacing: float = 0.02
+    min_intervals: int = 20
+    max_iterations: int = 300
+    effort_weight: float = 3e-5
+    max_residual_sway: float = 8e-4
     fit: FamilyFit = EXACT
 
 
@@ -82,7 +82,7 @@ DEFAULT = PlanSettings()
 def plan_move(
     model: CompiledModel, start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray, objective: Objective = Objective.TIME,
     duration: float | None = None, obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT,
-    progress: Progress = lambda stage: None,
+    progress: Progress = silent,
 ) -> MotionPlan:  # fmt: skip
     """From rest with the tip at `start` to rest with the tip at `end`, by any way.
 
@@ -93,7 +93,7 @@ def plan_move(
         duration: in s, for the least effort.
         obstacles: that no reference point may enter.
         settings: limits and accuracy.
-        progress: called with what is being done.
+        progress: told what is being done.
 
     Raises:
         InputError: arguments that are not finite or do not fit together.
@@ -106,7 +106,7 @@ def plan_move(
 
 def plan_path(
     model: CompiledModel, trajectory: Trajectory, objective: Objective = Objective.TIME, duration: float | None = None,
-    obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT, progress: Progress = lambda stage: None,
+    obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT, progress: Progress = silent,
 ) -> MotionPlan:  # fmt: skip
     """Along a trajectory's path from rest to rest, at speeds of its own; see `plan_move` for the other arguments.
 
@@ -141,10 +141,10 @@ def _check(model: CompiledModel, objective: Objective, duration: float | None, s
         raise InputError(f"duration: {duration}; valid: seconds for objective 'effort', none for 'time'")
     if duration is not None and not 0.05 <= duration <= 600:
         raise InputError(f"duration: {duration:g} s; valid: 0.05 … 600 s")
-    if not 0 <= settings.frequency_doubt <= 0.5:
-        raise InputError(f"frequency_doubt: {settings.frequency_doubt:g}; valid: 0 … 0.5")
-    if settings.stability is not None and not np.isfinite(settings.stability):
-        raise InputError(f"stability: {settings.stability:g} N/m; valid: a number")
+    if not 0 <= settings.frequency_uncertainty <= 0.5:
+        raise InputError(f"frequency_uncertainty: {settings.frequency_uncertainty:g}; valid: 0 … 0.5")
+    if settings.min_stiffness is not None and not np.isfinite(settings.min_stiffness):
+        raise InputError(f"min_stiffness: {settings.min_stiffness:g} N/m; valid: a number")
     highest = float(model.input_max[model.layout.inputs // 2 :].min())
     mid = highest / 2 if settings.mid_tension is None else settings.mid_tension
     if not 2 * settings.tension_reserve <= mid <= highest - 2 * settings.tension_reserve:
@@ -166,9 +166,9 @@ def _plan(
         forces, outcome = np.zeros((0, layout.inputs // 2)), Outcome(ending, message)
         return MotionPlan(model, objective, outcome, rows.time, points[:, 0], points, forces, rows)
 
-    progress("inverse kinematics")
     configurations = []
-    for found in each_configuration(model, targets, ActuationMode.HYBRID, None, mid):
+    each = each_configuration(model, targets, ActuationMode.HYBRID, None, mid)
+    for found in counted(each, progress, "inverse kinematics", len(targets)):
         if not found.solved:
             return none(Ending.OUT_OF_REACH, f"({', '.join(f'{v:g}' for v in found.target)}): {found.outcome.message}")
         configurations.append(found)
@@ -177,7 +177,7 @@ def _plan(
         for found in checked:
             if why := _blocked(found.equilibrium, obstacles, settings):
                 return none(Ending.BLOCKED, f"{name}: {why}")
-    progress("configurations about the task")
+    progress("configurations about the task", 0, 0)
     lengths = np.array([found.equilibrium.lengths[0] for found in configurations])
     try:
         family = make_family(model, lengths, configurations[len(configurations) // 2].equilibrium, settings.fit)
@@ -189,23 +189,25 @@ def _plan(
     limits = _limits(model, ends, settings, (float(sway.min()), float(sway.max())))
     route = None if parts is None else Route(parts, y)
     way = float(np.linalg.norm(np.diff(targets, axis=0), axis=1).sum())
-    intervals = int(np.clip(way / INTERVAL, settings.intervals, 2 * settings.intervals))
-    task = PlanTask(family, (y[0], y[-1]), air, limits, obstacles, route, duration, intervals, settings.iterations, settings.smoothness)
-    progress("nonlinear program")
+    intervals = int(np.clip(way / INTERVAL, settings.min_intervals, 2 * settings.min_intervals))
+    task = PlanTask(
+        family, (y[0], y[-1]), air, limits, obstacles, route, duration, intervals, settings.max_iterations, settings.effort_weight
+    )
+    progress("nonlinear program", 0, 0)
     iterations, seconds, plan = 0, 0.0, none(Ending.NO_PLAN, "")
-    for smoothness in settings.smoothness * SMOOTHER if duration is None else (settings.smoothness,):
-        motion, tries = _solved(replace(task, smoothness=float(smoothness)))
+    for weight in settings.effort_weight * SMOOTHER if duration is None else (settings.effort_weight,):
+        motion, tries = _solved(replace(task, effort_weight=float(weight)))
         iterations, seconds = iterations + sum(one.iterations for one in tries), seconds + sum(one.seconds for one in tries)
         if not motion.solved:
             if plan.solved:
                 break
             return none(Ending.NO_PLAN, _why(task, motion))
-        progress("set points and simulation")
+        progress("set points and simulation", 0, 0)
         try:
             plan = _played(task, motion, ends, settings, objective)
         except FamilyError as error:
             return none(Ending.NO_PLAN, f"on the way: {error}")
-        if plan.solved and plan.left_over <= settings.left_over:
+        if plan.solved and plan.residual_sway <= settings.max_residual_sway:
             break
     if not plan.solved:
         return none(plan.outcome.ending, plan.outcome.message)
@@ -235,8 +237,8 @@ def _why(task: PlanTask, motion: PlannedMotion) -> str:
 
 def _blocked(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSettings) -> str:
     """What is wrong with a configuration on the way: too little stability, a point in an obstacle; empty where nothing is."""
-    if settings.stability is not None and (found := at.smallest_eigenvalue) < settings.stability:
-        return f"its smallest stiffness eigenvalue is {found:.4f} N/m; valid: at least the margin of {settings.stability:g} N/m"
+    if settings.min_stiffness is not None and (found := at.smallest_eigenvalue) < settings.min_stiffness:
+        return f"its smallest stiffness eigenvalue is {found:.4f} N/m; valid: at least the margin of {settings.min_stiffness:g} N/m"
     for number, obstacle in enumerate(obstacles, start=1):
         outside = distance(obstacle)
         for name, point in zip(at.model.layout.point_names, at.points, strict=True):
@@ -248,7 +250,7 @@ def _blocked(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSet
 
 def _limits(model: CompiledModel, ends: tuple[Configuration, Configuration], settings: PlanSettings, sway: tuple[float, float]) -> Limits:
     """Limits of the program; those of the forces leave both ends inside, or it had no interior."""
-    half, doubt, highest = model.layout.inputs // 2, settings.frequency_doubt, model.input_max
+    half, doubt, highest = model.layout.inputs // 2, settings.frequency_uncertainty, model.input_max
     held = np.array([found.allocation.inputs[half:] for found in ends])
     frequencies = np.linspace(sway[0] * (1 - doubt), sway[1] * (1 + doubt), 3) if doubt else ()
     return Limits(
@@ -257,10 +259,10 @@ def _limits(model: CompiledModel, ends: tuple[Configuration, Configuration], set
             float(min(settings.tension_reserve, held.min() - INSIDE)),
             float(max(highest[half:].min() - settings.tension_reserve, held.max() + INSIDE)),
         ),
-        slew=settings.slew - settings.slew_reserve,
+        max_tension_rate=settings.max_tension_rate - settings.tension_rate_reserve,
         lags=(settings.filling_time, settings.exhausting_time),
-        stability=settings.stability, clearance=settings.clearance, sway=settings.sway,
-        frequencies=tuple(float(value) for value in frequencies), doubt=doubt,
+        min_stiffness=settings.min_stiffness, clearance=settings.clearance, max_sway=settings.max_sway,
+        frequencies=tuple(float(value) for value in frequencies), frequency_uncertainty=doubt,
     )  # fmt: skip
 
 
@@ -276,7 +278,7 @@ def _played(
     """The plan at its rows: exact equilibria, forces and set points that make them."""
     family, model, layout = task.family, task.family.model, task.family.model.layout
     half, area = layout.inputs // 2, model.values["A"]
-    rows = int(np.ceil(motion.duration / settings.spacing - 1e-9)) + 1
+    rows = int(np.ceil(motion.duration / settings.max_spacing - 1e-9)) + 1
     part = np.linspace(0.0, 1.0, rows)
     time, (y, v, a) = motion.duration * part, motion.lengths(part)
     at = [ends[0].equilibrium, *(family.exact(row) for row in y[1:-1]), ends[1].equilibrium]
@@ -296,7 +298,7 @@ def _played(
     inputs[0], inputs[-1] = ends[0].allocation.inputs, ends[1].allocation.inputs
     message, wind = "", inputs[:, half:]
     wound = np.abs(np.diff(wind, axis=0)).max() / time[1]
-    if wound > settings.slew or wind.min() < -3 * INSIDE or (wind > model.input_max[half:] + 3 * INSIDE).any():
+    if wound > settings.max_tension_rate or wind.min() < -3 * INSIDE or (wind > model.input_max[half:] + 3 * INSIDE).any():
         message = (
             f"the tensions leave their limits ({wind.min():.2f} … {wind.max():.2f} N, up to {wound:.1f} N/s): "
             "the reserves of the settings are too small"
@@ -304,7 +306,7 @@ def _played(
     outcome = Outcome(Ending.NO_PLAN, message) if message else Outcome()
     setpoints = SetPoints(time, np.clip(inputs, 0.0, model.input_max), np.zeros((rows, 3)))
     muscle[-1] = wanted[-1]
-    left = left_over(model, time, muscle, wind, points[-1, -1])
+    left = residual_sway(model, time, muscle, wind, points[-1, -1])
     margin = min(found.smallest_eigenvalue for found in at)
     return MotionPlan(model, objective, outcome, time, points[:, -1], points, forces, setpoints, margin, float(effort),
-                left_over=left, surrogate_error=(errors[0], errors[1]))  # fmt: skip
+                residual_sway=left, surrogate_error=(errors[0], errors[1]))  # fmt: skip

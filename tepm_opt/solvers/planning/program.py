@@ -73,24 +73,24 @@ class Limits:
     Attributes:
         air: smallest and largest force of a muscle's pressure.
         tension: smallest and largest.
-        slew: largest rate of a tension, N/s.
+        max_tension_rate: largest rate of a tension, N/s.
         lags: time constants of filling and exhausting.
-        stability: smallest stiffness eigenvalue in N/m, or None.
+        min_stiffness: smallest stiffness eigenvalue in N/m, or None.
         clearance: of the reference points from obstacles.
-        sway: largest sway of the tip left over where the frequencies are not quite the model's.
+        max_sway: largest sway of the tip left over where the frequencies are not quite the model's.
         frequencies: at which it is looked for, 1/s; none for a plan that trusts the model.
-        doubt: part by which they may be wrong.
+        frequency_uncertainty: part by which they may be wrong.
     """
 
     air: tuple[float, float]
     tension: tuple[float, float]
-    slew: float
+    max_tension_rate: float
     lags: tuple[float, float]
-    stability: float | None
+    min_stiffness: float | None
     clearance: float
-    sway: float
+    max_sway: float
     frequencies: tuple[float, ...]
-    doubt: float
+    frequency_uncertainty: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +106,8 @@ class PlanTask:
         route: path to keep to, whose ends are then the ends; None for any way.
         duration: in s, or None for the shortest.
         intervals: of the splines.
-        iterations: most of IPOPT's.
-        smoothness: weight of the effort against time, s per N²/s.
+        max_iterations: most of IPOPT's.
+        effort_weight: weight of the effort against time, s per N²/s.
     """
 
     family: Family
@@ -118,8 +118,8 @@ class PlanTask:
     route: Route | None
     duration: float | None
     intervals: int
-    iterations: int
-    smoothness: float
+    max_iterations: int
+    effort_weight: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +273,13 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None, guess: float = 1.0) -
     rate, step = dP / T, T / (instants - 1)
     wind = ca.diff(tension, 1, 1) / step
     program.keep(P - family.moving.map(instants)(y, v, a) - tension, 0.0, 0.0)
-    program.keep(wind, -limits.slew, limits.slew, 5.0)
+    program.keep(wind, -limits.max_tension_rate, limits.max_tension_rate, 5.0)
     filling, exhausting = limits.lags
     program.keep(P + filling * rate, -np.inf, limits.air[1])
     program.keep(P + exhausting * rate, limits.air[0], np.inf)
     program.keep(P, *limits.air)
-    if limits.stability is not None:
-        program.keep(family.stability.map(instants)(y), limits.stability, np.inf, 0.1)
+    if limits.min_stiffness is not None:
+        program.keep(family.stability.map(instants)(y), limits.min_stiffness, np.inf, 0.1)
     if task.obstacles:
         points = ca.reshape(family.points.map(instants)(y), 3, -1)
         for obstacle in task.obstacles:
@@ -289,8 +289,8 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None, guess: float = 1.0) -
     command = rate + (filling + exhausting) / 2 * ddP / T**2
     effort = step * (ca.sumsqr(wind) + ca.sumsqr(command))
     effort += 1e-3 * step * ca.sumsqr(tension - sum(limits.tension) / 2)  # where nothing else decides, stay in the middle
-    objective = T + task.smoothness * effort if task.duration is None else 0.01 * effort
-    values, stats = program.minimise(objective, task.iterations)
+    objective = T + task.effort_weight * effort if task.duration is None else 0.01 * effort
+    values, stats = program.minimise(objective, task.max_iterations)
     parts = np.split(values, np.cumsum([1, free_guess.size, air_guess.size]))
     place = _held(ends[0], parts[1].reshape(free_guess.shape, order="F"), ends[1])
     air = _held(task.air[0], parts[2].reshape(air_guess.shape, order="F"), task.air[1])
@@ -317,4 +317,4 @@ def _keep_still(program: Unknowns, task: PlanTask, T: ca.MX, a: ca.MX, at: np.nd
         phase = ca.repmat(frequency * T * ca.DM(1 - at).T, 2, 1)
         sums = program.add("sums", np.zeros((4, len(at))))
         program.keep(ca.diff(ca.horzcat(ca.DM.zeros(4), sums), 1, 1) - ca.vertcat(across * ca.cos(phase), across * ca.sin(phase)), 0.0, 0.0)
-        program.keep(ca.sumsqr(sums[:, -1]) * (2 * limits.doubt / frequency / limits.sway) ** 2, -np.inf, 1.0)
+        program.keep(ca.sumsqr(sums[:, -1]) * (2 * limits.frequency_uncertainty / frequency / limits.max_sway) ** 2, -np.inf, 1.0)

@@ -39,7 +39,7 @@ class MotionPlan:
         margin: smallest stiffness eigenvalue on the way, N/m.
         effort: see `Objective`, N²/s.
         sway_frequencies: of the arm at both ends and on the way, lowest and highest, Hz.
-        left_over: largest distance of the tip from rest in the 5 s after the end, in a simulation of the full network, m.
+        residual_sway: largest distance of the tip from rest in the 5 s after the end, in a simulation of the full network, m.
         surrogate_error: of the reference points and forces of the polynomials against the exact ones along the way, m and N.
         iterations, seconds: of IPOPT, all attempts together.
     """
@@ -55,7 +55,7 @@ class MotionPlan:
     margin: float = 0.0
     effort: float = 0.0
     sway_frequencies: tuple[float, float] = (0.0, 0.0)
-    left_over: float = 0.0
+    residual_sway: float = 0.0
     surrogate_error: tuple[float, float] = (0.0, 0.0)
     iterations: int = 0
     seconds: float = 0.0
@@ -93,7 +93,7 @@ class MotionPlan:
             "smallest_stiffness_eigenvalue_N_per_m": self.margin,
             "effort_N2_per_s": self.effort,
             "sway_frequencies_Hz": list(self.sway_frequencies),
-            "left_over_m": self.left_over,
+            "left_over_m": self.residual_sway,
             "surrogate_error_m": self.surrogate_error[0],
             "surrogate_error_N": self.surrogate_error[1],
         }

@@ -61,7 +61,7 @@ def _lagged(pressure: np.ndarray, before: np.ndarray, after: np.ndarray, duratio
     return pressure
 
 
-def left_over(model: CompiledModel, time: np.ndarray, muscle: np.ndarray, tension: np.ndarray, rest: np.ndarray) -> float:
+def residual_sway(model: CompiledModel, time: np.ndarray, muscle: np.ndarray, tension: np.ndarray, rest: np.ndarray) -> float:
     """Largest distance in m of the tip from its rest (3,) in the 5 s after the last row, in a simulation of the full network.
 
     Args:
