@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg as sla
@@ -31,28 +32,52 @@ class Weights:
     change: float = 0.18
 
 
-class Forecast:
-    """Prediction over some stages.
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """What forces at the coming stages make of the arm: everything is linear in them.
 
-    Args:
-        weights: of the cost.
-        stages: how many.
+    Attributes:
+        errors_by_forces: weighted errors at stages 1 … stages − 1 by the forces at stages 1 …, (errors, stages · actuators) in 1/N.
+        errors: what they are without these forces, (errors,); the tip's are the first three of each stage.
+        last_by_forces: the state at the last stage by these forces, (states, stages · actuators).
+        last: what it is without these forces, (states,).
+    """
+
+    errors_by_forces: np.ndarray
+    errors: np.ndarray
+    last_by_forces: np.ndarray
+    last: np.ndarray
+
+
+class Horizon:
+    """The reference over the coming stages, the arm's free motion beside it, and the cost of forces with what lies beyond the last stage.
 
     Attributes:
         forces: axial forces of the reference at stages 0 …, (stages and preview, actuators) in N.
         dynamic: forces that accelerate the arm along the reference at stages 1 …, (preview, actuators) in N.
-        speed: of the reference's tip over the stages in m/s.
-        tip_answer, tip_free: of the tip's error at stages 1 … stages − 1, what the forces at stages 1 … make of it and what is there
-            without them, (3 · (stages − 1), stages · actuators) in m/N and (3 · (stages − 1),) in m; as of the last `cost`.
+        speed: speed of the reference's tip over the stages in m/s.
         rest_force: deviation of the forces that brings the tip to its target at rest, with the bias it has, (actuators,) in N.
+        holding: forces that hold the points where they are displaced to, (actuators, 3 · points) in N/m.
+        stage: the local model at stage 0 over one stage.
+        by_start, by_end: what deviations of the forces at start and end of a stage add to [e, e'], (2 · modes, actuators) in 1/N.
+        free: deviation [e, e'] without forces at stages 0 …, (stages + 1, 2 · modes).
+        rest: deviation [e, e'] at rest under `rest_force`, (2 · modes,).
+        value: cost beyond the last stage by its state and forces, (2 · modes + actuators, 2 · modes + actuators).
+        tip_answer: tip's error at stages 1 … stages − 1 by the forces at stages 1 …, (3 · (stages − 1), stages · actuators) in m/N; as of
+            the last `cost`.
+        tip_free: tip's error there without these forces, (3 · (stages − 1),) in m; as of the last `cost`.
     """
 
     def __init__(self, weights: Weights, stages: int) -> None:
+        """A horizon without a present.
+
+        Args:
+            weights: of the cost.
+            stages: how many.
+        """
         self.weights, self.stages = weights, stages
-        self._value = np.zeros(0)
+        self.value = np.zeros(0)
         self._before: Operating | None = None
-        behind = np.arange(stages - 1)[:, None] - np.arange(stages)  # of stages 1 … stages − 1 behind the forces of stages 1 …
-        self._lags, self._later = np.maximum(behind, 0), behind >= 0
 
     def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
         """Take a new present.
@@ -75,36 +100,36 @@ class Forecast:
         self._tip, self._others = model.observe[-3:], model.observe[:-3]
         answer = model.observe @ (model.drive / model.stiffness[:, None])  # of the points at rest
         ridged = answer.T @ answer + RIDGE**2 * np.eye(answer.shape[1])
-        self._holding = np.linalg.solve(ridged, answer.T)  # forces that hold the points where they are displaced to
-        self.dynamic = (-drift[1:] / model.stiffness) @ (self._holding @ model.observe).T
+        self.holding = np.linalg.solve(ridged, answer.T)  # forces that hold the points where they are displaced to
+        self.dynamic = (-drift[1:] / model.stiffness) @ (self.holding @ model.observe).T
         by_tip = model.gain[-3:]
         self.rest_force = -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
         count = len(model.stiffness)
-        self._rest = np.concatenate([model.static(self.rest_force), np.zeros(count)])
+        self.rest = np.concatenate([model.static(self.rest_force), np.zeros(count)])
         start = motion.copy()
         start[count:] -= rate[0]
-        self._free = np.empty((self.stages + 1, 2 * count))
-        self._free[0] = start
+        self.free = np.empty((self.stages + 1, 2 * count))
+        self.free[0] = start
         pushed = two.start @ drift[: self.stages].T + two.end @ drift[1 : self.stages + 1].T
         for k in range(self.stages):
-            self._free[k + 1] = two.A @ self._free[k] + pushed[:, k]
-        self._two, self._start, self._end = two, two.start @ model.drive, two.end @ model.drive
+            self.free[k + 1] = two.A @ self.free[k] + pushed[:, k]
+        self.stage, self.by_start, self.by_end = two, two.start @ model.drive, two.end @ model.drive
         self._turn(operating)
 
     def _turn(self, operating: Operating) -> None:
         """The cost beyond the last stage, one step of the Riccati recursion on, about the new operating point."""
-        A, start, end, weights = self._two.A, self._start, self._end, self.weights
+        A, start, end, weights = self.stage.A, self.by_start, self.by_end, self.weights
         states, inputs = start.shape
         full = np.zeros((states + inputs, states + inputs))
         full[:states, :states], full[:states, states:] = A, start + end
         full[states:, states:] = np.eye(inputs)
         by, modes = np.vstack([end, np.eye(inputs)]), states // 2
         cost = np.zeros_like(full)
-        rows = self._rows()
+        rows = self.rows()
         cost[:modes, :modes] = rows.T @ rows
         cost[states:, states:] = np.eye(inputs) / weights.force**2
         change = np.eye(inputs) / weights.change**2
-        value = self._value
+        value = self.value
         if self._before is None:
             value = sla.solve_discrete_are(full, by, cost, change)
         elif operating is not self._before:
@@ -115,27 +140,28 @@ class Forecast:
         forward = value @ full
         gain = np.linalg.solve(change + by.T @ value @ by, by.T @ forward)
         value = cost + full.T @ (forward - value @ by @ gain)
-        self._value, self._before = (value + value.T) / 2, operating
+        self.value, self._before = (value + value.T) / 2, operating
 
-    def _rows(self) -> np.ndarray:
-        """Weighted outputs by modal coordinates, (outputs, modes)."""
+    def rows(self) -> np.ndarray:
+        """Weighted errors of the points by modal deviations, (3 · points, modes), the tip's first."""
         return np.vstack([self._tip / self.weights.tip, self._others / self.weights.shape])
 
-    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def cost(self, begin: np.ndarray, found: Responses) -> tuple[np.ndarray, np.ndarray]:
         """H and f of ½ vᵀ H v + fᵀ v for the deviations v of the forces at stages 1 … , (stages · actuators,), in N.
 
         Args:
             begin: the deviation at stage 0, (actuators,) in N.
+            found: what the deviations make of the arm.
         """
-        weights, rows, inputs = self.weights, self._rows(), len(begin)
-        seen, error, at_last, last = self._responses(begin)
+        weights, rows, inputs = self.weights, self.rows(), len(begin)
+        seen, error, at_last, last = found.errors_by_forces, found.errors, found.last_by_forces, found.last
         states = len(last)
         tips = np.column_stack([seen, error]).reshape(self.stages - 1, len(rows), -1)[:, :3].reshape(3 * self.stages - 3, -1)
         self.tip_answer, self.tip_free = weights.tip * tips[:, :-1], weights.tip * tips[:, -1]
         end = np.zeros((states + inputs, seen.shape[1]))
         end[:states], end[states:, -inputs:] = at_last, np.eye(inputs)
-        at_end = np.concatenate([last - self._rest, -self.rest_force])
-        value = self._value
+        at_end = np.concatenate([last - self.rest, -self.rest_force])
+        value = self.value
         H = seen.T @ seen + end.T @ (value @ end)
         f = seen.T @ error + end.T @ (value @ at_end)
         size = self.stages * inputs
@@ -150,25 +176,73 @@ class Forecast:
         f[: size - inputs] -= force * np.tile(self.rest_force, self.stages - 1)
         return H, f
 
-    def take(self, forces: np.ndarray | None) -> None:
-        """Told what was planned: deviations of the forces at stages 1 …, (stages, actuators) in N, or None; not needed here."""
 
-    def _responses(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What the forces at stages 1 … make of the weighted errors at stages 1 … stages − 1, (errors, forces), these errors without them,
-        (errors,); the same for the state at the last stage, (states, forces) and (states,)."""
-        stages = self.stages
-        states, inputs = self._start.shape
+class Forecast(Protocol):
+    """Prediction of the arm over the coming stages; what it stands on is its `horizon`."""
+
+    @property
+    def horizon(self) -> Horizon:
+        """The coming stages."""
+        ...
+
+    def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
+        """Take a new present; see `Horizon.about`."""
+        ...
+
+    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """H and f of the program in the deviations of the forces, which are `begin`, (actuators,) in N, at stage 0; see `Horizon.cost`."""
+        ...
+
+    def take(self, forces: np.ndarray | None) -> None:
+        """Told what was planned: deviations of the forces at stages 1 …, (stages, actuators) in N, or None where there is no plan."""
+        ...
+
+
+class LinearForecast:
+    """Prediction with one local model, about the reference at stage 0.
+
+    Attributes:
+        horizon: the coming stages.
+    """
+
+    def __init__(self, weights: Weights, stages: int) -> None:
+        """A forecast without a present.
+
+        Args:
+            weights: of the cost.
+            stages: how many.
+        """
+        self.horizon = Horizon(weights, stages)
+        behind = np.arange(stages - 1)[:, None] - np.arange(stages)  # of stages 1 … stages − 1 behind the forces of stages 1 …
+        self._lags, self._later = np.maximum(behind, 0), behind >= 0
+
+    def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
+        """Take a new present; see `Horizon.about`."""
+        self.horizon.about(operating, reference, rows, motion, bias)
+
+    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """H and f of the program; see `Forecast.cost`."""
+        return self.horizon.cost(begin, self._responses(begin))
+
+    def take(self, forces: np.ndarray | None) -> None:
+        """A plan changes nothing: the model is the reference's."""
+
+    def _responses(self, begin: np.ndarray) -> Responses:
+        """What the forces at stages 1 … make of the arm, with `begin` at stage 0."""
+        horizon = self.horizon
+        stages = horizon.stages
+        states, inputs = horizon.by_start.shape
         first = np.empty((stages, states, inputs))  # states after a pulse at stage 0, and after one at a later stage
         later = np.empty((stages, states, inputs))
-        first[0], later[0] = self._start, self._end
+        first[0], later[0] = horizon.by_start, horizon.by_end
         for k in range(1, stages):
-            first[k], later[k] = self._two.A @ first[k - 1], self._two.A @ later[k - 1]
+            first[k], later[k] = horizon.stage.A @ first[k - 1], horizon.stage.A @ later[k - 1]
             if k == 1:
-                later[k] += self._start
-        rows, modes = self._rows(), states // 2
+                later[k] += horizon.by_start
+        rows, modes = horizon.rows(), states // 2
         answer = rows @ later[: stages - 1, :modes]
         seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)
         seen = seen.transpose(0, 2, 1, 3).reshape(-1, stages * inputs)
-        free = self._free[1:] + first @ begin
-        error = (free[:-1, :modes] - self._rest[:modes]) @ rows.T
-        return seen, error.ravel(), later[::-1].transpose(1, 0, 2).reshape(states, -1), free[-1]
+        free = horizon.free[1:] + first @ begin
+        error = (free[:-1, :modes] - horizon.rest[:modes]) @ rows.T
+        return Responses(seen, error.ravel(), later[::-1].transpose(1, 0, 2).reshape(states, -1), free[-1])

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.control.estimator import Operating
-from tepm_opt.control.forecast import Forecast, Weights
+from tepm_opt.control.forecast import Horizon, Responses, Weights
 from tepm_opt.control.reference import Reference
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
@@ -33,25 +33,36 @@ class _Stretch:
     pushed: np.ndarray
 
 
-class NonlinearForecast(Forecast):
-    """Forecast along the last plan; see `Forecast`."""
+class NonlinearForecast:
+    """Prediction with a local model for each stretch of the last plan.
+
+    Attributes:
+        horizon: the coming stages.
+    """
 
     def __init__(self, weights: Weights, stages: int) -> None:
-        super().__init__(weights, stages)
+        """A forecast without a present.
+
+        Args:
+            weights: of the cost.
+            stages: how many.
+        """
+        self.horizon = Horizon(weights, stages)
         self._displaced: np.ndarray | None = None  # of the points from the reference in the last plan, (stages + 1, 3 · points) in m
 
     def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """See `Forecast.about`."""
-        super().about(operating, reference, rows, motion, bias)
+        """Take a new present and linearise along the plan; see `Horizon.about`."""
+        horizon, stages = self.horizon, self.horizon.stages
+        horizon.about(operating, reference, rows, motion, bias)
         self._operating, before = operating, operating.model
         self._stretches = []
-        for first in range(0, self.stages, STRETCH):
-            last = min(first + STRETCH, self.stages)
+        for first in range(0, stages, STRETCH):
+            last = min(first + STRETCH, stages)
             middle = (first + last + 1) // 2
             at = reference.equilibria[rows[middle + 1]]
             there, change = self._planned(at, middle)
             before = model = modal_model(there, before)
-            period, offset = self._two.period, model.weights @ (model.levels - at.x[1:].ravel())
+            period, offset = horizon.stage.period, model.weights @ (model.levels - at.x[1:].ravel())
             path = reference.levels[rows[first : last + 3]] @ model.weights.T
             rate, bend = (path[2:] - path[:-2]) / (2 * period), (path[2:] - 2 * path[1:-1] + path[:-2]) / period**2
             pushed = model.stiffness * offset - model.drive @ change - bend - rate @ model.damping.T
@@ -59,29 +70,38 @@ class NonlinearForecast(Forecast):
 
     def _planned(self, at: Equilibrium, stage: int) -> tuple[Equilibrium, np.ndarray]:
         """The equilibrium where the last plan has the points, and by what its axial forces differ from those of one on the reference."""
-        change = np.zeros(self._holding.shape[0])
+        holding, stages = self.horizon.holding, self.horizon.stages
+        change = np.zeros(holding.shape[0])
         if self._displaced is None:
             return at, change
-        moved = (self._displaced[stage] + self._displaced[min(stage + 1, self.stages)]) / 2  # half a stage later
-        change = self._holding @ moved
+        moved = (self._displaced[stage] + self._displaced[min(stage + 1, stages)]) / 2  # half a stage later
+        change = holding @ moved
         inputs = at.inputs + np.concatenate([np.maximum(change, 0.0) / at.model.values["A"], np.maximum(-change, 0.0)])
         found = equilibrium(at.model, inputs, at.loads, at, mapped=at.mapped, explain=False)
         return (found, change) if found.solved else (at, np.zeros(len(change)))
 
-    def _responses(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """See `Forecast._responses`; columns are what is without the forces at stages 1 …, then each of these."""
+    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """H and f of the program; see `Forecast.cost`."""
+        return self.horizon.cost(begin, self._responses(begin))
+
+    def _responses(self, begin: np.ndarray) -> Responses:
+        """What the forces at stages 1 … make of the arm, with `begin` at stage 0.
+
+        Columns are what is without the forces at stages 1 …, then each of these.
+        """
+        horizon, weights, stages = self.horizon, self.horizon.weights, self.horizon.stages
         inputs, modes = len(begin), len(self._operating.model.stiffness)
-        forces = np.zeros((self.stages + 1, inputs, 1 + self.stages * inputs))
+        forces = np.zeros((stages + 1, inputs, 1 + stages * inputs))
         forces[0, :, 0] = begin
-        forces[1:, :, 1:] = np.eye(self.stages * inputs).reshape(self.stages, inputs, -1)
-        state = np.zeros((2 * modes, 1 + self.stages * inputs))
-        state[:, 0] = self._free[0]
+        forces[1:, :, 1:] = np.eye(stages * inputs).reshape(stages, inputs, -1)
+        state = np.zeros((2 * modes, 1 + stages * inputs))
+        state[:, 0] = horizon.free[0]
         weighted, displaced, now, stage = [], [], self._operating, 0
         for stretch in self._stretches:
             then, model = stretch.operating, stretch.operating.model
             state, now = _turned(state, now, then), then
-            scale = np.repeat([self.weights.shape, self.weights.tip], [len(model.observe) - 3, 3])[:, None]
-            rest = model.observe @ model.static(self.rest_force)
+            scale = np.repeat([weights.shape, weights.tip], [len(model.observe) - 3, 3])[:, None]
+            rest = model.observe @ model.static(horizon.rest_force)
             for pushed, after in zip(stretch.pushed[:-1], stretch.pushed[1:], strict=True):
                 displaced.append(model.observe @ state[:modes])
                 by_start, by_end = model.drive @ forces[stage], model.drive @ forces[stage + 1]
@@ -95,7 +115,7 @@ class NonlinearForecast(Forecast):
         displaced.append(now.model.observe @ state[:modes])
         self._answers = np.array(displaced)
         seen, last = np.concatenate(weighted[:-1]), _turned(state, now, self._operating)
-        return seen[:, 1:], seen[:, 0], last[:, 1:], last[:, 0]
+        return Responses(seen[:, 1:], seen[:, 0], last[:, 1:], last[:, 0])
 
     def take(self, forces: np.ndarray | None) -> None:
         """The plan along which the next forecast is; without one it is along the reference."""

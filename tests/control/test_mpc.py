@@ -11,7 +11,7 @@ from scipy.linalg import solve_discrete_are
 
 from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.estimator import Operating
-from tepm_opt.control.forecast import Forecast, Weights
+from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
 from tepm_opt.control.qp import QpResult
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.commands import check_command
@@ -35,7 +35,7 @@ def forecast_of(operating: Operating, reference: Reference, stages: int = STAGES
     """About a point of a reference, from a random motion and with a random bias of the tip."""
     random = np.random.default_rng(seed)
     rows = np.full(stages + 9, ROW) if still else ROW + 2 * np.arange(-1, stages + 8)
-    forecast = Forecast(WEIGHTS, stages)
+    forecast = LinearForecast(WEIGHTS, stages)
     motion = np.append(4e-3 * random.normal(size=10), 1e-2 * random.normal(size=10))
     forecast.about(operating, reference, rows, motion, 2e-3 * random.normal(size=3))
     return forecast
@@ -51,8 +51,8 @@ def written_out(
     """
     model, two = operating.model, operating.doubled()
     deviations = np.vstack([begin, plan])
-    state, cost = forecast._free[0], 0.0
-    aim = model.static(forecast.rest_force)
+    state, cost = forecast.horizon.free[0], 0.0
+    aim = model.static(forecast.horizon.rest_force)
     lever = np.vstack([model.observe[-3:] / WEIGHTS.tip, model.observe[:-3] / WEIGHTS.shape])
     step = two.period
     for k in range(len(plan)):
@@ -65,8 +65,8 @@ def written_out(
         cost += ((deviations[k + 1] - deviations[k]) ** 2).sum() / WEIGHTS.change**2
         if k + 1 < len(plan):
             cost += ((lever @ (state[:10] - aim)) ** 2).sum()
-            cost += ((deviations[k + 1] - forecast.rest_force) ** 2).sum() / WEIGHTS.force**2
-    left = np.concatenate([state[:10] - aim, state[10:], deviations[-1] - forecast.rest_force])
+            cost += ((deviations[k + 1] - forecast.horizon.rest_force) ** 2).sum() / WEIGHTS.force**2
+    left = np.concatenate([state[:10] - aim, state[10:], deviations[-1] - forecast.horizon.rest_force])
     return float(cost + left @ value @ left) / 2
 
 
@@ -81,7 +81,7 @@ def test_cost_is_the_sum_over_the_stages(short, operating, still):
     np.testing.assert_allclose(H, H.T, rtol=1e-9, atol=1e-9)
     plans = random.normal(size=(5, STAGES, 6))
     condensed = [plan.ravel() @ (H @ plan.ravel() / 2 + f) for plan in plans]
-    summed = [written_out(forecast, operating, begin, plan, forecast._value, path) for plan in plans]
+    summed = [written_out(forecast, operating, begin, plan, forecast.horizon.value, path) for plan in plans]
     np.testing.assert_allclose(np.diff(condensed), np.diff(summed), rtol=1e-7)
 
 
@@ -101,12 +101,12 @@ def test_value_beyond_the_horizon_converges(short, operating):
     """From the value about a point further on, by a step a period, to that of scipy about the one at which the robot stays."""
     rows, motion = np.full(STAGES + 9, ROW), np.zeros(20)
     far = Operating.of(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
-    forecast = Forecast(WEIGHTS, STAGES)
+    forecast = LinearForecast(WEIGHTS, STAGES)
     forecast.about(far, short, rows, motion, np.zeros(3))
     wanted, off = riccati(operating), []
     for _ in range(200):
         forecast.about(operating, short, rows, motion, np.zeros(3))
-        off.append(np.abs(forecast._value - wanted).max() / np.abs(wanted).max())
+        off.append(np.abs(forecast.horizon.value - wanted).max() / np.abs(wanted).max())
     assert off[0] > 1e-3
     assert off[-1] < 1e-6
 
@@ -123,10 +123,10 @@ def test_horizon_does_not_matter_without_limits(short, operating):
 
 def test_forces_at_rest_undo_the_bias(short, operating):
     """The static answer of the tip to `rest_force`, exactly, is minus its bias."""
-    forecast = Forecast(WEIGHTS, STAGES)
+    forecast = LinearForecast(WEIGHTS, STAGES)
     bias = np.array([2e-3, -1e-3, 3e-3])
     forecast.about(operating, short, np.full(STAGES + 9, ROW), np.zeros(20), bias)
-    assert operating.model.gain[-3:] @ forecast.rest_force == pytest.approx(-bias)
+    assert operating.model.gain[-3:] @ forecast.horizon.rest_force == pytest.approx(-bias)
 
 
 def sample_at(reference: Reference, row: int, random: np.random.Generator, noise: float = 5e-4) -> Sample:
@@ -264,8 +264,8 @@ def test_soft_corridor_pulls_the_tip_in(kang, short):
         controller = Mpc(kang, short, MpcSettings(weights=Weights(tip=1e-2), corridor=corridor))
         for k in range(60):
             controller.command(Sample(k * short.period, short.equilibria[k].points + np.array([8e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4))
-        forecast = controller._forecast
-        planned = (forecast.tip_free + forecast.tip_answer @ controller._planned.ravel()).reshape(-1, 3)
+        horizon = controller._forecast.horizon
+        planned = (horizon.tip_free + horizon.tip_answer @ controller._planned.ravel()).reshape(-1, 3)
         beyond[corridor] = float(np.maximum(np.abs(planned) - 1e-3, 0).sum())
         assert controller.fallbacks == {}
     assert beyond[1e-3] < 0.7 * beyond[np.inf]

@@ -7,7 +7,7 @@ import pytest
 
 from tepm_opt.control.controllers.mpc import Mpc, MpcSettings
 from tepm_opt.control.estimator import Operating
-from tepm_opt.control.forecast import Forecast, Weights
+from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.reference import Reference
@@ -30,7 +30,8 @@ def operating(short: Reference) -> Operating:
 def tip_errors(forecast: Forecast, begin: np.ndarray, plan: np.ndarray) -> np.ndarray:
     """As foreseen at stages 1 … stages − 1, (stages − 1, 3) in m."""
     forecast.cost(begin)
-    return (forecast.tip_free + forecast.tip_answer @ plan.ravel()).reshape(-1, 3)
+    horizon = forecast.horizon
+    return (horizon.tip_free + horizon.tip_answer @ plan.ravel()).reshape(-1, 3)
 
 
 def test_without_a_plan_it_is_the_linear_one_where_the_reference_stands(short, operating):
@@ -38,7 +39,7 @@ def test_without_a_plan_it_is_the_linear_one_where_the_reference_stands(short, o
     random = np.random.default_rng(5)
     motion, begin = np.append(4e-3 * random.normal(size=10), 1e-2 * random.normal(size=10)), random.normal(size=6)
     programs = []
-    for kind in (Forecast, NonlinearForecast):
+    for kind in (LinearForecast, NonlinearForecast):
         forecast = kind(Weights(), STAGES)
         forecast.about(operating, short, np.full(STAGES + 9, ROW), motion, np.array([1e-3, 0.0, 2e-3]))
         programs.append(forecast.cost(begin))
@@ -55,7 +56,7 @@ def test_large_motion_is_foreseen(kang: CompiledModel, short: Reference, operati
     time = 2 * short.period * np.arange(STAGES + 1)
     true = simulate(kang, SetPoints(time, inputs, np.zeros((STAGES + 1, 3))), step=2e-3).complete().points[1:-1, -1] - at.tip
     off = {}
-    for kind in (Forecast, NonlinearForecast):
+    for kind in (LinearForecast, NonlinearForecast):
         forecast = kind(Weights(), STAGES)
         for _ in range(4):  # the plan is the same again and again: iterations that have converged
             forecast.about(operating, short, np.full(STAGES + 9, ROW), np.zeros(20), np.zeros(3))
@@ -63,7 +64,7 @@ def test_large_motion_is_foreseen(kang: CompiledModel, short: Reference, operati
             forecast.take(plan)
         off[kind] = np.linalg.norm(found - true, axis=1)
     assert np.linalg.norm(true, axis=1).max() > 0.08
-    assert off[NonlinearForecast].max() < 0.5 * off[Forecast].max()
+    assert off[NonlinearForecast].max() < 0.5 * off[LinearForecast].max()
 
 
 def test_a_plan_without_an_equilibrium_is_left(short, operating):

@@ -23,7 +23,7 @@ import numpy as np
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
 from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option, Telemetry, Value
 from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
-from tepm_opt.control.forecast import Forecast, Weights
+from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
 from tepm_opt.control.friction import course, turned
 from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
@@ -173,7 +173,8 @@ class Mpc:
         kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
         soft = np.append(np.full(variables, np.inf), np.full(kept, (10 / settings.weights.tip) ** 2)) if kept else None
         self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
-        self._forecast = (NonlinearForecast if settings.nonlinear else Forecast)(settings.weights, settings.stages)
+        kind = NonlinearForecast if settings.nonlinear else LinearForecast
+        self._forecast: Forecast = kind(settings.weights, settings.stages)
         self._operating: dict[int, Operating] = {}
         self._newest: ModalModel | None = None
         self._plan: np.ndarray | None = None
@@ -274,10 +275,10 @@ class Mpc:
 
     def _decide(self, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
-        reference, settings, forecast = self.reference, self.settings, self._forecast
+        reference, settings, horizon = self.reference, self.settings, self._forecast.horizon
         stages, preview, actuators = settings.stages, settings.coarse.preview, ahead.actuators
         rows = reference.at(self._row + self.ahead + PERIODS * np.arange(-1, preview + 2))
-        forecast.about(ahead.operating, reference, rows, ahead.motion, estimate.bias[-1])
+        self._forecast.about(ahead.operating, reference, rows, ahead.motion, estimate.bias[-1])
         self._enabled = self._switched(ahead)
         # friction over the coming stages: a part that does not depend on the tension and one in proportion to it
         steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.estimator.share
@@ -285,9 +286,9 @@ class Mpc:
         still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
         before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
         pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators)
-        begin = actuators.forces + unknown - forecast.forces[0]
+        begin = actuators.forces + unknown - horizon.forces[0]
         begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
-        offset = actuators.area * reached - forecast.forces[1 : stages + 1] + unknown - still[:stages]
+        offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages]
         result = self._solve(begin, offset, factor[:stages], actuators.tension)
         if result.x is not None and time.perf_counter() - began <= settings.late:
             plan = result.x.reshape(stages, -1)
@@ -296,7 +297,7 @@ class Mpc:
             reason = result.outcome.ending.value if result.x is None else LATE
             self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
-        forecast.take(self._planned)
+        self._forecast.take(self._planned)
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
         against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
@@ -328,18 +329,18 @@ class Mpc:
             pulled: what tensions and friction shall take away over the preview, (preview, actuators) in N.
             actuators: when the command begins to act.
         """
-        settings, forecast, coarse = self.settings, self._forecast, self.settings.coarse
+        settings, horizon, coarse = self.settings, self._forecast.horizon, self.settings.coarse
         self._slow = self._slow + (1 - np.exp(-self.period / coarse.smoothing)) * (unknown - self._slow)
         now = self._sent.last.pressures
         if settings.use is Use.TENSION:
             return now, np.tile(now, (settings.stages, 1))
-        need = forecast.forces[1 : coarse.preview + 1] + forecast.dynamic[: coarse.preview] + forecast.rest_force
+        need = horizon.forces[1 : coarse.preview + 1] + horizon.dynamic[: coarse.preview] + horizon.rest_force
         if settings.mid_ranging:
             need = need - self._slow
             if self._planned is not None:
-                extra = self._planned - forecast.rest_force - forecast.dynamic[: settings.stages]
+                extra = self._planned - horizon.rest_force - horizon.dynamic[: settings.stages]
                 self._extra = self._extra + (1 - np.exp(-self.period / coarse.calming)) * (extra - self._extra)
-                part = min(1.0, forecast.speed / coarse.quick)
+                part = min(1.0, horizon.speed / coarse.quick)
                 need[: settings.stages] += part * np.linspace(1, 0, settings.stages)[:, None] * self._extra
         wanted = (need - self._effects.forces + pulled) / actuators.area
         return self._coarse.plan(wanted, now, actuators.pressure, settings.stages)
@@ -361,9 +362,9 @@ class Mpc:
         H, f = H * scale[:, None] * scale, scale * (f + H @ offset.ravel())
         if not np.isfinite(self.settings.corridor):
             return self._solver.solve(H, f, low, high, rate_low, rate_high)
-        forecast, width = self._forecast, self.settings.corridor
-        centre = forecast.tip_free + forecast.tip_answer @ offset.ravel()
-        rows = np.vstack([self._rates, forecast.tip_answer * scale])
+        horizon, width = self._forecast.horizon, self.settings.corridor
+        centre = horizon.tip_free + horizon.tip_answer @ offset.ravel()
+        rows = np.vstack([self._rates, horizon.tip_answer * scale])
         row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
         return self._solver.solve(H, f, low, high, row_low, row_high, rows)
 
