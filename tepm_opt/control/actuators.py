@@ -81,10 +81,16 @@ class Actuators:
 
     def correct(self, sample: Sample) -> None:
         """Take what the rig measures of pressures and tensions, where it does."""
-        for name, measured in (("pressure", sample.pressures), ("tension", sample.tensions)):
-            if measured is not None:
-                error = np.asarray(measured) - getattr(self, name)
-                setattr(self, name, getattr(self, name) + BELIEF * np.where(np.isfinite(error), error, 0.0))
+        self.pressure = _corrected(self.pressure, sample.pressures)
+        self.tension = _corrected(self.tension, sample.tensions)
+
+
+def _corrected(believed: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
+    """Believed values moved towards measured ones, where there are any, (actuators,) each."""
+    if measured is None:
+        return believed
+    error = np.asarray(measured) - believed
+    return believed + BELIEF * np.where(np.isfinite(error), error, 0.0)
 
 
 class Sent:

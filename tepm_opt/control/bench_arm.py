@@ -25,7 +25,11 @@ def guided(robot: Robot) -> Robot:
     """
     value, actuation = robot.parameters, robot.actuation
     third = {"A": value.A / MUSCLES, "K_a": value.K_a / MUSCLES, "c_a": value.c_a / MUSCLES, "alpha_2": 1e-6, "beta_1": 0.0, "beta_2": 0.0}
-    tensions = {name: getattr(actuation, name) / MUSCLES for name in ("tension_max_N", "tension_full_scale_N", "tension_rate_N_per_s")}
+    tensions = {
+        "tension_max_N": actuation.tension_max_N / MUSCLES,
+        "tension_full_scale_N": actuation.tension_full_scale_N / MUSCLES,
+        "tension_rate_N_per_s": actuation.tension_rate_N_per_s / MUSCLES,
+    }
     geometry = {"modules": 1, "actuator_angles_deg": [90.0, 210.0, 330.0], "guide": True}
     mount = {"gravity_m_per_s2": [0.0, 0.0, 0.0], "base_position_m": [0.0, 0.0, 0.0], "base_rotation_deg": [0.0, 0.0, 0.0]}
     tracker = robot.tracker and robot.tracker.model_copy(update={"noise_rms_m": np.sqrt(2) * robot.tracker.noise_rms_m})
@@ -56,14 +60,18 @@ def bench_settings() -> MpcSettings:
     The noise of a length is large beside what a force does to it, so unknown forces are followed more slowly.
     """
     settings = MpcSettings()
-    weights, estimator = settings.weights, settings.estimator
-    forces = {name: getattr(estimator, name) / MUSCLES for name in ("force", "shock", "friction", "friction_drift", "turning")}
-    forces |= {"force": forces["force"] / 3, "force_memory": 1.0}
-    return replace(
-        settings,
-        weights=replace(weights, force=weights.force / MUSCLES, change=weights.change / MUSCLES),
-        estimator=replace(estimator, **forces),
+    weights, filter = settings.weights, settings.filter
+    smaller = replace(
+        filter,
+        force_drift=filter.force_drift / MUSCLES / 3,
+        force_correlation_time=1.0,
+        force_noise=filter.force_noise / MUSCLES,
+        friction_std=filter.friction_std / MUSCLES,
+        friction_drift=filter.friction_drift / MUSCLES,
+        reversal_noise=filter.reversal_noise / MUSCLES,
     )
+    lighter = replace(weights, force=weights.force / MUSCLES, change=weights.change / MUSCLES)
+    return replace(settings, weights=lighter, filter=smaller)
 
 
 class BenchArm:

@@ -23,40 +23,45 @@ from tepm_opt.solvers.modal_model import ModalModel
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """What the filter believes; tuned on the virtual prototype with its nominal model.
+    """Noise model of the Kalman filter; tuned on the virtual prototype with its nominal model.
 
     Attributes:
-        force: how fast the unknown forces wander, N/√s, and `force_memory`, s, over which they fade.
-        shock: noise of the axial forces, N √s.
-        strength: standard deviation of the strength before anything was seen, part of p A, and `strength_drift`, 1/√s.
-        friction: standard deviation of the friction before anything was seen, N, and `friction_drift`, N/√s.
-        turning: uncertainty of the forces when the friction has turned over once, N.
-        presliding: distance over which it does, m.
-        share: part of the friction that is in proportion to the tension; the friction is meant at the tension's middle.
-        smoothing: of the measured rates that say which way friction pulls, s.
-        bias: standard deviation of the points' bias at the start, m, `bias_drift`, m/√s, and `bias_memory`, s, over which it fades;
-            of the tip `tip_drift`, m/√s, without fading.
-        gate: probability of an innovation of a good point beyond which it is taken for an outlier.
-        patience: frames in a row after which an outlier is believed after all.
+        force_drift: intensity of the unknown forces' random walk in N/√s.
+        force_correlation_time: time in s over which unknown forces fade (Gauss-Markov process).
+        force_noise: intensity of white noise on the axial forces in N √s.
+        strength_std: standard deviation of the strength before anything was seen, as part of p A.
+        strength_drift: intensity of its random walk in 1/√s.
+        friction_std: standard deviation of a muscle's friction before anything was seen, in N.
+        friction_drift: intensity of its random walk in N/√s.
+        reversal_noise: standard deviation of the unknown forces in N that one turn-over of the friction adds.
+        presliding_distance: distance in m over which friction turns over (Dahl).
+        load_share: part of the friction that is in proportion to the tension; the friction is meant at the tension's middle.
+        rate_time: time constant in s of the smoothed rates that say which way friction pulls.
+        bias_std: standard deviation of the points' bias before anything was seen, in m.
+        bias_drift: intensity of its random walk in m/√s.
+        bias_correlation_time: time in s over which the bias of all points but the tip fades (Gauss-Markov process).
+        tip_bias_drift: intensity of the random walk of the tip's bias, which does not fade, in m/√s.
+        gate_probability: probability, by chi-square, of a larger innovation of a good point below which a point is refused as an outlier.
+        most_rejections: frames in a row for which a point is refused; after them it is believed.
     """
 
-    force: float = 2.5
-    force_memory: float = 0.25
-    shock: float = 0.005
-    strength: float = 0.05
+    force_drift: float = 2.5
+    force_correlation_time: float = 0.25
+    force_noise: float = 0.005
+    strength_std: float = 0.05
     strength_drift: float = 0.005
-    friction: float = 2.0
+    friction_std: float = 2.0
     friction_drift: float = 0.2
-    turning: float = 0.1
-    presliding: float = 5e-4
-    share: float = 0.5
-    smoothing: float = 0.15
-    bias: float = 5e-3
+    reversal_noise: float = 0.1
+    presliding_distance: float = 5e-4
+    load_share: float = 0.5
+    rate_time: float = 0.15
+    bias_std: float = 5e-3
     bias_drift: float = 2e-3
-    bias_memory: float = 10.0
-    tip_drift: float = 1e-3
-    gate: float = 1e-6
-    patience: int = 10
+    bias_correlation_time: float = 10.0
+    tip_bias_drift: float = 1e-3
+    gate_probability: float = 1e-6
+    most_rejections: int = 10
 
 
 DEFAULT = FilterSettings()
@@ -181,13 +186,13 @@ class Estimator:
         self._modes, self._tip = modes, slice(ends[-1] - 3, ends[-1])
         self.mean = np.zeros(ends[-1])
         spread = np.zeros(ends[-1])
-        spread[self._motion], spread[self._unknown], spread[self._friction] = 1e-2, 0.5, settings.friction
-        spread[self._strength], spread[self._bias], spread[self._tip] = settings.strength, settings.bias, 1e-3
+        spread[self._motion], spread[self._unknown], spread[self._friction] = 1e-2, 0.5, settings.friction_std
+        spread[self._strength], spread[self._bias], spread[self._tip] = settings.strength_std, settings.bias_std, 1e-3
         self.covariance = np.diag(spread**2)
         self._drift = np.zeros(ends[-1])
-        self._drift[self._unknown], self._drift[self._friction] = settings.force, settings.friction_drift
+        self._drift[self._unknown], self._drift[self._friction] = settings.force_drift, settings.friction_drift
         self._drift[self._strength] = settings.strength_drift
-        self._drift[self._bias], self._drift[self._tip] = settings.bias_drift, settings.tip_drift
+        self._drift[self._bias], self._drift[self._tip] = settings.bias_drift, settings.tip_bias_drift
         self._direction, self._deviation = np.zeros(actuators), np.zeros(actuators)
         self._outlying = np.zeros(outputs // 3, dtype=int)
         self._nis, self._seen = np.nan, 0
@@ -203,8 +208,8 @@ class Estimator:
         """
         settings, now, before = self.settings, self.operating, self._direction
         seen = now.model.drive.T @ self.mean[self._modes : 2 * self._modes]
-        self._deviation += (1 - np.exp(-now.period / settings.smoothing)) * (seen - rates - self._deviation)
-        self._direction = turned(before, (rates + self._deviation) * now.period, settings.presliding)
+        self._deviation += (1 - np.exp(-now.period / settings.rate_time)) * (seen - rates - self._deviation)
+        self._direction = turned(before, (rates + self._deviation) * now.period, settings.presliding_distance)
         done = self._transition(forces, tension, np.abs(self._direction - before), then)
         self.mean = done.A @ self.mean + done.push
         self.covariance = done.A @ self.covariance @ done.A.T + done.kick @ done.kick.T
@@ -221,13 +226,14 @@ class Estimator:
         A[self._motion, self._unknown] = by_force
         A[self._motion, self._strength] = by_force * (forces.mean(axis=0) + tension)  # p A
         A[self._motion, self._friction] = -by_force * self._direction * self.loaded(tension)
-        for part, memory in ((self._unknown, settings.force_memory), (slice(self._bias.start, self._tip.start), settings.bias_memory)):
-            A[part, part] *= np.exp(-period / memory)
+        others = slice(self._bias.start, self._tip.start)
+        A[self._unknown, self._unknown] *= np.exp(-period / settings.force_correlation_time)
+        A[others, others] *= np.exp(-period / settings.bias_correlation_time)
         push[self._motion] = now.start @ pushed[0] + now.end @ pushed[1]
         variance = period * self._drift**2
-        variance[self._unknown] += settings.turning**2 * turning
+        variance[self._unknown] += settings.reversal_noise**2 * turning
         kick = np.zeros((size, len(turning) + size - 2 * modes))
-        kick[modes : 2 * modes, : len(turning)] = np.sqrt(period) * settings.shock * drive
+        kick[modes : 2 * modes, : len(turning)] = np.sqrt(period) * settings.force_noise * drive
         kick[2 * modes :, len(turning) :] = np.diag(np.sqrt(variance[2 * modes :]))
         turn, shift = then.seen_from(now)
         for part in (slice(0, modes), slice(modes, 2 * modes)):
@@ -237,7 +243,7 @@ class Estimator:
 
     def loaded(self, tension: np.ndarray) -> np.ndarray:
         """Friction at a tension in N over that at the middle one."""
-        return 1 - self.settings.share + self.settings.share * tension / self.middle
+        return 1 - self.settings.load_share + self.settings.load_share * tension / self.middle
 
     def update(self, points: np.ndarray) -> StateEstimate:
         """Take a sample's points (points, 3) in m in G, NaN where missing.
@@ -274,9 +280,9 @@ class Estimator:
         own = S.reshape(len(there), 3, len(there), 3)[np.arange(len(there)), :, np.arange(len(there))]
         apart = innovation.reshape(-1, 3, 1)
         far = (apart * np.linalg.solve(own, apart)).sum(axis=(1, 2))
-        wrong = there & (far > _limit(self.settings.gate))
+        wrong = there & (far > _limit(self.settings.gate_probability))
         self._outlying = np.where(wrong, self._outlying + 1, 0)
-        return wrong & (self._outlying <= self.settings.patience)
+        return wrong & (self._outlying <= self.settings.most_rejections)
 
     def estimate(self, refused: np.ndarray) -> StateEstimate:
         """The present one."""

@@ -34,25 +34,26 @@ class LengthSettings:
     lets the sway grow on the former (ω about 5.6 rad/s, so D has to outweigh I / ω²), less of all tracks worse on both.
 
     Attributes:
-        pressure: gains while pressure makes the force.
-        tension: gains while the tendon adjusts it.
-        filter_time: of the measured lengths in s.
-        near: length error in m below which a motor is enabled (the paper's 3 mm).
-        leave: length error in m above which it is disabled again.
-        mid_tension: tension about which the tendon adjusts, N.
-        low_tension, high_tension: beyond these, in the mean, the pressure follows slowly so that the tendon keeps its authority, N.
-        follow_rate: how fast it does, N/s of the muscle's force.
+        pressure_gains: while pressure makes the force.
+        tension_gains: while the tendon adjusts it.
+        filter_time: time constant in s of the filter of the measured lengths.
+        enable_below: length error in m below which a motor is enabled (the paper's 3 mm).
+        disable_above: length error in m above which it is disabled again.
+        mid_tension: tension in N about which the tendon adjusts.
+        low_tension: mean tension in N below which the held pressure rises slowly, so that the tendon keeps its authority (mid-ranging).
+        high_tension: mean tension in N above which it falls slowly.
+        mid_ranging_rate: how fast it does, in N/s of the muscle's force.
     """
 
-    pressure: Gains = field(default_factory=lambda: Gains(60.0, 250.0, 25.0))
-    tension: Gains = field(default_factory=lambda: Gains(60.0, 375.0, 25.0))
+    pressure_gains: Gains = field(default_factory=lambda: Gains(60.0, 250.0, 25.0))
+    tension_gains: Gains = field(default_factory=lambda: Gains(60.0, 375.0, 25.0))
     filter_time: float = 0.04
-    near: float = 3e-3
-    leave: float = 4e-3
+    enable_below: float = 3e-3
+    disable_above: float = 4e-3
     mid_tension: float = 1.5
     low_tension: float = 0.8
     high_tension: float = 3.0
-    follow_rate: float = 1.0
+    mid_ranging_rate: float = 1.0
 
 
 DEFAULT = LengthSettings()
@@ -126,7 +127,7 @@ class LengthController:
         return Command(pressure, tension, self.enabled.copy())
 
     def _gains(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        far, close = self.settings.pressure, self.settings.tension
+        far, close = self.settings.pressure_gains, self.settings.tension_gains
         pairs = ((far.proportional, close.proportional), (far.integral, close.integral), (far.derivative, close.derivative))
         proportional, integral, derivative = (np.where(self.enabled, fine, coarse) for coarse, fine in pairs)
         return proportional, integral, derivative
@@ -136,7 +137,7 @@ class LengthController:
         if self.use is TendonUse.FOLLOWS:
             return
         before = self.enabled
-        self.enabled = np.abs(error) < np.where(before, self.settings.leave, self.settings.near)
+        self.enabled = np.abs(error) < np.where(before, self.settings.disable_above, self.settings.enable_below)
         wanted = (target.forces + self._pid.integral + self.settings.mid_tension) / self._area
         self._held = np.where(self.enabled & ~before, np.clip(wanted, 0.0, self._pressure_max), self._held)
 
@@ -145,7 +146,7 @@ class LengthController:
         settings = self.settings
         tension = self._held * self._area - target.forces - self._pid.integral
         missing = np.maximum(settings.low_tension - tension, 0.0) - np.maximum(tension - settings.high_tension, 0.0)
-        most = settings.follow_rate * duration
+        most = settings.mid_ranging_rate * duration
         moved = np.clip(self._held + np.clip(missing, -most, most) / self._area, 0.0, self._pressure_max)
         self._held = np.where(self.enabled, moved, self._held)
 

@@ -14,20 +14,20 @@ from tepm_opt.solvers.statics import Equilibrium, equilibrium
 
 @dataclass(frozen=True)
 class LengthEstimatorSettings:
-    """Settings of the estimator.
+    """Settings of the length estimator.
 
     Attributes:
         steps: most Gauss-Newton steps a sample.
-        settled: change of every axial force in N below which no further step is taken.
-        noise: of a coordinate, 1 sigma in m; with `memory` it weighs the sample against what was estimated before.
-        memory: how far axial forces may move from one sample to the next, 1 sigma in N: what the points do not show stays.
-        largest_step: change of an axial force in one step in N.
+        tolerance: change of every axial force in N below which no further step is taken.
+        noise: standard deviation in m of a tracked coordinate; with `force_step` it weighs the sample against what was estimated before.
+        force_step: standard deviation in N of an axial force's change from one sample to the next: what the points do not show stays.
+        largest_step: largest change in N of an axial force in one Gauss-Newton step.
     """
 
     steps: int = 3
-    settled: float = 0.02
+    tolerance: float = 0.02
     noise: float = 5.8e-4
-    memory: float = 1.0
+    force_step: float = 1.0
     largest_step: float = 4.0
 
 
@@ -37,13 +37,13 @@ DEFAULT = LengthEstimatorSettings()
 class LengthEstimator:
     """Axial forces, and so lengths, whose equilibrium fits the reference points; warm-started from sample to sample.
 
-    Gauss-Newton on ‖(points − tracked) / noise‖² + ‖(F − F_before) / memory‖² with the derivatives of the statics. Points that are
+    Gauss-Newton on ‖(points − tracked) / noise‖² + ‖(F − F_before) / force_step‖² with the derivatives of the statics. Points that are
     missing (NaN) simply do not count; with all of them missing the estimate stays.
 
     Args:
         model: the nominal model, compiled.
         loads: known forces on the reference points in G, (points, 3) or on the tip (3,) in N.
-        settings: how much to believe a sample.
+        settings: of the estimator.
 
     Attributes:
         forces: estimated F_a, (modules · actuators,) in N.
@@ -95,14 +95,14 @@ class LengthEstimator:
             return False
         jacobian = by_u[used, : self._half] / self._area / settings.noise
         missed = (at.points - tracked).ravel()[used] / settings.noise
-        normal = jacobian.T @ jacobian + np.eye(self._half) / settings.memory**2
-        step = -np.linalg.solve(normal, jacobian.T @ missed + (self.forces - before) / settings.memory**2)
+        normal = jacobian.T @ jacobian + np.eye(self._half) / settings.force_step**2
+        step = -np.linalg.solve(normal, jacobian.T @ missed + (self.forces - before) / settings.force_step**2)
         step *= min(1.0, settings.largest_step / max(float(np.abs(step).max()), 1e-12))
         for _ in range(4):
             found = self._at(self.forces + step, at)
             if found.solved:
                 self.forces, self.equilibrium = self.forces + step, found
-                return float(np.abs(step).max()) > settings.settled
+                return float(np.abs(step).max()) > settings.tolerance
             step /= 4
         return False
 

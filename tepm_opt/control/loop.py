@@ -29,24 +29,26 @@ INTERRUPTED = Outcome(Ending.INTERRUPTED, "interrupted by the user")
 
 @dataclass(frozen=True)
 class Guard:
-    """What the closed loop stops at.
+    """Limits at which the closed loop stops, and how a real rig is brought to its start.
 
     Attributes:
-        glide: s in which a rig that stands at zero is taken to the start; 0 for one that rests from the start where it is commanded to.
-        rest: s for which it rests there before the loop is closed.
-        agree: m by which points at the start may miss the model's, in the median.
-        far: m by which the tip may be off the reference while the loop is closed, for `patience` s.
-        blind: s without any tracked point.
-        beyond: part of its range by which a measured tension or pressure may exceed its limit.
+        approach_time: time in s in which a rig that stands at zero is taken to the start, and back in the end; 0 for one that rests from
+            the start where it is commanded to.
+        settle_time: time in s for which it rests there before the loop is closed.
+        start_tolerance: largest distance in m, in the median, of the tracked points at the start from the model's.
+        largest_error: distance in m of the tip from its target beyond which the loop stops after `error_timeout`.
+        error_timeout: time in s.
+        tracking_timeout: time in s without any tracked point after which it stops.
+        limit_margin: part of its limit by which a measured tension or pressure may exceed it.
     """
 
-    glide: float = 4.0
-    rest: float = 1.5
-    agree: float = 0.06
-    far: float = 0.20
-    patience: float = 0.5
-    blind: float = 1.0
-    beyond: float = 0.05
+    approach_time: float = 4.0
+    settle_time: float = 1.5
+    start_tolerance: float = 0.06
+    largest_error: float = 0.20
+    error_timeout: float = 0.5
+    tracking_timeout: float = 1.0
+    limit_margin: float = 0.05
 
 
 @dataclass(eq=False)
@@ -134,7 +136,7 @@ def close_loop(
         InputError: a rig that does not fit the robot, or that disagrees with the model before the loop is closed.
     """
     guard, done = guard or Guard(), keep or LoopRecord(controller.reference)
-    rests = rig.simulated is not None or guard.glide <= 0
+    rests = rig.simulated is not None or guard.approach_time <= 0
     watch = _Supervisor(guard, robot)
     with rig, _uncollected():
         try:
@@ -195,16 +197,16 @@ class _Supervisor:
         if self._seen is None or np.isfinite(sample.points).all(axis=1).any():
             self._seen = now
         off = 0.0 if target is None else float(np.linalg.norm(sample.points[-1] - target))
-        if self._near is None or not off > guard.far:  # a lost tip is not far
+        if self._near is None or not off > guard.largest_error:  # a lost tip is not far
             self._near = now
         part = _measured(sample, len(self._limits)) / self._limits
-        if (part > 1 + guard.beyond).any():
+        if (part > 1 + guard.limit_margin).any():
             at = int(np.nanargmax(part))
             raise Stopped(Ending.LIMIT, f"measured {self._names[at]} is {100 * part[at]:.0f} % of its limit")
-        if now - self._seen > guard.blind:
-            raise Stopped(Ending.BLIND, f"no tracked point for {guard.blind:g} s")
-        if now - self._near > guard.patience:
-            raise Stopped(Ending.DISAGREED, f"the tip was more than {1e3 * guard.far:.0f} mm off for {guard.patience:g} s")
+        if now - self._seen > guard.tracking_timeout:
+            raise Stopped(Ending.BLIND, f"no tracked point for {guard.tracking_timeout:g} s")
+        if now - self._near > guard.error_timeout:
+            raise Stopped(Ending.DISAGREED, f"the tip was more than {1e3 * guard.largest_error:.0f} mm off for {guard.error_timeout:g} s")
 
 
 def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watch: _Supervisor, progress: Progress, rests: bool) -> Sample:
@@ -218,20 +220,20 @@ def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watc
         raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(expected)}; another robot?")
     if rests:
         return sample
-    began, whole = sample.time, guard.glide + guard.rest
+    began, whole = sample.time, guard.approach_time + guard.settle_time
     missed: list[np.ndarray] = []
     while (passed := sample.time - began) < whole:
         watch.check(sample)
-        rig.apply(_part(start, smooth_step(passed / guard.glide)))
+        rig.apply(_part(start, smooth_step(passed / guard.approach_time)))
         progress("to the start", passed, whole)
-        if passed > guard.glide + guard.rest / 2:
+        if passed > guard.approach_time + guard.settle_time / 2:
             missed.append(np.linalg.norm(sample.points - expected, axis=1))
         sample = rig.read()
     known = np.concatenate(missed)[np.isfinite(np.concatenate(missed))] if missed else np.zeros(0)
     miss = float(np.median(known)) if len(known) else np.inf
-    if not miss <= guard.agree:
+    if not miss <= guard.start_tolerance:
         saw = f"the tracked points miss the model's by {1e3 * miss:.0f} mm" if len(known) else "the tracker sees nothing"
-        need = f"valid: at most {1e3 * guard.agree:.0f} mm. Is the tracker registered (tepm hw calibrate base)?"
+        need = f"valid: at most {1e3 * guard.start_tolerance:.0f} mm. Is the tracker registered (tepm hw calibrate base)?"
         raise InputError(f"at the start {saw}; {need}")
     return sample
 
@@ -243,9 +245,9 @@ def _part(command: Command, part: float) -> Command:
 def _down(rig: Rig, last: Command, guard: Guard, watch: _Supervisor, progress: Progress) -> None:
     """From the last command slowly to nothing; what ends that early is stopped, which is no worse than what was to come."""
     with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
-        for passed, share in smooth_ramp(lambda: rig.time, guard.glide):
+        for passed, share in smooth_ramp(lambda: rig.time, guard.approach_time):
             rig.apply(_part(last, 1 - share))
-            progress("back to zero", passed, guard.glide)
+            progress("back to zero", passed, guard.approach_time)
             watch.check(rig.read())
 
 

@@ -17,26 +17,26 @@ from tepm_opt.control.actuators import Devices
 
 @dataclass(frozen=True)
 class PressurePlannerSettings:
-    """How pressures are planned.
+    """Settings of the pressure planner.
 
     Attributes:
         preview: stages for which the need is known ahead.
-        window: stages over which the slope of the need is taken, for the lead.
-        worth: steps of the regulator by which a pressure has to be off before it moves.
-        on_grid: whether the regulator's grid is known and moves are spared; else pressures are continuous and move in every period.
-        quick: speed of the reference's tip in m/s from which the pressure takes its whole part in the feedback's planned forces; where
-            the reference stands, the tension alone reacts and the regulators are spared.
-        calming: smoothing of that part, s.
-        smoothing: of the unknown forces, which the pressure takes over, s.
+        slope_window: stages over which the slope of the need is taken, for the lead over the regulators' lag.
+        deadband: steps of the regulator by which a pressure has to be off before it moves.
+        quantised: whether the regulators' grid is known and moves are spared; else pressures are continuous and move in every period.
+        full_feedback_speed: speed of the reference's tip in m/s from which the pressures take their whole part in the planned feedback, in
+            proportion below; where the reference stands, the tensions alone react and the regulators are spared.
+        feedback_time: time constant in s with which that part is smoothed.
+        disturbance_time: time constant in s with which the pressures take over the unknown forces (mid-ranging).
     """
 
     preview: int = 26
-    window: int = 3
-    worth: float = 3.0
-    on_grid: bool = True
-    quick: float = 0.1
-    calming: float = 0.05
-    smoothing: float = 0.3
+    slope_window: int = 3
+    deadband: float = 3.0
+    quantised: bool = True
+    full_feedback_speed: float = 0.1
+    feedback_time: float = 0.05
+    disturbance_time: float = 0.3
 
 
 class PressurePlanner:
@@ -47,12 +47,12 @@ class PressurePlanner:
         limits: largest pressure of each muscle, (actuators,) in Pa.
         step: of the regulators' grid in Pa, 0 where continuous.
         stage: duration of one in s.
-        settings: how.
+        settings: of the planner.
     """
 
     def __init__(self, devices: Devices, limits: np.ndarray, step: float, stage: float, settings: PressurePlannerSettings) -> None:
         self.devices, self.stage, self.settings = devices, stage, settings
-        self.step = step if settings.on_grid else 0.0
+        self.step = step if settings.quantised else 0.0
         self.limits = np.floor(limits / self.step * (1 + 1e-12)) * self.step if self.step else limits
 
     def plan(self, wanted: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int) -> tuple[np.ndarray, np.ndarray]:
@@ -64,7 +64,7 @@ class PressurePlanner:
             pressure: in the muscles, (actuators,) in Pa.
             stages: how far ahead.
         """
-        window, devices = self.settings.window, self.devices
+        window, devices = self.settings.slope_window, self.devices
         slope = (wanted[window:] - wanted[:-window]) / (window * self.stage)
         lag = np.where(slope > 0, devices.filling, devices.exhausting)
         lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + lag * slope, 0.0), self.limits)
@@ -80,4 +80,4 @@ class PressurePlanner:
         if not self.step:
             return wanted
         rounded = np.minimum(np.round(wanted / self.step) * self.step, self.limits)
-        return np.where(np.abs(wanted - command) > self.settings.worth * self.step, rounded, command)
+        return np.where(np.abs(wanted - command) > self.settings.deadband * self.step, rounded, command)

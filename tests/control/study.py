@@ -28,7 +28,7 @@ from tepm_opt.solvers.trajectories import circle, lissajous
 
 APPROACH, PAUSE = 3.0, 0.5  # s
 SEEDS = tuple(range(1, 11))
-WIDE = Guard(far=np.inf)  # the paper's modes leave fast references by more than a robot should be allowed to
+WIDE = Guard(largest_error=np.inf)  # the paper's modes leave fast references by more than a robot should be allowed to
 HOLD_AT, HOLD = 2.0, 8.0  # s after the approach at which something happens, and for how long is held
 
 
@@ -138,11 +138,11 @@ def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict
 
 ABLATIONS = {
     "all": MpcSettings(),
-    "resolution ignored": MpcSettings(coarse=PressurePlannerSettings(on_grid=False)),
+    "resolution ignored": MpcSettings(pressure_planner=PressurePlannerSettings(quantised=False)),
     "no mid-ranging": MpcSettings(mid_ranging=False),
     "tension only": MpcSettings(use=Use.TENSION),
     "pressure only": MpcSettings(use=Use.PRESSURE),
-    "rule of mode 2": MpcSettings(rule=True),
+    "rule of mode 2": MpcSettings(switching=True),
 }
 
 
@@ -157,7 +157,7 @@ def on_bench(seed: int) -> dict[str, float]:
     bench = BenchRig()
     bench.reseed(seed)
     arm, path = BenchArm(bench), length_reference(bench_model(), np.array(SET_POINTS), STAY)
-    done = close_loop(arm, Mpc(bench_model(), path, bench_settings()), arm.robot, replace(WIDE, glide=0.0))
+    done = close_loop(arm, Mpc(bench_model(), path, bench_settings()), arm.robot, replace(WIDE, approach_time=0.0))
     error, time = 1e3 * (np.array(done.truth) - done.targets)[:, 2], np.array(done.time)
     found = {}
     for k, length in enumerate(SET_POINTS):

@@ -21,7 +21,7 @@ MIDDLE = 3.5  # N
 TENSION = np.array([3.5, 2.0, 5.0, 3.0, 4.0, 1.0])  # N
 DIRECTION = np.array([1.0, -1, 1, -1, 1, 1])  # in which the muscles move, far enough that friction has turned over in a period
 RATES = 1.0 * DIRECTION  # m/s
-KNOWN = FilterSettings(smoothing=np.inf)  # the filter takes RATES for true, not those that it sees, and so knows the DIRECTION
+KNOWN = FilterSettings(rate_time=np.inf)  # the filter takes RATES for true, not those that it sees, and so knows the DIRECTION
 SLOW = np.r_[:4, 10:14, 20:50]  # of the state: fast modes follow their forces, so that their covariance is singular to rounding
 PARTS = [20, 26, 32, 38]  # of the state: motion, unknown forces, strength, friction, bias
 PROBABILITY = 1e-3  # of a test of consistency that fails though all is well
@@ -70,16 +70,16 @@ class Arm:
         """One period under axial forces (2, actuators), friction all against DIRECTION."""
         settings, root = self.settings, np.sqrt(PERIOD)
         turning, self.direction = np.abs(DIRECTION - self.direction), DIRECTION
-        pulled = self.friction * DIRECTION * (1 - settings.share + settings.share * TENSION / MIDDLE)
+        pulled = self.friction * DIRECTION * (1 - settings.load_share + settings.load_share * TENSION / MIDDLE)
         stronger = self.strength * (forces.mean(axis=0) + TENSION)  # of p A
         motion = self.at.advance(self.motion, forces + self.unknown + stronger - pulled)
-        motion[10:] += self.at.model.drive @ self.draw(settings.shock * root * np.ones(6))
-        kick = np.sqrt(PERIOD * settings.force**2 + settings.turning**2 * turning)
-        self.unknown = np.exp(-PERIOD / settings.force_memory) * self.unknown + self.draw(kick)
+        motion[10:] += self.at.model.drive @ self.draw(settings.force_noise * root * np.ones(6))
+        kick = np.sqrt(PERIOD * settings.force_drift**2 + settings.reversal_noise**2 * turning)
+        self.unknown = np.exp(-PERIOD / settings.force_correlation_time) * self.unknown + self.draw(kick)
         self.strength = self.strength + self.draw(settings.strength_drift * root * np.ones(6))
         self.friction = self.friction + self.draw(settings.friction_drift * root * np.ones(6))
-        fading = np.exp(-PERIOD / settings.bias_memory)
-        drift = np.append(np.full(9, settings.bias_drift), np.full(3, settings.tip_drift))
+        fading = np.exp(-PERIOD / settings.bias_correlation_time)
+        drift = np.append(np.full(9, settings.bias_drift), np.full(3, settings.tip_bias_drift))
         self.bias = np.append(fading * self.bias[:9], self.bias[9:]) + self.draw(root * drift)
         turn, shift = then.seen_from(self.at)
         self.motion = np.concatenate([turn @ motion[:10] + shift, turn @ motion[10:]])
@@ -147,7 +147,7 @@ def test_filter_with_wrong_noise_is_not_consistent(here):
     nis, seen = 0.0, 0
     for _ in range(8):
         filtered = Estimator(here, NOISE, MIDDLE, settings)
-        arm = Arm(here, replace(settings, force=1.33 * settings.force), random).drawn(filtered)
+        arm = Arm(here, replace(settings, force_drift=1.33 * settings.force_drift), random).drawn(filtered)
         for points in run(arm, filtered, 120):
             estimate = filtered.update(points)
             nis, seen = nis + estimate.nis, seen + estimate.seen
@@ -194,10 +194,10 @@ def test_dropout_of_half_a_second(here):
 def test_outlier_of_one_frame_is_refused(here, point):
     """30 mm in one point: the estimate is off by less than a twentieth of what it would be without the gate, and forgets it."""
     off = {}
-    for gate in (KNOWN.gate, 0.0):
+    for gate in (KNOWN.gate_probability, 0.0):
         estimates: list[StateEstimate] = []
         for wrong in (False, True):
-            arm, filtered = settled(here, replace(KNOWN, gate=gate))
+            arm, filtered = settled(here, replace(KNOWN, gate_probability=gate))
             points = next(run(arm, filtered, 1))
             points[point] += wrong * np.array([0.0, 0.03, 0.0])
             estimates.append(filtered.update(points))
@@ -230,14 +230,14 @@ def test_wrong_shape_is_refused(here, shape):
         Estimator(here, NOISE, MIDDLE).update(np.zeros(shape))
 
 
-@pytest.mark.parametrize(("memory", "allowed"), [(KNOWN.force_memory, 2.5e-4), (np.inf, 3e-5)])
+@pytest.mark.parametrize(("memory", "allowed"), [(KNOWN.force_correlation_time, 2.5e-4), (np.inf, 3e-5)])
 def test_tip_is_free_of_offset(here, memory, allowed):
     """A force that nobody knows and a bias, both for good: they put the predicted tip 52 mm off, and in the end 0.2 mm; with forces that
     the filter does not let fade 0.02 mm."""
-    arm = Arm(here, replace(KNOWN, force_memory=np.inf, bias_memory=np.inf))
+    arm = Arm(here, replace(KNOWN, force_correlation_time=np.inf, bias_correlation_time=np.inf))
     arm.unknown, arm.bias = np.array([1.0, -0.5, 0.0, 0.5, 0.0, -1.0]), np.tile([6e-3, -4e-3, 3e-3], 4)
     arm.motion[:10] = here.model.static(arm.unknown)
-    filtered, apart = Estimator(here, NOISE, MIDDLE, replace(KNOWN, force_memory=memory)), []
+    filtered, apart = Estimator(here, NOISE, MIDDLE, replace(KNOWN, force_correlation_time=memory)), []
     for points in run(arm, filtered, 1000):
         predicted = filtered.estimate(np.zeros(4, dtype=bool)).points
         apart.append(np.linalg.norm(predicted[-1] - arm.points[-1]))

@@ -8,7 +8,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.solvers.statics import solve_statics
 
 BENT = np.array([0.2e6, 0.1e6, 0.15e6, 0.3e6, 0.1e6, 0.12e6, 0, 1.0, 0, 0, 0, 2.0])
-EXACT = LengthEstimatorSettings(steps=60, settled=1e-9, noise=1e-6, memory=1e3)
+EXACT = LengthEstimatorSettings(steps=60, tolerance=1e-9, noise=1e-6, force_step=1e3)
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from tepm_opt.outcome import Ending
 from tepm_opt.plots.control import path_figure
 
 ROBOT = load_robot("kang2017")
-GUARD = Guard(glide=0.5, rest=0.4)
+GUARD = Guard(approach_time=0.5, settle_time=0.4)
 CLOSED = 0.9  # s after which the loop is closed
 
 
@@ -158,7 +158,7 @@ def test_rig_that_rests_at_the_start_is_not_taken_there(short):
     """Without a glide the first command is the start, and the first sample closes the loop."""
     rig = Fake(short)
     rig.now = round(CLOSED / 0.01) - 1
-    done = close_loop(rig, Still(short), ROBOT, replace(GUARD, glide=0.0))
+    done = close_loop(rig, Still(short), ROBOT, replace(GUARD, approach_time=0.0))
     assert done.outcome.ending is Ending.DONE
     assert done.rows == list(range(len(short)))
     assert (rig.commands[0].pressures == 2e5).all()
@@ -228,7 +228,7 @@ def test_faster_rig_gets_a_command_a_period(short):
     """Two frames a period: every row is there once all the same; a slower rig leaves rows out."""
     for factor, rows in ((0.5, list(range(450))), (2.0, list(range(0, 450, 2)))):
         rig = Fake(short, lambda now, sample, factor=factor: replace(sample, time=factor * sample.time))
-        assert close_loop(rig, Still(short), ROBOT, replace(GUARD, far=np.inf)).rows == rows
+        assert close_loop(rig, Still(short), ROBOT, replace(GUARD, largest_error=np.inf)).rows == rows
 
 
 def test_measured_inputs_look_and_progress(short):

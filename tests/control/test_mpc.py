@@ -201,7 +201,7 @@ def test_program_that_fails_now_and_then(kang, short, monkeypatch):
 
 def test_late_step_goes_on_with_the_last_plan(kang, short):
     """A program that is not solved in time is not used."""
-    controller, random = Mpc(kang, short, MpcSettings(late=0.0)), np.random.default_rng(1)
+    controller, random = Mpc(kang, short, MpcSettings(deadline=0.0)), np.random.default_rng(1)
     for row in range(3):
         in_order(controller.command(sample_at(short, row, random)))
     assert controller.fallbacks == {"late": 3}
@@ -211,7 +211,7 @@ def test_late_step_goes_on_with_the_last_plan(kang, short):
 @pytest.mark.parametrize("seed", range(2))
 def test_any_points_make_commands_within_the_limits(kang, short, use, seed):
     """From random states, points of any size, some or all of them lost, measured inputs too, frames left out: for 80 steps."""
-    controller, random = Mpc(kang, short, MpcSettings(use=use, rule=seed == 1)), np.random.default_rng(seed)
+    controller, random = Mpc(kang, short, MpcSettings(use=use, switching=seed == 1)), np.random.default_rng(seed)
     check_command(controller.start(), ROBOT)
     row = 0
     for k in range(80):

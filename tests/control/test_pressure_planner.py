@@ -36,22 +36,22 @@ def test_pressures_stay_on_the_grid_and_within_the_limits():
 
 @pytest.mark.parametrize(("steps", "moves"), [(0.4, False), (2.9, False), (3.1, True), (-2.9, False), (-3.1, True)])
 def test_pressure_moves_only_when_it_is_worth_a_move(steps, moves):
-    """By whole steps, to the nearest to what is needed; less than `worth` steps off is left alone."""
+    """By whole steps, to the nearest to what is needed; less than `deadband` steps off is left alone."""
     command = np.full(6, 20 * STEP)
-    new, _ = planner(worth=3.0).plan(np.full((29, 6), (20 + steps) * STEP), command, command, 15)
+    new, _ = planner(deadband=3.0).plan(np.full((29, 6), (20 + steps) * STEP), command, command, 15)
     assert new == pytest.approx((20 + round(steps)) * STEP if moves else command)
 
 
 def test_continuous_pressures_move_freely():
     """Without the grid to what is needed, to the Pa."""
-    new, _ = planner(on_grid=False).plan(np.full((29, 6), 12345.6), np.zeros(6), np.zeros(6), 15)
+    new, _ = planner(quantised=False).plan(np.full((29, 6), 12345.6), np.zeros(6), np.zeros(6), 15)
     assert new == pytest.approx(12345.6)
 
 
 @pytest.mark.parametrize("slope", [2e5, -2e5])
 def test_pressure_leads_its_lag(slope):
     """Along a ramp, up or down, the pressure in the muscle is where it is needed; a command that is only what is needed lags behind."""
-    coarse, start = planner(worth=0.5, window=3), 2.5e5 - 0.5 * slope
+    coarse, start = planner(deadband=0.5, slope_window=3), 2.5e5 - 0.5 * slope
     lagging = np.full(6, start)
     pressure, command, off, without = np.full(6, start), np.full(6, start), [], []
     for k in range(50):

@@ -99,7 +99,7 @@ def test_all_states_are_those_of_the_exact_smoother(circle_points):
 def test_better_than_the_filter(circle_points):
     """Root mean square over some runs of the tip, of the forces that nobody commanded (with strength and friction, from which they
     can hardly be told) and of the rates of the slowest modes: by a third, a twentieth and a half at least."""
-    loaded = DIRECTION * (1 - KNOWN.share + KNOWN.share * TENSION / MIDDLE)
+    loaded = DIRECTION * (1 - KNOWN.load_share + KNOWN.load_share * TENSION / MIDDLE)
     pulled = np.hstack([np.eye(6), np.diag(circle_points[0].forces + TENSION), -np.diag(loaded)])
     tips, forces, rates = np.zeros(2), np.zeros(2), np.zeros(2)
     for seed in range(3):

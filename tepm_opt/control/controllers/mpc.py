@@ -49,46 +49,47 @@ class Use(Enum):
 
 @dataclass(frozen=True)
 class MpcSettings:
-    """Settings of the controller; tuned on the virtual prototype with its nominal model.
+    """Settings of the predictive controller; tuned on the virtual prototype with its nominal model.
 
     Attributes:
-        stages: of the prediction, of two control periods each.
-        weights: what errors and efforts cost.
-        middle: of the tension, as part of its range, to which the pressure lets it return; see `mid_ranging`.
-        mid_ranging: whether the pressure takes over what the tension does for longer; else it only follows the reference.
-        rule: whether a motor is enabled only while its muscle's length is near the reference's, as in the paper's mode 2; else always.
-        near, leave: how near in m a motor is enabled, and how far it is disabled again.
-        use: which actuators; those left out keep still.
-        corridor: error of the tip along an axis, in m, beyond which it costs a hundred times as much: a soft constraint; infinite for
-            none.
-        nonlinear: whether the program is linearised about its own last plan (the real-time iteration) instead of about the reference.
-        coarse: how pressures are planned.
-        estimator: what the estimator believes.
-        late: s after which a step counts as late and the last plan goes on.
+        stages: length of the prediction horizon in stages of two control periods.
+        weights: cost of errors and efforts.
+        mid_range: tension to which mid-ranging lets the motors return, as part of their range.
+        mid_ranging: whether the pressures take over what the tensions do for longer; else they only follow the reference.
+        switching: whether a motor is enabled only while its muscle's length is near the reference's, as in the paper's mode 2; else always.
+        enable_below: length error in m below which `switching` enables a motor.
+        disable_above: length error in m above which `switching` disables it again.
+        use: which actuators move; those left out keep still.
+        corridor: half width in m, along each axis, of the tube about the reference beyond which the tip's error costs a hundred times as
+            much: a soft constraint; infinite for none.
+        nonlinear: whether the program is linearised along its own last plan (real-time iteration) instead of about the reference.
+        pressure_planner: settings of the pressures.
+        filter: settings of the state estimator.
+        deadline: duration of a step in s after which its program is not used and the last plan goes on.
     """
 
     stages: int = 15
     weights: Weights = field(default_factory=Weights)
-    middle: float = 0.5
+    mid_range: float = 0.5
     mid_ranging: bool = True
-    rule: bool = False
-    near: float = 3e-3
-    leave: float = 4e-3
+    switching: bool = False
+    enable_below: float = 3e-3
+    disable_above: float = 4e-3
     use: Use = Use.BOTH
     corridor: float = np.inf
     nonlinear: bool = False
-    coarse: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
-    estimator: FilterSettings = field(default_factory=FilterSettings)
-    late: float = math.inf
+    pressure_planner: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
+    filter: FilterSettings = field(default_factory=FilterSettings)
+    deadline: float = math.inf
 
     @property
     def asked(self) -> dict[str, Option]:
         """What the options of the command line say of these settings."""
-        return {"use": self.use.value, "rule": self.rule, "nonlinear": self.nonlinear}
+        return {"use": self.use.value, "rule": self.switching, "nonlinear": self.nonlinear}
 
     def in_real_time(self, period: float) -> MpcSettings:
         """Settings with which a step that takes longer than a control period in s is late."""
-        return replace(self, late=min(self.late, period))
+        return replace(self, deadline=min(self.deadline, period))
 
     @staticmethod
     def of(options: Mapping[str, Option]) -> MpcSettings:
@@ -100,7 +101,7 @@ class MpcSettings:
         use, known = str(options.get("use", Use.BOTH.value)), [kind.value for kind in Use]
         if use not in known:
             raise unknown_name("use", use, known)
-        return MpcSettings(use=Use(use), rule=bool(options.get("rule", False)), nonlinear=bool(options.get("nonlinear", False)))
+        return MpcSettings(use=Use(use), switching=bool(options.get("rule", False)), nonlinear=bool(options.get("nonlinear", False)))
 
 
 DEFAULT = MpcSettings()
@@ -163,11 +164,11 @@ class Mpc:
         self.area, self.devices = model.values["A"], Devices.of(model)
         self.period, self.stage = reference.period, PERIODS * reference.period
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
-        self.middle = settings.middle * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
+        self.middle = settings.mid_range * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
         age = robot.tracker.latency_s if robot.tracker else 0.0
         self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
         step = robot.actuation.pressure_step
-        self._coarse = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.coarse)
+        self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
         variables = settings.stages * half
         self._rates = np.eye(variables) - np.eye(variables, k=-half)
         kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
@@ -188,8 +189,8 @@ class Mpc:
         self._actuators, self._sent = Actuators(self.devices, self.area, first), Sent(first)
         self._effects = InputEffects(model, inputs)
         noise = (robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3)
-        middle = settings.middle * float(self._tension_max[0])
-        self._estimator = Estimator(self._point(0), max(noise, 1e-6), middle, settings.estimator)
+        middle = settings.mid_range * float(self._tension_max[0])
+        self._estimator = Estimator(self._point(0), max(noise, 1e-6), middle, settings.filter)
         self._zero: float | None = None
         self._row = 0
 
@@ -266,7 +267,7 @@ class Mpc:
             actuators.command = self._sent.between(start, start + self.period)
             a, b = self.reference.at(np.array([at, at + 1]))
             change = lengths[b] - lengths[a] + self.period * estimate.deviation
-            direction = turned(direction, change, self.settings.estimator.presliding)
+            direction = turned(direction, change, self.settings.filter.presliding_distance)
             friction = estimate.friction * direction * self._estimator.loaded(actuators.tension)
             motion = now.advance(motion, actuators.advance(self.period) + self._effects.forces + estimate.unknown - friction)
         turn, shift = then.seen_from(now)
@@ -276,13 +277,13 @@ class Mpc:
     def _decide(self, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
         reference, settings, horizon = self.reference, self.settings, self._forecast.horizon
-        stages, preview, actuators = settings.stages, settings.coarse.preview, ahead.actuators
+        stages, preview, actuators = settings.stages, settings.pressure_planner.preview, ahead.actuators
         rows = reference.at(self._row + self.ahead + PERIODS * np.arange(-1, preview + 2))
         self._forecast.about(ahead.operating, reference, rows, ahead.motion, estimate.bias[-1])
         self._enabled = self._switched(ahead)
         # friction over the coming stages: a part that does not depend on the tension and one in proportion to it
-        steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.estimator.share
-        pulled = estimate.friction * course(ahead.direction, steps, settings.estimator.presliding)
+        steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.filter.load_share
+        pulled = estimate.friction * course(ahead.direction, steps, settings.filter.presliding_distance)
         still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
         before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
         pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators)
@@ -290,7 +291,7 @@ class Mpc:
         begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages]
         result = self._solve(begin, offset, factor[:stages], actuators.tension)
-        if result.x is not None and time.perf_counter() - began <= settings.late:
+        if result.x is not None and time.perf_counter() - began <= settings.deadline:
             plan = result.x.reshape(stages, -1)
             self._planned = offset - factor[:stages] * plan
         else:
@@ -316,10 +317,10 @@ class Mpc:
     def _switched(self, ahead: _Ahead) -> np.ndarray:
         """ENA, (actuators,): by the rule of mode 2, from the lengths; all on in free mode."""
         settings, count = self.settings, len(self.middle)
-        if settings.use is Use.PRESSURE or not settings.rule:
+        if settings.use is Use.PRESSURE or not settings.switching:
             return np.full(count, settings.use is not Use.PRESSURE)
         drive = ahead.operating.model.drive  # lengths follow the modes as the modes follow the axial forces
-        return np.abs(drive.T @ ahead.motion[: len(drive)]) < np.where(self._enabled, settings.leave, settings.near)
+        return np.abs(drive.T @ ahead.motion[: len(drive)]) < np.where(self._enabled, settings.disable_above, settings.enable_below)
 
     def _plan_pressures(self, unknown: np.ndarray, pulled: np.ndarray, actuators: Actuators) -> tuple[np.ndarray, np.ndarray]:
         """Commands (actuators,) and pressures that they lead to, (stages, actuators), in Pa.
@@ -329,21 +330,21 @@ class Mpc:
             pulled: what tensions and friction shall take away over the preview, (preview, actuators) in N.
             actuators: when the command begins to act.
         """
-        settings, horizon, coarse = self.settings, self._forecast.horizon, self.settings.coarse
-        self._slow = self._slow + (1 - np.exp(-self.period / coarse.smoothing)) * (unknown - self._slow)
+        settings, horizon, planner = self.settings, self._forecast.horizon, self.settings.pressure_planner
+        self._slow = self._slow + (1 - np.exp(-self.period / planner.disturbance_time)) * (unknown - self._slow)
         now = self._sent.last.pressures
         if settings.use is Use.TENSION:
             return now, np.tile(now, (settings.stages, 1))
-        need = horizon.forces[1 : coarse.preview + 1] + horizon.dynamic[: coarse.preview] + horizon.rest_force
+        need = horizon.forces[1 : planner.preview + 1] + horizon.dynamic[: planner.preview] + horizon.rest_force
         if settings.mid_ranging:
             need = need - self._slow
             if self._planned is not None:
                 extra = self._planned - horizon.rest_force - horizon.dynamic[: settings.stages]
-                self._extra = self._extra + (1 - np.exp(-self.period / coarse.calming)) * (extra - self._extra)
-                part = min(1.0, horizon.speed / coarse.quick)
+                self._extra = self._extra + (1 - np.exp(-self.period / planner.feedback_time)) * (extra - self._extra)
+                part = min(1.0, horizon.speed / planner.full_feedback_speed)
                 need[: settings.stages] += part * np.linspace(1, 0, settings.stages)[:, None] * self._extra
         wanted = (need - self._effects.forces + pulled) / actuators.area
-        return self._coarse.plan(wanted, now, actuators.pressure, settings.stages)
+        return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages)
 
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
         """The program in the tensions λ of the stages: v = offset − factor λ."""
