@@ -5,19 +5,25 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from tepm_opt.cli import INTERRUPTED
+from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
-from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.model import Model, read_model
 
-SOLVED, UNSOLVED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tepm_opt.models.compile import CompiledModel
+
+SOLVED, UNSOLVED, WRONG_INPUT = 0, 1, 2
 Item = TypeVar("Item")
 stdout, stderr = Console(), Console(stderr=True)
 
@@ -32,6 +38,9 @@ def load(robot: str | None, model: Path | None) -> CompiledModel:
     Raises:
         InputError: both are given, or either names nothing usable.
     """
+    from tepm_opt.models.compile import compile_model
+    from tepm_opt.models.model import Model, read_model
+
     if robot and model:
         raise InputError("--robot and --model exclude each other: the model file names its robot")
     nominal = read_model(model) if model else Model.of(robot or "kang2017")
@@ -54,6 +63,36 @@ def vector(text: str | None, name: str, count: int = 3) -> list[float] | None:
     if len(values) != count or not all(math.isfinite(value) for value in values):
         raise InputError(f"{name} {text!r}: {len(text.split(','))} values; valid: {count} numbers separated by commas")
     return values
+
+
+def given_inputs(model: CompiledModel, pressures: str | None, tensions: str | None) -> np.ndarray:
+    """Inputs of --pressures and --tensions; those not given are 0.
+
+    Raises:
+        InputError: wrong numbers, or inputs outside the robot's limits.
+    """
+    import numpy as np
+
+    half = model.layout.inputs // 2
+    given = [vector(text, name, half) or [0.0] * half for text, name in ((pressures, "--pressures"), (tensions, "--tensions"))]
+    return model.check_inputs(np.concatenate(given), "inputs")
+
+
+@contextmanager
+def folder_for(out: Path) -> Iterator[Path]:
+    """The output folder; if it is new and stays empty (wrong input, interrupted at once) it goes again."""
+    new = [path for path in (out, *out.parents) if not path.exists()]
+    try:
+        yield output_folder(out)
+    finally:
+        for path in new:
+            with suppress(OSError):  # it holds something
+                path.rmdir()
+
+
+def warn(text: str) -> None:
+    """A yellow line on the error stream, as it is."""
+    stderr.print(text, style="yellow", markup=False, soft_wrap=True, highlight=False)
 
 
 def progress(label: str, total: int, quiet: bool) -> Callable[[Iterable[Item]], Iterator[Item]]:

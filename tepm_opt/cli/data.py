@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +10,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from tepm_opt.cli.common import JsonOption, stdout
-from tepm_opt.models.channels import check as check_dataset
+import tepm_opt as tepm
+from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, stdout
 
 app = typer.Typer(help="Data sets of experiments: check.", no_args_is_help=True)
 
@@ -31,18 +30,17 @@ def check(
 
     Exit status: 0 no errors (warnings at most), 1 errors, 2 not readable at all.
     """
-    findings = check_dataset(dataset)
-    errors = sum(finding.severity == "error" for finding in findings)
+    run = tepm.run_check(dataset)
+    status = SOLVED if run.ok else UNSOLVED
     if as_json:
-        counts = {"errors": errors, "warnings": len(findings) - errors}
-        print(json.dumps({"dataset": str(dataset), **counts, "findings": [asdict(finding) for finding in findings]}, indent=2))
-        return 1 if errors else 0
-    if findings:
+        print(json.dumps(run.summary(), indent=2))
+        return status
+    if run.findings:
         table = Table("", "file", "channel", "finding")
-        for finding in sorted(findings, key=lambda found: found.severity):
+        for finding in sorted(run.findings, key=lambda found: found.severity):
             colour = "red" if finding.severity == "error" else "yellow"
             table.add_row(f"[{colour}]{finding.severity}[/]", *(escape(t) for t in (finding.file, finding.channel, finding.message)))
         stdout.print(table)
-    counted = f"{errors} errors, {len(findings) - errors} warnings" if findings else "nothing to complain of"
+    counted = f"{run.errors} errors, {run.warnings} warnings" if run.findings else "nothing to complain of"
     stdout.print(f"{dataset}: {counted}", soft_wrap=True, highlight=False)
-    return 1 if errors else 0
+    return status

@@ -4,36 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 
+import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import INTERRUPTED, UNSOLVED, JsonOption, ModelOption, RobotOption, load, report, stderr
-from tepm_opt.cli.ik import trajectory
+from tepm_opt.cli import INTERRUPTED
+from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, folder_for, load, report, warn
+from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
-from tepm_opt.cli.simulate import folder_for
-from tepm_opt.control.controllers import DEFAULT, controllers
-from tepm_opt.control.controllers.mpc import Use
-from tepm_opt.control.reference import Reference
-from tepm_opt.hw.rig import Command, Rig, Sample
-from tepm_opt.jobs.closed_loop import LOG, ClosedLoop, LoopSetup
-from tepm_opt.jobs.course import Course, whole_reference
-from tepm_opt.jobs.mpc import Look, run_closed_loop
-from tepm_opt.models.compile import CompiledModel
-from tepm_opt.plots import control
 
-COURSE = Course()
-KINDS = "; ".join(f"{kind.name}: the {kind.description}" for kind in controllers())
-FIGURES = {
-    "path.png": lambda loop: control.path_figure({loop.setup.controller: loop}),
-    "errors.png": control.error_figure,
-    "inputs.png": control.inputs_figure,
-    "times.png": control.times_figure,
-}
+if TYPE_CHECKING:
+    from tepm_opt.hw.rig import Command, Rig, Sample
+    from tepm_opt.jobs.closed_loop import ClosedLoop
+    from tepm_opt.jobs.mpc import Look
+
+CONTROLLER = "mpc"
+CONTROLLERS = f"{CONTROLLER}: the predictive controller; mode1, mode2: the paper's; a wrong name lists all."
 
 
 @contextmanager
@@ -57,12 +49,6 @@ def live(wanted: bool, rig: Rig) -> Iterator[Look | None]:
         yield look
     finally:
         stream.close()
-
-
-def draw(loop: ClosedLoop, folder: Path) -> None:
-    """Figures into the folder."""
-    for name, make in FIGURES.items():
-        plots.save(make(loop), folder / name)
 
 
 def error_line(told: dict[str, Any]) -> str:
@@ -101,26 +87,19 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
 
 
 def mpc(
-    path: Annotated[
-        str,
-        typer.Argument(metavar="TRAJ", help="circle, line, lissajous or a CSV file, such as reference.csv of tepm plan."),
-    ],
+    path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
+    which: TrajectoryOptions,
+    kinematics: IkOptions,
     rig: RigOption = "sim",
-    controller: Annotated[str, typer.Option("--controller", help=f"{KINDS}.")] = DEFAULT,
+    controller: Annotated[str, typer.Option("--controller", help=CONTROLLERS)] = CONTROLLER,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("mpc"),
-    duration: Annotated[float | None, typer.Option("--duration", help="Of the trajectory in s, where it has no time.")] = None,
     laps: Annotated[float, typer.Option("--laps", help="How often round a closed path.")] = 1.0,
-    points: Annotated[int | None, typer.Option("--points", help="Number of points of the trajectory.")] = None,
     stay: Annotated[
         float | None, typer.Option("--stay", metavar="S", help="Point by point, S seconds each, of which the last third counts.")
     ] = None,
-    radius: Annotated[float | None, typer.Option("--radius", help="Of circle and lissajous, m.")] = None,
-    height: Annotated[float | None, typer.Option("--height", help="Of circle and lissajous, z in G, m.")] = None,
-    start: Annotated[str | None, typer.Option("--from", help="Start of a line, x,y,z in m.")] = None,
-    end: Annotated[str | None, typer.Option("--to", help="End of a line, x,y,z in m.")] = None,
     nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False,
     rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
-    use: Annotated[str | None, typer.Option("--use", help="MPC: both, tension or pressure.", show_default=Use.BOTH.value)] = None,
+    use: Annotated[str | None, typer.Option("--use", help="MPC: both, tension or pressure.", show_default="both")] = None,
     view: Annotated[bool, typer.Option("--view", help="Live 3-D view in rerun.")] = False,
     seed: SeedOption = 0,
     robot: RobotOption = None,
@@ -132,31 +111,29 @@ def mpc(
     A real robot is brought to the start slowly and refused if it is not where the model has it. The loop stops on a limit, a blind
     tracker or a tip that is far off, and with Ctrl-C.
     """
+    from tepm_opt.jobs import course
+    from tepm_opt.jobs.closed_loop import LOG
+
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
-    setup = LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
-    targets = trajectory(path, points, duration, radius, height, start, end)
+    setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
+    targets = which.trajectory(path)
     with folder_for(out) as folder:
         compiled = load(robot, model)
         device = opener(rig, compiled.robot, seed)(seed)
-        course = Course(COURSE.approach, COURSE.pause, laps, stay, COURSE.start_up, steps=setup.kind.jumps)
+        driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
         with shown(as_json) as bars:
-            reference = whole_reference(compiled, targets, course, bars)
+            reference = tepm.whole_reference(compiled, targets, driven, kinematics.settings(), bars)
         try:
-            loop = _run(compiled, reference, device, setup, folder, view, as_json)
+            with stopped_by_signals(), live(view, device) as look, shown(as_json) as bars:
+                loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, look=look)
         except (RuntimeError, OSError) as error:
             return failed(error, "nothing was finished")
         try:
-            if len(loop.time):
-                draw(loop, folder)
+            plots.draw(loop, folder)
         except KeyboardInterrupt:
-            stderr.print(f"interrupted: {LOG} is in {escape(str(out))}, figures are not", style="yellow", soft_wrap=True, highlight=False)
+            warn(f"interrupted: {LOG} is in {out}, figures are not")
             return INTERRUPTED
     status = report(loop.summary(), lines(loop, out), as_json, loop.ok)
     if as_json and status == UNSOLVED:
-        stderr.print(f"ended early: {escape(loop.outcome.message)}", style="yellow", soft_wrap=True, highlight=False)
+        warn(f"ended early: {loop.outcome.message}")
     return status
-
-
-def _run(compiled: CompiledModel, reference: Reference, device: Rig, setup: LoopSetup, folder: Path, view: bool, quiet: bool) -> ClosedLoop:
-    with stopped_by_signals(), live(view, device) as look, shown(quiet) as bars:
-        return run_closed_loop(compiled, reference, device, setup, folder, progress=bars, look=look)

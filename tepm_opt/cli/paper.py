@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.markup import escape
 
+import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, report
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
-from tepm_opt.jobs.paper import EXPERIMENTS, Study, chosen, run_study
-from tepm_opt.plots.paper import draw
-from tepm_opt.report import write_paper_page
+
+if TYPE_CHECKING:
+    from tepm_opt.jobs.paper import Study
 
 
 def paper(
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("paper"),
-    figure: Annotated[list[str] | None, typer.Option("--figure", help=f"Only this one (repeatable): {', '.join(EXPERIMENTS)}.")] = None,
+    figure: Annotated[list[str] | None, typer.Option("--figure", help="Only this one (repeatable): table1, fig6 … fig12.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="One run each and part of the circle.")] = False,
     rig: Annotated[str, typer.Option("--rig", help="Rig file: a built-in name or a path.")] = "virtual_prototype",
     as_json: JsonOption = False,
 ) -> int:
     """The paper's Table I and Figs. 6 to 12 on the simulated rig and the model: figures, tables and one HTML page."""
+    from tepm_opt.jobs.paper import chosen
+
     names = chosen(figure or [])
     folder = output_folder(out)
     with shown(as_json) as bars:
-        study = run_study(rig, names, quick, bars, lambda found: save(found, folder))
+        study = tepm.run_study(rig, names, quick, bars, lambda found: save(found, folder))
     save(study, folder)
     summary = study.summary()
     return report(summary, _lines(summary, folder), as_json, ok=True)
@@ -41,12 +43,9 @@ def save(study: Study, folder: Path) -> None:
     Raises:
         InputError: the folder cannot be written to.
     """
-    base = np.array(study.setting.model.robot.mount.base_position_m)
-    images = {result.figure: folder / f"{result.figure}.png" for result in study.results}
-    for result in study.results:
-        plots.save(draw(result, base), images[result.figure])
+    images = plots.draw(study, folder)
     study.save(folder)
-    write_paper_page(folder / "index.html", study.summary(), study.results, images, study.setting.rig)
+    tepm.write_paper_page(folder / "index.html", study.summary(), study.results, images, study.setting.rig)
 
 
 def _lines(summary: dict, folder: Path) -> list[str]:

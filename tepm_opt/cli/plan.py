@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
 
+import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, stderr, vector
-from tepm_opt.cli.ik import trajectory
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, vector
+from tepm_opt.cli.groups import PathOptions
+from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.runs import save_summary
-from tepm_opt.plots.plan import plan_figure
-from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, Obstacle, PlanSettings, Sphere, plan_move, plan_path
+from tepm_opt.solvers.choices import Objective
+from tepm_opt.solvers.trajectories import SHAPES, Trajectory
 
-FIGURE = "plan.png"
+if TYPE_CHECKING:
+    from tepm_opt.jobs.plan import PlanRun
+    from tepm_opt.solvers.planning.plan import Obstacle
+
 OBSTACLES = "sphere:x,y,z,radius or box:x0,y0,z0,x1,y1,z1"
+Ends = tuple[list[float], list[float]]
+NO_OPTIONS = PathOptions()
 
 
 def obstacle(text: str) -> Obstacle:
@@ -30,6 +33,8 @@ def obstacle(text: str) -> Obstacle:
     Raises:
         InputError: unknown kind, wrong numbers, a ball or box without a size.
     """
+    from tepm_opt.solvers.planning.plan import Box, Sphere
+
     kind, _, numbers = text.partition(":")
     if kind not in ("sphere", "box"):
         raise InputError(f"--obstacle {text!r}: unknown kind {kind!r}; valid: {OBSTACLES}, in m")
@@ -44,21 +49,11 @@ def obstacle(text: str) -> Obstacle:
     return Box(first, (second[0], second[1], second[2]))
 
 
-@contextmanager
-def stages(quiet: bool) -> Iterator[Progress]:
-    """A line on the error stream that says what is being done."""
-    if quiet or not stderr.is_terminal:
-        yield silent
-        return
-    with stderr.status("planning") as status:
-        yield lambda stage, done, of: status.update(f"planning: {stage}")
-
-
-def lines(plan: MotionPlan, out: Path) -> list[str]:
-    """What a plan says to people."""
-    if not plan.solved:
-        return [f"[yellow]no plan: {escape(plan.outcome.message)}[/]"]
-    told = plan.summary()
+def lines(run: PlanRun, out: Path) -> list[str]:
+    """What a run says to people."""
+    if not run.ok:
+        return [f"[yellow]no plan: {escape(run.outcome.message)}[/]"]
+    told = run.summary()
     low, high = told["tensions_N"]
     return [
         f"[bold]{told['duration_s']:.3f} s[/] from rest to rest, {1e3 * told['path_length_m']:.1f} mm of the tip at up to "
@@ -73,9 +68,7 @@ def lines(plan: MotionPlan, out: Path) -> list[str]:
 def plan(
     start: Annotated[str | None, typer.Option("--from", help="Tip at the start, x,y,z in m in frame G.")] = None,
     end: Annotated[str | None, typer.Option("--to", help="Tip at the end, x,y,z in m.")] = None,
-    path: Annotated[
-        str | None, typer.Option("--path", metavar="PATH", help="Path to keep to: circle, lissajous, line (--from, --to) or a CSV file.")
-    ] = None,
+    path: Annotated[str | None, typer.Option("--path", metavar="PATH", help=f"Path to keep to: {', '.join(SHAPES)} or a CSV file.")] = None,
     objective: Annotated[Objective, typer.Option("--objective", help="Fastest, or of least effort in --duration.")] = Objective.TIME,
     duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Duration of the least effort in s.")] = None,
     obstacles: Annotated[
@@ -86,28 +79,36 @@ def plan(
     doubt: Annotated[
         float, typer.Option("--frequency-doubt", metavar="PART", help="Leave no sway even if frequencies are off by this part.")
     ] = 0.0,
+    which: PathOptions = NO_OPTIONS,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("plan"),
     robot: RobotOption = None,
     model: ModelOption = None,
     as_json: JsonOption = False,
 ) -> int:
     """Plan a motion from rest to rest under all limits: set points to play, the tip's reference, figure."""
-    first, last = vector(start, "--from"), vector(end, "--to")
+    ends = vector(start, "--from"), vector(end, "--to")
     kept = [obstacle(text) for text in obstacles or ()]
-    settings = PlanSettings(min_stiffness=margin, mid_tension=mid_tension, frequency_uncertainty=doubt)
-    targets = None if path is None else trajectory(path, None, None, None, None, start, end)
-    if targets is None and (first is None or last is None):
-        raise InputError("a plan needs --from and --to, or --path")
+    settings = tepm.PlanSettings(min_stiffness=margin, mid_tension=mid_tension, frequency_uncertainty=doubt)
+    way = _way(path, which, *ends)
     folder = output_folder(out)
     compiled = load(robot, model)
-    with stages(as_json) as progress:
-        if targets is not None:
-            found = plan_path(compiled, targets, objective, duration, kept, settings, progress)
-        else:
-            found = plan_move(compiled, first or (), last or (), objective, duration, kept, settings, progress)
-    found.save(folder)
-    save_summary(folder, "plan", found.summary())
-    (folder / FIGURE).unlink(missing_ok=True)
-    if found.solved:
-        plots.save(plan_figure(found, kept), folder / FIGURE)
-    return report(found.summary(), lines(found, out), as_json, found.solved)
+    with shown(as_json) as progress:
+        run = tepm.run_plan(compiled, way, objective, duration, kept, settings, progress)
+    run.save(folder)
+    plots.draw(run, folder)
+    return report(run.summary(), lines(run, out), as_json, run.ok)
+
+
+def _way(path: str | None, which: PathOptions, start: list[float] | None, end: list[float] | None) -> Trajectory | Ends:
+    """The path to keep to, or start and end.
+
+    Raises:
+        InputError: neither is given, or an option that does not fit the path.
+    """
+    if path is not None:
+        return which.with_ends(start, end).trajectory(path)
+    if start is None or end is None:
+        raise InputError("a plan needs --from and --to, or --path")
+    if which.given:
+        raise InputError(f"--{next(iter(which.given))} belongs to a path; name one with --path")
+    return start, end

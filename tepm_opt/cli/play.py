@@ -9,16 +9,12 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from tepm_opt.cli.common import INTERRUPTED, JsonOption, RobotOption, stderr, stdout
+import tepm_opt as tepm
+from tepm_opt.cli import INTERRUPTED
+from tepm_opt.cli.common import JsonOption, RobotOption, stdout, warn
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
-from tepm_opt.data.setpoints import read_setpoints
-from tepm_opt.jobs.play import play as play_setpoints
-from tepm_opt.models.layout import Layout
-from tepm_opt.models.robot import load_robot
 from tepm_opt.progress import named
-from tepm_opt.recording.drive import refuse_unplayable
-from tepm_opt.recording.measure import UNFINISHED
 
 
 def play(
@@ -31,15 +27,19 @@ def play(
     as_json: JsonOption = False,
 ) -> int:
     """Play set points on a rig: approach the first row slowly, every row at its time, back to zero, stop."""
-    found = load_robot(robot or "kang2017")
-    setpoints = read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
+    from tepm_opt.models.layout import Layout
+    from tepm_opt.recording.drive import refuse_unplayable
+    from tepm_opt.recording.measure import UNFINISHED
+
+    found = tepm.load_robot(robot or "kang2017")
+    setpoints = tepm.read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
     refuse_unplayable(setpoints, str(inputs))
     left = f"what was measured is in {out.parent / out.stem}-….{UNFINISHED}.csv"
     try:
         with stopped_by_signals(), shown(as_json) as progress:
-            measured = play_setpoints(opener(rig, found, seed)(seed), setpoints, found, out, rate, named(progress, inputs.name))
+            measured = tepm.play(opener(rig, found, seed)(seed), setpoints, found, out, rate, named(progress, inputs.name))
     except KeyboardInterrupt:
-        stderr.print(f"interrupted: the rig is stopped; {left}", style="yellow", soft_wrap=True, highlight=False)
+        warn(f"interrupted: the rig is stopped; {left}")
         return INTERRUPTED
     except (RuntimeError, OSError) as error:
         return failed(error, left)

@@ -18,16 +18,25 @@ FORGOTTEN = 2.0  # s without news after which a stage gives way to the next one
 class Bars:
     """A bar a stage on the error stream; what jobs take as `progress`."""
 
-    def __init__(self, display: Progress) -> None:
-        """Bars of a display of rich; one that is disabled shows nothing."""
-        self._display = display
+    def __init__(self, display: Progress, told: bool = False) -> None:
+        """Bars of a display of rich; one that is disabled shows nothing.
+
+        Args:
+            display: where they are drawn.
+            told: whether every new stage is told in a line, too.
+        """
+        self._display, self._told = display, told
+        self._began, self._last = time.monotonic(), ""
         self._stages: dict[str, tuple[TaskID, float]] = {}
 
     def __call__(self, stage: str, done: float, of: float) -> None:
         """Show how far a stage is; a new stage takes the place of those that are over."""
+        now = time.monotonic()
+        if self._told and stage != self._last:
+            self._last = stage
+            stderr.print(f"[dim]{now - self._began:6.1f} s[/]  {escape(stage)}", highlight=False)
         if self._display.disable:
             return
-        now = time.monotonic()
         if stage not in self._stages:
             self._forget(now)
             self._stages[stage] = self._display.add_task(escape(stage), total=None, passed=""), now
@@ -53,15 +62,16 @@ class Bars:
 
 
 @contextmanager
-def shown(quiet: bool) -> Iterator[Bars]:
+def shown(quiet: bool, told: bool = False) -> Iterator[Bars]:
     """Bars with the time left, which vanish in the end; nothing where the error stream is no terminal.
 
     Args:
         quiet: whether to show nothing, as with --json.
+        told: whether every new stage is told in a line that stays, on a terminal or not: for work of many minutes.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[passed]}"), TimeRemainingColumn())
     with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as display:
-        yield Bars(display)
+        yield Bars(display, told and not quiet)
 
 
 def _passed(done: float, of: float) -> str:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
 
-from tepm_opt.cli.common import INTERRUPTED, JsonOption, stderr, stdout
+import tepm_opt as tepm
+from tepm_opt.cli import INTERRUPTED
+from tepm_opt.cli.common import JsonOption, stdout, warn
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
-from tepm_opt.data.datasets import DESCRIPTION, read_description
-from tepm_opt.jobs.record import record as record_plan
-from tepm_opt.recording.measure import UNFINISHED
-from tepm_opt.recording.plan import RecordingPlan, read_plan
+
+if TYPE_CHECKING:
+    from tepm_opt.recording.plan import RecordingPlan
 
 
 def record(
@@ -26,12 +27,12 @@ def record(
     as_json: JsonOption = False,
 ) -> int:
     """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted."""
-    planned = read_plan(plan)
+    planned = tepm.read_plan(plan)
     try:
         with stopped_by_signals(), shown(as_json) as bars:
-            done = record_plan(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
+            done = tepm.record(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
     except KeyboardInterrupt:
-        stderr.print(f"interrupted: {kept(planned, out)}", style="yellow", soft_wrap=True, highlight=False)
+        warn(f"interrupted: {kept(planned, out)}")
         return INTERRUPTED
     except (RuntimeError, OSError) as error:
         return failed(error, kept(planned, out))
@@ -48,6 +49,9 @@ def record(
 
 def kept(plan: RecordingPlan, out: Path) -> str:
     """What is there where a recording ended early."""
+    from tepm_opt.data.datasets import DESCRIPTION, read_description
+    from tepm_opt.recording.measure import UNFINISHED
+
     finished = len(read_description(out).runs) if (out / DESCRIPTION).is_file() else 0
     rest = f", what there is of the next one in {out / UNFINISHED}" if (out / UNFINISHED).is_dir() else ""
     return f"{finished} of {len(plan.runs)} runs are in {out}{rest}; the same command goes on"

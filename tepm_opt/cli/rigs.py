@@ -7,16 +7,17 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
 
 from tepm_opt.cli.common import UNSOLVED, stderr
 from tepm_opt.errors import InputError
-from tepm_opt.hw.registry import open_rig
-from tepm_opt.hw.rig import Rig
-from tepm_opt.models.robot import Robot
+
+if TYPE_CHECKING:
+    from tepm_opt.hw.rig import Rig
+    from tepm_opt.models.robot import Robot
 
 RigOption = Annotated[
     str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the default simulated rig, another one, a recording.")
@@ -30,6 +31,8 @@ def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:
     Raises:
         InputError: when called: no such rig; or --seed is given and the rig has nothing to seed.
     """
+
+    from tepm_opt.hw.registry import open_rig
 
     def open_seeded(noise: int) -> Rig:
         rig = open_rig(text, robot)
@@ -58,7 +61,8 @@ def stopped_by_signals() -> Iterator[None]:
 
     main = threading.current_thread() is threading.main_thread()  # only there can they be caught
     names = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if main and hasattr(signal, name)]
-    before = {name: signal.signal(name, interrupt) for name in names}
+    heard = [name for name in names if signal.getsignal(name) is not signal.SIG_IGN]  # nohup wants it to go on
+    before = {name: signal.signal(name, interrupt) for name in heard}
     try:
         yield
     finally:

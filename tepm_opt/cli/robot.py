@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+import tepm_opt as tepm
 from tepm_opt.cli.common import JsonOption, stdout
 from tepm_opt.data.files import write_atomically
 from tepm_opt.errors import InputError
-from tepm_opt.models.robot import builtin_robots, load_robot, robot_text
 
 app = typer.Typer(help="Robot files: show, start a new one, check.", no_args_is_help=True)
 
@@ -23,7 +23,7 @@ def show(
     as_json: JsonOption = False,
 ) -> int:
     """Print a robot's numbers."""
-    found = load_robot(robot)
+    found = tepm.load_robot(robot)
     if as_json:
         print(json.dumps(found.model_dump(), indent=2))
         return 0
@@ -43,6 +43,8 @@ def new(
     as_json: JsonOption = False,
 ) -> int:
     """Write a commented robot file to edit."""
+    from tepm_opt.models.robot import robot_text
+
     if path.exists():
         raise InputError(f"{path} exists; name another file")
     name = f"name = {json.dumps(path.stem, ensure_ascii=False)}"
@@ -57,7 +59,9 @@ def check(
     as_json: JsonOption = False,
 ) -> int:
     """Check a robot file."""
-    found = load_robot(robot)
+    from tepm_opt.models.robot import builtin_robots
+
+    found = tepm.load_robot(robot)
     summary = {"robot": found.name, "modules": found.modules, "actuators": found.actuators, "levels": found.levels}
     if as_json:
         print(json.dumps({**summary, "built_in": robot in builtin_robots()}, indent=2))

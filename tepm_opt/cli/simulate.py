@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import INTERRUPTED, JsonOption, ModelOption, RobotOption, load, report, stderr
-from tepm_opt.data.files import output_folder
+from tepm_opt.cli import INTERRUPTED
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report, stderr, warn
+from tepm_opt.cli.progress import shown
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.jobs.simulate import LENGTHS, TRAJECTORY, SimulateRun, read_task, run_simulation
-from tepm_opt.models.compile import CompiledModel
-from tepm_opt.plots import film as film_maker
-from tepm_opt.plots import motion
-from tepm_opt.solvers.simulate import METHODS, Directions, Method
+
+if TYPE_CHECKING:
+    from tepm_opt.jobs.simulate import SimulateRun
+    from tepm_opt.models.compile import CompiledModel
+    from tepm_opt.plots.film import Kind
+    from tepm_opt.solvers.simulate import Directions, Method
 
 SHORTEST, LONGEST = 0.02, 1000.0  # ms; a step that was meant in s is below
 
@@ -37,28 +38,7 @@ def sensitivities(names: str | None, model: CompiledModel, method: str) -> Direc
         raise InputError(f"--sensitivities needs --method implicit; found: {method}")
     wanted = list(dict.fromkeys(name.strip() for name in names.split(",")))
     inputs = [name for name in wanted if name.startswith(("pressure_", "tension_")) and name not in model.values]
-    return Directions.of(model, [name for name in wanted if name not in inputs], inputs)
-
-
-@contextmanager
-def folder_for(out: Path) -> Iterator[Path]:
-    """The output folder; if it is new and stays empty (wrong input, interrupted at once) it goes again."""
-    new = [path for path in (out, *out.parents) if not path.exists()]
-    try:
-        yield output_folder(out)
-    finally:
-        for path in new:
-            with suppress(OSError):  # it holds something
-                path.rmdir()
-
-
-@contextmanager
-def bar(label: str, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """A bar with the time left on the error stream, moved by the part done."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as progress:
-        task = progress.add_task(label, total=1.0)
-        yield lambda part: progress.update(task, completed=part)
+    return tepm.Directions.of(model, [name for name in wanted if name not in inputs], inputs)
 
 
 def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[str]:
@@ -80,6 +60,8 @@ def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[s
     for name, change in told.get("largest_tip_change_by_1_percent_m", {}).items():
         text.append(f"{escape(name)}: 1 % (of an input: of its range) moves the tip by up to {1e3 * change:.3g} mm")
     if run.hold:
+        from tepm_opt.jobs.simulate import TRAJECTORY
+
         text.append(f"in {TRAJECTORY} inputs hold until the next row; read as a run of a data set they would change linearly")
     if film is not None:
         text.append(f"film: {escape(str(film))}")
@@ -103,15 +85,19 @@ def simulate(
     as_json: JsonOption = False,
 ) -> int:
     """Simulate the motion under a file's inputs: trajectory (a run of a data set), lengths, figures, film."""
+    from tepm_opt.jobs.simulate import LENGTHS, TRAJECTORY
+    from tepm_opt.plots.film import choose
+    from tepm_opt.solvers.simulate import METHODS
+
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
     if step is not None and not SHORTEST <= step <= LONGEST:
         raise InputError(f"--step {step:g}; valid: {SHORTEST:g} … {LONGEST:g} ms")
-    kind = film_maker.choose(film)
+    kind = choose(film)
     chosen: Method = "rk4" if method == "rk4" else "implicit"
     compiled = load(robot, model)
     directions = sensitivities(by, compiled, chosen)
-    task = read_task(inputs, compiled)
+    task = tepm.read_task(inputs, compiled)
     if hold and task.measured is not None:
         raise InputError(f"--hold: {inputs} has measured points, and inputs of recorded runs change linearly between samples")
     if inputs.resolve() in {(out / name).resolve() for name in (TRAJECTORY, LENGTHS)}:
@@ -120,36 +106,34 @@ def simulate(
         _ = compiled.stepper  # here, so that it does not count as simulating
     kept = "nothing was finished"
     try:
-        with folder_for(out) as folder:
+        with folder_for(out) as folder, shown(as_json) as progress:
             began = time.perf_counter()
-            with bar("simulation", as_json) as progress:
-                seconds = None if step is None else 1e-3 * step
-                run = run_simulation(compiled, task, chosen, seconds, hold, directions, lambda stage, done, of: progress(done / of))
+            run = tepm.run_simulation(compiled, task, chosen, None if step is None else 1e-3 * step, hold, directions, progress)
             took = time.perf_counter() - began
             run.save(folder)
             kept = f"the tables are in {out}"
-            made, whole = _draw(run, folder, kind, as_json)
+            plots.draw(run, folder)
+            made, whole = _film(run, folder, kind, lambda part: progress("film", part, 1))
     except KeyboardInterrupt:
-        stderr.print(f"interrupted: {escape(kept)}", style="yellow", soft_wrap=True, highlight=False)
+        warn(f"interrupted: {kept}")
         return INTERRUPTED
     if run.failure:
         stderr.print(f"[bold red]error:[/] {escape(run.failure)}; kept until then", soft_wrap=True, highlight=False)
     status = report(run.summary(), lines(run, out, took, made), as_json, run.ok)
     if whole:
         return status
-    stderr.print("interrupted: the film ends early", style="yellow")
+    warn("interrupted: the film ends early")
     return INTERRUPTED
 
 
-def _draw(run: SimulateRun, folder: Path, kind: film_maker.Kind, quiet: bool) -> tuple[Path | None, bool]:
-    """Figures and film into the folder; the film's path, and whether it was not interrupted. An earlier film goes."""
+def _film(run: SimulateRun, folder: Path, kind: Kind, progress: Callable[[float], None]) -> tuple[Path | None, bool]:
+    """The film's path, none where it is not wanted, and whether it was not interrupted; an earlier film goes."""
+    from tepm_opt.plots import film
+
     if not len(run.places):
         return None, True
-    plots.save(motion.tip_figure(run), folder / "tip.png")
-    plots.save(motion.lengths_figure(run), folder / "actuator_lengths.png")
-    for name in film_maker.NAMES.values():
+    for name in film.NAMES.values():
         (folder / name).unlink(missing_ok=True)
     if kind == "none" or run.interrupted:
         return None, True
-    with bar("film", quiet) as progress:
-        return film_maker.save(run.simulation, folder, kind, progress)
+    return film.save(run.simulation, folder, kind, progress)

@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.markup import escape
 
+import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, progress, report, unsolved_lines, vector
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_inputs, load, report, unsolved_lines, vector
+from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
-from tepm_opt.data.setpoints import SetPoints, read_setpoints
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.runs import run_statics
+
+if TYPE_CHECKING:
+    from tepm_opt.jobs.statics import StaticsRun
+
+ROWS = 8  # told to people
+
+
+def lines(run: StaticsRun, out: Path | None) -> list[str]:
+    """What a run says to people."""
+    summary = run.summary()
+    text = [f"[bold]{summary['solved']} of {summary['points']}[/] equilibria solved" + (f", files in {escape(str(out))}" if out else "")]
+    for k, at in enumerate(run.equilibria[:ROWS]):
+        if at.solved:
+            tip = ", ".join(f"{1e3 * value + 0.0:.3f}" for value in at.tip.round(9))
+            tilt = math.degrees(at.tip_tilt)
+            text.append(f"row {k + 1}: tip ({tip}) mm, tilt {tilt:.2f}°, stiffness at least {at.smallest_eigenvalue:.4f} N/m")
+    return text + unsolved_lines(summary)
 
 
 def statics(
@@ -32,24 +49,13 @@ def statics(
         raise InputError("a set-point file and --pressures, --tensions or --tip-force exclude each other")
     folder = None if out is None else output_folder(out)
     compiled = load(robot, model)
-    layout = compiled.layout
     if inputs is not None:
-        setpoints = read_setpoints(inputs, layout.actuator_names, compiled.input_max)
+        setpoints = tepm.read_setpoints(inputs, compiled.layout.actuator_names, compiled.input_max)
     else:
-        half = layout.inputs // 2
-        given = [vector(text, name, half) or [0.0] * half for text, name in ((pressures, "--pressures"), (tensions, "--tensions"))]
-        u = compiled.check_inputs(np.concatenate(given), "inputs")
-        setpoints = SetPoints(np.zeros(1), u[None], np.array([vector(tip_force, "--tip-force") or [0.0] * 3]))
-    run = run_statics(compiled, setpoints, progress("statics", len(setpoints.time), as_json))
+        setpoints = tepm.SetPoints.single(given_inputs(compiled, pressures, tensions), vector(tip_force, "--tip-force"))
+    with shown(as_json) as progress:
+        run = tepm.run_statics(compiled, setpoints, progress)
     if folder is not None:
         run.save(folder)
-        plots.save(plots.statics_figure(run), folder / "statics.png")
-    summary = run.summary()
-    text = [f"[bold]{summary['solved']} of {summary['points']}[/] equilibria solved" + (f", files in {escape(str(out))}" if out else "")]
-    for k, at in list(enumerate(run.equilibria))[:8]:
-        if at.solved:
-            tip = ", ".join(f"{1e3 * value + 0.0:.3f}" for value in at.tip.round(9))
-            text.append(
-                f"row {k + 1}: tip ({tip}) mm, tilt {np.rad2deg(at.tip_tilt):.2f}°, stiffness at least {at.smallest_eigenvalue:.4f} N/m"
-            )
-    return report(summary, text + unsolved_lines(summary), as_json, run.ok)
+        plots.draw(run, folder)
+    return report(run.summary(), lines(run, out), as_json, run.ok)

@@ -51,6 +51,12 @@ class SetPoints:
     inputs: np.ndarray
     tip_force: np.ndarray
 
+    @classmethod
+    def single(cls, inputs: Sequence[float] | np.ndarray, tip_force: Sequence[float] | None = None) -> SetPoints:
+        """One row at time 0: inputs (2 · modules · actuators,) in Pa and N, force on the tip (3,) in N, none where absent."""
+        force = np.zeros(3) if tip_force is None else np.asarray(tip_force, dtype=float)
+        return cls(np.zeros(1), np.asarray(inputs, dtype=float)[None], force[None])
+
 
 def read_setpoints(path: str | Path, actuators: Sequence[str], limits: np.ndarray) -> SetPoints:
     """A set-point file: `time_s`, the inputs of the named actuators and, where there is one, the tip force.

@@ -18,7 +18,7 @@ from tepm_opt.control.loop import DONE, LoopRecord
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import FORCE_COLUMNS
 from tepm_opt.data.tables import write_columns
-from tepm_opt.jobs.runs import save_summary
+from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import Model

@@ -19,9 +19,9 @@ from tepm_opt.data.run import Run, read_run_table, refuse_unusable, run_of, writ
 from tepm_opt.data.setpoints import SetPoints, length_columns, point_columns
 from tepm_opt.data.tables import write_table
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.runs import save_summary
+from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.outcome import Ending
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.simulate import Directions, Method, Simulation, simulate
 
@@ -112,6 +112,14 @@ class SimulateRun:
         """Whether the user ended it early."""
         return self.simulation.outcome.ending is Ending.INTERRUPTED
 
+    def __repr__(self) -> str:
+        return f"<SimulateRun {self.outcome}; {len(self.places)} of {self.asked} rows, {self.duration:.4g} s of {self.model.robot.name}>"
+
+    @property
+    def outcome(self) -> Outcome:
+        """How it ended: solved where the motion came to the end of the file."""
+        return self.simulation.outcome
+
     @property
     def model(self) -> CompiledModel:
         """The model that moved."""
@@ -120,7 +128,7 @@ class SimulateRun:
     @property
     def ok(self) -> bool:
         """Whether it came to the end."""
-        return self.simulation.solved
+        return self.outcome.solved
 
     @property
     def time(self) -> np.ndarray:
@@ -210,9 +218,18 @@ def run_simulation(
     model: CompiledModel, task: SimulationTask, method: Method = "implicit", step: float | None = None, hold: bool = False,
     directions: Directions | None = None, progress: Progress = silent,
 ) -> SimulateRun:  # fmt: skip
-    """Simulate what a file asks for, from rest under its first row; see `simulate` for the arguments.
+    """Simulate what a file asks for, from rest under its first row.
 
     An interruption (Ctrl-C) and a motion that leaves all bounds end it early; the run says so and holds what was done.
+
+    Args:
+        model: compiled model.
+        task: inputs and, where there are any, measured points.
+        method: implicit, or the paper's.
+        step: longest in s; the method's own where absent.
+        hold: whether a row holds until the next one, instead of changing linearly.
+        directions: parameters and inputs by which the motion is differentiated.
+        progress: told how much of it is done, in s.
 
     Raises:
         InputError: as for `simulate`.

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from tepm_opt.jobs.closed_loop import BANDS, ClosedLoop
 from tepm_opt.models.layout import Layout
-from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
 
 TOLERANCE = 2.0  # mm, shaded
 AXES = "xyz"

@@ -10,10 +10,12 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from tepm_opt.data.metrics import shape_error
+from tepm_opt.data.metrics import point_errors, shape_error
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import AXES
-from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
+from tepm_opt.discrepancy.search import Hypothesis
+from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
 
 COLORS = {"nominal": MISSED, "recalibrated": TENSION, "corrected": REACHED, "black box": PRESSURE, "noise floor": TARGET}
 Predictions = Mapping[str, Sequence[np.ndarray]]
@@ -25,6 +27,42 @@ WINDOW = 8.0  # s shown of the tip
 SMALLEST_SPAN = 2.0  # mm, so that noise is not drawn as motion
 ENOUGH_ROOM = 14  # columns of the heat map that fit in its usual width
 SHOWN = 20  # candidates shown of the evidence
+
+
+def discovery_figures(result: Discovery) -> dict[str, Figure]:
+    """All figures of an answer by the names that its page gives them; "evidence" only where something was fitted."""
+    verdict, place = result.verdict, result.localisation
+    runs = result.dataset.validation or result.dataset.runs
+    data = "validation runs" if result.dataset.validation else "fit runs"
+    at = [result.dataset.runs.index(run) for run in runs]
+    predictions = {name: [points[k] for k in at] for name, points in result.predictions.items()}
+    by_point = {name: _rms_by_point([run.points for run in runs], points) for name, points in predictions.items()}
+    errors = {name.replace("_", " "): value for name, value in vars(verdict.errors).items()}
+    found = {
+        "heat": heat_figure(place.heat, place.runs, place.points),
+        "gap": gap_figure(errors, data=data),
+        "points": points_figure(place.points, by_point, verdict.errors.noise_floor, data=data),
+        "over_time": over_time_figure(runs, predictions, verdict.errors.noise_floor),
+        "tip": tip_figure(runs, predictions),
+    }
+    explanation = result.explanation
+    fitted = [h for h in explanation.tried if len(h.effects) == 1] + [explanation.best] * (len(explanation.best.effects) > 1)
+    if fitted:
+        closes = {_label(h): explanation.closes(h) for h in fitted}
+        sure = {_label(explanation.best), *(effect.label for effect in explanation.best.effects)}
+        named = {each.candidate.label for each in verdict.effects}
+        found["evidence"] = evidence_figure(closes, sure & closes.keys(), (named - sure) & closes.keys())
+    return found
+
+
+def _label(hypothesis: Hypothesis) -> str:
+    return " + ".join(effect.label for effect in hypothesis.effects)
+
+
+def _rms_by_point(measured: list[np.ndarray], modelled: list[np.ndarray]) -> np.ndarray:
+    squares = point_errors(np.concatenate(measured), np.concatenate(modelled)) ** 2
+    count = np.isfinite(squares).sum(axis=0)
+    return np.sqrt(np.where(count, np.nansum(squares, axis=0) / np.maximum(count, 1), np.nan))
 
 
 def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str]) -> Figure:

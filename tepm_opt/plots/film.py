@@ -18,7 +18,7 @@ from PIL import Image
 
 from tepm_opt.data.files import atomic_path
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.plots import MISSED
+from tepm_opt.plots.figure import MISSED
 from tepm_opt.plots.scene import COLOURS, EDGE, FLOOR, HEIGHT, PLATE, RING, WIDTH, Scene
 from tepm_opt.solvers.simulate import Simulation
 

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from tepm_opt.plots import MISSED, PRESSURE, STYLE, TARGET
+from tepm_opt.jobs.modes import ModesRun
+from tepm_opt.plots.figure import MISSED, PRESSURE, STYLE, TARGET
 from tepm_opt.solvers.linear import System
 from tepm_opt.solvers.modes import Mode, direction_in_words
 from tepm_opt.solvers.reduction import Reduced
@@ -19,6 +20,19 @@ SHOWN = 6  # mode shapes in a figure
 SWING = 0.06  # m a node goes at most in the drawing
 SEEN = 1e-4  # of the largest output: smaller ones are not drawn
 COLORS = {"x": "#1f5fa8", "y": "#c8571b", "z": "#1b7f4b"}
+
+
+def modes_figures(run: ModesRun) -> dict[str, Figure]:
+    """Figures of an operating point by name: modes, Bode diagram and step response."""
+    at = run.linear.equilibrium
+    title = f"{at.model.robot.name} about tip ({', '.join(f'{1e3 * value + 0.0:.0f}' for value in at.tip.round(6))}) mm"
+    system = run.linear.select(run.reduced.inputs, run.reduced.outputs)
+    duration = 4 * max([mode.time_constant for mode in run.modes if mode.oscillates] or [run.modes[0].time_constant])
+    return {
+        "modes": shapes_figure(run.modes, title),
+        "bode": bode_figure(system, title),
+        "step": step_figure(system, run.reduced, duration, title),
+    }
 
 
 def shapes_figure(modes: Sequence[Mode], title: str) -> Figure:

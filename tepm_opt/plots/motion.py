@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from tepm_opt.jobs.simulate import SimulateRun
 from tepm_opt.models.layout import Layout
-from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TENSION
+from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TENSION
 
 AXES = (("x", PRESSURE), ("y", TENSION), ("z", REACHED))
 NOTHING = 0.3  # height of the panel of inputs that are zero throughout

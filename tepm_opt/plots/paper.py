@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from tepm_opt.paper.published import PUBLISHED
 from tepm_opt.paper.result import ExperimentResult
-from tepm_opt.plots import MISSED, PRESSURE, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import MISSED, PRESSURE, STYLE, TARGET, TENSION
 from tepm_opt.solvers.backbone import backbone
 
 MODEL, PROTOTYPE = PRESSURE, MISSED

@@ -8,19 +8,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tepm_opt.plots import MISSED, PRESSURE, REACHED, STYLE, TARGET
+from tepm_opt.jobs.plan import PlanRun
+from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET
 from tepm_opt.solvers.planning.plan import Box, MotionPlan, Obstacle, Sphere
 
 VIEWS = ((0, 2), (0, 1))
 MODULES = ("-", "--", ":", "-.")
 
 
-def plan_figure(plan: MotionPlan, obstacles: Sequence[Obstacle] = ()) -> Figure:
+def plan_figure(run: PlanRun) -> Figure:
     """Reference points from the side and from above, then speed, pressures and tensions over time."""
+    plan = run.plan
     figure = Figure(figsize=(11.5, 8.2), **STYLE)  # type: ignore[arg-type]
     grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.2))
     for k, view in enumerate(VIEWS):
-        _way(figure.add_subplot(grid[:2, 0] if k == 0 else grid[2, 0]), plan, obstacles, view)
+        _way(figure.add_subplot(grid[:2, 0] if k == 0 else grid[2, 0]), plan, run.obstacles, view)
     speed, pressure, tension = (figure.add_subplot(grid[k, 1]) for k in range(3))
     speed.plot(plan.time, 1e3 * np.linalg.norm(np.gradient(plan.tips, plan.time, axis=0), axis=1), color=REACHED)
     speed.set_ylabel("tip speed in mm/s")

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from tepm_opt.plots import MISSED
+from tepm_opt.plots.figure import MISSED
 from tepm_opt.solvers.simulate import Simulation
 
 WIDTH, HEIGHT, DPI = 720, 640, 100  # pixels; both even, as films need

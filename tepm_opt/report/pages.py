@@ -13,8 +13,7 @@ import numpy as np
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.localise import Localisation
 from tepm_opt.discrepancy.verdict import Value, Verdict, VerdictStatus
-from tepm_opt.jobs.closed_loop import ClosedLoop
-from tepm_opt.jobs.runs import GainRun, IkRun
+from tepm_opt.jobs.demo import DemoRun
 
 HEADINGS = {
     VerdictStatus.NAMED: "The missing effect is named",
@@ -25,45 +24,34 @@ HEADINGS = {
 RIVALS = 15  # listed on the page
 
 
-def write_page(
-    path: str | Path,
-    hybrid: IkRun,
-    pressure: IkRun,
-    gains: GainRun,
-    loops: Mapping[str, ClosedLoop],
-    note: str,
-    figures: Mapping[str, Path],
-) -> None:
+def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> None:
     """Write the page of the main job.
 
     Args:
         path: of the page.
-        hybrid, pressure: inverse kinematics of the circle.
-        gains: along it.
-        loops: closed loops by what they are called; none where there are none.
-        note: why there are none.
+        run: with all its parts.
         figures: PNG files by name, put into the page: "ik", "gain" and, with loops, "path", "distance", "inputs".
 
     Raises:
         InputError: the folder cannot be written to.
+        ValueError: the run was interrupted before its last part.
     """
-    environment, images = _environment(), _images(figures)
-    found = [gain for gain in gains.gains if gain]
-    spans = {
-        kind: [float(1e3 * function([gain.singular_values(kind)[at] for gain in found])) for function, at in ((np.min, 2), (np.max, 0))]
-        for kind in ("pressure", "tension")
-        if found
-    }
-    page = environment.get_template("demo.html").render(
-        robot=hybrid.model.robot,
-        values=hybrid.model.values,
-        hybrid=hybrid.summary(),
-        pressure=pressure.summary(),
-        images=images,
-        spans=spans,
-        loops={name: loop.summary(timing=False) for name, loop in loops.items()},
-        note=note,
-        version=version("tepm-opt"),
+    if run.hybrid is None or run.gains is None:
+        raise ValueError(f"no page of {run!r}")
+    page = (
+        _environment()
+        .get_template("demo.html")
+        .render(
+            robot=run.pressure.model.robot,
+            values=run.pressure.model.values,
+            hybrid=run.hybrid.summary(),
+            pressure=run.pressure.summary(),
+            images=_images(figures),
+            spans={kind: [1e3 * low, 1e3 * high] for kind, (low, high) in run.gains.spans().items()},
+            loops={name: loop.summary(timing=False) for name, loop in run.loops.items()},
+            note=run.note,
+            version=version("tepm-opt"),
+        )
     )
     write_atomically(path, page)
 

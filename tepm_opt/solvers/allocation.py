@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.choices import ActuationMode
 
 PRECISION = 1e-10  # N
 ITERATIONS = 200
-
-
-class ActuationMode(StrEnum):
-    """How axial forces are made."""
-
-    PRESSURE = "pressure"
-    """The paper's mode 1: the tendons are slack."""
-    HYBRID = "hybrid"
-    """Pressure on the regulator's grid, tension takes the rest about its mid-range."""
 
 
 @dataclass(frozen=True, eq=False)

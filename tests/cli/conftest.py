@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from tepm_opt import plots
-from tepm_opt.cli import demo, gain, run
+from tepm_opt.cli import run
+from tepm_opt.jobs import demo, gain
 from tepm_opt.jobs.compare import compare
 from tepm_opt.jobs.course import Course
 from tepm_opt.solvers.gain import WorkspaceMap, workspace_map
@@ -82,7 +83,7 @@ def drawn() -> None:
 def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made but not drawn, which is most of a command's time, unless a test asks for `drawn`."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr(plots, "save", lambda figure, path: Path(path).write_bytes(PNG))
+        monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(PNG))
 
 
 @pytest.fixture
@@ -99,7 +100,7 @@ def coarse_map(monkeypatch: pytest.MonkeyPatch) -> None:
 def short_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     """Closed loops of the demo over a small part of the circle, in this process."""
     monkeypatch.setattr(demo, "COURSE", Course(approach=0.3, pause=0.02, laps=0.02, start_up=0.05))
-    monkeypatch.setattr(demo, "compare", lambda tasks, workers, show: compare(tasks, 1, show))
+    monkeypatch.setattr(demo, "compare", lambda tasks, workers, progress: compare(tasks, 1, progress))
 
 
 @pytest.fixture

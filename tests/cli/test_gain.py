@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt.jobs import runs
+from tepm_opt.jobs import statics as job
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import gain_columns, input_columns, names_in, summary, table, tips, values, write_rows
 
@@ -104,14 +104,14 @@ def test_figure_without_operating_points_warns_of_nothing(tepm: Command, here: P
 
 
 def test_interruption_keeps_the_rows_so_far(tepm: Command, here: Path, solved_circle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solve, calls = runs.solve_statics, iter(range(100))
+    solve, calls = job.solve_statics, iter(range(100))
 
     def interrupted(*arguments: object) -> object:
         if next(calls) == 4:
             raise KeyboardInterrupt
         return solve(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(runs, "solve_statics", interrupted)
+    monkeypatch.setattr(job, "solve_statics", interrupted)
     done = tepm("gain", solved_circle / "inputs.csv", "--out", "out")
     assert done.status == 130
     np.testing.assert_allclose(values(here / "out" / "gain.csv"), values(solved_circle / "gain.csv")[:4], rtol=1e-9, atol=1e-15)

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from tepm_opt import ActuationMode
-from tepm_opt.jobs import runs
+from tepm_opt.jobs import ik as job
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import (
     IK_FILES,
@@ -43,7 +43,7 @@ def interrupted_after(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """Lets a person press Ctrl-C once, while the point after the first `count` is solved."""
 
     def install(count: int) -> None:
-        solve, pressed = runs.each_configuration, []
+        solve, pressed = job.each_configuration, []
 
         def each(*arguments: Any, **options: Any) -> Iterator[Any]:
             for number, found in enumerate(solve(*arguments, **options)):
@@ -52,7 +52,7 @@ def interrupted_after(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
                     raise KeyboardInterrupt
                 yield found
 
-        monkeypatch.setattr(runs, "each_configuration", each)
+        monkeypatch.setattr(job, "each_configuration", each)
 
     return install
 
@@ -280,14 +280,14 @@ class TestInterruption:
 
     @pytest.mark.usefixtures("quick", "drawn")
     def test_demo_stops_before_the_first_set_point(self, tepm: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-        solve = runs.each_configuration
+        solve = job.each_configuration
 
         def each(*arguments: Any, **options: Any) -> Iterator[Any]:
             if any(argument is ActuationMode.HYBRID for argument in arguments):
                 raise KeyboardInterrupt
             yield from solve(*arguments, **options)
 
-        monkeypatch.setattr(runs, "each_configuration", each)
+        monkeypatch.setattr(job, "each_configuration", each)
         assert tepm("demo", "--out", "out").status == 130
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from tepm_opt import load_robot
-from tepm_opt.jobs import runs
+from tepm_opt.jobs import ik as job
 from tepm_opt.outcome import Ending, Outcome
 from tests.cli.conftest import Command, script
 from tests.cli.tables import IK_FILES, names_in, summary, values
@@ -136,13 +136,13 @@ class TestDemo:
 
     @pytest.mark.usefixtures("quick")
     def test_a_point_that_fails(self, tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        solve = runs.each_configuration
+        solve = job.each_configuration
 
         def each(*arguments: Any, **options: Any) -> Iterator[Any]:
             for number, found in enumerate(solve(*arguments, **options)):
                 yield replace(found, outcome=Outcome(Ending.FAILED, "it fails")) if number == 2 else found
 
-        monkeypatch.setattr(runs, "each_configuration", each)
+        monkeypatch.setattr(job, "each_configuration", each)
         done = tepm("demo", "--out", "out")
         assert done.status == 1, done.err
         assert "point 3: it fails" in done.out

@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from tepm_opt.cli.common import SOLVED, RobotOption, stderr
-from tepm_opt.cli.hw import shared as hw_shared
+from tepm_opt.cli.hw import shared
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import write_atomically
-from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.rig import SerialRig
-from tepm_opt.hw.service import calibrate, moves
-from tepm_opt.hw.service.calibrate import STANDARD_GRAVITY, CalibrationFit, fit_line
-from tepm_opt.hw.service.line import actuators_of, tracker_link
-from tepm_opt.hw.service.registration import Registration
-from tepm_opt.models.layout import Layout
-from tepm_opt.models.robot import Robot, load_robot
-from tepm_opt.recording.drive import refuse_unplayable
-from tepm_opt.recording.register import record_poses, register
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tepm_opt.hw.board.rig import SerialRig
+    from tepm_opt.hw.service.calibrate import CalibrationFit
+    from tepm_opt.hw.service.moves import Single
+    from tepm_opt.hw.service.registration import Registration
+    from tepm_opt.models.robot import Robot
 
 AVERAGED_S = 1.0
 """Seconds over which readings are averaged."""
@@ -44,13 +42,18 @@ def tension(
     robot: RobotOption = None,
 ) -> int:
     """Dynamometers: hang weights on, one after the other. Nothing moves."""
+    import numpy as np
+
+    from tepm_opt.hw.service import calibrate
+    from tepm_opt.models.layout import Layout
+
     found, which = _prepared(robot, actuator, out)
-    most = 1e3 * found.actuation.tension_max_N / STANDARD_GRAVITY
+    most = 1e3 * found.actuation.tension_max_N / calibrate.STANDARD_GRAVITY
     masses = calibrate.increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
     names = Layout.of(found).actuator_names
 
     def work() -> int:
-        line = hw_shared.open_line(port)
+        line = shared.open_line(port)
         link = line.link()
         lines: dict[int, CalibrationFit] = {}
         try:
@@ -59,14 +62,14 @@ def tension(
                 counts = []
                 for mass in masses:
                     what = f"hang {mass:g} g on" if mass else "take all weight off"
-                    hw_shared.ask(f"Dynamometer {names[k]}: {what}, let it rest, then press Enter:")
+                    shared.ask(f"Dynamometer {names[k]}: {what}, let it rest, then press Enter:")
                     link.listen()
                     taken = calibrate.collect(link, AVERAGED_S).dynamometers
                     counts.append(taken.mean(axis=0))
                     noise = taken[:, k].std()
                     stderr.print(f"  {mass:g} g: {counts[-1][k]:.1f} counts, standard deviation {noise:.1f}", highlight=False)
                 calibrate.refuse_mixed_up(np.ptp(counts, axis=0), k, names, "dynamometer")
-                lines[k] = fit_line(np.array(masses) * 1e-3 * STANDARD_GRAVITY, np.array(counts)[:, k])
+                lines[k] = calibrate.fit_line(np.array(masses) * 1e-3 * calibrate.STANDARD_GRAVITY, np.array(counts)[:, k])
         finally:
             link.close()
         part = calibrate.tension_part(found, lines)
@@ -87,13 +90,18 @@ def pressure(
     yes: YesOption = False,
 ) -> int:
     """Regulators and their monitors: drives pressures, one actuator after the other, and reads the monitors."""
+    import numpy as np
+
+    from tepm_opt.hw.service import calibrate, moves
+    from tepm_opt.models.layout import Layout
+
     found, which = _prepared(robot, actuator, out)
     levels = calibrate.increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
     names = Layout.of(found).actuator_names
 
     def work() -> int:
         confirm(f"This moves the robot: {', '.join(names[k] for k in which)} go to {levels[-1]:g} kPa, one after the other.", yes)
-        line = hw_shared.open_line(port)
+        line = shared.open_line(port)
         monitors: dict[int, CalibrationFit] = {}
         commands: dict[int, CalibrationFit] = {}
         with line.rig(found) as rig:
@@ -102,9 +110,9 @@ def pressure(
                 single.refuse(1e3 * levels[-1], rig)
                 true, volts, counts = _drive(rig, single, levels, gauge, line.threaded)
                 calibrate.refuse_mixed_up(np.ptp(counts, axis=0), k, names, "pressure monitor")
-                monitors[k] = fit_line(true, calibrate.monitor_volts(counts[:, k]))
+                monitors[k] = calibrate.fit_line(true, calibrate.monitor_volts(counts[:, k]))
                 if gauge:
-                    commands[k] = fit_line(true, volts)
+                    commands[k] = calibrate.fit_line(true, volts)
             rig.stop()
             hello = rig.hello
         part = calibrate.pressure_part(found, monitors, commands)
@@ -117,9 +125,14 @@ def pressure(
 
 
 def _drive(
-    rig: SerialRig, single: moves.Single, levels: Sequence[float], gauge: bool, threaded: bool
+    rig: SerialRig, single: Single, levels: Sequence[float], gauge: bool, threaded: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pressures in MPa that are taken as true, volts of the commands, both (levels,), and mean counts of all monitors, (levels, 6)."""
+    import numpy as np
+
+    from tepm_opt.hw.board.calibration import Calibration
+    from tepm_opt.hw.service import calibrate, moves
+
     calibration = Calibration.of(single.robot)
     true, volts, counts, last = [], [], [], 0.0
     for level in levels:
@@ -144,11 +157,11 @@ def _drive(
 def _reading(question: str, most: float) -> float:
     """A number of kPa that a person types; asked for again until it is one."""
     while True:
-        text = hw_shared.ask(question)
+        text = shared.ask(question)
         try:
             value = float(text.replace(",", "."))
         except ValueError:
-            value = np.nan
+            value = math.nan
         if -0.1 * most <= value <= 1.5 * most:
             return value
         stderr.print(f"  {text!r}; valid: a number of kPa up to {1.5 * most:g}", style="yellow", highlight=False, markup=False)
@@ -165,6 +178,13 @@ def base(
     yes: YesOption = False,
 ) -> int:
     """Where the base stands in the tracker's frame and how the sensors sit: rests at each row, compares with the model's statics."""
+    from tepm_opt.data.setpoints import read_setpoints
+    from tepm_opt.hw.service import calibrate
+    from tepm_opt.hw.service.line import tracker_link
+    from tepm_opt.models.layout import Layout
+    from tepm_opt.recording.drive import refuse_unplayable
+    from tepm_opt.recording.register import record_poses, register
+
     found = _loaded(robot, out)
     setpoints = read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
     refuse_unplayable(setpoints, str(inputs))
@@ -176,18 +196,18 @@ def base(
 
     def work() -> int:
         confirm(f"This moves the robot: it goes slowly through the {len(setpoints.time)} rows of {inputs}.", yes)
-        tracker = hw_shared.open_tracker(found)
+        tracker = shared.open_tracker(found)
         if tracker is None:
             raise InputError(f"robot {found.name}: the file has no [hardware.tracker], which says where poses come from")
         try:
             tracker.first()
-            rig = hw_shared.open_line(port).rig(found, tracker)
+            rig = shared.open_line(port).rig(found, tracker)
         except BaseException:
             tracker.close()
             raise
         with shown(False) as progress:
             recording = record_poses(rig, setpoints, found, hold, progress)
-        with stderr.status("comparing with the model"):
+            progress("comparing with the model", 0, 0)
             registration, notes = register(found, setpoints, recording.poses, known_holders)
         restless = [str(k + 1) for k, rested in enumerate(recording.rested) if not rested]
         notes += [f"rows at which the robot did not come to rest: {', '.join(restless)}"] if restless else []
@@ -221,19 +241,30 @@ def _loaded(robot: str | None, out: Path | None) -> Robot:
     """
     if out is not None and (out.exists() or not out.parent.is_dir()):
         raise InputError(f"--out {out}: {'it exists' if out.exists() else 'there is no such folder'}; name a new file")
+    from tepm_opt.hw.board.calibration import Calibration
+    from tepm_opt.models.robot import load_robot
+
     found = load_robot(robot or "kang2017")
     Calibration.of(found)
     return found
 
 
 def _prepared(robot: str | None, actuator: str, out: Path | None) -> tuple[Robot, list[int]]:
+    """The robot and the actuators that are calibrated.
+
+    Raises:
+        InputError: as for `_loaded`, or no such actuator.
+    """
+    from tepm_opt.hw.service.line import actuators_of
+    from tepm_opt.models.layout import Layout
+
     found = _loaded(robot, out)
     return found, actuators_of(actuator, Layout.of(found).actuator_names)
 
 
 def _words(name: str, line: CalibrationFit, unit: str, of: str, scale: float, small: str) -> str:
     """A fitted line: what it is, what is left, how sure it is."""
-    std = "" if np.isnan(line.slope_std) else f" (± {_short(line.zero_std)} {unit}, ± {_short(line.slope_std)} {unit}/{of})"
+    std = "" if math.isnan(line.slope_std) else f" (± {_short(line.zero_std)} {unit}, ± {_short(line.slope_std)} {unit}/{of})"
     return f"{name}: {line.zero:.6g} {unit} + {line.slope:.6g} {unit}/{of}{std}, residual {_short(scale * line.rms_x)} {small} rms"
 
 
@@ -244,9 +275,11 @@ def _short(value: float) -> str:
 
 def _give(parts: dict[str, dict[str, list]], notes: list[str], kind: str, out: Path | None) -> int:
     """Print or write what goes into the robot file."""
+    from tepm_opt.hw.service.calibrate import snippet
+
     for note in notes:
         say(note)
-    text = calibrate.snippet(parts, [f"tepm hw calibrate {kind}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC", *notes])
+    text = snippet(parts, [f"tepm hw calibrate {kind}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC", *notes])
     say(f"Put these lines into the robot file, in place of those of the same names{f': {out}' if out else ':'}")
     if out is None:
         print(text, end="")

@@ -6,32 +6,30 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, RobotOption, stderr, stdout
-from tepm_opt.cli.hw import shared as hw_shared
+from tepm_opt.cli.hw import shared
 from tepm_opt.cli.hw.calibrate import app as calibrate_app
 from tepm_opt.cli.hw.monitor import monitor
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.board.link import Link, LinkError
 from tepm_opt.hw.board.ports import PortBusyError, find_ports
 from tepm_opt.hw.board.protocol import ESTOP, State
-from tepm_opt.hw.service import moves
-from tepm_opt.hw.service.checks import Check, Mark
-from tepm_opt.hw.service.commissioning import Commissioning, by_hand
-from tepm_opt.hw.service.line import actuators_of
-from tepm_opt.models.layout import Layout
-from tepm_opt.models.robot import load_robot
 
-COLOURS = {Mark.RIGHT: "green", Mark.WRONG: "red", Mark.OPEN: "yellow"}
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tepm_opt.hw.service.checks import Check
+    from tepm_opt.hw.service.moves import Single
+
+COLOURS = {"RIGHT": "green", "WRONG": "red", "OPEN": "yellow"}  # by the names of marks
 ESTOP_S, RESTARTED_S = 8.0, 5.0
 """How long ESTOP is sent; a board whose clock is younger than this when it answers was restarted by opening the port."""
 
@@ -70,12 +68,15 @@ def check(
 ) -> int:
     """Walk through commissioning: what is right, what is wrong, what to do next. Never arms."""
 
+    from tepm_opt.hw.service.checks import Mark
+    from tepm_opt.hw.service.commissioning import Commissioning, by_hand
+
     def asked(press: bool) -> None:
         what = "Press the emergency stop button now" if press else "Seen. Release the button now"
         stderr.print(f"[bold]{what}[/] (30 s)", highlight=False)
 
     name = robot or "kang2017"
-    walk = Commissioning(port, name, clear, asked if button else None, hw_shared.open_line, hw_shared.open_tracker)
+    walk = Commissioning(port, name, clear, asked if button else None, shared.open_line, shared.open_tracker)
 
     def work() -> int:
         made: list[Check] = []
@@ -99,7 +100,7 @@ def check(
 
 
 def _print_check(number: int, entry: Check) -> None:
-    colour = COLOURS[entry.mark]
+    colour = COLOURS[entry.mark.name]
     stdout.print(
         f"{number:2d}. [{colour}]{entry.mark.value}[/] [bold]{entry.name}[/]: {escape(entry.says)}", soft_wrap=True, highlight=False
     )
@@ -108,6 +109,8 @@ def _print_check(number: int, entry: Check) -> None:
 
 
 def _print_end(made: list[Check], steps: list[str]) -> None:
+    from tepm_opt.hw.service.checks import Mark
+
     counts = {mark: sum(entry.mark is mark for entry in made) for mark in Mark}
     marks = f"{counts[Mark.RIGHT]} right, {counts[Mark.WRONG]} wrong, {counts[Mark.OPEN]} not yet"
     first = next((entry for entry in made if entry.mark is Mark.WRONG), None)
@@ -132,6 +135,14 @@ def jog(
     yes: YesOption = False,
 ) -> int:
     """Move one actuator to a value and back; all others stay at 0, their motors off."""
+    import numpy as np
+
+    from tepm_opt.hw.board.calibration import Calibration
+    from tepm_opt.hw.service import moves
+    from tepm_opt.hw.service.line import actuators_of
+    from tepm_opt.models.layout import Layout
+    from tepm_opt.models.robot import load_robot
+
     if (pressure is None) == (tension is None):
         raise InputError("give either --pressure-kPa or --tension")
     if no_tendon and tension is None:
@@ -148,7 +159,7 @@ def jog(
     def work() -> int:
         what = f"actuator {single.name} goes to {value / scale:g} {unit} and back in {seconds:g} s"
         confirm(f"This moves the robot: {what}.", yes)
-        line = hw_shared.open_line(port)
+        line = shared.open_line(port)
         kept: list[float] = []
         steps, others = 0, 0.0
         with line.rig(found, tendons="position" if no_tendon else "tension") as rig, _live() as show:
@@ -179,9 +190,9 @@ def jog(
     return safely(work, STOPPED, STOPPED)
 
 
-def _others(single: moves.Single, values: np.ndarray | None) -> float:
+def _others(single: Single, values: np.ndarray | None) -> float:
     """The most that any other actuator shows, in Pa or N."""
-    return 0.0 if values is None else float(np.max(np.delete(values, single.actuator), initial=0.0))
+    return 0.0 if values is None else max((float(v) for k, v in enumerate(values) if k != single.actuator), default=0.0)
 
 
 @contextmanager
@@ -201,7 +212,7 @@ def estop(port: PortArgument) -> int:
     def work() -> int:
         begin = time.monotonic()
         try:
-            line = hw_shared.open_line(port)
+            line = shared.open_line(port)
         except InputError as error:
             if isinstance(error, PortBusyError):
                 raise InputError(

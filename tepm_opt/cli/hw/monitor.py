@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import nullcontext
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.console import Group, RenderableType
 from rich.live import Live
@@ -14,14 +14,15 @@ from rich.table import Table
 from rich.text import Text
 
 from tepm_opt.cli.common import SOLVED, RobotOption, stdout
-from tepm_opt.cli.hw import shared as hw_shared
+from tepm_opt.cli.hw import shared
 from tepm_opt.cli.hw.shared import safely, say
-from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.board.protocol import State
-from tepm_opt.hw.service.line import LOG
-from tepm_opt.hw.service.monitor import PERIOD, Monitor, MonitorReading
-from tepm_opt.models.layout import Layout
-from tepm_opt.models.robot import Robot, load_robot
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tepm_opt.hw.service.monitor import Monitor, MonitorReading
+    from tepm_opt.models.robot import Robot
 
 
 def monitor(
@@ -33,14 +34,18 @@ def monitor(
 
     Opening the port restarts the board, so a robot that another program moves cannot be looked at.
     """
+    from tepm_opt.hw.service.line import LOG
+    from tepm_opt.hw.service.monitor import Monitor
+    from tepm_opt.models.robot import load_robot
+
     found = load_robot(robot or "kang2017")
     view = _View(found)
 
     def work() -> int:
-        tracker = None if port.startswith(LOG) else hw_shared.open_tracker(found)
+        tracker = None if port.startswith(LOG) else shared.open_tracker(found)
         watch = None
         try:
-            watch = Monitor(lambda: hw_shared.open_line(port), tracker)
+            watch = Monitor(lambda: shared.open_line(port), tracker)
             _show(watch, view, seconds)
         finally:
             if watch is not None:
@@ -53,6 +58,9 @@ def monitor(
 
 
 def _show(watch: Monitor, view: _View, seconds: float | None) -> None:
+    """Show readings until the time is over or the log ends."""
+    from tepm_opt.hw.service.monitor import PERIOD
+
     terminal, due, last, before = stdout.is_terminal, 0.0, None, None
     with Live(console=stdout, refresh_per_second=10, transient=False) if terminal else nullcontext() as live:
         for look in watch:
@@ -77,15 +85,19 @@ class _View:
     """
 
     def __init__(self, robot: Robot) -> None:
+        from tepm_opt.hw.board.calibration import Calibration
+        from tepm_opt.models.layout import Layout
+
         self.names, self.points = Layout.of(robot).actuator_names, Layout.of(robot).point_names
         self.calibration = Calibration.of(robot)
 
-    def values(self, look: MonitorReading) -> tuple[np.ndarray, np.ndarray]:
+    def values(self, look: MonitorReading) -> tuple[Sequence[float], Sequence[float]]:
         """Pressures in kPa and tensions in N of all actuators; NaN without a status."""
         if look.status is None:
-            nothing = np.full(len(self.names), np.nan)
+            nothing = [math.nan] * len(self.names)
             return nothing, nothing
-        return self.calibration.pressures(look.status.monitors) / 1e3, self.calibration.tensions(look.status.dynamometers)
+        pressures, tensions = self.calibration.pressures(look.status.monitors), self.calibration.tensions(look.status.dynamometers)
+        return [float(value) / 1e3 for value in pressures], [float(value) for value in tensions]
 
     def line(self, look: MonitorReading) -> str:
         """One line."""
@@ -115,8 +127,8 @@ class _View:
         if look.tracker:
             points = Table("point", "x mm", "y mm", "z mm", *(() if look.frame is None else (f"age {1e3 * look.frame.age:.0f} ms",)))
             for k, name in enumerate(self.points):
-                at = np.full(3, np.nan) if look.frame is None or k >= len(look.frame.points) else 1e3 * look.frame.points[k]
-                points.add_row(name, *(_number(value, 1) for value in at))
+                at = [math.nan] * 3 if look.frame is None or k >= len(look.frame.points) else look.frame.points[k]
+                points.add_row(name, *(_number(1e3 * value, 1) for value in at))
             shown += [points, Text(look.tracker)]
         return Group(*shown, Text(_line_words(look), style="dim"))
 
@@ -131,4 +143,4 @@ def _line_words(look: MonitorReading) -> str:
 
 
 def _number(value: float, digits: int) -> str:
-    return "–" if np.isnan(value) else f"{value + 0.0:.{digits}f}"
+    return "–" if math.isnan(value) else f"{value + 0.0:.{digits}f}"

@@ -4,23 +4,43 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
 
-from tepm_opt.cli.common import INTERRUPTED, UNSOLVED, stderr, stdout
+from tepm_opt.cli import INTERRUPTED
+from tepm_opt.cli.common import UNSOLVED, stderr, stdout
 from tepm_opt.cli.rigs import stopped_by_signals
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.link import LinkError
-from tepm_opt.hw.service import line
 
-open_line = line.open_line
-open_tracker = line.open_tracker
+if TYPE_CHECKING:
+    from tepm_opt.hw.service.line import Line
+    from tepm_opt.hw.tracker import IgtlTracker
+    from tepm_opt.models.robot import Robot
 
 PortArgument = Annotated[str, typer.Argument(metavar="PORT", help="Serial port, PORT or PORT@BAUD; tepm hw ports lists them.")]
 YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask before the robot moves.")]
 STOPPED = "motors are off and pressure goes to zero"
+
+
+def open_line(target: str) -> Line:
+    """A line to the board at PORT or PORT@BAUD, or a recording of one, log:FILE.
+
+    Raises:
+        InputError: no such port, or the file is no link log.
+    """
+    from tepm_opt.hw.service import line
+
+    return line.open_line(target)
+
+
+def open_tracker(robot: Robot) -> IgtlTracker | None:
+    """The tracker that a robot file names; None where it names none."""
+    from tepm_opt.hw.service import line
+
+    return line.open_tracker(robot)
 
 
 def ask(question: str) -> str:

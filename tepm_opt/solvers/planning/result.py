@@ -1,26 +1,16 @@
-"""What planning comes to: the motion, its set points, its numbers, its files."""
+"""What planning comes to: the motion, its set points, its numbers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tepm_opt.data.setpoints import SetPoints, write_setpoints
-from tepm_opt.data.tables import write_table
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
-
-
-class Objective(StrEnum):
-    """What a plan makes as small as can be."""
-
-    TIME = "time"
-    EFFORT = "effort"
-    """Integral of the squared rates of all set points, pressures as p A, in N²/s; in a given duration."""
+from tepm_opt.solvers.choices import Objective
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,17 +87,3 @@ class MotionPlan:
             "surrogate_error_m": self.surrogate_error[0],
             "surrogate_error_N": self.surrogate_error[1],
         }
-
-    def save(self, folder: str | Path) -> None:
-        """Write inputs.csv (set points) and reference.csv (tip over time, for `read_trajectory`); earlier ones go where there is no plan.
-
-        Raises:
-            InputError: the folder cannot be written to.
-        """
-        inputs, reference = Path(folder) / "inputs.csv", Path(folder) / "reference.csv"
-        if not self.solved:
-            inputs.unlink(missing_ok=True)
-            reference.unlink(missing_ok=True)
-            return
-        write_setpoints(inputs, self.setpoints, self.model.layout.actuator_names)
-        write_table(reference, ["time_s", "x_m", "y_m", "z_m"], np.column_stack([self.time, self.tips]))

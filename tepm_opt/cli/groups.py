@@ -1,0 +1,181 @@
+"""Options that several commands share, as groups: a command takes the group, typer sees its options.
+
+An option that is added to a group reaches every command that takes it.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
+
+import typer
+
+from tepm_opt.cli.common import vector
+from tepm_opt.errors import InputError
+from tepm_opt.solvers.trajectories import DURATION, END, SHAPES, START, ShapeParameter, Trajectory, read_trajectory, shape_parameters
+
+if TYPE_CHECKING:
+    from tepm_opt.solvers.kinematics import IkSettings
+
+Command = Callable[..., int]
+
+
+class OptionGroup:
+    """Options that go together. A subclass is a dataclass whose fields are options, or says itself what its options are."""
+
+    @classmethod
+    def options(cls) -> Iterator[inspect.Parameter]:
+        """The options as parameters of a command."""
+        if not is_dataclass(cls):
+            raise TypeError(f"{cls.__name__} must be a dataclass, or say what its options are")
+        hints = get_type_hints(cls, include_extras=True)
+        for entry in fields(cls):
+            default = inspect.Parameter.empty if entry.default is MISSING else entry.default
+            yield inspect.Parameter(entry.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[entry.name])
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Self:
+        """The group with the values that a person gave, by the names of its options."""
+        return cls(**given)
+
+
+def spread(command: Command) -> Command:
+    """The command with the options of its groups as parameters of its own, as typer wants them."""
+    signature = inspect.signature(command, eval_str=True)
+    groups = {
+        parameter.name: parameter.annotation
+        for parameter in signature.parameters.values()
+        if inspect.isclass(parameter.annotation) and issubclass(parameter.annotation, OptionGroup)
+    }
+    if not groups:
+        return command
+    names = {name: [option.name for option in group.options()] for name, group in groups.items()}
+    parameters = [
+        option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in signature.parameters.values()
+        for option in (groups[parameter.name].options() if parameter.name in groups else (parameter,))
+    ]
+
+    def spread_out(**given: Any) -> int:
+        made = {name: groups[name].of({option: given.pop(option) for option in options}) for name, options in names.items()}
+        return command(**given, **made)
+
+    spread_out.__doc__ = command.__doc__
+    spread_out.__annotations__ = {}
+    spread_out.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return spread_out
+
+
+@dataclass(frozen=True)
+class IkOptions(OptionGroup):
+    """Settings of the inverse kinematics, for every command that solves it."""
+
+    tolerance: Annotated[
+        float | None,
+        typer.Option("--tolerance", metavar="M", min=1e-12, max=1e-4, help="Largest error of the tip in m.", show_default="1e-9"),
+    ] = None
+
+    def settings(self) -> IkSettings:
+        """Settings of the solver; what was not given keeps its default."""
+        from tepm_opt.solvers.kinematics import IkSettings
+
+        return IkSettings(**{name: value for name, value in vars(self).items() if value is not None})
+
+
+TRAJECTORY_HELP = f"{', '.join(SHAPES)} or a CSV file with x, y, z in m in frame G."
+
+
+@dataclass(frozen=True)
+class ShapeOptions(OptionGroup):
+    """What can be chosen of a built-in shape besides its points and duration; the registry of shapes says what there is.
+
+    Attributes:
+        given: values by name; those not given are absent.
+    """
+
+    given: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def options(cls) -> Iterator[inspect.Parameter]:
+        """The parameters of all shapes as options."""
+        for parameter, shapes in shape_parameters().values():
+            yield _option(parameter, f"{parameter.text[0].upper()}{parameter.text[1:]} of {' and '.join(shapes)}")
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Self:
+        """The values that a person gave, places as numbers.
+
+        Raises:
+            InputError: a place without its numbers.
+        """
+        values: dict[str, Any] = {}
+        for name, (parameter, _) in _known().items():
+            value = given.get(name)
+            if value is not None:
+                values[name] = vector(value, f"--{parameter.option}", parameter.count) if parameter.count > 1 else value
+        return cls({**values, **({"points": given["points"]} if given.get("points") is not None else {})})
+
+    def trajectory(self, name: str) -> Trajectory:
+        """The shape of this name, or the file's trajectory, with the options given; the others keep their defaults.
+
+        Raises:
+            InputError: an option out of range or that does not fit the trajectory, an unknown shape, or as for `read_trajectory`.
+        """
+        for key, (parameter, _) in _known().items():
+            if key in self.given:
+                parameter.check(self.given[key], f"--{parameter.option}")
+        shape = SHAPES.get(name)
+        fits = {"points", "duration", *(parameter.name for parameter in shape.parameters)} if shape else {"points", "duration"}
+        if misfits := sorted(self.given.keys() - fits):
+            raise InputError(f"option --{_known()[misfits[0]][0].option} does not fit trajectory {name!r}")
+        if shape is not None:
+            return shape.make(**self.given)
+        if not name.endswith(".csv"):
+            raise InputError(f"unknown trajectory {name!r}: valid: {', '.join(SHAPES)} or a .csv file")
+        path = read_trajectory(name, self.given.get("duration"))
+        return path.resampled(self.given["points"]) if "points" in self.given else path
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions(ShapeOptions):
+    """Points and duration of a trajectory, and what can be chosen of its shape."""
+
+    @classmethod
+    def options(cls) -> Iterator[inspect.Parameter]:
+        """Number of points, duration, then the parameters of all shapes."""
+        points = Annotated[int | None, typer.Option("--points", help="Number of points; files are resampled.")]
+        yield inspect.Parameter("points", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=points)
+        yield _option(DURATION, DURATION.text[0].upper() + DURATION.text[1:])
+        yield from super().options()
+
+
+@dataclass(frozen=True)
+class PathOptions(ShapeOptions):
+    """What can be chosen of the shape of a path whose ends are options of the command itself."""
+
+    @classmethod
+    def options(cls) -> Iterator[inspect.Parameter]:
+        """The parameters of all shapes but their ends."""
+        return (option for option in super().options() if option.name not in (START.name, END.name))
+
+    def with_ends(self, start: Sequence[float] | None, end: Sequence[float] | None) -> PathOptions:
+        """The same with the ends that were given."""
+        ends = {START.name: start, END.name: end}
+        return PathOptions({**self.given, **{name: value for name, value in ends.items() if value is not None}})
+
+
+def _known() -> dict[str, tuple[ShapeParameter, tuple[str, ...]]]:
+    """Everything that can be chosen of a trajectory but its number of points, in the order of the options."""
+    return {DURATION.name: (DURATION, ()), **shape_parameters()}
+
+
+def _option(parameter: ShapeParameter, text: str) -> inspect.Parameter:
+    """An option for a parameter: a number, or numbers by commas."""
+    place = parameter.count > 1
+    numbers = "x,y,z" if parameter.count == 3 else f"{parameter.count} numbers"
+    unit = f"{numbers} in {parameter.unit}" if place else parameter.unit
+    info = typer.Option(f"--{parameter.option}", help=f"{text.rstrip(',')}, {unit}.")
+    annotation = Annotated[str | None if place else float | None, info]  # type: ignore[valid-type]
+    return inspect.Parameter(parameter.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)

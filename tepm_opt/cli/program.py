@@ -1,0 +1,85 @@
+"""The program `tepm` with all its commands, and how wrong input is told.
+
+Command modules import nothing heavy at the top: the help and a typing error are answered at once.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from threadpoolctl import threadpool_limits
+
+from tepm_opt.cli import data, demo, discrepancy, gain, identify, ik, modes, mpc, paper, plan, play, record, robot, simulate, statics
+from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
+from tepm_opt.cli.groups import spread
+from tepm_opt.cli.hw import commands as hw
+from tepm_opt.errors import InputError
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"tepm_opt {version('tepm-opt')}")
+        raise typer.Exit
+
+
+app = typer.Typer(
+    name="tepm",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+
+@app.callback()
+def options(
+    wanted: Annotated[bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)] = False,
+) -> None:
+    """Continuum robots of pneumatic muscles with embedded tendons: inverse kinematics, statics, gain matrix."""
+
+
+COMMANDS = {
+    "ik": ik.ik,
+    "gain": gain.gain,
+    "statics": statics.statics,
+    "simulate": simulate.simulate,
+    "modes": modes.modes,
+    "mpc": mpc.mpc,
+    "demo": demo.demo,
+    "paper": paper.paper,
+    "plan": plan.plan,
+    "record": record.record,
+    "play": play.play,
+    "identify": identify.identify,
+    "discrepancy": discrepancy.discrepancy,
+}
+for name, command in COMMANDS.items():
+    app.command(name)(spread(command))
+app.add_typer(robot.app, name="robot")
+app.add_typer(data.app, name="data")
+app.add_typer(hw.app, name="hw")
+
+
+def execute(arguments: list[str]) -> int:
+    """Exit status of the program with these arguments; linear algebra that is loaded already runs on one thread."""
+    try:
+        with threadpool_limits(1, "blas"):
+            return int(app(arguments, prog_name="tepm", standalone_mode=False) or 0)
+    except InputError as error:
+        return _explain(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        stderr.print("interrupted", style="yellow")
+        return INTERRUPTED
+    except Exception as error:
+        # usage errors of typer (unknown option, no such command) carry a message of one line; anything else is a bug
+        if not hasattr(error, "format_message"):
+            raise
+        message = error.format_message().replace("Value error, ", "")  # type: ignore[attr-defined]
+        return _explain(f"{message} (see tepm --help)") if message else WRONG_INPUT
+
+
+def _explain(message: str) -> int:
+    stderr.print(f"[bold red]error:[/] {escape(' '.join(message.split()))}", soft_wrap=True, highlight=False)
+    return WRONG_INPUT

@@ -1,0 +1,183 @@
+"""Parameters of a model from data sets."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tepm_opt.data.datasets import DataSet
+from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.metrics import error_over_time
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.library import narrow
+from tepm_opt.discrepancy.workflow import noise_of
+from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import MODEL, refuse_errors
+from tepm_opt.models.channels import open_dataset
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.model import write_model
+from tepm_opt.outcome import Outcome
+from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters
+from tepm_opt.solvers.predict import PredictionError, predict_all
+from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
+
+SUMMARY = "identified.json"
+STEP = 0.005  # s; longer ones damp a little by themselves, which biases the damping found
+
+
+def open_datasets(folders: Sequence[Path], despite_errors: bool = False) -> list[DataSet]:
+    """Read data sets that are fitted together; their runs are named by folder and file.
+
+    Args:
+        folders: at least one.
+        despite_errors: whether to go on where the check of the data finds errors.
+
+    Raises:
+        InputError: the check of one finds errors, they are of different robots, or some are static and some not.
+    """
+    found = []
+    for folder in folders:
+        if not despite_errors:
+            refuse_errors(folder)
+        dataset = open_dataset(folder)
+        runs = tuple(replace(run, file=f"{folder.name}/{run.file}") for run in dataset.runs)
+        found.append(replace(dataset, runs=runs))
+        if dataset.channels != found[0].channels:
+            raise InputError(
+                f"{folder}: its robot {dataset.robot} has other channels than that of {folders[0]}; identify one robot at a time"
+            )
+        if dataset.static != found[0].static:
+            raise InputError(f"{folder}: static data and motion cannot be fitted together; identify from one kind, then from the other")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifyRun:
+    """Parameters fitted to measured runs, judged on others.
+
+    Attributes:
+        before: the model before.
+        estimate: what was found.
+        intervals: of 95 %, lowest and highest value by the parameter's name, within its bounds.
+        validation: Eq. (5) over time in m on runs not fitted to, "before" and "after"; None where there are none.
+        cannot_tell: what the runs cannot tell, a line each.
+    """
+
+    before: CompiledModel
+    estimate: ParameterEstimate
+    intervals: dict[str, tuple[float, float]]
+    validation: dict[str, float | None]
+    cannot_tell: list[str]
+
+    def __repr__(self) -> str:
+        names = ", ".join(free.name for free in self.estimate.problem.free)
+        return f"<IdentifyRun {self.outcome}; {names} of {self.before.robot.name}>"
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the fit ended."""
+        return self.estimate.outcome
+
+    @property
+    def ok(self) -> bool:
+        """Whether the fit converged."""
+        return self.outcome.solved
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of the fit."""
+        estimate, values = self.estimate, {}
+        correlation = estimate.covariance / np.maximum(np.outer(estimate.std, estimate.std), 1e-300)
+        for k, free in enumerate(estimate.problem.free):
+            low, high = self.intervals[free.name]
+            values[free.name] = {
+                "value": float(estimate.values[k]), "std": float(estimate.std[k]), "low": low, "high": high, "unit": free.unit,
+                "before": self.before.values[free.name], "at_bound": bool(estimate.at_bound[k]),
+            }  # fmt: skip
+        return {
+            "parameters": values,
+            "correlation": correlation.round(4).tolist(),
+            "residual_over_noise": float(np.sqrt(estimate.cost / max(estimate.count, 1))),
+            "validation_rmse_m": self.validation,
+            "cannot_tell": self.cannot_tell,
+            "iterations": estimate.iterations,
+            "converged": self.ok,
+            "message": self.outcome.message,
+        }
+
+    def save(self, folder: str | Path) -> None:
+        """Write model.toml, for --model of every command, and identified.json.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        folder = output_folder(folder)
+        write_model(narrow(self.before.model, self.estimate.model.values, ()), folder / MODEL)
+        write_atomically(folder / SUMMARY, json.dumps(self.summary(), indent=2) + "\n")
+
+
+def run_identify(
+    model: CompiledModel,
+    datasets: Sequence[DataSet],
+    parameters: Sequence[str] | None = None,
+    starts: int = 1,
+    profiles: bool = False,
+    robust: bool = True,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> IdentifyRun:
+    """Fit parameters to the runs of role fit within their priors and judge them on those of role validation.
+
+    Args:
+        model: compiled model.
+        datasets: of its robot, as `open_datasets` reads them.
+        parameters: full names of those to fit; those with priors where absent.
+        starts: number of fits, all but the first from random values; the best counts.
+        profiles: whether to find profile intervals: slower, right where bounds are near.
+        robust: whether outliers are weighted down.
+        seed: of the random starts.
+        progress: told what is being done.
+
+    Raises:
+        InputError: nothing to fit, an unknown parameter, fewer than one start, or a model that cannot do the runs.
+    """
+    if starts < 1:
+        raise InputError(f"starts {starts}; valid: at least 1")
+    free = free_parameters(model, parameters)
+    if not free:
+        raise InputError(f"robot {model.robot.name} has no priors: name the parameters to fit")
+    runs = [(run, noise_of(dataset)) for dataset in datasets for run in dataset.fit]
+    noise, static = tuple(sigma for _, sigma in runs), datasets[0].static
+    problem = Problem(model, tuple(run for run, _ in runs), free, noise, static, robust, STEP)
+    judged = [run for dataset in datasets for run in dataset.validation]
+    try:
+        progress("compiling the motion", 0, 0)
+        estimate = multi_start(problem, starts, seed, progress=progress)
+        progress("judging", 0, 0)
+        intervals = _intervals(estimate, profiles)
+        validation = {name: _error(which, judged, static) for name, which in (("before", model), ("after", estimate.model))}
+        return IdentifyRun(model, estimate, intervals, validation, unidentifiable(estimate))
+    except PredictionError as error:
+        raise InputError(f"the model cannot do the runs: {error}") from error
+
+
+def _intervals(estimate: ParameterEstimate, profiles: bool) -> dict[str, tuple[float, float]]:
+    """Intervals of 95 % within the bounds, by profiles or from the standard deviations."""
+    found = {}
+    for free, value, std in zip(estimate.problem.free, estimate.values, estimate.std, strict=True):
+        low, high = profile(estimate, free.name) if profiles else (float(value - 1.96 * std), float(value + 1.96 * std))
+        found[free.name] = max(low, free.low), min(high, free.high)
+    return found
+
+
+def _error(model: CompiledModel, runs: Sequence[Run], static: bool) -> float | None:
+    """Eq. (5) over time on runs not fitted to; None where there are none."""
+    if not runs:
+        return None
+    found = predict_all(model, runs, (), static)
+    return error_over_time(np.concatenate([run.points for run in runs]), np.concatenate([each.points for each in found]))

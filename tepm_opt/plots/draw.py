@@ -1,0 +1,99 @@
+"""Which figures a run has, and drawing them into its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.jobs.demo import NAMES, DemoRun
+from tepm_opt.jobs.gain import GainRun
+from tepm_opt.jobs.ik import IkRun
+from tepm_opt.jobs.modes import ModesRun
+from tepm_opt.jobs.plan import PlanRun
+from tepm_opt.jobs.simulate import SimulateRun
+from tepm_opt.jobs.statics import StaticsRun
+from tepm_opt.plots.control import distance_figure, inputs_figure, path_figure
+from tepm_opt.plots.discrepancy import discovery_figures
+from tepm_opt.plots.figure import save
+from tepm_opt.plots.gain import gain_figure
+from tepm_opt.plots.ik import ik_figure
+from tepm_opt.plots.linear import modes_figures
+from tepm_opt.plots.motion import lengths_figure, tip_figure
+from tepm_opt.plots.plan import plan_figure
+from tepm_opt.plots.statics import statics_figure
+
+Figures = Mapping[str, Figure | None]
+"""Figures by their names, which are those of their files; None where an earlier one shall go."""
+
+
+def draw(run: Any, folder: str | Path) -> dict[str, Path]:
+    """Draw all figures of a run into a folder that is there; an earlier figure that this run has none of goes.
+
+    Args:
+        run: of one of the jobs.
+        folder: where its tables are.
+
+    Returns:
+        The files by the figures' names.
+
+    Raises:
+        InputError: the folder cannot be written to.
+        TypeError: no job's run.
+    """
+    if type(run) not in FIGURES:
+        raise TypeError(f"{run!r} has no figures; valid: {', '.join(kind.__name__ for kind in FIGURES)}")
+    made = {}
+    for name, figure in FIGURES[type(run)](run).items():
+        path = Path(folder) / f"{name}.png"
+        if figure is None:
+            path.unlink(missing_ok=True)
+        else:
+            save(figure, path)
+            made[name.removeprefix(LOOP)] = path
+    return made
+
+
+LOOP = "loop_"  # before the names of the demo's files of closed loops
+
+
+def _ik(run: IkRun) -> Figures:
+    return {"ik": ik_figure(run)} if run.configurations else {}
+
+
+def _motion(run: SimulateRun) -> Figures:
+    return {"tip": tip_figure(run), "actuator_lengths": lengths_figure(run)} if len(run.places) else {}
+
+
+def _plan(run: PlanRun) -> Figures:
+    return {"plan": plan_figure(run) if run.ok else None}
+
+
+def _demo(run: DemoRun) -> Figures:
+    found: dict[str, Figure | None] = {}
+    if run.hybrid is not None:
+        found |= _ik(run.hybrid)
+    if run.gains is not None:
+        found["gain"] = gain_figure(run.gains)
+    loops = {
+        "path": path_figure(run.loops) if run.loops else None,
+        "distance": distance_figure(run.loops) if run.loops else None,
+        "inputs": inputs_figure(run.loops[NAMES["mpc"]]) if run.loops else None,
+    }
+    return found | {f"{LOOP}{name}": figure for name, figure in loops.items()}
+
+
+FIGURES: Mapping[type, Callable[[Any], Figures]] = {
+    IkRun: _ik,
+    StaticsRun: lambda run: {"statics": statics_figure(run)},
+    GainRun: lambda run: {"gain": gain_figure(run)},
+    SimulateRun: _motion,
+    ModesRun: modes_figures,
+    PlanRun: _plan,
+    DemoRun: _demo,
+    Discovery: discovery_figures,
+}
+"""What is drawn of the run of each job."""
