@@ -25,7 +25,8 @@ def attach(package: str, file: str) -> tuple[Callable[[str], object], Callable[[
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(homes[name]), name)
-        return sys.modules[package].__dict__.setdefault(name, found)
+        setattr(sys.modules[package], name, found)  # at once the next time
+        return found
 
     names = sorted(homes)
     return get, lambda: names, names

@@ -25,14 +25,23 @@ RigOption = Annotated[
 SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, help="Of the noise on a simulated rig.")]
 
 
+def open_rig(text: str, robot: Robot) -> Rig:
+    """The rig that --rig names.
+
+    Raises:
+        InputError: no such rig.
+    """
+    from tepm_opt.hw import registry
+
+    return registry.open_rig(text, robot)
+
+
 def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:
     """Opens the rig that --rig names; what it is called with makes the noise of its devices another one, where they are simulated.
 
     Raises:
         InputError: when called: no such rig; or --seed is given and the rig has nothing to seed.
     """
-
-    from tepm_opt.hw.registry import open_rig
 
     def open_seeded(noise: int) -> Rig:
         rig = open_rig(text, robot)

@@ -87,7 +87,7 @@ class GainRun:
         """Smallest and largest singular value of all rows in m per full range, of pressure and of tension; empty where G is unknown."""
         found = [gain for gain in self.gains if gain]
         kinds: tuple[Actuation, ...] = ("pressure", "tension")
-        values = {kind: np.array([gain.singular_values(kind) for gain in found]) for kind in kinds if found}
+        values: dict[Actuation, np.ndarray] = {kind: np.array([gain.singular_values(kind) for gain in found]) for kind in kinds if found}
         return {kind: (float(of_kind.min()), float(of_kind.max())) for kind, of_kind in values.items()}
 
     def summary(self) -> dict[str, Any]:
