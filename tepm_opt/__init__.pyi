@@ -34,6 +34,7 @@ from tepm_opt.jobs.ik import run_ik as run_ik
 from tepm_opt.jobs.modes import ModesRun as ModesRun
 from tepm_opt.jobs.modes import run_modes as run_modes
 from tepm_opt.jobs.mpc import run_closed_loop as run_closed_loop
+from tepm_opt.jobs.paper import run_study as run_study
 from tepm_opt.jobs.plan import PlanRun as PlanRun
 from tepm_opt.jobs.plan import run_plan as run_plan
 from tepm_opt.jobs.play import play as play
@@ -54,13 +55,12 @@ from tepm_opt.models.robot import Robot as Robot
 from tepm_opt.models.robot import load_robot as load_robot
 from tepm_opt.outcome import Ending as Ending
 from tepm_opt.outcome import Outcome as Outcome
-from tepm_opt.paper.study import run_study as run_study
-from tepm_opt.paper.study import save_study as save_study
 from tepm_opt.progress import Progress as Progress
 from tepm_opt.recording.plan import RecordingPlan as RecordingPlan
 from tepm_opt.recording.plan import read_plan as read_plan
 from tepm_opt.report import write_discrepancy_page as write_discrepancy_page
 from tepm_opt.report import write_page as write_page
+from tepm_opt.report import write_paper_page as write_paper_page
 from tepm_opt.solvers.allocation import ActuationMode as ActuationMode
 from tepm_opt.solvers.allocation import allocate as allocate
 from tepm_opt.solvers.gain import Gain as Gain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.data.files import output_folder
@@ -93,17 +92,6 @@ def folder_for(out: Path) -> Iterator[Path]:
 def warn(text: str) -> None:
     """A yellow line on the error stream, as it is."""
     stderr.print(text, style="yellow", markup=False, soft_wrap=True, highlight=False)
-
-
-def progress(label: str, total: int, quiet: bool) -> Callable[[Iterable[Item]], Iterator[Item]]:
-    """Wrapper of an iterable that shows a bar with the time left on the error stream."""
-
-    def track(items: Iterable[Item]) -> Iterator[Item]:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as bar:
-            yield from bar.track(items, total=total, description=label)
-
-    return track
 
 
 def report(summary: dict[str, Any], lines: Iterable[str], as_json: bool, ok: bool) -> int:

@@ -11,11 +11,12 @@ from scipy.interpolate import CubicSpline
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, counted, silent
-from tepm_opt.solvers.kinematics import ActuationMode, each_configuration
+from tepm_opt.solvers.kinematics import ActuationMode, IkSettings, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 
 PERIOD = 0.01  # s, of control
+IK_DEFAULT = IkSettings()
 START_UP = 1.0  # s, in which a path's speed rises from rest and, at its end, falls to it
 
 
@@ -75,6 +76,7 @@ def reference_of(
     counts: np.ndarray | None = None,
     point: np.ndarray | None = None,
     period: float = PERIOD,
+    kinematics: IkSettings = IK_DEFAULT,
     progress: Progress = silent,
 ) -> Reference:
     """Inverse kinematics along tips that are already a control period apart.
@@ -85,13 +87,14 @@ def reference_of(
         counts: over which periods the error counts, (periods,) of bool; all where absent.
         point: number of the target at every period, (periods,); one target where absent.
         period: s.
+        kinematics: settings of the inverse kinematics.
         progress: told how many periods are done.
 
     Raises:
         InputError: a tip is out of reach; names the time and why.
     """
     found = []
-    each = counted(each_configuration(model, tips, ActuationMode.HYBRID), progress, "inverse kinematics", len(tips))
+    each = counted(each_configuration(model, tips, ActuationMode.HYBRID, settings=kinematics), progress, "inverse kinematics", len(tips))
     for k, configuration in enumerate(each):
         if not configuration.solved:
             raise InputError(f"reference: at {k * period:.2f} s, {tips[k].round(4).tolist()} m: {configuration.outcome.message}")

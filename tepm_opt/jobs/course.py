@@ -10,6 +10,7 @@ from tepm_opt.control.reference import PERIOD, START_UP, Reference, along, appro
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.kinematics import IkSettings
 from tepm_opt.solvers.trajectories import Trajectory
 
 AT_REST = 0.05  # of a path's largest speed, below which its ends are at rest
@@ -39,15 +40,23 @@ class Course:
 
 
 FULL = Course()
+IK_DEFAULT = IkSettings()
 
 
-def whole_reference(model: CompiledModel, trajectory: Trajectory, course: Course = FULL, progress: Progress = silent) -> Reference:
+def whole_reference(
+    model: CompiledModel,
+    trajectory: Trajectory,
+    course: Course = FULL,
+    kinematics: IkSettings = IK_DEFAULT,
+    progress: Progress = silent,
+) -> Reference:
     """From rest without forces to the trajectory's first point, a pause, then along it or point by point.
 
     Args:
         model: the controller's.
         trajectory: targets.
         course: how. An open path that starts and ends at rest by itself keeps its own timing.
+        kinematics: settings of the inverse kinematics.
         progress: told how many periods are done.
 
     Raises:
@@ -71,7 +80,7 @@ def whole_reference(model: CompiledModel, trajectory: Trajectory, course: Course
     tips = np.vstack([lead, tips])
     counted = np.concatenate([np.zeros(len(lead), dtype=bool), counted])
     point = np.concatenate([np.zeros(len(lead), dtype=int), point])
-    return reference_of(model, tips, counted, point, progress=progress)
+    return reference_of(model, tips, counted, point, kinematics=kinematics, progress=progress)
 
 
 def _rests(trajectory: Trajectory) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tepm_opt.control.controllers import DEFAULT, find_controller
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
@@ -21,8 +22,8 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.allocation import ActuationMode
 from tepm_opt.solvers.trajectories import Trajectory, circle
 
-CONTROLLERS = ("mpc", "mode2", "mode1")  # the one that takes longest first
-NAMES = {"mode1": "mode 1", "mode2": "mode 2", "mpc": "MPC"}
+CONTROLLERS = (DEFAULT, "mode2", "mode1")  # the one that takes longest first
+NAMES = {name: find_controller(name).title for name in reversed(CONTROLLERS)}
 COURSE = Course()
 SEED = 1
 OF_ANY_ROBOT = ("time_delay", "regulator_lag")  # imperfections
@@ -139,8 +140,8 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
     """
     tasks = [LoopTask(model.model, trajectory, COURSE, rig_of(model), LoopSetup(controller, seed=SEED)) for controller in CONTROLLERS]
 
-    def show(controller: str, done: float, of: float) -> None:
-        progress(f"closed loop, {NAMES[controller]}", done, of)
+    def show(stage: str, done: float, of: float) -> None:
+        progress(f"closed loop, {NAMES[stage]}", done, of)
 
     found = {loop.setup.controller: loop for loop in compare(tasks, os.cpu_count() or 1, show)}
     return {NAMES[name]: found[name] for name in NAMES if name in found}

@@ -6,23 +6,28 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
+from tepm_opt.control.controllers import DEFAULT
 from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.jobs.gain import GainRun
 from tepm_opt.jobs.ik import IkRun
 from tepm_opt.jobs.modes import ModesRun
+from tepm_opt.jobs.paper import Study
 from tepm_opt.jobs.plan import PlanRun
 from tepm_opt.jobs.simulate import SimulateRun
 from tepm_opt.jobs.statics import StaticsRun
-from tepm_opt.plots.control import distance_figure, inputs_figure, path_figure
+from tepm_opt.plots.control import distance_figure, error_figure, inputs_figure, path_figure, times_figure
 from tepm_opt.plots.discrepancy import discovery_figures
 from tepm_opt.plots.figure import save
 from tepm_opt.plots.gain import gain_figure
 from tepm_opt.plots.ik import ik_figure
 from tepm_opt.plots.linear import modes_figures
 from tepm_opt.plots.motion import lengths_figure, tip_figure
+from tepm_opt.plots.paper import draw as experiment_figure
 from tepm_opt.plots.plan import plan_figure
 from tepm_opt.plots.statics import statics_figure
 
@@ -81,9 +86,21 @@ def _demo(run: DemoRun) -> Figures:
     loops = {
         "path": path_figure(run.loops) if run.loops else None,
         "distance": distance_figure(run.loops) if run.loops else None,
-        "inputs": inputs_figure(run.loops[NAMES["mpc"]]) if run.loops else None,
+        "inputs": inputs_figure(run.loops[NAMES[DEFAULT]]) if run.loops else None,
     }
     return found | {f"{LOOP}{name}": figure for name, figure in loops.items()}
+
+
+def _loop(run: ClosedLoop) -> Figures:
+    if not len(run.time):
+        return {}
+    path = path_figure({run.setup.controller: run})
+    return {"path": path, "errors": error_figure(run), "inputs": inputs_figure(run), "times": times_figure(run)}
+
+
+def _study(run: Study) -> Figures:
+    base = np.array(run.setting.model.robot.mount.base_position_m)
+    return {result.figure: experiment_figure(result, base) for result in run.results}
 
 
 FIGURES: Mapping[type, Callable[[Any], Figures]] = {
@@ -94,6 +111,8 @@ FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     ModesRun: modes_figures,
     PlanRun: _plan,
     DemoRun: _demo,
+    ClosedLoop: _loop,
+    Study: _study,
     Discovery: discovery_figures,
 }
 """What is drawn of the run of each job."""

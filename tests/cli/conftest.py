@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import warnings
@@ -116,6 +117,11 @@ def script(*arguments: object) -> Outcome:
     environment = {**os.environ, "PYTHONWARNINGS": f"ignore:{NO_COMPILER}"}
     done = subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, check=False, env=environment)
     return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def hear_ctrl_c() -> None:
+    """For `preexec_fn`: a process that hears SIGINT, also where this one was started in the background and ignores it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

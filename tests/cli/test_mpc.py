@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.cli import mpc, rigs
+from tepm_opt.cli import rigs
 from tepm_opt.data.run import read_run
 from tepm_opt.hw.board.link import LinkError
 from tepm_opt.hw.simulation import view
@@ -36,7 +36,7 @@ SHORT = ("line", "--from", "0.0,0,0.35", "--to", "0.004,0,0.35", "--duration", 0
 @pytest.fixture(autouse=True)
 def short_approach(monkeypatch: pytest.MonkeyPatch) -> None:
     """The approach is not what is looked at."""
-    monkeypatch.setattr(mpc, "COURSE", Course(approach=0.2, pause=0.02))
+    monkeypatch.setattr("tepm_opt.jobs.course.FULL", Course(approach=0.2, pause=0.02))
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from tepm_opt.cli import rigs
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.run import read_run
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
-from tests.cli.conftest import Command
+from tests.cli.conftest import Command, hear_ctrl_c
 from tests.data.made import ACTUATORS
 from tests.recording.fake_rig import FakeRig, FakeSimulation, write_plan
 
@@ -142,7 +142,12 @@ class TestPlay:
 class TestSignals:
     def begin(self, here: Path, *arguments: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [sys.executable, "-c", SLOW, *arguments], cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-c", SLOW, *arguments],
+            cwd=here,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=hear_ctrl_c,
         )
 
     def wait_for(self, folder: Path, pattern: str, process: subprocess.Popen[str]) -> None:

@@ -20,7 +20,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.plots import film
 from tepm_opt.solvers.simulate import simulate
-from tests.cli.conftest import PNG, Command
+from tests.cli.conftest import PNG, Command, hear_ctrl_c
 from tests.cli.tables import input_columns, length_columns, names_in, shape_columns, summary, table, values, write_rows
 
 FORCES = [f"tip_force_{axis}_N" for axis in "xyz"]
@@ -241,7 +241,7 @@ def test_ctrl_c_on_the_program(here: Path) -> None:
     """A real SIGINT while the film of a minute is drawn: status 130, tables whole, no temporary files."""
     inputs(here / "in.csv", (0.0, 1.0, 60.0))
     command = [sys.executable, "-c", "from tepm_opt.cli import main; main()", "simulate", "in.csv", "--out", "out", "--animation", "gif"]
-    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_ctrl_c)
     waited = time.monotonic() + 60
     while not list((here / "out").glob(".animation*")) and time.monotonic() < waited and program.poll() is None:
         time.sleep(0.02)
