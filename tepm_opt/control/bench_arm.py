@@ -86,6 +86,9 @@ class BenchArm:
         self.bench = bench
         self.robot = guided(bench.robot)
 
+    def __repr__(self) -> str:
+        return f"BenchArm({self.bench!r})"
+
     @property
     def time(self) -> float:
         """Seconds since the bench's start."""

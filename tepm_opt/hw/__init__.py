@@ -1,1 +1,6 @@
-"""Rigs: what carries out set points and is measured — simulated, replayed or of hardware. Bytes, limits and time; no CasADi."""
+"""Rigs: what carries out set points and is measured. Bytes, limits and time; no CasADi.
+
+`rig` is what all of them offer, `registry` opens one by its name, `commands` are checks that every rig makes, `ramp` is the slow way from
+one command to another, `replay` plays recorded runs, `tracker` and `igtl` bring poses. `board` is the real robot behind its control board,
+`simulation` another robot in MuJoCo; neither knows the other. `service` stands on `board`. `firmware` is what runs on the board.
+"""

@@ -52,6 +52,9 @@ class ReplayRig:
         if rows == 0 or not np.isfinite(self.run.time).all():
             raise InputError(f"{self.run.file}: cannot be played back: it has no rows or no time")
 
+    def __repr__(self) -> str:
+        return f"ReplayRig({self.run.file!r}, row {self._row} of {self.run.rows})"
+
     def read(self) -> Sample:
         """The next row: points, and where recorded measured pressures, tensions and lengths; other columns of numbers as `extra`.
 

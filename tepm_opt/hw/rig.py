@@ -28,9 +28,13 @@ class Command:
 
     @staticmethod
     def of(inputs: np.ndarray) -> Command:
-        """All motors enabled, from u = [pressures, tensions] of shape (2 · modules · actuators,)."""
+        """A command with all motors enabled, from u = [pressures, tensions] of shape (2 · modules · actuators,) in Pa and N."""
         pressures, tensions = np.split(np.asarray(inputs, dtype=float), 2)
         return Command(pressures, tensions, np.ones(len(tensions), dtype=bool))
+
+    def __repr__(self) -> str:
+        pressures, tensions = (np.array2string(values, precision=3) for values in (1e-3 * self.pressures, self.tensions))
+        return f"Command({pressures} kPa, {tensions} N, {np.count_nonzero(self.enabled)} of {len(self.enabled)} motors on)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +61,10 @@ class Sample:
     transforms: np.ndarray | None = None
     status: str = "ok"
     extra: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        tip = np.array2string(self.points[-1], precision=4, suppress_small=True)
+        return f"Sample({self.time:.3f} s, tip {tip} m, {self.status})"
 
 
 class Rig(Protocol):

@@ -44,6 +44,10 @@ class Frame:
     status: str
     age: float = np.nan
 
+    def __repr__(self) -> str:
+        seen = int(np.isfinite(self.points).all(axis=1).sum())
+        return f"Frame({self.time:.3f} s, {seen} of {len(self.points)} points, {self.status})"
+
 
 @dataclass(frozen=True)
 class TrackerStatistics:
@@ -129,7 +133,7 @@ class _Sensor:
 
 
 class FrameAssembler:
-    """From messages to frames: no threads, no sockets, no clock of its own.
+    """Makes frames of messages: no threads, no sockets, no clock of its own.
 
     Args:
         link: names, holders, units, rate.

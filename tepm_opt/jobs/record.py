@@ -46,8 +46,11 @@ class RecordResult:
     kept: tuple[str, ...]
     notes: Mapping[str, tuple[str, ...]]
 
+    def __repr__(self) -> str:
+        return f"RecordResult({str(self.folder)!r}, {len(self.done)} recorded, {len(self.kept)} kept, {len(self.notes)} with notes)"
+
     def summary(self) -> dict[str, Any]:
-        """For people and programs."""
+        """Folder, files and notes as plain data, for JSON."""
         notes = {file: list(lines) for file, lines in self.notes.items()}
         return {"dataset": str(self.folder), "recorded": list(self.done), "kept": list(self.kept), "notes": notes}
 

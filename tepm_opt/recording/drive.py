@@ -42,6 +42,9 @@ class Row:
     sample: Sample
     late: float = 0.0
 
+    def __repr__(self) -> str:
+        return f"Row({self.time:.3f} s, {self.sample!r})"
+
 
 class Driver:
     """A rig that is being driven. What it sends changes smoothly, apart from the set points themselves.
@@ -61,6 +64,9 @@ class Driver:
         self._sample: Sample | None = None
         self._times: deque[float] = deque(maxlen=21)
         self._stalled = 0
+
+    def __repr__(self) -> str:
+        return f"Driver({self.rig!r})"
 
     def read(self) -> Sample:
         """The rig's next sample.
@@ -125,7 +131,7 @@ class Driver:
         self.glide(target, "approaching the start")
 
     def glide(self, target: np.ndarray, stage: str) -> None:
-        """From the inputs commanded last to others, smoothly, over a few seconds."""
+        """Take the inputs from those commanded last to `target` (inputs,), smoothly, over a few seconds."""
         start, limits = self.inputs.copy(), self.channels.limits
         duration = max(SHORTEST, FULL_RANGE * float(np.max(np.abs(target - start) / limits, initial=0.0)))
         for passed, share in smooth_ramp(lambda: self.now, duration):

@@ -26,10 +26,18 @@ UNFINISHED = "unfinished"
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRun:
-    """A run that was measured, and what a person should know of it."""
+    """A run that was measured, and what a person should know of it.
+
+    Attributes:
+        run: as it stands in its file.
+        notes: lines for people.
+    """
 
     run: Run
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"MeasuredRun({self.run.file!r}, {self.run.rows} rows, {len(self.notes)} notes)"
 
 
 def measure(

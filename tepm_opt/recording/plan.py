@@ -27,11 +27,20 @@ class _PlanFile(Section):
 
 @dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """A run to record: its set points start with steady inputs."""
+    """A run to record.
+
+    Attributes:
+        file: that it shall become.
+        role: of the run in the data set.
+        setpoints: start with steady inputs.
+    """
 
     file: str
     role: Role
     setpoints: SetPoints
+
+    def __repr__(self) -> str:
+        return f"PlannedRun({self.file!r}, {self.role}, {self.setpoints.time[-1]:.3g} s)"
 
     def fingerprint(self, robot: Robot, rate: float) -> str:
         """Changes with anything that changes what would be recorded, but for the rig."""
@@ -61,6 +70,9 @@ class RecordingPlan:
     sample_rate: float
     position_noise: float | None
     runs: tuple[PlannedRun, ...]
+
+    def __repr__(self) -> str:
+        return f"RecordingPlan({self.name!r}, robot {self.robot.name!r}, {len(self.runs)} runs at {self.sample_rate:g} Hz)"
 
     def __post_init__(self) -> None:
         """Refuse files that are named twice.

@@ -36,6 +36,9 @@ class Recording:
     poses: np.ndarray
     rested: tuple[bool, ...]
 
+    def __repr__(self) -> str:
+        return f"Recording({len(self.poses)} rows, at rest at {sum(self.rested)})"
+
 
 def record_poses(rig: Rig, setpoints: SetPoints, robot: Robot, hold: float, progress: Progress = silent) -> Recording:
     """Rest at every row in turn for `hold` s, then go back to zero. The rig is stopped whatever happens.

@@ -33,7 +33,6 @@ from tepm_opt.models.robot import Mount, load_robot, robot_text
 from tepm_opt.solvers.statics import solve_statics
 from tests.cli.conftest import Command, Outcome, script
 from tests.data.made import ACTUATORS
-from tests.hw import emulator
 from tests.hw.conftest import *  # noqa: F403  its fixtures
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import World
@@ -472,9 +471,8 @@ class TestMonitor:
 
 
 @pytest.fixture
-def terminal(firmware: Path, tmp_path: Path) -> Iterator[Path]:
+def terminal(firmware: Path, program: Path, tmp_path: Path) -> Iterator[Path]:
     """A board behind a pseudo-terminal, in real time."""
-    program = emulator.build_emulator(tmp_path, program=True)
     running = subprocess.Popen([program, firmware, tmp_path / "board"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert running.stdout is not None
     assert running.stdout.readline().startswith("/dev/")

@@ -1,11 +1,12 @@
-"""The emulated board, built once for the tests of a process."""
+"""The emulated board, built once for all processes of a test session."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 
@@ -19,20 +20,43 @@ PRESSURE_MAX = 2275
 """DAC code of 0.5 MPa, the firmware's hard limit."""
 
 
+def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], Path]) -> Path:
+    """What `make` builds in a folder; the first of all processes of a test session builds it, the others wait and take it."""
+    import fcntl
+
+    base = factory.getbasetemp().parent if "PYTEST_XDIST_WORKER" in os.environ else factory.getbasetemp()
+    folder, built = base / name, base / f"{name}.built"
+    with (base / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not built.exists():
+            folder.mkdir(exist_ok=True)
+            built.write_text(str(make(folder)))
+        return Path(built.read_text())
+
+
+def emulated(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], Path]) -> Path:
+    """As `once`; skips where the emulated board cannot be built."""
+    if lacking := emulator.missing():
+        pytest.skip(lacking)
+    return once(factory, name, make)
+
+
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The firmware for a Mega, as a lab would flash it."""
-    if lacking := emulator.missing():
-        pytest.skip(lacking)
-    return emulator.build_firmware(tmp_path_factory.mktemp("firmware"))
+    return emulated(tmp_path_factory, "firmware", emulator.build_firmware)
 
 
 @pytest.fixture(scope="session")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The emulator as a library."""
-    if lacking := emulator.missing():
-        pytest.skip(lacking)
-    return emulator.build_emulator(tmp_path_factory.mktemp("emulator"))
+    return emulated(tmp_path_factory, "emulator", emulator.build_emulator)
+
+
+@pytest.fixture(scope="session")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The emulator as a program with a pseudo-terminal."""
+    return emulated(tmp_path_factory, "program", lambda folder: emulator.build_emulator(folder, program=True))
 
 
 @pytest.fixture
@@ -76,9 +100,12 @@ def armed(host: Host) -> Host:
 @pytest.fixture(scope="session")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
     """Builds other firmware: for a board, with options."""
-    if lacking := emulator.missing():
-        pytest.skip(lacking)
-    return cache(lambda board, options: emulator.build_firmware(tmp_path_factory.mktemp("other"), board, options))
+
+    def make(board: str, options: str) -> Path:
+        name = f"firmware-{board}-{crc32(options.encode()):08x}"
+        return emulated(tmp_path_factory, name, lambda folder: emulator.build_firmware(folder, board, options))
+
+    return make
 
 
 @pytest.fixture

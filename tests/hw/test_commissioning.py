@@ -55,6 +55,12 @@ def world(board: Board) -> World:
 
 
 @pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line is listened to for a quarter of a second only."""
+    monkeypatch.setattr(checks, "LISTEN_S", 0.25)
+
+
+@pytest.fixture
 def walk(world: World, device: str) -> Callable[..., dict[str, Check]]:
     """The checks on that board."""
     return lambda **settings: made(**{"port": device, "open_line": lambda target: line_of(world), **settings})
@@ -133,7 +139,7 @@ class TestWithoutBoard:
         assert "COM3 --robot mine.toml" in text
 
 
-class TestBoard:
+class TestWholeBoard:
     def test_all_is_right(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
         found = walk()
         assert marks(found, Mark.WRONG) == []
@@ -143,6 +149,16 @@ class TestBoard:
         assert world.board.safe
         assert not world.board.step_counts.any()
 
+    def test_cable_pulled(self, world: World, device: str) -> None:
+        port = EventfulPort(world)
+        port.at(1.0, lambda: setattr(port, "cut", True))
+        found = made(port=device, open_line=lambda target: line_of(world, port))
+        assert "the line to the board is gone" in found["line"].says
+        assert found["line"].mark is Mark.WRONG
+
+
+@pytest.mark.usefixtures("brief")
+class TestBoard:
     def test_fault_is_shown_then_cleared(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
         with line_of(world).rig(load_robot("kang2017")) as rig:
             single = moves.Single(rig.robot, 0)
@@ -207,18 +223,11 @@ class TestBoard:
     def test_silent_board(self, world: World, device: str) -> None:
         world.board.take()
         port = EventfulPort(world)
-        port.read = lambda timeout: world.advance(timeout) or b""  # type: ignore[method-assign,func-returns-value]
+        port.read = lambda timeout: setattr(world, "time", world.time + timeout) or b""  # type: ignore[method-assign,func-returns-value]
         found = made(port=device, open_line=lambda target: line_of(world, port))
         assert found["firmware"].mark is Mark.WRONG
         assert "flash" in found["firmware"].next
         assert device in found["firmware"].next
-
-    def test_cable_pulled(self, world: World, device: str) -> None:
-        port = EventfulPort(world)
-        port.at(1.0, lambda: setattr(port, "cut", True))
-        found = made(port=device, open_line=lambda target: line_of(world, port))
-        assert "the line to the board is gone" in found["line"].says
-        assert found["line"].mark is Mark.WRONG
 
 
 class TestTracker:

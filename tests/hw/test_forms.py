@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tepm_opt.hw.simulation.imperfections import Imperfections
-from tepm_opt.hw.simulation.imperfections.edges import Prony
+from tepm_opt.hw.simulation.imperfections import Body, Imperfections
+from tepm_opt.hw.simulation.imperfections.edges import Prony, StructuralFriction
 from tepm_opt.hw.simulation.imperfections.lugre import LuGre
 from tepm_opt.hw.simulation.imperfections.pressure import PressureDeadZone, PressureHysteresis, UnequalLag
 from tepm_opt.models.robot import load_robot
@@ -34,6 +34,24 @@ def test_lugre_slides_with_its_friction_and_is_a_spring_before():
     force = friction.step(np.array([1e-3]), 0.3, 1e-2)
     assert force[0] == 0
     assert force[1] == pytest.approx(1000 * 1e-5, rel=0.02)
+
+
+def test_structural_friction_has_its_breakaway_and_damping():
+    """Edges hold with breakaway · F where they creep, slide with F, and feel the bristles' damping as soon as they move."""
+    settings = {"sliding_N": 0.3, "breakaway_ratio": 1.5, "stribeck_m_per_s": 1e-3}
+    law = StructuralFriction(**settings, bristle_stiffness_N_per_m=1000.0, bristle_damping_N_s_per_m=4.0)
+    body = Body.of(ROBOT, 0)
+    length = body.rest[:, body.verticals]
+
+    def force(rate: float, duration: float, steps: int) -> np.ndarray:
+        stage = law.edge_stage(body)
+        for _ in range(steps):
+            found = stage.step(length, np.full(length.shape, rate), duration)
+        return found[1]
+
+    assert force(1e-6, 10.0, 1000) == pytest.approx(np.full(length.shape, -0.45), rel=1e-3)
+    assert force(1e-2, 1e-3, 1000) == pytest.approx(np.full(length.shape, -0.3), rel=1e-3)
+    assert force(1e-2, 1e-6, 1) == pytest.approx(np.full(length.shape, -4.0 * 1e-2), rel=1e-2)
 
 
 def test_lugre_does_not_depend_on_the_tick():

@@ -21,7 +21,7 @@ from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.robot import load_robot
-from tests.hw import emulator
+from tepm_opt.recording import drive
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import World
 
@@ -49,6 +49,12 @@ class Checked(SerialRig):
         self._goal = np.r_[calibration.to_codes(command.pressures, self.hello), calibration.to_steps(command.tensions)]
 
 
+def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Glides to the start and back are fast, and 5 mm in a second are rest enough."""
+    for name, value in (("FULL_RANGE", 3.0), ("SHORTEST", 1.0), ("REST_SPREAD", 5e-3)):
+        monkeypatch.setattr(drive, name, value)
+
+
 @pytest.mark.parametrize("count", [5, pytest.param(33, marks=pytest.mark.slow)])
 def test_play_reaches_every_pin(board: Board, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`tepm play` of inverse kinematics along the circle, a point every 0.4 s: every DAC and step count, at every set point."""
@@ -59,6 +65,7 @@ def test_play_reaches_every_pin(board: Board, count: int, tmp_path: Path, monkey
     circle.write_text("\n".join([head, *slower]) + "\n")
     world = World(board, SimulatedRig())
     opened: list[Checked] = []
+    hurry(monkeypatch)
     monkeypatch.setattr(rigs, "open_rig", lambda text, robot: opened.append(Checked(world)) or opened[0])
     assert run(["play", str(circle), "--rig", "serial:emulated", "--out", str(tmp_path / "out.csv"), "--json"]) == 0
     off = np.array(opened[0].off)[5:]  # the motors start from rest
@@ -75,13 +82,13 @@ def test_the_robot_moves_as_the_simulated_rig(board: Board) -> None:
     inputs = Command(random.uniform(0.5e5, 3e5, 6), random.uniform(0.5, 4, 6), np.ones(6, dtype=bool))
     world = World(board, SimulatedRig())
     with SerialRig(world.port, ROBOT, world.tracker, clock=world.clock, threaded=False) as rig:
-        for _ in range(450):
+        for _ in range(350):
             rig.apply(inputs)
             rig.read()
         through = world.rig.true_points if world.rig else np.empty(0)
     with SimulatedRig() as direct:
         direct.read()
-        for _ in range(450):
+        for _ in range(350):
             direct.apply(inputs)
             direct.read()
         np.testing.assert_allclose(through, direct.true_points, atol=2.0e-3)
@@ -101,9 +108,8 @@ def script(rig: Rig) -> list[Sample]:
 
 
 @pytest.fixture
-def terminal(firmware: Path, tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+def terminal(firmware: Path, program: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """The emulated board as a program of its own, in real time behind a pseudo-terminal."""
-    program = emulator.build_emulator(tmp_path, program=True)
     process = subprocess.Popen([program, firmware], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     if process.stdout is None:
         raise RuntimeError("no output")
@@ -119,8 +125,9 @@ def ended(process: subprocess.Popen[str]) -> str:
     return said
 
 
-def test_one_script_for_every_rig(terminal: tuple[str, subprocess.Popen[str]], tmp_path: Path) -> None:
+def test_one_script_for_every_rig(terminal: tuple[str, subprocess.Popen[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Unchanged on the simulated rig, on a serial port and on a recording of the first."""
+    hurry(monkeypatch)
     port, process = terminal
     out = tmp_path / "run.csv"
     simulated = script(open_rig("sim"))

@@ -73,11 +73,12 @@ def test_monitor_and_dynamometer():
     assert sample.tensions == pytest.approx(np.full(3, 952 * 1.05e-3))
     assert rig.true_lengths - 0.2 == pytest.approx(np.full(3, (22 * 4500 * 50.27e-6 - 952 * 1.05e-3) / 358.86), rel=2e-3)
     noisy = {
-        "pressure_monitor": {"fitted": True, "noise_rms_Pa": 500.0},
+        "pressure_monitor": {"fitted": True, "offset_Pa": 3000.0, "noise_rms_Pa": 500.0},
         "dynamometer": {"fitted": True, "offset_N": 0.2, "noise_rms_N": 0.01},
     }
     samples = read_until(bar(sections=noisy | {"tracker": {"rate_hz": 1000}}), 1.0)
     assert np.std([sample.pressures for sample in samples]) == pytest.approx(500, rel=0.1)
+    assert np.mean([sample.pressures for sample in samples]) == pytest.approx(3000, abs=50)
     assert np.mean([sample.tensions for sample in samples]) == pytest.approx(0.2, abs=1e-3)
     plain = bar().read()
     assert plain.pressures is None

@@ -49,8 +49,8 @@ def full_range(count: int) -> Iterator[np.ndarray]:
 @pytest.mark.parametrize("tendons", ["tension", "position"])
 def test_set_points_arrive_within_a_count(world: World, tendons: str) -> None:
     with open_on(world, tendons=tendons) as rig:
-        for inputs in full_range(3):
-            hold(rig, inputs, 130)  # 7 N take 0.7 s at 10 N/s
+        for inputs in full_range(1):
+            hold(rig, inputs, 100)  # 7 N take 0.7 s at 10 N/s
             pressure = world.board.dac / 4096 * 0.9e6
             assert np.all(np.abs(pressure - inputs[:6]) <= 0.9e6 / 4096), pressure - inputs[:6]
             off = world.board.positions / 952.38 - inputs[6:]
@@ -217,12 +217,13 @@ class Tripwire(LockstepPort):
         self._trip()
 
 
+@pytest.mark.parametrize("attempts", [7, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_interrupted_anywhere(board_factory: Callable[[], Board], tmp_path: Path, error: type[BaseException]) -> None:
-    """At 25 random points each, within sending, waiting or reading: disarmed in the end, everything in the log."""
+def test_interrupted_anywhere(board_factory: Callable[[], Board], tmp_path: Path, error: type[BaseException], attempts: int) -> None:
+    """At random points, within sending, waiting or reading: disarmed in the end, everything in the log."""
     random = np.random.default_rng(7)
     armed = 0
-    for attempt in range(25):
+    for attempt in range(attempts):
         world = World(board_factory())
         port = world.port = Tripwire(world, int(random.integers(3, 400)), error)
         log = LinkLog(tmp_path / f"{attempt}.log", world.clock)
@@ -235,7 +236,7 @@ def test_interrupted_anywhere(board_factory: Callable[[], Board], tmp_path: Path
         assert world.board.enabled == 0
         world.advance(0.5)
         assert world.board.safe
-    assert armed > 15
+    assert armed > 0.6 * attempts
 
 
 def kinds(data: bytes) -> list[protocol.Message]:

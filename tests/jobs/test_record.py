@@ -257,11 +257,11 @@ class TestSimulated:
     def test_every_run_has_noise_of_its_own(self, tmp_path: Path) -> None:
         pytest.importorskip("mujoco")
         holds = [
-            f'file = "{name}.csv"\nrole = "fit"\npattern = "steps"\nlevels = [{{}}]\nhold_s = 0.5\nlead_s = 0.5\nrest_s = 0'
+            f'file = "{name}.csv"\nrole = "fit"\npattern = "steps"\nlevels = [{{}}]\nhold_s = 0.2\nlead_s = 0.5\nrest_s = 0'
             for name in "ab"
         ]
-        plan = read_plan(write_plan(tmp_path, *holds))
-        for folder, seed in (("one", 0), ("same", 0), ("other", 1)):
+        both, first = (read_plan(write_plan(tmp_path, *runs)) for runs in (holds, holds[:1]))
+        for folder, plan, seed in (("one", both, 0), ("same", first, 0), ("other", first, 1)):
             record(plan, tmp_path / folder, opener("sim", plan.robot, seed), "sim", seed)
         files = {name: (tmp_path / name).read_bytes() for name in ("one/a.csv", "same/a.csv", "one/b.csv", "other/a.csv")}
         assert files["one/a.csv"] == files["same/a.csv"]

@@ -1,6 +1,6 @@
 """`tepm record` killed at random moments: nothing that was finished is lost, and going on gives what an undisturbed recording gives.
 
-Six kills in every run of the tests, twenty and twenty of the installed program on the default rig by `pytest -m slow`.
+Four kills in every run of the tests, twenty and twenty of the installed program on the default rig by `pytest -m slow`.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def check_left(folder: Path, truth: Path, log: Path, before: int) -> int:
     return len(dataset.runs)
 
 
-@pytest.mark.parametrize("kills", [6, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [4, pytest.param(20, marks=pytest.mark.slow)])
 def test_killed_at_random_moments(tmp_path: Path, fake: None, kills: int) -> None:
     plan, truth = write_plan(tmp_path), tmp_path / "truth"
     assert run(["record", str(plan), "--out", str(truth), "--rig", "fake", "--json"]) == 0

@@ -1,1 +1,1 @@
-"""The line to the control board: protocol, ports, conversation, calibration, the rig that stands on them."""
+"""The real robot: `ports` and `protocol`, the conversation with its control board (`link`, `linklog`), `calibration`, the `rig` on them."""

@@ -35,7 +35,7 @@ class Calibration:
 
     @staticmethod
     def of(robot: Robot) -> Calibration:
-        """From a robot file.
+        """Calibration that a robot file has.
 
         Raises:
             InputError: it has no `[hardware]`, more actuators than a board drives, or lists of another length.

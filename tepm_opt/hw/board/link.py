@@ -46,6 +46,9 @@ class Hello:
     tension_max: int
     timeout_ms: int
 
+    def __repr__(self) -> str:
+        return f"Hello({self.describe()})"
+
     def describe(self) -> str:
         """One line for people."""
         causes = ", ".join(cause.name.lower().replace("_", " ") for cause in ResetCause if self.reset_cause & cause) or "unknown"
@@ -88,6 +91,9 @@ class BoardStatus:
     monitors: tuple[int, ...]
     positions: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        return f"BoardStatus({self.time:.3f} s, {self.describe()}, set point {self.sequence})"
+
     def describe(self) -> str:
         """The state in words."""
         if self.state is State.FAULT:
@@ -129,6 +135,9 @@ class LinkStatistics:
     bad: int = 0
     lost: int = 0
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
+
+    def __repr__(self) -> str:
+        return f"LinkStatistics({self.describe()})"
 
     def describe(self) -> str:
         """One line for people."""
@@ -205,7 +214,7 @@ class Link:
             raise LinkError(f"the board refuses {kind.name}: {reason} (it is {State(answer['state']).name})")
 
     def arm(self) -> None:
-        """From IDLE to ARMED.
+        """Arm the board, which has to be IDLE.
 
         Raises:
             LinkError: as for `request`.
@@ -215,7 +224,7 @@ class Link:
         self.request(protocol.ARM, session=self._session, sequence=0)
 
     def clear(self) -> None:
-        """From a stop or fault to IDLE.
+        """Lead the board from a stop or fault to IDLE.
 
         Raises:
             LinkError: as for `request`.

@@ -42,7 +42,7 @@ class LinkLog:
                 self._file.flush()
 
     def close(self) -> None:
-        """All lines on the disk."""
+        """Write out all lines to the disk."""
         with self._lock:
             self._file.close()
 

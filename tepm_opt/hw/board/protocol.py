@@ -98,7 +98,7 @@ class Message:
 
     @cached_property
     def layout(self) -> struct.Struct:
-        """Of the payload."""
+        """Format of the payload."""
         return struct.Struct("<B" + "".join(kind for _, kind in self.fields))
 
     def pack(self, **values: int | list[int] | tuple[int, ...]) -> bytes:

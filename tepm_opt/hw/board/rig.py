@@ -129,6 +129,10 @@ class SerialRig:
             raise
         self._origin = self._last = clock()
 
+    def __repr__(self) -> str:
+        board = "board silent" if self.link.status is None else self.link.status.describe()
+        return f"SerialRig(robot {self.robot.name!r}, {board}, {self.time:.3f} s)"
+
     @property
     def time(self) -> float:
         """Now, in s since the rig was opened."""

@@ -1,4 +1,4 @@
-// Written by `python -m tepm_opt.hw.protocol`; do not edit.
+// Written by `python -m tepm_opt.hw.board.protocol`; do not edit.
 #pragma once
 #include <stdint.h>
 

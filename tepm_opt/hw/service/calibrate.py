@@ -44,14 +44,17 @@ class CalibrationFit:
     slope_std: float
     residuals: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"CalibrationFit(y = {self.zero:.6g} + {self.slope:.6g} x, rms {self.rms:.3g}, {len(self.residuals)} points)"
+
     @property
     def rms(self) -> float:
-        """Of the residuals in the units of y."""
+        """Root mean square of the residuals in the units of y."""
         return float(np.sqrt((self.residuals**2).mean()))
 
     @property
     def rms_x(self) -> float:
-        """Of the residuals in the units of x."""
+        """Root mean square of the residuals in the units of x."""
         return self.rms / abs(self.slope) if self.slope else np.inf
 
 
@@ -99,6 +102,9 @@ class Counts:
 
     dynamometers: np.ndarray
     monitors: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"Counts({len(self.dynamometers)} samples)"
 
 
 def collect(link: Link, seconds: float) -> Counts:
@@ -220,13 +226,13 @@ def firmware_notes(robot: Robot, hello: Hello, tension: dict[int, CalibrationFit
 
 
 def command_volts(robot: Robot, actuator: int, code: int) -> float:
-    """Of a DAC code, in V."""
+    """Volts that a regulator gets for a DAC code."""
     full = Hardware.of_each(_hardware(robot).pressure.dac_full_scale_V, robot.modules * robot.actuators)
     return float(code / DAC_CODES * full[actuator])
 
 
 def monitor_volts(counts: np.ndarray) -> np.ndarray:
-    """Of counts, in V."""
+    """Volts of a monitor for counts of the converter, in the shape of `counts`."""
     return np.asarray(counts) / COUNTS_PER_V
 
 

@@ -163,7 +163,7 @@ def monitors(names: tuple[str, ...], counts: tuple[int, ...], calibration: Calib
 
 
 def line_quality(link: Link) -> Check:
-    """Listens for a while."""
+    """How good the line is, from listening for a while."""
     begin, first = link.statistics.received, last(link)
     lost, bad = link.statistics.lost, link.statistics.bad
     link.wait(lambda: last(link).time - first.time >= LISTEN_S, LISTEN_S + 1.0)

@@ -40,6 +40,9 @@ class MonitorReading:
     frame: Frame | None
     tracker: str
 
+    def __repr__(self) -> str:
+        return f"MonitorReading({self.time:.1f} s, {self.words}, {self.rate:.0f} STATUS a second)"
+
 
 class Monitor:
     """Looks, one every `PERIOD`; ends where a recording ends.

@@ -44,7 +44,7 @@ class Single:
 
     @property
     def name(self) -> str:
-        """Of the actuator."""
+        """Name of the actuator."""
         return Layout.of(self.robot).actuator_names[self.actuator]
 
     @property
@@ -112,7 +112,13 @@ def held(now: float, seconds: float) -> bool:
 
 
 def glide(rig: SerialRig, single: Single, start: float, end: float) -> None:
-    """From a value to another, smoothly."""
+    """Take one actuator from a value to another, smoothly.
+
+    Args:
+        rig: armed or to be armed by this.
+        single: the actuator.
+        start, end: in Pa or N.
+    """
     seconds = max(SHORTEST, FULL_RANGE * abs(end - start) / single.most)
     for _, share in smooth_ramp(lambda: rig.time, seconds):
         rig.apply(single.command(start + (end - start) * share))

@@ -48,6 +48,10 @@ class Registration:
     outliers: int
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        place, turn = (np.array2string(values, precision=4, suppress_small=True) for values in (self.position_m, self.rotation_deg))
+        return f"Registration({place} m, {turn} deg, rms {1e3 * self.rms_m:.3g} mm, {self.samples} samples, {self.outliers} outliers)"
+
 
 def register_base(poses: np.ndarray, base_points: np.ndarray, holders: np.ndarray | None = None) -> Registration:
     """Find the base pose, and the holders where they are not given.
@@ -114,12 +118,12 @@ class _RegistrationProblem:
         return np.concatenate([np.zeros(3), seen.mean(axis=0), np.zeros(self.size - 6)])
 
     def residuals(self, parameters: np.ndarray) -> np.ndarray:
-        """All of them, (3 · poses,) in m."""
+        """Residuals of all poses, (3 · poses,) in m."""
         placed = self._rotation(parameters).apply(self.arms) + parameters[3:6]
         return (self.shifts + self._held(parameters) - placed).ravel()
 
     def jacobian(self, parameters: np.ndarray) -> np.ndarray:
-        """Of the residuals, (3 · poses, parameters)."""
+        """Derivatives of the residuals, (3 · poses, parameters)."""
         x, y, z = self._rotation(parameters).apply(self.arms).T / self.reach
         rows = np.zeros((len(self.arms), 3, self.size))
         rows[:, 0, 1], rows[:, 0, 2] = -z, y

@@ -28,7 +28,7 @@ OF_ONE_ACTUATOR = ("time_delay", "regulator_lag", "pressure_dead_zone", "pressur
 class BenchRig:
     """One actuator that a guide keeps straight, lying, with the devices and frictions of a simulated rig's actuators.
 
-    It is a chain of n_e equal parts that has its share of a module's mass. Between ticks the motion is exact (matrix exponential).
+    It is a row of n_e equal parts that has its share of a module's mass. Between ticks the motion is exact (matrix exponential).
     Commands hold one pressure, one tension, one ENA.
 
     Args:
@@ -62,6 +62,9 @@ class BenchRig:
         self._frame = 0
         self._settled = False
         self._now = 0
+
+    def __repr__(self) -> str:
+        return f"BenchRig({self.file.name!r}, {self.time:.3f} s)"
 
     def reseed(self, noise: int) -> None:
         """Other noise of the same machine; 0 is the rig file's own."""

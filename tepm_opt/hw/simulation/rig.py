@@ -55,6 +55,9 @@ class SimulatedRig:
         self._frame = 0
         self._settled = False
 
+    def __repr__(self) -> str:
+        return f"SimulatedRig({self.file.name!r}, robot {self.robot.name!r}, {self.time:.3f} s)"
+
     def reseed(self, noise: int) -> None:
         """Other noise of the same machine: what was drawn once (its masses) stays. 0 is the rig file's own."""
         seed = self.file.seed
@@ -148,7 +151,7 @@ class SimulatedRig:
 
     @property
     def true_nodes(self) -> np.ndarray:
-        """All nodes at the last sample's time, in G, (n + 1, actuators, 3) in m."""
+        """Where all nodes were in truth at the last sample's time, in G, (n + 1, actuators, 3) in m."""
         return self.network.in_tracker_frame(self.network.nodes)
 
     @property
