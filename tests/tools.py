@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.models.effects import Effect
+from tepm_opt.models.effects import Effect, effects
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import Robot, load_robot
@@ -74,3 +74,10 @@ def stages_into(found: list[str]) -> Progress:
         found.append(stage)
 
     return told
+
+
+def with_all_effects(model: Model) -> Model:
+    """The model with every effect at once: one library serves whatever is asked of any of them."""
+    for effect in effects():
+        model = with_effect(model, effect)
+    return model

@@ -17,7 +17,7 @@ from tepm_opt.models.model import Model, read_model, write_model
 from tests.cli.conftest import Command
 from tests.cli.tables import input_columns, names_in, summary, table, tips, values, write_rows
 from tests.discrepancy.small import changed, cut, dataset_of, measured, planned, true_values
-from tests.tools import with_effect
+from tests.tools import with_all_effects, with_effect
 
 NOMINAL = Model.of("kang2017")
 RANGE = np.repeat([0.5e6, 7.0], 6)
@@ -176,17 +176,14 @@ def refused(done: Any, says: tuple[str, ...]) -> None:
     assert all(text in line for text in says), line
 
 
-# one of each kind; the others with `pytest -m slow`
-ALWAYS = {"payload", "stiffness_hardening", "pressure_hysteresis", "tendon_friction", "time_delay", "sensor_misalignment"}
+EVERY = {"all at once": with_all_effects(NOMINAL)} | {effect.name: with_effect(NOMINAL, effect) for effect in effects()}
 
 
 @pytest.mark.usefixtures("coarse_map")
-@pytest.mark.parametrize(
-    "effect", [pytest.param(kind, id=kind.name, marks=() if kind.name in ALWAYS else pytest.mark.slow) for kind in effects()]
-)
-def test_every_effect_in_every_command(tepm: Command, here: Path, effect: Any) -> None:
-    """`ik`, `gain`, `statics` and `simulate` take the effect; G with it agrees with differences of `statics`."""
-    write_model(with_effect(NOMINAL, effect), here / "m.toml")
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name == "all at once" else pytest.mark.slow) for name in EVERY])
+def test_every_effect_in_every_command(tepm: Command, here: Path, name: str) -> None:
+    """`ik`, `gain`, `statics` and `simulate` take effects; G with them agrees with differences of `statics`."""
+    write_model(EVERY[name], here / "m.toml")
     u = np.append(PRESSURES, TENSIONS)
     write_rows(here / "in.csv", input_columns(), np.column_stack([[0.0, 0.2], np.tile(u, (2, 1)) * [[1.0], [1.05]]]))
     step = 1e-3 * RANGE

@@ -7,16 +7,8 @@ import pytest
 
 from tepm_opt.models.backends.statics import SOLVED, UNSTABLE
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.effects import effects
 from tepm_opt.models.model import Model
-from tests.tools import random_directions, random_inputs, relative, variant, with_effect
-
-
-def all_effects():
-    model = Model.of("kang2017")
-    for effect in effects():
-        model = with_effect(model, effect)
-    return model
+from tests.tools import random_directions, random_inputs, relative, variant, with_all_effects
 
 
 MODELS = {
@@ -27,7 +19,7 @@ MODELS = {
     "one segment of five uneven actuators": lambda: Model.of(
         variant(geometry={"modules": 1, "segments_per_module": 1, "actuator_angles_deg": (0.0, 60.0, 150.0, 200.0, 300.0)})
     ),
-    "all effects": all_effects,
+    "all effects": lambda: with_all_effects(Model.of("kang2017")),
 }
 
 

@@ -1,6 +1,8 @@
 """Compiling: generated C is a cache and never a requirement; what is given to a compiled model is checked."""
 
 import shutil
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -55,6 +57,25 @@ def test_the_cache_is_keyed_by_the_network_not_by_its_parameters(empty_cache, mo
     monkeypatch.setattr(ccode.subprocess, "run", None)  # a second compilation would fail
     assert compile_model(model.with_parameters(K_a=300.0), backend="c").is_c
     assert list(empty_cache.iterdir()) == libraries
+
+
+def test_who_comes_while_it_is_compiled_waits_for_it(empty_cache, monkeypatch, compiler):
+    compiled, compile_text, together = [], ccode._compile, Barrier(2)
+
+    def counted(*arguments):
+        compiled.append(arguments)
+        compile_text(*arguments)
+
+    def load(_):
+        together.wait()
+        return compile_model(SMALL, backend="c").is_c
+
+    pytest.importorskip("fcntl")
+    monkeypatch.setattr(ccode, "_compile", counted)
+    with ThreadPoolExecutor(2) as pool:
+        assert all(pool.map(load, range(2)))
+    assert len(compiled) == 1
+    assert [left.suffix for left in empty_cache.iterdir()] == [".so"]
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,14 @@
 """The contract every effect passes: null identity, derivatives, recovery of its own parameters, potentials and passivity.
 
-A new effect is tested without a line here. Three made-up ones stand for those of third parties.
+A new effect is tested without a line here. Three made-up ones stand for those of third parties. Every day each effect is tested in company:
+in one model that has all the others at their null values. Alone, in a model of its own that takes seconds to compile, it is slow.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -14,15 +17,15 @@ from scipy.optimize import least_squares
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.effects import Effect, Parameter, _registry, effects, register
+from tepm_opt.models.effects import ActiveEffect, Effect, Parameter, _registry, effects, find_effect, register
 from tepm_opt.models.layout import VERTICAL
-from tepm_opt.models.model import Model, read_model, write_model
+from tepm_opt.models.model import Model, label, read_model, write_model
 from tepm_opt.solvers.gain import solve_gain
 from tepm_opt.solvers.modes import full
 from tepm_opt.solvers.simulate import Directions, simulate
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tests.independent import solve_with_effect
-from tests.tools import PRECISE, observed, one_sided_slope, random_directions, random_inputs, relative, slope, with_effect
+from tests.tools import PRECISE, observed, one_sided_slope, random_directions, random_inputs, relative, slope, with_all_effects, with_effect
 
 STATIC_HOOKS = ("inputs", "properties", "loads", "edge_energy", "outputs")
 MOTION_HOOKS = ("pressure_memory", "tension_memory", "edge_memory", "delay")
@@ -71,18 +74,27 @@ class ToyHolder(Effect):
         return points + ca.vertcat(parameters["along_x"], parameters["along_y"], 0) @ column
 
 
-@dataclass
+TOYS = (ToyHardening(), ToyStiffening(), ToyHolder())
+
+
+@dataclass(frozen=True)
 class Subject:
-    """An effect in the nominal model, and its parameters' places in theta."""
+    """An effect in a compiled model in which all others, if there are any, have their null values.
+
+    Attributes:
+        effect: the one to test.
+        active: how it is in the model.
+        compiled: the model with the effect at its probe values.
+    """
 
     effect: Effect
-    model: Model
+    active: ActiveEffect
     compiled: CompiledModel
 
     @property
     def own(self) -> dict[Parameter, int]:
-        prefix = self.compiled.network.parameter_names[-1].rsplit(".", 1)[0]
-        return {p: self.compiled.network.parameter_names.index(f"{prefix}.{p.name}") for p in self.effect.parameters}
+        """Its parameters' places in theta."""
+        return {p: self.compiled.network.parameter_names.index(f"{label(self.active)}.{p.name}") for p in self.effect.parameters}
 
     def at(self, values: dict[Parameter, float]) -> CompiledModel:
         """The compiled model with other values of the effect's parameters."""
@@ -99,39 +111,85 @@ class Subject:
     def detail(self) -> int | None:
         """Number of the actuator or point the effect acts on."""
         names = {"actuator": self.compiled.layout.actuator_names, "point": self.compiled.layout.point_names}.get(self.effect.detail)
-        return names.index(self.model.effects[0].detail) if names else None
+        return names.index(self.active.detail) if names else None
 
 
-@pytest.fixture(scope="module", params=[*effects(), ToyHardening(), ToyStiffening(), ToyHolder()], ids=lambda effect: effect.name)
-def subject(request):
-    effect = request.param
-    foreign = effect not in effects()
-    if foreign:
-        register(effect)
-    model = with_effect(NOMINAL, effect)
-    yield Subject(effect, model, compile_model(model))
-    if foreign:
-        del _registry()[effect.name]
+def each(chosen: Iterable[Effect]) -> list:
+    """Parameters of `subject_of`: effects in company, then alone."""
+    chosen = list(chosen)
+    alone = [pytest.param((effect, True), id=f"{effect.name} alone", marks=pytest.mark.slow) for effect in chosen]
+    return [*(pytest.param((effect, False), id=effect.name) for effect in chosen), *alone]
 
 
 def overrides(effect: Effect, hooks: tuple[str, ...]) -> bool:
     return any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in hooks)
 
 
-@pytest.fixture
-def static(subject):
-    """Skips effects that show in motion only."""
-    if not overrides(subject.effect, STATIC_HOOKS):
-        pytest.skip(f"{subject.effect.name} has no static hook")
-    return subject
+ALL = (*effects(), *TOYS)
+STATIC = [effect for effect in ALL if overrides(effect, STATIC_HOOKS)]
+MOVING = [effect for effect in ALL if overrides(effect, MOTION_HOOKS)]
 
 
-@pytest.fixture
-def moving(subject):
-    """Skips effects that show at rest already."""
-    if not overrides(subject.effect, MOTION_HOOKS):
-        pytest.skip(f"{subject.effect.name} has no hook of motion")
-    return subject
+@pytest.fixture(scope="module")
+def subject_of():
+    """The subject of an effect, alone or in company."""
+    for toy in TOYS:
+        register(toy)
+
+    @cache
+    def company(toys: bool) -> CompiledModel:
+        if not toys:
+            return compile_model(with_all_effects(NOMINAL))
+        model = NOMINAL
+        for toy in TOYS:
+            model = with_effect(model, toy)
+        return compile_model(model)
+
+    @cache
+    def subject_of(effect: Effect, alone: bool) -> Subject:
+        if alone:
+            compiled = compile_model(with_effect(NOMINAL, effect))
+            return Subject(effect, compiled.model.effects[0], compiled)
+        compiled = company(effect in TOYS)
+        theta = compiled.theta.copy()
+        for other in compiled.model.effects:
+            for parameter in find_effect(other.name).parameters if other.name != effect.name else ():
+                theta[compiled.network.parameter_names.index(f"{label(other)}.{parameter.name}")] = parameter.null
+        active = next(each for each in compiled.model.effects if each.name == effect.name)
+        return Subject(effect, active, compiled.with_theta(theta))
+
+    yield subject_of
+    for toy in TOYS:
+        del _registry()[toy.name]
+
+
+@pytest.fixture(scope="module", params=each(ALL))
+def subject(request, subject_of):
+    return subject_of(*request.param)
+
+
+@pytest.fixture(scope="module", params=each(STATIC))
+def static(request, subject_of):
+    """Effects that show at rest."""
+    return subject_of(*request.param)
+
+
+@pytest.fixture(scope="module", params=each(effect for effect in STATIC if effect.smooth))
+def smooth(request, subject_of):
+    """Effects that show at rest and have derivatives at their null values."""
+    return subject_of(*request.param)
+
+
+@pytest.fixture(scope="module", params=each(MOVING))
+def moving(request, subject_of):
+    """Effects that show in motion only."""
+    return subject_of(*request.param)
+
+
+@pytest.fixture(scope="module", params=[*each([ALL[0], TOYS[0]])[:2], *each(ALL)[len(ALL) :]])
+def null(request, subject_of):
+    """Models with all effects, or one, at their null values: the effects in company have the same one."""
+    return subject_of(*request.param).null
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +210,8 @@ def operating(kang):
     return list(zip(random_inputs(kang, 15, 7, 0.1, 0.9), 0.5 * random_directions(15, 8), strict=True))
 
 
-def test_metadata_is_complete(subject):
-    effect = subject.effect
+@pytest.mark.parametrize("effect", ALL, ids=lambda effect: effect.name)
+def test_metadata_is_complete(effect):
     assert effect.name.isidentifier()
     assert effect.name == effect.name.lower()
     assert effect.explains
@@ -168,9 +226,9 @@ def test_metadata_is_complete(subject):
     assert any(parameter.probe != parameter.null for parameter in effect.parameters)
 
 
-def test_at_its_null_values_it_vanishes(static, kang, operating):
+def test_at_its_null_values_it_vanishes(null, kang, operating):
     for u, force in operating[:5]:
-        found, plain = solve_statics(static.null, u, force), solve_statics(kang, u, force)
+        found, plain = solve_statics(null, u, force), solve_statics(kang, u, force)
         assert abs(observed(found) - observed(plain)).max() < 1e-12
         G, G_plain = solve_gain(found), solve_gain(plain)
         assert relative(G.normalised(), G_plain.normalised()) < 1e-10
@@ -221,17 +279,15 @@ def test_derivatives_by_its_parameters(static, operating, number):
         assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected)
 
 
-def test_derivatives_at_null_agree_with_one_sided_differences(static, operating):
-    if not static.effect.smooth:
-        pytest.skip(f"{static.effect.name} is not smooth at its null values")
+def test_derivatives_at_null_agree_with_one_sided_differences(smooth, operating):
     u, force = operating[0]
-    held = solve_statics(static.null, u, force, settings=PRECISE)
-    for parameter, at in static.own.items():
-        found = derivatives(static.null, held)[2][:, at]
+    held = solve_statics(smooth.null, u, force, settings=PRECISE)
+    for parameter, at in smooth.own.items():
+        found = derivatives(smooth.null, held)[2][:, at]
 
         def changed(h, parameter=parameter):
-            values = {p: p.null for p in static.effect.parameters} | {parameter: parameter.null + h}
-            return observed(solve_statics(static.at(values), u, force, held, PRECISE))
+            values = {p: p.null for p in smooth.effect.parameters} | {parameter: parameter.null + h}
+            return observed(solve_statics(smooth.at(values), u, force, held, PRECISE))
 
         expected = one_sided_slope(changed, 0.01 * (parameter.probe - parameter.null))
         assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected)
@@ -285,9 +341,9 @@ def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
     assert damping[0] > -1e-12 * damping[-1]
 
 
-def test_in_motion_it_vanishes_at_its_null_values(subject, kang, excitation):
+def test_in_motion_it_vanishes_at_its_null_values(null, kang, excitation):
     for settings in ({"tolerance": 1e-10}, {"method": "rk4", "step": 3e-4}):
-        found, plain = (simulate(model, excitation, **settings).complete() for model in (subject.null, kang))
+        found, plain = (simulate(model, excitation, **settings).complete() for model in (null, kang))
         assert abs(found.points - plain.points).max() < 1e-9
 
 
@@ -330,7 +386,9 @@ def test_in_motion_it_recovers_its_own_parameters(moving, excitation):
     np.testing.assert_allclose(found.x, 1.3, rtol=0.02)
 
 
-def test_a_model_file_with_it_reads_back_equal(subject, tmp_path):
-    write_model(subject.model, tmp_path / "model.toml")
-    assert read_model(tmp_path / "model.toml") == subject.model
-    assert subject.model != NOMINAL
+@pytest.mark.usefixtures("subject_of")
+@pytest.mark.parametrize("effect", ALL, ids=lambda effect: effect.name)
+def test_a_model_file_with_it_reads_back_equal(effect, tmp_path):
+    model = with_effect(NOMINAL, effect)
+    write_model(model, tmp_path / "model.toml")
+    assert read_model(tmp_path / "model.toml") == model != NOMINAL

@@ -10,7 +10,8 @@ import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources, util
@@ -20,6 +21,11 @@ import casadi as ca
 import platformdirs
 
 from tepm_opt.data.files import atomic_path
+
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
 CACHE_VARIABLE = "TEPM_OPT_CACHE"
@@ -145,19 +151,46 @@ def build(unit: Unit) -> Path | None:
         return library
     try:
         library.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_path(library) as temporary:
-            code = temporary.with_suffix(".c")
-            try:
-                code.write_text(text, encoding="utf-8")
-                command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(temporary), str(code), "-lm"]
-                subprocess.run(command, check=True, capture_output=True, text=True)
-            finally:
-                code.unlink(missing_ok=True)
+        with _turn(library):
+            if not library.is_file():
+                _compile(compiler, text, library)
     except (OSError, subprocess.CalledProcessError, ValueError) as error:
         detail = getattr(error, "stderr", None) or str(error)
         _warn_once(f"compiling the network failed, CasADi's virtual machine is used: {detail.strip().splitlines()[0]}")
         return None
     return library
+
+
+@contextmanager
+def _turn(library: Path) -> Iterator[None]:
+    """Wait for another process that compiles the same library; the system ends the turn of a process that dies."""
+    if fcntl is None:
+        yield  # two processes may compile the same, and the last one stays
+        return
+    lock = library.with_suffix(".lock")
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)
+
+
+def _compile(compiler: tuple[str, ...], text: str, library: Path) -> None:
+    """Compile a C text; the library appears when it is whole.
+
+    Raises:
+        subprocess.CalledProcessError: the compiler refuses.
+        InputError: the folder cannot be written to.
+    """
+    with atomic_path(library) as temporary:
+        code = temporary.with_suffix(".c")
+        try:
+            code.write_text(text, encoding="utf-8")
+            command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(temporary), str(code), "-lm"]
+            subprocess.run(command, check=True, capture_output=True, text=True)
+        finally:
+            code.unlink(missing_ok=True)
 
 
 @cache
