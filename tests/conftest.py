@@ -1,8 +1,9 @@
-"""Compiled models shared by all tests; what is slow runs only by `pytest -m slow`."""
+"""Compiled models shared by all tests; which tests run, in which order, and what was skipped."""
 
 from __future__ import annotations
 
 import os
+from collections import Counter
 
 # threads that share matrices of 100 x 100 wait for each other: three times slower on two cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -17,11 +18,25 @@ settings.register_profile("suite", deadline=None, derandomize=True, max_examples
 settings.load_profile("suite")
 
 
+FIRST = ("tests/test_notebooks.py", "tests/models/")
+"""What takes longest alone, and what compiles the models that many tests share."""
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what is slow unless markers are asked for; begin with what takes longest."""
     if not config.getoption("-m"):
-        for item in items:
-            if item.get_closest_marker("slow"):
-                item.add_marker(pytest.mark.skip(reason="slow: run by `pytest -m slow`"))
+        left_out = [item for item in items if item.get_closest_marker("slow") or item.get_closest_marker("study")]
+        if left_out:
+            config.hook.pytest_deselected(items=left_out)
+            items[:] = [item for item in items if item not in set(left_out)]
+    items.sort(key=lambda item: next((k for k, folder in enumerate(FIRST) if item.nodeid.startswith(folder)), len(FIRST)))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """One line for each reason to skip, with how often it held."""
+    reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", []))
+    for reason, count in reasons.most_common():
+        terminalreporter.write_line(f"skipped {count}: {reason}")
 
 
 @pytest.fixture(scope="session")

@@ -13,5 +13,5 @@ def reference(name: str) -> Path:
     """A file of `../shared/reference`; the test is skipped where it is not there."""
     path = SHARED / "reference" / name
     if not path.exists():
-        pytest.skip(f"reference data {path} is not on this machine")
+        pytest.skip(f"reference data of {SHARED} are not on this machine")
     return path

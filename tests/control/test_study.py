@@ -7,7 +7,7 @@ import pytest
 
 from tests.control import study
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 PUBLISHED = {"mode1": 9.77, "mode2": 5.60}  # mm, Fig. 12
 CASES = {

@@ -255,7 +255,7 @@ CASES = [
     Case("zeros for missing samples", every(some(0.1, 0.0)), says=("all coordinates are 0",)),
     Case("a frozen sensor", first(sensor(3, lambda p: np.where(np.arange(len(p))[:, None] > 100, p[100], p))), says=("s4", "frozen")),
     Case("spikes", every(some(0.02, 0.5)), says=("spikes",)),
-    Case("noise only", every(lambda run: {"points": at_rest(run)["points"]})),
+    Case("noise only", every(lambda run: {"points": at_rest(run)["points"]}), slow=True),
     Case(
         "noise of 20 mm", lambda m: replace(m.dataset, runs=tuple(cut(noisy(run, 20e-3), SECONDS) for run in m.clean), position_noise=20e-3)
     ),
@@ -311,7 +311,7 @@ CASES = [
     Case("unknown robot", edit=text(TOML, '"kang2017"', '"kang2018"'), says=("'kang2018'",)),
     Case("robot of one module", edit=robot("modules = 2", "modules = 1"), says=("no actuator|other",)),
     Case("robot of other length", edit=robot(r"L_0 = 0\.200", "L_0 = 0.150"), slow=True),
-    Case("robot of other radius", edit=robot(r"\nr = 0\.040", "\nr = 0.030")),
+    Case("robot of other radius", edit=robot(r"\nr = 0\.040", "\nr = 0.030"), slow=True),
 ]
 
 

@@ -15,7 +15,7 @@ SETS = [f"set_{number:02d}" for number in range(1, 14)]
 SIZED = ["set_01", "set_04", "set_05", "set_06", "set_07", "set_08", "set_10", "set_11"]
 """Those whose sizes mean the same in the model as in the simulator."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not BLIND.is_dir(), reason=f"blind data {BLIND} are not on this machine")]
+pytestmark = [pytest.mark.study, pytest.mark.skipif(not BLIND.is_dir(), reason=f"blind data {BLIND} are not on this machine")]
 
 
 @pytest.fixture(scope="module")

@@ -29,9 +29,9 @@ UNEXPLAINED = "tendon_friction"
 """Follows the muscle's motion, which no effect of the model does."""
 CLOSED = [key for key in KEYS if BY_KEY[key].names and "foreign" not in BY_KEY[key].names and key != UNEXPLAINED]
 FEW = {
-    "base_tilt_and_pressure_dead_zone": ("single_pressure.csv", "elongation.csv", "tip_load.csv", "mixed.csv"),
+    "base_tilt_and_pressure_dead_zone": ("single_pressure.csv", "mixed.csv"),
     "null": ("single_pressure.csv", "elongation.csv", "mixed.csv"),
-    "sagging_supply": ("single_pressure.csv", "elongation.csv", "mixed.csv"),
+    "sagging_supply": ("elongation.csv", "mixed.csv"),
     "sensor_offset": ("single_pressure.csv", "mixed.csv"),
 }
 """Cases for every day, and the runs that are enough for them."""
@@ -88,6 +88,7 @@ class TestFewRuns:
         assert answer.right, answer.line(key)
         closes(answer, key, 0.9)
 
+    @pytest.mark.slow
     def test_nothing(self, few: Callable[[str], Answer]) -> None:
         answer = few(key := "null")
         assert answer.right, answer.line(key)
@@ -99,6 +100,7 @@ class TestFewRuns:
         assert answer.right, answer.line(key)
         assert not answer.named, answer.line(key)
 
+    @pytest.mark.slow
     def test_one_with_its_detail(self, few: Callable[[str], Answer]) -> None:
         answer = few(key := "sensor_offset")
         assert answer.right, answer.line(key)
@@ -106,7 +108,7 @@ class TestFewRuns:
         closes(answer, key, 0.75)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 class TestAllRuns:
     @pytest.mark.parametrize("key", [key for key in KEYS if key not in OTHER_FORM | CONFUSED.keys()])
     def test_the_right_answer(self, answers: Callable[[str], Answer], key: str) -> None:
