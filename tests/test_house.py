@@ -1,4 +1,4 @@
-"""What keeps the house in order: style, types, import contracts, small files, docstrings. Tools that are not installed are skipped with a reason."""
+"""What keeps the house in order: style, types, import contracts, small files. Tools that are not installed are skipped with a reason."""
 
 from __future__ import annotations
 

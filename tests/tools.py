@@ -81,3 +81,11 @@ def with_all_effects(model: Model) -> Model:
     for effect in effects():
         model = with_effect(model, effect)
     return model
+
+
+def in_company(**present: dict[str, float]) -> Model:
+    """kang2017 with these effects; all others are there at their null values, so that it shares the library of `with_all_effects`."""
+    model = Model.of("kang2017")
+    for effect in effects():
+        model = with_effect(model, effect, **present.get(effect.name, {parameter.name: parameter.null for parameter in effect.parameters}))
+    return model

@@ -66,7 +66,11 @@ def test_a_guide_keeps_the_machine_straight_and_the_spring_holds_it() -> None:
 
 @pytest.mark.parametrize(
     ("hidden", "name", "size"),
-    [pytest.param({"friction": 0.8}, "structural_friction", None, marks=pytest.mark.slow), ({"filling": 0.15}, "regulator_lag", 0.15), ({}, None, None)],
+    [
+        pytest.param({"friction": 0.8}, "structural_friction", None, marks=pytest.mark.slow),
+        ({"filling": 0.15}, "regulator_lag", 0.15),
+        ({}, None, None),
+    ],
     ids=["friction", "lag", "nothing"],
 )
 def test_what_is_missing_on_one_axis(tmp_path: Path, hidden: dict[str, float], name: str | None, size: float | None) -> None:

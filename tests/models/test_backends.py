@@ -10,7 +10,6 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tests.tools import random_directions, random_inputs, relative, variant, with_all_effects
 
-
 MODELS = {
     "kang2017": lambda: Model.of("kang2017"),
     "one module of four actuators": lambda: Model.of(

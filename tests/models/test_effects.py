@@ -15,7 +15,7 @@ from tepm_opt.models.layout import VERTICAL
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.modes import poles
 from tepm_opt.solvers.statics import solve_statics
-from tests.tools import random_inputs, variant, with_effect
+from tests.tools import in_company, random_inputs, variant, with_effect
 
 NOMINAL = Model.of("kang2017")
 COARSE = Model.of(variant(geometry={"segments_per_module": 1}))
@@ -41,7 +41,7 @@ def at_rest(model):
 
 
 def test_a_payload_is_a_weight_on_the_tip(kang):
-    loaded = compile_model(NOMINAL.with_effect("payload", mass=0.03))
+    loaded = compile_model(in_company(payload={"mass": 0.03}))
     for u in random_inputs(kang, 3, 0):
         found = solve_statics(loaded, u, [0.2, 0.0, 0.1])
         expected = solve_statics(kang, u, [0.2, 0.0, 0.1 - 0.03 * 9.81])
@@ -50,14 +50,14 @@ def test_a_payload_is_a_weight_on_the_tip(kang):
 
 def test_a_payload_is_inertia_too(kang):
     """Sway slows down more than by the weight alone, which a force on the tip takes away again."""
-    loaded = compile_model(NOMINAL.with_effect("payload", mass=0.03))
+    loaded = compile_model(in_company(payload={"mass": 0.03}))
     with_mass = abs(poles(solve_statics(loaded, np.zeros(12), [0, 0, 0.03 * 9.81]))[0])
     without = abs(poles(solve_statics(kang, np.zeros(12)))[0])
     assert 0.75 < with_mass / without < 0.95
 
 
 def test_a_dead_zone_takes_the_threshold_off_the_pressure(kang):
-    model = compile_model(NOMINAL.with_effect("pressure_dead_zone", threshold=2e4))
+    model = compile_model(in_company(pressure_dead_zone={"threshold": 2e4}))
     u = np.array([0, 1.5e4, 1.6e4, 2e4, 2.4e4, 2e5, 0, 1, 2, 3, 4, 5])
     effective = model.statics.actuation(u, model.theta)
     np.testing.assert_allclose(effective[[0, 1, 2, 4, 5]], [0, 0, 0, 4e3, 1.8e5], atol=1e-9)
@@ -70,7 +70,7 @@ def test_a_dead_zone_takes_the_threshold_off_the_pressure(kang):
 
 def test_a_dead_zones_corner_is_smooth():
     """Value and slope of the effective pressure are continuous where the parabola meets its lines."""
-    model = compile_model(NOMINAL.with_effect("pressure_dead_zone", threshold=2e4))
+    model = compile_model(in_company(pressure_dead_zone={"threshold": 2e4}))
     pressures = np.array([1.6e4, 2.4e4])
     for p in pressures:
         below, at, above = (model.statics.actuation(np.array([p + d] + [0.0] * 11), model.theta)[0] for d in (-1.0, 0.0, 1.0))

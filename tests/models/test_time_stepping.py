@@ -23,7 +23,9 @@ def gentle(model, duration=0.4, samples=21, part=0.3, force=0.2):
     return SetPoints(time, inputs, force * np.column_stack([np.sin(3 * time / duration), time / duration, 0 * time]))
 
 
-@pytest.fixture(scope="module", params=MODELS)
+@pytest.fixture(
+    scope="module", params=[pytest.param(name, marks=() if name in ("kang2017", "all effects") else pytest.mark.slow) for name in MODELS]
+)
 def pair(request, compiler):
     model = MODELS[request.param]()
     return compile_model(model, backend="c"), compile_model(model, backend="python")

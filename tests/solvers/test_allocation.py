@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.model import Model
 from tepm_opt.solvers.allocation import ActuationMode, allocate, axial_forces, force_range, on_grid
+from tests.tools import in_company
 
 AREA, STEP = 50.27e-6, 4.5e3
 FORCES = st.lists(st.floats(0, 1), min_size=6, max_size=6)
@@ -15,7 +15,7 @@ FORCES = st.lists(st.floats(0, 1), min_size=6, max_size=6)
 
 @pytest.fixture(scope="module")
 def dead_zone():
-    return compile_model(Model.of("kang2017").with_effect("pressure_dead_zone", threshold=3e4))
+    return compile_model(in_company(pressure_dead_zone={"threshold": 3e4}))
 
 
 def test_force_ranges_of_the_paper(kang):

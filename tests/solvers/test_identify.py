@@ -11,14 +11,13 @@ from scipy.optimize import lsq_linear
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, bounded_step, free_parameters, identify
 from tepm_opt.solvers.predict import PredictionError, predict, predict_all
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 from tests.discrepancy.small import FILES, NOISE, STEP, changed, measured, planned, true_values
-from tests.tools import random_inputs, relative, slope, stages_into
+from tests.tools import in_company, random_inputs, relative, slope, stages_into
 
 EIGHT = {"K_a": 1.02, "c_a": 0.85, "alpha_1": 1.1, "alpha_2": 1.04, "beta_1": 1.2, "beta_2": 0.9, "r": 1.01, "m_d": 0.985}
 """True parameters over the robot file's."""
@@ -72,7 +71,7 @@ class TestPredictions:
             np.testing.assert_array_equal(found.by, alone.by)
 
     def test_sensitivities_of_a_motion(self) -> None:
-        model = compile_model(Model.of("kang2017").with_effect("payload", mass=0.01))
+        model = compile_model(in_company(payload={"mass": 0.01}))
         run = measured(model, planned(FILES[2:3]), noise=0.0)[0]
         run = replace(run, **{name: getattr(run, name)[:120] for name in ("time", "inputs", "tip_force", "points")})
         scales = {"K_a": 1.0, "m_d": 1e-3, "alpha_2": 0.01, "c_a": 0.02, "r": 1e-4, "payload.mass": 1e-3}
@@ -145,7 +144,7 @@ class TestRecovery:
         assert max(found.std / found.values) < 0.02, found.std / found.values
 
     def test_an_effect_beside_the_robot(self, kang: CompiledModel) -> None:
-        model = compile_model(Model.of("kang2017").with_effect("payload", mass=0.0))
+        model = compile_model(in_company(payload={"mass": 0.0}))
         truth = {"payload.mass": 0.008, "K_a": 1.01 * kang.values["K_a"]}
         runs = tuple(measured(changed(model, **truth), planned(FILES[:2])))
         found = identify(problem(model, runs, *truth))

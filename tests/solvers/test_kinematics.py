@@ -7,13 +7,12 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.allocation import force_range
 from tepm_opt.solvers.kinematics import ActuationMode, solve_ik, solve_trajectory
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import circle
-from tests.tools import random_directions, variant
+from tests.tools import in_company, random_directions, variant
 
 AREA = 50.27e-6
 CIRCLE = circle().positions
@@ -234,7 +233,7 @@ def test_known_loads(kang):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_effects_are_made_up_for(mode):
-    model = compile_model(Model.of("kang2017").with_effect("pressure_dead_zone", threshold=2e4).with_effect("payload", mass=0.01))
+    model = compile_model(in_company(pressure_dead_zone={"threshold": 2e4}, payload={"mass": 0.01}))
     for found in solve_trajectory(model, CIRCLE[::4], mode):
         assert found.solved
         check_held(model, found)

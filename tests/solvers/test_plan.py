@@ -12,13 +12,13 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.kinematics import solve_ik
 from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, PlanSettings, Sphere, plan_move, plan_path
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import circle, line
+from tests.tools import in_company
 
 START, END = (0.15, 0.0, 0.35), (0.05, 0.0, 0.35)  # 100 mm apart
 STILL, WATCHED = 1e-3, 5.0  # m, s: what counts as no sway, and for how long after the reference has ended
@@ -39,8 +39,8 @@ def gentle(kang: CompiledModel) -> MotionPlan:
 @pytest.fixture(scope="module")
 def devices() -> CompiledModel:
     """The network behind the virtual prototype's regulators and delay."""
-    lagging = Model.of("kang2017").with_effect("regulator_lag", filling_time=0.12, exhausting_time=0.24)
-    return compile_model(lagging.with_effect("time_delay", delay=0.005))
+    lag = {"filling_time": 0.12, "exhausting_time": 0.24}
+    return compile_model(in_company(regulator_lag=lag, time_delay={"delay": 0.005}))
 
 
 def held_on(setpoints: SetPoints, seconds: float) -> SetPoints:

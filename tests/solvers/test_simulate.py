@@ -16,7 +16,7 @@ from tepm_opt.solvers.simulate import Directions, SimulationError, simulate, sta
 from tepm_opt.solvers.statics import solve_statics
 from tests.models.test_time_stepping import gentle
 from tests.paths import reference
-from tests.tools import slope
+from tests.tools import in_company, slope
 
 NOMINAL = Model.of("kang2017")
 
@@ -109,7 +109,7 @@ def test_friction_and_creep_dissipate_over_a_closed_cycle(kang, settings):
     force = np.column_stack([0.05 * np.sin(2 * np.pi * time / 10), 0 * time, 0 * time])
     works = {}
     for name, parameters in {"none": {}, "structural_friction": {"force": 0.1}, "creep": {"share": 0.2, "relaxation_time": 1.0}}.items():
-        model = kang if name == "none" else compile_model(NOMINAL.with_effect(name, **parameters))
+        model = kang if name == "none" else compile_model(in_company(**{name: parameters}))
         tip = simulate(model, setpoints(time, force=force), **settings).tip[200:, 0]
         here = force[200:, 0]
         works[name] = ((here[1:] + here[:-1]) / 2 * np.diff(tip)).sum()
@@ -120,7 +120,7 @@ def test_friction_and_creep_dissipate_over_a_closed_cycle(kang, settings):
 
 def test_pressure_hysteresis_dissipates_over_a_closed_cycle(kang):
     """Air pushed in minus air pushed out: the loop of pressure against length encloses work, whatever the rate."""
-    model = compile_model(NOMINAL.with_effect("pressure_hysteresis", width=1e4, distance=1e4))
+    model = compile_model(in_company(pressure_hysteresis={"width": 1e4, "distance": 1e4}))
     works = []
     for period in (20.0, 40.0):
         time = np.linspace(0, 2 * period, 401)
@@ -137,13 +137,13 @@ def test_pressure_hysteresis_dissipates_over_a_closed_cycle(kang):
 def test_a_delay_shifts_the_motion(kang):
     plain = gentle(kang, 0.6, 31)
     plain = SetPoints(plain.time, plain.inputs, 0 * plain.tip_force)
-    late = compile_model(NOMINAL.with_effect("time_delay", delay=0.04))
+    late = compile_model(in_company(time_delay={"delay": 0.04}))
     np.testing.assert_allclose(simulate(late, plain).points[2:], simulate(kang, plain).points[:-2], rtol=0, atol=2e-8)
 
 
 def test_a_lag_follows_its_time_constants():
     """Pressure in the muscle after a jump, against exponentials: full when held, filling and exhausting differ."""
-    model = compile_model(NOMINAL.with_effect("regulator_lag", filling_time=0.1, exhausting_time=0.3))
+    model = compile_model(in_company(regulator_lag={"filling_time": 0.1, "exhausting_time": 0.3}))
     time = np.linspace(0, 0.4, 41)
     for start, end, constant in ((0.0, 1e5, 0.1), (1e5, 0.0, 0.3)):
         inputs = np.zeros((41, 12))
@@ -159,7 +159,7 @@ def test_a_lag_follows_its_time_constants():
 
 def test_creep_is_a_stiffness_that_fades(kang):
     """Right after a jump of load the muscles are stiffer by the share; long after they are as without creep."""
-    model = compile_model(NOMINAL.with_effect("creep", share=0.5, relaxation_time=20.0))
+    model = compile_model(in_company(creep={"share": 0.5, "relaxation_time": 20.0}))
     time = np.array([0, 0.01, 2.0, 600.0])
     inputs = np.zeros((4, 12))
     inputs[1:, :6] = 1e5
@@ -241,7 +241,7 @@ class TestRk4:
             simulate(kang, gentle(kang, 0.2, 5), "rk4", step=5e-4)
 
     def test_friction_lowers_it(self, kang):
-        sticky = compile_model(NOMINAL.with_effect("structural_friction", force=5.0, distance=1e-5))
+        sticky = compile_model(in_company(structural_friction={"force": 5.0, "distance": 1e-5}))
         assert stable_step(solve_statics(sticky, np.zeros(12))) < 0.9 * stable_step(solve_statics(kang, np.zeros(12)))
 
 
