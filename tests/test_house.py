@@ -1,11 +1,13 @@
-"""What keeps the house in order: style, types, import contracts, small files. Tools that are not installed are skipped with a reason."""
+"""What keeps the house in order: style, types, import contracts, files, docstrings. Tools that are not installed are skipped."""
 
 from __future__ import annotations
 
+import ast
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,20 @@ def test_files_fit_a_few_screens() -> None:
     assert len(PACKAGE) > 150
     assert not {path: text.count("\n") for path, text in PACKAGE.items() if text.count("\n") > LINES}
     assert not {path: len(text) for path, text in PACKAGE.items() if len(text) > BYTES}
+
+
+def public(text: str) -> Iterator[tuple[bool, ast.FunctionDef | ast.ClassDef]]:
+    """Public functions and classes of a module, then public methods; whether they belong to the module itself."""
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield True, node
+            inner = node.body if isinstance(node, ast.ClassDef) else []
+            yield from ((False, each) for each in inner if isinstance(each, ast.FunctionDef) and not each.name.startswith("_"))
+
+
+def test_docstrings_can_be_read_alone() -> None:
+    """A tooltip shows them without the name's context: they begin with a noun or a verb. Methods may inherit theirs."""
+    hanging = re.compile(r"(Of|By|With|From|For|To|In|On|At|As|And|Or|But|Than|Also|Because)\b")
+    found = [(path, own, node.name, ast.get_docstring(node) or "") for path, text in PACKAGE.items() for own, node in public(text)]
+    assert not [(path, name) for path, own, name, text in found if own and not text]
+    assert not [(path, name, text) for path, _, name, text in found if hanging.match(text)]

@@ -32,7 +32,7 @@ class Devices:
 
     @staticmethod
     def of(model: CompiledModel) -> Devices:
-        """From the robot file; a lag or delay named as an effect of the model goes before it."""
+        """The actuators of the robot file; a lag or delay named as an effect of the model goes before it."""
         data = model.robot.actuation
         known = {"filling": data.filling_time_s, "exhausting": data.exhausting_time_s, "delay": data.command_delay_s}
         known |= {short: model.values[name] for name, short in LAGS.items() if name in model.values}
@@ -60,7 +60,7 @@ class Actuators:
         self.pressure, self.tension = command.pressures.astype(float), command.tensions * command.enabled
 
     def copy(self) -> Actuators:
-        """For looking ahead."""
+        """A copy for looking ahead."""
         other = Actuators(self.devices, self.area, self.command)
         other.pressure, other.tension = self.pressure.copy(), self.tension.copy()
         return other
@@ -140,7 +140,7 @@ class InputEffects:
         self.forces = self._extra(model.statics.actuation(inputs, self._theta), inputs)
 
     def advance(self, actuators: Actuators, duration: float) -> None:
-        """To the actuators' present pressures and tensions, some s after the last call."""
+        """Move on to the actuators' present pressures and tensions, some s after the last call."""
         if self.none:
             return
         inputs = np.concatenate([actuators.pressure, actuators.tension])

@@ -123,7 +123,7 @@ class BenchArm:
         self.bench.schedule(SetPoints(setpoints.time, inputs, setpoints.tip_force), linear)
 
     def push(self, forces: np.ndarray) -> None:
-        """As the bench, which cannot push."""
+        """Refuse as the bench does, which cannot push."""
         self.bench.push(forces)
 
     @property
@@ -142,7 +142,7 @@ class BenchArm:
         return np.repeat(self.bench.true_lengths, MUSCLES)
 
     def stop(self) -> None:
-        """As the bench."""
+        """Stop as the bench does."""
         self.bench.stop()
 
     def __enter__(self) -> BenchArm:

@@ -151,7 +151,7 @@ class StateEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """From a sample's state s to the next one's, each about its own operating point: A s + push + kick w, with w of unit covariance.
+    """Step from a sample's state s to the next one's, each about its own operating point: A s + push + kick w, with w of unit covariance.
 
     Attributes:
         A: (states, states).

@@ -46,7 +46,7 @@ class Reference:
 
     @property
     def duration(self) -> float:
-        """In s."""
+        """Seconds from the first to the last sample."""
         return self.period * (len(self) - 1)
 
     def at(self, periods: np.ndarray | int) -> np.ndarray:

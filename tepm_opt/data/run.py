@@ -74,7 +74,7 @@ class Run:
 
     @property
     def duration(self) -> float:
-        """From the first to the last sample in s."""
+        """Seconds from the first to the last sample."""
         return float(self.time[-1] - self.time[0])
 
     def line(self, row: int) -> int:

@@ -15,7 +15,7 @@ MOVES = 5e-3  # m, that a run must move by to tell
 
 
 def shifts(runs: Sequence[Run], points: Sequence[np.ndarray]) -> dict[str, float]:
-    """By how many seconds the positions of each run trail a model's, where a shift in time explains most of their difference.
+    """Seconds by which the positions of each run trail a model's, where a shift in time explains most of their difference.
 
     Args:
         runs: measured.

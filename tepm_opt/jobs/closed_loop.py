@@ -153,7 +153,7 @@ class ClosedLoop:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the actuators."""
+        """Names of the actuators."""
         return channels_of(self.model.robot).actuators
 
     def errors(self, true: bool) -> np.ndarray:
@@ -202,7 +202,7 @@ class ClosedLoop:
         return np.fft.rfftfreq(count, self.period), powers
 
     def shares(self) -> list[dict[str, float | None]]:
-        """By band of frequencies: root mean square in N of p A, tension and F_a over all actuators, and the tension's share of the power.
+        """Root mean square in N of p A, tension and F_a over all actuators, and the tension's share of the power, by band of frequencies.
 
         The share is that of the powers of p A and λ; they add up to F_a only where the one does not take back the other.
         """
@@ -217,7 +217,7 @@ class ClosedLoop:
         return found
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Of the log by name, (samples,) each: those of a run of a data set (commands, tracked points), then everything else."""
+        """Columns of the log by name, (samples,) each: those of a run of a data set (commands, tracked points), then everything else."""
         channels, count = channels_of(self.model.robot), len(self.time)
         columns = {"time_s": np.round(self.time, 6)}
         columns |= dict(zip(channels.inputs, np.hstack([self.pressures, self.tensions]).T, strict=True))

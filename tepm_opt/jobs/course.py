@@ -50,7 +50,7 @@ def whole_reference(
     kinematics: IkSettings = IK_DEFAULT,
     progress: Progress = silent,
 ) -> Reference:
-    """From rest without forces to the trajectory's first point, a pause, then along it or point by point.
+    """Reference from rest without forces to the trajectory's first point, a pause, then along it or point by point.
 
     Args:
         model: the controller's.

@@ -132,7 +132,7 @@ class SimulateRun:
 
     @property
     def time(self) -> np.ndarray:
-        """Of the rows done in s, (rows done,)."""
+        """Time of the rows done in s, (rows done,)."""
         return self.simulation.setpoints.time[self.places]
 
     @property

@@ -26,7 +26,7 @@ def each_between(low: float, high: float, unit: str) -> AfterValidator:
 
 
 class PressureLines(Section):
-    """From pressure to the regulator's command voltage and back from its monitor output. Both are straight lines.
+    """Maps from pressure to the regulator's command voltage and back from its monitor output. Both are straight lines.
 
     A voltage is zero_V + V_per_MPa · pressure; the DAC gives `dac_full_scale_V` at its largest code.
     """
@@ -39,7 +39,7 @@ class PressureLines(Section):
 
 
 class TensionLines(Section):
-    """From tension to counts of the dynamometer's converter (zero_counts + counts_per_N · tension) and to steps of the motor."""
+    """Maps from tension to counts of the dynamometer's converter (zero_counts + counts_per_N · tension) and to steps of the motor."""
 
     zero_counts: Annotated[Each, each_between(0, 32767, "counts")] = 3277.0
     counts_per_N: Annotated[Each, each_between(1, 32767, "counts/N")] = 3276.8

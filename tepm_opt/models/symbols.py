@@ -18,6 +18,7 @@ PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "load", "mass")
 
 
 def property_rows(layout: Layout) -> dict[str, slice]:
+    """Rows of each property in the column that holds them all."""
     edges = len(layout.edges)
     sizes = dict(zip(PROPERTY_ROWS, (edges, edges, edges, layout.actuators, 3, 1), strict=True))
     ends = np.cumsum(list(sizes.values()))
@@ -103,7 +104,7 @@ class Writer:
         return Segment(ca.SX.sym("lower", block), ca.SX.sym("upper", block), ca.SX.sym("P", rows))
 
     def rails(self, upper: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Of a guided robot: offset of a level's nodes from their rails, (block,), and the rails' stiffness and damping, (block,) each.
+        """Rails of a guided robot: offset of a level's nodes from them, (block,), and their stiffness and damping, (block,) each.
 
         Rails are springs and dampers `RAIL` times as strong as a segment's muscles; without a guide all is 0.
         """
@@ -144,6 +145,8 @@ class Writer:
 
 @dataclass(frozen=True)
 class Segment:
+    """Symbols of two neighbouring levels' nodes and of the properties between them."""
+
     lower: ca.SX
     upper: ca.SX
     column: ca.SX
@@ -155,6 +158,7 @@ class Segment:
 
 
 def norm(vector: ca.SX) -> ca.SX:
+    """Euclidean length."""
     return ca.sqrt(ca.sumsqr(vector))
 
 

@@ -118,7 +118,7 @@ def play(rig: SimulatedRig, setpoints: SetPoints, until: float, progress: Progre
 
 
 def ramp(inputs: np.ndarray, rise: float, start: np.ndarray | None = None, force: np.ndarray | None = None) -> SetPoints:
-    """From `start` (zero where absent) and no load to inputs u and a tip force (3,), in `rise` s."""
+    """Ramp from `start` (zero where absent) and no load to inputs u and a tip force (3,), in `rise` s."""
     first = np.zeros_like(inputs) if start is None else start
     tip = np.zeros(3) if force is None else force
     return SetPoints(np.array([0.0, rise]), np.array([first, inputs]), np.array([np.zeros(3), tip]))

@@ -179,7 +179,7 @@ class Residual:
 
     @staticmethod
     def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float) -> Residual:
-        """From a run and its prediction, points (rows, points, 3) and by (parameters, rows, points, 3)."""
+        """Residuals from a run and its prediction, points (rows, points, 3) and by (parameters, rows, points, 3)."""
         present = np.isfinite(run.points)
         values = np.where(present, run.points - points, 0.0) / noise
         slopes = -np.where(present, by, 0.0).reshape(len(by), present.size).T / noise

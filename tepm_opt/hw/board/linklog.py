@@ -85,7 +85,7 @@ class PlaybackPort:
         return self.time
 
     def read(self, timeout: float) -> bytes:
-        """As `Port.read`; lets the playback's time pass.
+        """Read as `Port.read` does; lets the playback's time pass.
 
         Raises:
             EOFError: the log is over.

@@ -58,17 +58,17 @@ class SerialPort:
             raise InputError(f"serial port {device!r} cannot be opened: {_reason(text)}; {_found()}") from error
 
     def read(self, timeout: float) -> bytes:
-        """As `Port.read`."""
+        """Read as `Port.read` does."""
         self._serial.timeout = timeout
         first = self._serial.read(1)
         return first + self._serial.read(self._serial.in_waiting) if first else b""
 
     def write(self, data: bytes) -> None:
-        """As `Port.write`."""
+        """Write as `Port.write` does."""
         self._serial.write(data)
 
     def close(self) -> None:
-        """As `Port.close`."""
+        """Close as `Port.close` does."""
         self._serial.close()
 
 

@@ -24,7 +24,7 @@ class Timeline:
         self.slopes: list[np.ndarray | None] = [None]
 
     def set(self, at: int, value: np.ndarray, slope: np.ndarray | None = None) -> None:
-        """From step `at` on: `value`, changing by `slope` a second (default 0). What was set for later is dropped."""
+        """Set `value` from step `at` on, changing by `slope` a second (default 0). What was set for later is dropped."""
         keep = bisect_right(self.at, at - 1)
         del self.at[keep:], self.values[keep:], self.slopes[keep:]
         self.at.append(at)

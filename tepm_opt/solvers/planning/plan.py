@@ -84,7 +84,7 @@ def plan_move(
     duration: float | None = None, obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT,
     progress: Progress = silent,
 ) -> MotionPlan:  # fmt: skip
-    """From rest with the tip at `start` to rest with the tip at `end`, by any way.
+    """Plan from rest with the tip at `start` to rest with the tip at `end`, by any way.
 
     Args:
         model: compiled model; its lags and delays are left to the settings.

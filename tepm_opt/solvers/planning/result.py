@@ -57,7 +57,7 @@ class MotionPlan:
 
     @property
     def duration(self) -> float:
-        """In s; 0 without a plan."""
+        """Seconds it takes; 0 without a plan."""
         return float(self.time[-1]) if len(self.time) else 0.0
 
     def summary(self) -> dict[str, Any]:

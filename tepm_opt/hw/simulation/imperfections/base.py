@@ -82,7 +82,7 @@ class PressureStage(Protocol):
         ...
 
     def step(self, pressure: np.ndarray, duration: float) -> np.ndarray:
-        """From the values at the start and the end of a tick (linear between), (2, …), to those that come out, (2, …)."""
+        """Turn the values at the start and the end of a tick (linear between), (2, …), into those that come out, (2, …)."""
         ...
 
 
@@ -94,7 +94,7 @@ class TensionStage(Protocol):
         ...
 
     def step(self, tension: np.ndarray, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
-        """As `PressureStage.step`; `length` and `rate` of the actuators are those at the start of the tick."""
+        """Do as `PressureStage.step`; `length` and `rate` of the actuators are those at the start of the tick."""
         ...
 
 
