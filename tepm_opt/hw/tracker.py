@@ -166,10 +166,13 @@ class FrameAssembler:
         self.clock = ServerClock(self.period / 2)
 
     def take(self, device: str, stamp: float, pose: np.ndarray | None, received: float) -> None:
-        """A message of a device, which arrived at `received` on the host's clock in s; others than the link's are only remembered as seen.
+        """Take a message of a device; devices that are not the link's are only remembered as seen.
 
-        `stamp` is on the server's clock in s, 0 where it has none (then the arrival stands for it); `pose` is (4, 4) in the server's units,
-        None where the server says that it is not valid.
+        Args:
+            device: its name.
+            stamp: on the server's clock in s; 0 where it has none, then the arrival stands for it.
+            pose: (4, 4) in the server's units; None where the server says that it is not valid.
+            received: when it arrived, on the host's clock in s.
         """
         self.seen.add(device)
         if device not in self.link.devices:

@@ -118,6 +118,12 @@ def _others(sample: Sample, channels: Channels) -> dict[str, float]:
 def write_journal(path: Path, rows: Iterable[Row], first: Sample, channels: Channels) -> int:
     """Append every row as it comes, in the columns of SPEC section 4 and those that `first` measures; how many came.
 
+    Args:
+        path: of a new file.
+        rows: as they are driven.
+        first: a sample that says what the rig measures.
+        channels: of the robot.
+
     Raises:
         InputError: the file exists or cannot be written.
     """
@@ -137,6 +143,12 @@ def write_journal(path: Path, rows: Iterable[Row], first: Sample, channels: Chan
 
 def run_from_journal(path: Path, file: str, role: Role, channels: Channels) -> Run | None:
     """The run that a journal holds as far as it got; None without a row. The status is kept where it was not always good.
+
+    Args:
+        path: of the journal.
+        file: that the run shall have.
+        role: of the run.
+        channels: of the robot.
 
     Raises:
         InputError: the journal cannot be read.

@@ -79,6 +79,12 @@ def fit_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -
 def increasing(text: str, name: str, least: float, most: float, unit: str) -> list[float]:
     """Numbers of an option, at least two, each larger than the one before.
 
+    Args:
+        text: numbers by commas.
+        name: of the option.
+        least, most: of the numbers, in `unit`.
+        unit: for the message.
+
     Raises:
         InputError: they are not.
     """
@@ -131,7 +137,13 @@ def collect(link: Link, seconds: float) -> Counts:
 
 
 def refuse_mixed_up(change: np.ndarray, actuator: int, names: Sequence[str], what: str) -> None:
-    """Refuse where another sensor changed and the named one did not: `change` (actuators,) of each in counts.
+    """Refuse where another sensor changed and the named one did not.
+
+    Args:
+        change: of each sensor, (actuators,) in counts.
+        actuator: index of the one that was pulled or filled.
+        names: of all actuators.
+        what: kind of the sensor, for the message.
 
     Raises:
         InputError: naming the other one.
@@ -207,7 +219,14 @@ def snippet(parts: dict[str, dict[str, list]], notes: Sequence[str]) -> str:
 
 
 def firmware_notes(robot: Robot, hello: Hello, tension: dict[int, CalibrationFit], command: dict[int, CalibrationFit]) -> list[str]:
-    """Where the limits compiled into the firmware are more than 5 % off by these lines (counts over N, volts over MPa)."""
+    """Where the limits compiled into the firmware are more than 5 % off by measured lines; a sentence each.
+
+    Args:
+        robot: with its limits.
+        hello: of the board.
+        tension: counts over N by actuator.
+        command: volts over MPa by actuator.
+    """
     notes, actuation = [], robot.actuation
     for k, line in tension.items():
         limit = (hello.tension_max - line.zero) / line.slope

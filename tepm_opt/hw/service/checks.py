@@ -73,7 +73,14 @@ def not_yet(name: str, says: str, next: str = "") -> Check:
 
 
 def judged(name: str, good: bool, says: str, next: str) -> Check:
-    """Right or wrong; what to do about it only where it is wrong."""
+    """A check that ended well or badly.
+
+    Args:
+        name: what was looked at.
+        good: how it ended.
+        says: one sentence about it.
+        next: what to do about it, told only where it ended badly.
+    """
     return right(name, says) if good else wrong(name, says, next)
 
 
@@ -131,7 +138,7 @@ def last_reset(hello: Hello) -> Check:
 
 
 def dynamometers(names: tuple[str, ...], counts: tuple[int, ...], calibration: Calibration) -> Check:
-    """Whether all are connected and show no tension."""
+    """Whether all dynamometers are connected and show no tension."""
     name, volts = "dynamometers", np.array(counts[: len(names)]) / COUNTS_PER_V
     dead = [f"{at} ({value:.2f} V)" for at, value in zip(names, volts, strict=True) if not ALIVE[0] <= value <= ALIVE[1]]
     if dead:
@@ -146,7 +153,14 @@ def dynamometers(names: tuple[str, ...], counts: tuple[int, ...], calibration: C
 
 
 def monitors(names: tuple[str, ...], counts: tuple[int, ...], calibration: Calibration, hello: Hello) -> Check:
-    """Whether all show no pressure."""
+    """Whether all pressure monitors show no pressure.
+
+    Args:
+        names: of the actuators.
+        counts: of the monitors, (6,).
+        calibration: of the robot.
+        hello: of the board; an Uno has no pins for monitors.
+    """
     name = "pressure monitors"
     if hello.channels <= UNO and not any(counts):
         return not_yet(name, "this board has no inputs for them.")

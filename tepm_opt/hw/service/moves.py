@@ -80,6 +80,12 @@ class Single:
 def refuse_outside(value: float, most: float, name: str, unit: str) -> None:
     """Refuse a value that is not within 0 … most.
 
+    Args:
+        value: asked for.
+        most: the limit in the same unit.
+        name: of the option.
+        unit: for the message.
+
     Raises:
         InputError: it is not.
     """
@@ -93,7 +99,16 @@ def profile(part: float) -> float:
 
 
 def jog(rig: SerialRig, single: Single, value: float, seconds: float) -> Iterator[tuple[float, float, Sample]]:
-    """One actuator to a value in Pa or N and back: time in s, what is commanded, what was measured, at every sample.
+    """Take one actuator to a value and back.
+
+    Args:
+        rig: armed or to be armed by this.
+        single: the actuator.
+        value: to go to, in Pa or N.
+        seconds: there and back.
+
+    Yields:
+        At every sample the time in s, what is commanded in Pa or N, and the sample.
 
     Raises:
         LinkError: the board stopped by itself, or the line is gone.
@@ -107,7 +122,7 @@ def jog(rig: SerialRig, single: Single, value: float, seconds: float) -> Iterato
 
 
 def held(now: float, seconds: float) -> bool:
-    """Whether a jog is held at that time."""
+    """Whether a jog of `seconds` s is held at a time in s since its begin."""
     return RISE <= now / seconds <= RISE + HELD
 
 
@@ -126,7 +141,14 @@ def glide(rig: SerialRig, single: Single, start: float, end: float) -> None:
 
 
 def settle(rig: SerialRig, single: Single, value: float, least: float = 1.0, most: float = 15.0) -> bool:
-    """Hold a value until the pressure measured is steady, at least and at most so many seconds; whether it is."""
+    """Hold a value until the pressure measured is steady; whether it is.
+
+    Args:
+        rig: armed or to be armed by this.
+        single: the actuator.
+        value: to hold, in Pa.
+        least, most: seconds for which it is held at least and at most.
+    """
     begin, taken = rig.time, []
     while (now := rig.time - begin) < most:
         rig.apply(single.command(value))
@@ -139,7 +161,14 @@ def settle(rig: SerialRig, single: Single, value: float, least: float = 1.0, mos
 
 
 def monitors(rig: SerialRig, single: Single, value: float, seconds: float) -> np.ndarray:
-    """Counts of all monitors while a value is held, (samples, 6)."""
+    """Counts of all monitors while a value is held, (samples, 6).
+
+    Args:
+        rig: armed or to be armed by this.
+        single: the actuator.
+        value: to hold, in Pa or N.
+        seconds: for which it is held.
+    """
     begin, taken = rig.time, []
     while rig.time - begin < seconds:
         rig.apply(single.command(value))

@@ -78,6 +78,12 @@ class TrackerDevice(Section):
 class Lens:
     """The tracker at work: noise and dropouts of one rig.
 
+    Args:
+        settings: of the tracker.
+        points: how many it sees.
+        seed: of the rig.
+        noise: number of the run; each has noise of its own.
+
     Attributes:
         lost: frames for which each point stays lost, (points,).
     """
