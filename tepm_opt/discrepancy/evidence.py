@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.solvers.identify import ParameterEstimate, bounded_step
+from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.least_squares import bounded_step
 
 DRAWS = 2000
 FOLDS = 4  # parts a run is cut into where there are too few runs to leave one out
@@ -28,6 +29,10 @@ class Evidence:
     counts: np.ndarray
     parameters: int
     scatter: np.ndarray
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Evidence({len(self.counts)} blocks, {self.parameters} parameters, excess {self.excess:.3g})"
 
     @property
     def count(self) -> int:

@@ -14,6 +14,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.discrepancy.verdict import Place
+from tepm_opt.solvers.text import in_mm
 
 PERMUTATIONS = 999
 CHUNK = 2_000_000  # numbers permuted at a time
@@ -55,6 +56,10 @@ class Localisation:
     points: tuple[str, ...]
     rms: float
     sentence: str
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Localisation({1e3 * self.rms:.3g} mm beyond the noise, {self.telling} of {len(self.places)} places tell)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +168,8 @@ def _localisation(found: list[_Found], samples: _Samples, runs: Sequence[Run], c
     ordered = sorted(found, key=lambda entry: (not entry.tells, -entry.place.rms))
     places = tuple(entry.place for entry in ordered)
     telling = [entry.place for entry in ordered if entry.tells]
-    rms = float(np.sqrt(3 * max(samples.density, 0.0)))
-    structured = bool(telling) or samples.clear(samples.density, samples.count)
-    sentence = _sentence(rms, telling, places) if structured else _nothing(samples)
+    rms, structured = float(np.sqrt(3 * max(samples.density, 0.0))), samples.clear(samples.density, samples.count)
+    sentence = _sentence(rms, telling, places) if telling or structured else _nothing(samples)
     return Localisation(places, len(telling), _heat(samples), tuple(run.file for run in runs), channels.points, rms, sentence)
 
 
@@ -353,9 +357,9 @@ def _nothing(samples: _Samples) -> str:
 
 def _sentence(rms: float, telling: Sequence[Place], found: Sequence[Place]) -> str:
     best = {by: max((t for t in telling if t.by == by), key=_weight) for by in {t.by for t in telling}}
-    spots = [f"in {best['run'].name} ({_mm(best['run'].rms)})"] if "run" in best else []
-    spots += [f"at {best['point'].name}" + ("" if spots else f" ({_mm(best['point'].rms)})")] if "point" in best else []
-    parts = [f"The model misses by {_mm(rms)} beyond the noise" + (f", most {' and '.join(spots)}" if spots else "")]
+    spots = [f"in {best['run'].name} ({in_mm(best['run'].rms)})"] if "run" in best else []
+    spots += [f"at {best['point'].name}" + ("" if spots else f" ({in_mm(best['point'].rms)})")] if "point" in best else []
+    parts = [f"The model misses by {in_mm(rms)} beyond the noise" + (f", most {' and '.join(spots)}" if spots else "")]
     parts += [f"along {best['axis'].name}"] if "axis" in best else []
     if "actuator" in best:
         name, _, kind = best["actuator"].name.removesuffix(ALONE).partition(" ")
@@ -379,9 +383,9 @@ def _regimes(telling: Sequence[Place], found: Sequence[Place]) -> list[str]:
     if "at rest" in regimes and "moving" in regimes:
         rest, moving = regimes["at rest"], regimes["moving"]
         if rest.rms > 1.5 * moving.rms:
-            words = [f"more at rest ({_mm(rest.rms)}) than in motion ({_mm(moving.rms)})"] if rest.p <= SIGNIFICANT else []
+            words = [f"more at rest ({in_mm(rest.rms)}) than in motion ({in_mm(moving.rms)})"] if rest.p <= SIGNIFICANT else []
         elif moving.rms > 1.5 * rest.rms:
-            words = [f"more in motion ({_mm(moving.rms)}) than at rest ({_mm(rest.rms)})"] if moving.p <= SIGNIFICANT else []
+            words = [f"more in motion ({in_mm(moving.rms)}) than at rest ({in_mm(rest.rms)})"] if moving.p <= SIGNIFICANT else []
         else:
             words = ["at rest as much as in motion"]
     named = {"after a reversal": "after reversals", "low pressure": "at low pressure", "high tension": "at high tension"}
@@ -391,7 +395,3 @@ def _regimes(telling: Sequence[Place], found: Sequence[Place]) -> list[str]:
 def _times(best: dict[str, Place]) -> list[str]:
     words = {"early": "more at the start of the runs", "middle": "more in the middle of the runs", "late": "more at the end of the runs"}
     return [words[best["time"].name]] if "time" in best else []
-
-
-def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.1f} mm" if metres >= 1e-3 else f"{1e3 * metres:.2g} mm"

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.discrepancy.library import Candidate
-from tepm_opt.solvers.identify import ParameterEstimate, Residual, bounded_step, free_parameters, normal_equations
+from tepm_opt.solvers.identify import ParameterEstimate, Residual, free_parameters, normal_equations
+from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.predict import PredictionError
 
 
@@ -25,6 +26,10 @@ class Score:
     candidate: Candidate
     gain: float
     start: dict[str, float]
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Score({self.candidate.label}, gain {self.gain:.3g})"
 
 
 def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Score]:

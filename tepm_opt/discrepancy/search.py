@@ -17,6 +17,7 @@ from tepm_opt.discrepancy.screen import Score, screen
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import Free, ParameterEstimate, Problem, free_parameters, identify
 from tepm_opt.solvers.predict import PredictionError
+from tepm_opt.solvers.text import listed, shortened
 
 CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
 Effects = tuple[Candidate, ...]
@@ -68,6 +69,10 @@ class Hypothesis:
     estimate: ParameterEstimate
     evidence: Evidence
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Hypothesis({shortened(_labels(self), 60)}, excess {self.excess:.3g})"
+
     @property
     def excess(self) -> float:
         """Mean square of held-out errors beyond the noise, over the noise's."""
@@ -82,6 +87,10 @@ class Hypothesis:
     def form_error(self) -> np.ndarray:
         """Standard deviation of the free parameters that comes from structure left, (parameters,): scatter over left-out runs."""
         return np.sqrt(self.excess / (1 + self.excess)) * self.evidence.scatter
+
+
+def _labels(hypothesis: Hypothesis) -> str:
+    return listed([effect.label for effect in hypothesis.effects], 3) or "no effect"
 
 
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
@@ -109,6 +118,10 @@ class Explanation:
     shares: Shares
     groups: Groups
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Explanation({shortened(_labels(self.best), 60)}, closes {self.closes(self.best):.0%}, {len(self.tried)} fits)"
+
     def closes(self, hypothesis: Hypothesis) -> float:
         """Part of the structure left by recalibration that a hypothesis takes away."""
         return 1 - hypothesis.excess / max(self.without.excess, 1e-12)
@@ -134,6 +147,10 @@ class Fits:
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
     screened: dict[Effects, list[Score]] = field(default_factory=dict)
     _kept: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Fits({len(self.done)} fits of {self.problem})"
 
     def __post_init__(self) -> None:
         """Read what an earlier search left."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from html import escape
 from typing import Any
 
 from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.models.model import Model
+from tepm_opt.solvers.text import html_table, listed, shortened
 
 
 class VerdictStatus(Enum):
@@ -45,6 +47,10 @@ class Named:
     probability: float
     parameters: Mapping[str, Value]
     closes: float
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Named({self.candidate.label}, probability {self.probability:.3f}, {listed(list(self.parameters))})"
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,21 @@ class Verdict:
     model: Model
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
+
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        effects = listed([f"{named.candidate.label} {named.probability:.2f}" for named in self.effects], 2)
+        return f"Verdict({self.status.value}{', ' + shortened(effects, 60) if effects else ''}, {self.errors.closed:.0%} of the gap closed)"
+
+    def _repr_html_(self) -> str:
+        """The answer in words and the effects with their parameters, as a table."""
+        rows = [
+            (named.candidate.label, f"{named.probability:.3f}", name, f"{value.value:.6g}", f"{value.std:.2g}", value.unit)
+            for named in self.effects
+            for name, value in named.parameters.items()
+        ]
+        head = ("effect", "probability", "parameter", "value", "standard deviation", "unit")
+        return f"<p>{escape(self.paragraph)}</p>" + (html_table(head, rows) if rows else "")
 
     def as_json(self) -> dict[str, Any]:
         """Content of verdict.json."""

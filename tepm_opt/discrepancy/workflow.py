@@ -27,6 +27,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
+from tepm_opt.solvers.text import shortened
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
 CLEAR = 0.8  # probability among rivals from which one of them is named
@@ -52,6 +53,10 @@ class Discovery:
     localisation: Localisation
     predictions: dict[str, list[np.ndarray]]
     explanation: Explanation
+
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        return f"Discovery({self.verdict.status.value}, {shortened(self.dataset.name, 40)}, {len(self.explanation.tried)} fits)"
 
 
 def discover(

@@ -27,6 +27,10 @@ class Allocation:
     rounded: np.ndarray
     error: float
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Allocation({len(self.inputs)} inputs, misses axial forces by at most {self.error:.3g} N)"
+
 
 def axial_forces(model: CompiledModel, inputs: np.ndarray) -> np.ndarray:
     """Axial forces F_a (modules · actuators,) in N under inputs, through the effects' input maps."""

@@ -16,6 +16,7 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.kinematics import ActuationMode, Configuration, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.text import html_table
 
 Actuation = Literal["pressure", "tension", "both"]
 
@@ -38,6 +39,20 @@ class Gain:
     equilibrium: Equilibrium
     point: int
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        name = self.equilibrium.model.layout.point_names[self.point]
+        parts = [f"{kind} {_singular(self, kind)}" for kind in ("pressure", "tension")]
+        return f"Gain({name}, singular values over the full range: {', '.join(parts)} mm)"
+
+    def _repr_html_(self) -> str:
+        """Singular values, condition and manipulability of each actuation, as a table."""
+        rows = [
+            (kind, _singular(self, kind), f"{self.condition(kind):.3g}", f"{1e9 * self.manipulability(kind):.3g}")
+            for kind in ("pressure", "tension", "both")
+        ]
+        return html_table(("inputs", "singular values in mm", "condition", "manipulability in mm³"), rows)
+
     def normalised(self, actuation: Actuation = "both") -> np.ndarray:
         """Columns times their input's range (Fig. 11's dimensionless inputs), in m; all columns or one actuation's."""
         scaled = self.matrix * self.equilibrium.model.input_max
@@ -56,6 +71,10 @@ class Gain:
     def manipulability(self, actuation: Actuation = "both") -> float:
         """Product of the singular values in m³ (Yoshikawa, IJRR 4, 1985): 0 where a direction cannot be driven."""
         return float(np.prod(self.singular_values(actuation)))
+
+
+def _singular(gain: Gain, kind: Actuation) -> str:
+    return " / ".join(f"{1e3 * value:.3g}" for value in gain.singular_values(kind))
 
 
 @lru_cache(maxsize=64)
@@ -111,6 +130,10 @@ class Curve:
     tip: np.ndarray
     slope: np.ndarray
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Curve({len(self.part)} points from {self.part[0]:.3g} to {self.part[-1]:.3g} of the range)"
+
 
 def input_curve(
     model: CompiledModel, actuation: Literal["pressure", "tension"], actuator: str, low: float = 0.10, high: float = 0.20, count: int = 21
@@ -149,6 +172,10 @@ class WorkspaceMap:
     height: np.ndarray
     reached: np.ndarray
     gains: list[list[Gain | None]]
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"WorkspaceMap({len(self.across)} x {len(self.height)} tips, {int(self.reached.sum())} of them within reach)"
 
     def values(self, of: Callable[[Gain], float]) -> np.ndarray:
         """A number of every gain, (rows, columns); NaN out of reach."""

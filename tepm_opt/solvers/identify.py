@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError, unknown_name
@@ -17,7 +17,9 @@ from tepm_opt.models.model import label
 from tepm_opt.models.robot import UNITS, Parameters
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
+from tepm_opt.solvers.text import html_table, listed, shortened
 
 ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation
@@ -116,6 +118,10 @@ class Problem:
     robust: bool = False
     step: float = LONGEST_STEP
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Problem({len(self.runs)} runs, free: {listed([free.name for free in self.free]) or 'nothing'})"
+
     def with_values(self, values: np.ndarray) -> CompiledModel:
         """The model with these values of the free parameters."""
         theta = self.model.theta.copy()
@@ -177,6 +183,10 @@ class Residual:
     by: np.ndarray
     block: np.ndarray
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Residual({shortened(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
+
     @staticmethod
     def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float) -> Residual:
         """Residuals from a run and its prediction, points (rows, points, 3) and by (parameters, rows, points, 3)."""
@@ -218,6 +228,19 @@ class ParameterEstimate:
     cost: float
     iterations: int
     outcome: Outcome
+
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        ratio = np.sqrt(self.cost / max(self.count, 1))
+        return f"ParameterEstimate({self.outcome.ending}, {len(self.values)} parameters, residuals {ratio:.3g} times the noise)"
+
+    def _repr_html_(self) -> str:
+        """The parameters with their standard deviations, as a table."""
+        rows = [
+            (free.name, f"{value:.6g}", f"{std:.2g}", free.unit, "at its bound" if bound else "")
+            for free, value, std, bound in zip(self.problem.free, self.values, self.std, self.at_bound, strict=True)
+        ]
+        return f"<p>{escape(str(self.outcome))}</p>" + html_table(("parameter", "value", "standard deviation", "unit", ""), rows)
 
     @property
     def solved(self) -> bool:
@@ -329,26 +352,6 @@ def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray
     """JᵀJ (parameters, parameters) and Jᵀr (parameters,) of several runs together."""
     pairs = [_weighted(r, w) for r, w in zip(residuals, weights or [None] * len(residuals), strict=True)]
     return sum(by.T @ by for _, by in pairs), sum(by.T @ values for values, by in pairs)  # type: ignore[return-value]
-
-
-def bounded_step(
-    square: np.ndarray, slope: np.ndarray, low: np.ndarray, high: np.ndarray, scale: np.ndarray, damping: float = 0.0
-) -> tuple[np.ndarray, float]:
-    """Minimiser d of dᵀ square d + 2 slopeᵀ d (+ damping) within low ≤ d ≤ high, and by how much it falls short of 0.
-
-    Scaled by `scale`; directions without any influence are left where they are.
-    """
-    H, g = square * np.outer(scale, scale), slope * scale
-    size = np.maximum(np.diag(H), 1e-12 * max(float(np.max(np.diag(H), initial=0.0)), 1e-30))
-    root = np.sqrt(size)
-    lifted = H / np.outer(root, root) + (damping + 1e-10) * np.eye(len(g))
-    factor = np.linalg.cholesky(lifted).T
-    target = -np.linalg.solve(factor.T, g / root)
-    limits = [np.minimum(low / scale * root, -0.0), np.maximum(high / scale * root, 0.0)]
-    limits[1] = np.maximum(limits[1], limits[0] + 1e-12)
-    y = lsq_linear(factor, target, bounds=(limits[0], limits[1]), method="bvls", tol=1e-12).x
-    d = np.clip(y / root * scale, np.minimum(low, 0), np.maximum(high, 0))
-    return d, float(-(d @ square @ d + 2 * slope @ d))
 
 
 def _step(

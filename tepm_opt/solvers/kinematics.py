@@ -20,6 +20,7 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.allocation import ActuationMode, Allocation, allocate, force_range
 from tepm_opt.solvers.constant_curvature import lengths_from_tip
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.text import millimetres
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,11 @@ class Configuration:
     miss: float
     limits: tuple[str, ...] = ()
     steps: int = 0
+
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        limits = f", limits that bind: {len(self.limits)}" if self.limits else ""
+        return f"Configuration({self.outcome.ending}, target {millimetres(self.target)}, miss {1e3 * self.miss:.3g} mm{limits})"
 
     @property
     def solved(self) -> bool:

@@ -15,6 +15,7 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.layout import Layout
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.text import shortened
 
 if TYPE_CHECKING:
     import control
@@ -46,6 +47,10 @@ class System:
     outputs: tuple[str, ...]
     ranges: np.ndarray
     delay: float
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"System({_size(self)})"
 
     @property
     def late(self) -> np.ndarray:
@@ -104,6 +109,11 @@ class System:
         return StateSpace(A, B, C, D, inputs=list(part.inputs), outputs=list(part.outputs), remove_useless_states=False)
 
 
+def _size(system: System) -> str:
+    delay = f", delay {1e3 * system.delay:.3g} ms" if system.delay else ""
+    return f"{len(system.A)} states, {len(system.inputs)} inputs, {len(system.outputs)} outputs{delay}"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Linear(System):
     """A network's system: see `System`, whose inputs and outputs it has all.
@@ -118,6 +128,10 @@ class Linear(System):
 
     equilibrium: Equilibrium
     kinds: np.ndarray
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Linear({_size(self)}, {shortened(self.equilibrium.model.robot.name, 40)})"
 
     @property
     def coordinates(self) -> int:

@@ -53,6 +53,11 @@ class ModalModel:
     observe: np.ndarray
     gain: np.ndarray
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        frequencies = np.sqrt(self.stiffness) / (2 * np.pi)
+        return f"ModalModel({len(frequencies)} modes from {frequencies[0]:.3g} to {frequencies[-1]:.3g} Hz)"
+
     @property
     def shapes(self) -> np.ndarray:
         """Φ of the modes, (coordinates, modes) in 1/√kg."""

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 from tepm_opt.solvers.linear import Linear, leading
 from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.text import shortened
 
 SAME = 1e-6  # relative: eigenvalues nearer to each other belong together
 STILL = 1e-9  # relative: displacements and frequencies below it are rounding errors
@@ -77,6 +78,11 @@ class Mode:
     right: np.ndarray
     left: np.ndarray
     together: int
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        motion = f"{self.frequency:.4g} Hz, damping {self.damping:.3g}" if self.oscillates else f"{self.time_constant:.4g} s"
+        return f"Mode({motion}, {shortened(self.words, 60)})"
 
     @property
     def oscillates(self) -> bool:

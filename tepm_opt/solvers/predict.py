@@ -39,6 +39,10 @@ class Prediction:
     points: np.ndarray
     by: np.ndarray
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Prediction({len(self.points)} rows of {self.points.shape[1]} points, by {len(self.by)} parameters)"
+
 
 def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: bool = False, step: float = LONGEST_STEP) -> Prediction:
     """Reference points of a run as a model has them, from the equilibrium under the run's first row.

@@ -35,6 +35,11 @@ class Reduced(System):
     bound: float
     hankel: np.ndarray
 
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        size = f"{len(self.A)} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
+        return f"Reduced({self.method}, {size}, within {1e3 * self.bound:.3g} mm per range)"
+
 
 def balanced(
     linear: System, order: int | None = None, tolerance: float | None = None, inputs: Names = None, outputs: Names = None,

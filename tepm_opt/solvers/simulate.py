@@ -18,6 +18,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import rk4_step_limit
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.text import listed
 
 Method = Literal["implicit", "rk4"]
 METHODS: tuple[Method, ...] = ("implicit", "rk4")
@@ -45,6 +46,10 @@ class Directions:
     parameters: np.ndarray
     inputs: np.ndarray | None = None
     loads: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Directions({listed(self.names)})"
 
     @staticmethod
     def of(model: CompiledModel, parameters: Sequence[str] = (), inputs: Sequence[str] = ()) -> Directions:
@@ -100,6 +105,12 @@ class Simulation:
     step: float
     effort: Effort
     outcome: Outcome
+
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        time = self.setpoints.time
+        passed = float(time[-1] - time[0]) if len(time) else 0.0
+        return f"Simulation({self.outcome.ending}, {len(time)} samples in {passed:.4g} s, {self.method}, step {1e3 * self.step:.3g} ms)"
 
     @property
     def solved(self) -> bool:

@@ -12,6 +12,7 @@ import scipy.linalg as sla
 from tepm_opt.models.backends.statics import SOLVED, UNSTABLE
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.solvers.text import millimetres
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,11 @@ class Equilibrium:
     residual: float
     reached: float = 1.0
     mapped: bool = False
+
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        effort = f"{self.iterations} iterations, residual {self.residual:.2g} N"
+        return f"Equilibrium({self.outcome.ending}, tip {millimetres(self.tip)}, {effort})"
 
     @property
     def solved(self) -> bool:

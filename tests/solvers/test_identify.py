@@ -11,7 +11,8 @@ from scipy.optimize import lsq_linear
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, bounded_step, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.predict import PredictionError, predict, predict_all
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics

@@ -21,6 +21,7 @@ from tepm_opt.models.backends.statics import SOLVED
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.text import shortened
 
 PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
 
@@ -77,6 +78,11 @@ class Family:
     point_error: float
     force_error: float
     stability_error: float
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        errors = f"points within {1e3 * self.point_error:.2g} mm, forces within {self.force_error:.2g} N"
+        return f"Family({shortened(self.model.robot.name, 40)}, {errors})"
 
     def within(self, lengths: np.ndarray) -> np.ndarray:
         """Lengths (…, 3) in m as y."""

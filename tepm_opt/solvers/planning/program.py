@@ -143,6 +143,10 @@ class PlannedMotion:
     iterations: int
     seconds: float
 
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        return f"PlannedMotion({self.outcome.ending}, {self.duration:.4g} s, {self.iterations} iterations)"
+
     @property
     def solved(self) -> bool:
         """Whether there is a motion."""

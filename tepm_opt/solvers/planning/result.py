@@ -50,6 +50,11 @@ class MotionPlan:
     iterations: int = 0
     seconds: float = 0.0
 
+    def __repr__(self) -> str:
+        """The outcome and the main numbers, in a line."""
+        way = f"{self.duration:.4g} s, {len(self.time)} rows, tip within {1e3 * self.residual_sway:.2g} mm of rest at the end"
+        return f"MotionPlan({self.outcome.ending}, {self.objective}{', ' + way if len(self.time) else ''})"
+
     @property
     def solved(self) -> bool:
         """Whether there is a plan."""
