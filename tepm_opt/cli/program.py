@@ -6,11 +6,12 @@ Command modules import nothing heavy at the top: the help and a typing error are
 from __future__ import annotations
 
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
 from threadpoolctl import threadpool_limits
+from typer.core import TyperGroup
 
 from tepm_opt.cli import data, demo, discrepancy, gain, identify, ik, modes, mpc, paper, plan, play, record, robot, simulate, statics
 from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
@@ -25,8 +26,28 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+class InterruptedByUserError(Exception):
+    """Ctrl-C on its way through typer, which would end the program without a word."""
+
+
+class Program(TyperGroup):
+    """All commands; lets an interruption be told."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command.
+
+        Raises:
+            InterruptedByUserError: by the user.
+        """
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            raise InterruptedByUserError from error
+
+
 app = typer.Typer(
     name="tepm",
+    cls=Program,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -69,7 +90,7 @@ def execute(arguments: list[str]) -> int:
             return int(app(arguments, prog_name="tepm", standalone_mode=False) or 0)
     except InputError as error:
         return _explain(str(error))
-    except (KeyboardInterrupt, typer.Abort):
+    except (InterruptedByUserError, KeyboardInterrupt, typer.Abort):
         stderr.print("interrupted", style="yellow")
         return INTERRUPTED
     except Exception as error:

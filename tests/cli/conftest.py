@@ -87,27 +87,33 @@ def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(PNG))
 
 
-@pytest.fixture
-def coarse_map(monkeypatch: pytest.MonkeyPatch) -> None:
+def thin_map(patch: pytest.MonkeyPatch) -> None:
     """Six points of the map of the workspace: the middle one of the upper row is in reach."""
 
     def some(model: Any, across: np.ndarray, height: np.ndarray, **options: Any) -> WorkspaceMap:
         return workspace_map(model, across[:: len(across) // 2], height[[0, 3 * len(height) // 4]], **options)
 
-    monkeypatch.setattr(gain, "workspace_map", some)
+    patch.setattr(gain, "workspace_map", some)
+
+
+def small_demo(patch: pytest.MonkeyPatch) -> None:
+    """Four points, six of the map, and closed loops over a small part of the circle, in this process."""
+    thin_map(patch)
+    patch.setattr(demo, "circle", lambda: circle(4))
+    patch.setattr(demo, "COURSE", Course(approach=0.3, pause=0.02, laps=0.02, start_up=0.05))
+    patch.setattr(demo, "compare", lambda tasks, workers, progress: compare(tasks, 1, progress))
 
 
 @pytest.fixture
-def short_loops(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Closed loops of the demo over a small part of the circle, in this process."""
-    monkeypatch.setattr(demo, "COURSE", Course(approach=0.3, pause=0.02, laps=0.02, start_up=0.05))
-    monkeypatch.setattr(demo, "compare", lambda tasks, workers, progress: compare(tasks, 1, progress))
+def coarse_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """See `thin_map`."""
+    thin_map(monkeypatch)
 
 
 @pytest.fixture
-def quick(coarse_map: None, short_loops: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four points, a coarse map and short closed loops in the demo, for what does not depend on how many there are."""
-    monkeypatch.setattr(demo, "circle", lambda: circle(4))
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """See `small_demo`: for what does not depend on how many there are."""
+    small_demo(monkeypatch)
 
 
 def script(*arguments: object) -> Outcome:

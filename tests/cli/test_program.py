@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,9 +19,11 @@ import numpy as np
 import pytest
 
 from tepm_opt import load_robot
+from tepm_opt.cli import run
 from tepm_opt.jobs import ik as job
-from tepm_opt.outcome import Ending, Outcome
-from tests.cli.conftest import Command, script
+from tepm_opt.outcome import Ending
+from tepm_opt.outcome import Outcome as Ended
+from tests.cli.conftest import Command, Outcome, script, small_demo
 from tests.cli.tables import IK_FILES, names_in, summary, values
 
 
@@ -47,7 +51,6 @@ class TestJson:
             ("gain CIRCLE/inputs.csv", {"robot", "reference_point", "normalised"}),
             ("statics", {"tip_m", "smallest_stiffness_eigenvalue_N_per_m"}),
             ("statics CIRCLE/inputs.csv --out out", {"tip_m"}),
-            ("demo", {"ik", "ik_pressure", "gain", "closed_loop"}),
             ("robot show", {"name", "geometry", "parameters", "actuation", "mount", "tracker"}),
             ("robot check kang2017", {"robot", "modules", "actuators", "levels"}),
             ("robot new mine.toml", {"file"}),
@@ -93,10 +96,20 @@ class TestRobotFiles:
         assert load_robot('my "arm".toml').name == 'my "arm"'
 
 
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+    """Folder of a small `tepm demo --out out` with its figures drawn, and what it said. Read only."""
+    here, out, err = tmp_path_factory.mktemp("demo"), io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        small_demo(patch)
+        patch.chdir(here)
+        status = run(["demo", "--out", "out"])
+    return here, Outcome(status, out.getvalue(), err.getvalue())
+
+
 class TestDemo:
-    @pytest.mark.usefixtures("coarse_map", "short_loops", "drawn")
-    def test_files_page_and_status(self, tepm: Command, here: Path) -> None:
-        done = tepm("demo", "--out", "out")
+    def test_files_page_and_status(self, small: tuple[Path, Outcome]) -> None:
+        here, done = small
         assert (done.status, done.err) == (0, "")
         assert "out/index.html" in done.out
         loops = {"loop_path.png", "loop_distance.png", "loop_inputs.png"}
@@ -114,10 +127,10 @@ class TestDemo:
 
         words = " ".join(page.text.split())
         told = summary(here / "out", "ik")
-        assert words.count("32 of 32") == 2
+        assert words.count("4 of 4") == 2
         assert list(summary(here / "out", "closed_loop")) == ["mode 1", "mode 2", "MPC"]
-        for name, run in summary(here / "out", "closed_loop").items():
-            assert f"{name} {1e3 * run['errors']['true']['rms_m']:#.3g}".rstrip(".") + " mm" in words
+        for name, loop in summary(here / "out", "closed_loop").items():
+            assert f"{name} {1e3 * loop['errors']['true']['rms_m']:#.3g}".rstrip(".") + " mm" in words
         assert f"{1e3 * told['largest_rounded_tip_error_m']:.3f} mm" in words
         assert "358.86" in words
 
@@ -140,7 +153,7 @@ class TestDemo:
 
         def each(*arguments: Any, **options: Any) -> Iterator[Any]:
             for number, found in enumerate(solve(*arguments, **options)):
-                yield replace(found, outcome=Outcome(Ending.FAILED, "it fails")) if number == 2 else found
+                yield replace(found, outcome=Ended(Ending.FAILED, "it fails")) if number == 2 else found
 
         monkeypatch.setattr(job, "each_configuration", each)
         done = tepm("demo", "--out", "out")
@@ -152,14 +165,20 @@ class TestDemo:
 
 class TestReproducibility:
     @pytest.mark.usefixtures("quick", "drawn")
-    def test_two_runs_write_the_same_bytes(self, tepm: Command, here: Path) -> None:
-        folders = [here / "a", here / "b"]
-        for folder in folders:
-            assert tepm("demo", "--out", folder).status == 0
-            assert tepm("statics", folder / "inputs.csv", "--out", folder).status == 0
-        first, again = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in folders)
+    def test_two_runs_write_the_same_bytes(self, tepm: Command, here: Path, small: tuple[Path, Outcome]) -> None:
+        done = tepm("demo", "--out", "out", "--json")
+        assert (done.status, done.err) == (0, "")
+        assert done.json().keys() == {"interrupted", "ik", "ik_pressure", "gain", "closed_loop"}
+        first, again = ({path.name: path.read_bytes() for path in (folder / "out").iterdir()} for folder in (small[0], here))
         assert first.keys() == again.keys()
         assert [name for name in first if first[name] != again[name]] == []
+
+    @pytest.mark.usefixtures("drawn")
+    def test_statics_writes_the_same_bytes_twice(self, tepm: Command, here: Path, solved_circle: Path) -> None:
+        for name in "ab":
+            assert tepm("statics", solved_circle / "inputs.csv", "--out", name).status == 0
+        first, again = ({path.name: path.read_bytes() for path in (here / name).iterdir()} for name in "ab")
+        assert first == again
 
     def test_installed_script_writes_the_same_bytes(self, here: Path, solved_circle: Path) -> None:
         done = script("ik", "circle", "--out", "out")

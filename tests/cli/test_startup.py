@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from importlib import import_module
@@ -20,6 +21,17 @@ import sys
 from tepm_opt.cli import run
 status = run(sys.argv[1:])
 print(status, *(name for name in {heavy} if name in sys.modules), file=sys.stderr)
+"""
+INTERRUPTED = """
+import sys
+class Person:
+    @staticmethod
+    def find_spec(name, *others):
+        if name == "{module}":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Person)
+from tepm_opt.cli import main
+main()
 """
 COMMANDS = sorted(str(command.name) for command in app.registered_commands)
 WRONG = (["nosuch"], ["ik", "--nosuch"], ["hw", "nosuch"], ["mpc"])
@@ -78,3 +90,12 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 def test_the_package_carries_its_types() -> None:
     assert (Path(tepm_opt.__file__).parent / "py.typed").is_file()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("module", ["tepm_opt.cli.program", "casadi"])
+def test_ctrl_c_while_it_starts(module: str) -> None:
+    """An interruption while this module is imported: one line, status 130."""
+    code = INTERRUPTED.format(module=module)
+    done = subprocess.run([sys.executable, "-c", code, "statics"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
