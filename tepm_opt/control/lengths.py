@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.errors import InputError
-from tepm_opt.models.backends.statics import SOLVED
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
 
@@ -91,7 +91,7 @@ class LengthEstimator:
         status, by_u, _, _ = self.model.statics.sensitivity(
             at.x, at.inputs, True, self._loads.ravel(), self.model.theta, self._coordinates, False
         )
-        if status != SOLVED:
+        if status != Status.SOLVED:
             return False
         jacobian = by_u[used, : self._half] / self._area / settings.noise
         missed = (at.points - tracked).ravel()[used] / settings.noise

@@ -13,8 +13,8 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends import ccode
 from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
-from tepm_opt.models.backends.interface import TimeStepper
-from tepm_opt.models.backends.statics import PythonStatics, StaticsBackend
+from tepm_opt.models.backends.interface import StaticsBackend, TimeStepper
+from tepm_opt.models.backends.statics import PythonStatics
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
 from tepm_opt.models.dynamics import write_dynamics
 from tepm_opt.models.layout import Layout

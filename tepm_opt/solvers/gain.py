@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from tepm_opt.errors import unknown_name
-from tepm_opt.models.backends.statics import SOLVED
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.progress import Progress, counted, silent
@@ -111,7 +111,7 @@ def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = Fal
         _coordinates(model.layout, point),
         parameters,
     )
-    if status != SOLVED:
+    if status != Status.SOLVED:
         raise ValueError("no gain at this operating point: its stiffness is not positive definite")
     return Gain(by_u, by_load.reshape(3, points, 3), by_theta, equilibrium, point)
 

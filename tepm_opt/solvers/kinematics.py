@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import minimize
 
-from tepm_opt.models.backends.statics import SOLVED
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.layout import Layout
 from tepm_opt.outcome import Ending, Outcome
@@ -126,7 +126,7 @@ class _IkProblem:
         status, by_u, _, _ = self.model.statics.sensitivity(
             at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False
         )
-        if status != SOLVED:
+        if status != Status.SOLVED:
             raise np.linalg.LinAlgError("stiffness not positive definite")
         return by_u[:, : self.half] / self.area
 
@@ -296,7 +296,7 @@ def _full_space_newton(
         start.x, forces / problem.area, problem.loads.ravel(), model.theta, problem.weights, targets,
         settings.max_step / problem.area, settings.tolerance / 2, 1e-9, settings.max_iterations,
     )  # fmt: skip
-    if status != SOLVED:
+    if status != Status.SOLVED:
         return None
     forces = pressures * problem.area
     at = problem.at(forces, replace(start, x=x))

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.backends.interface import DIVERGED, DONE, EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme
+from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
@@ -191,11 +191,11 @@ def simulate(
         for end in ends:
             status, effort = model.stepper.integrate(state, drive, done, int(end), scheme, model.theta, record)
             total = _sum(total, effort)
-            if status != DONE:
-                why = "left all bounds" if status == DIVERGED else "has no solution nearby"
-                hint = "a shorter step may help" if method == "rk4" or status == DIVERGED else "inputs may jump too far"
+            if status != Status.SOLVED:
+                why = "left all bounds" if status == Status.DIVERGED else "has no solution nearby"
+                hint = "a shorter step may help" if method == "rk4" or status == Status.DIVERGED else "inputs may jump too far"
                 message = f"the motion {why} after {total.reached:.4g} s ({hint}; step {step:g} s)"
-                return result(done + 1, Outcome(Ending.FAILED, message))
+                return result(done + 1, Outcome(status.ending, message))
             done = int(end)
             progress("simulation", float(drive.time[done] - drive.time[0]), float(drive.time[-1] - drive.time[0]))
     except KeyboardInterrupt:

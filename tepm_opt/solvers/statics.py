@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.models.backends.statics import SOLVED, UNSTABLE
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.text import millimetres
@@ -174,11 +174,11 @@ def _newton(
     layout, split = model.layout, 3 * model.layout.points
     points, lengths = solution.observed[:split].reshape(-1, 3), solution.observed[split:].reshape(layout.modules, layout.actuators)
     outcome = Outcome()
-    if solution.status == UNSTABLE:
-        outcome = Outcome(Ending.UNSTABLE, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue")
-    elif solution.status != SOLVED:
+    if solution.status == Status.UNSTABLE:
+        outcome = Outcome(solution.status.ending, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue")
+    elif solution.status != Status.SOLVED:
         why = f"not converged after {solution.iterations:.0f} iterations: residual {solution.residual:.3g} N"
-        outcome = Outcome(Ending.NOT_CONVERGED, why)
+        outcome = Outcome(solution.status.ending, why)
     elif lengths.min() < settings.min_length_ratio * model.values["L_0"]:
         why = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.min_length_ratio:g} of its rest length"
         outcome = Outcome(Ending.COLLAPSED, why)

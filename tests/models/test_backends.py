@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from tepm_opt.models.backends.statics import SOLVED, UNSTABLE
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tests.tools import random_directions, random_inputs, relative, variant, with_all_effects
@@ -49,7 +49,7 @@ def test_statics(pair, mapped):
     c, python = pair
     for u, external in cases(c, 6):
         found, expected = (m.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100) for m in (c, python))
-        assert found.status == expected.status == SOLVED
+        assert found.status == expected.status == Status.SOLVED
         assert abs(found.x - expected.x).max() < 1e-9
         assert abs(found.observed - expected.observed).max() < 1e-9
         assert found.energy == pytest.approx(expected.energy, rel=1e-10)
@@ -65,7 +65,7 @@ def test_sensitivities(pair, mapped):
     for u, external in cases(c, 3):
         x = python.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
         found, expected = (m.statics.sensitivity(x, u, mapped, external, c.theta, weights, True) for m in (c, python))
-        assert found[0] == expected[0] == SOLVED
+        assert found[0] == expected[0] == Status.SOLVED
         half = c.layout.inputs // 2
         blocks = [(found[1][:, :half], expected[1][:, :half]), (found[1][:, half:], expected[1][:, half:]), (found[2], expected[2])]
         blocks += [(found[3][:, [k]], expected[3][:, [k]]) for k in range(len(c.theta)) if expected[3][:, k].any()]
@@ -98,20 +98,20 @@ def test_inverse(pair):
         start, goal = (python.statics.statics(c.rest, np.append(q, 0 * q), True, external, c.theta, 1e-9, 100) for q in (p, p + 5e3))
         arguments = (start.x, p, external, c.theta, weights, weights @ goal.observed, 1e5, 1e-10, 1e-9, 30)
         found, expected = (m.statics.inverse(*arguments) for m in (c, python))
-        assert found[0] == expected[0] == SOLVED
+        assert found[0] == expected[0] == Status.SOLVED
         assert found[3] == expected[3]
         assert abs(found[1] - expected[1]).max() < 1e-9
         np.testing.assert_allclose(found[2], expected[2], rtol=1e-9)
         np.testing.assert_allclose(found[2], p + 5e3, rtol=1e-6)
         assert abs(found[1] - goal.x).max() < 1e-7
         too_few = [m.statics.inverse(*arguments[:-1], 1) for m in (c, python)]
-        assert too_few[0][0] == too_few[1][0] != SOLVED
+        assert too_few[0][0] == too_few[1][0] != Status.SOLVED
 
 
 def test_failures_have_the_same_status(kang, kang_python, compiler):
     """3 N straight down: the straight robot is a saddle; 1 iteration: not enough."""
     external = np.array([0] * 11 + [-3.0])
-    for most, status in ((100, UNSTABLE), (1, 3)):
+    for most, status in ((100, Status.UNSTABLE), (1, Status.EXHAUSTED)):
         found = [m.statics.statics(kang.rest, np.zeros(12), False, external, kang.theta, 1e-9, most) for m in (kang, kang_python)]
         assert [solution.status for solution in found] == [status, status]
     x = found[0].x

@@ -61,14 +61,14 @@ class Unit:
 
     Attributes:
         kernels: CasADi functions; of one with a sparse result the C text also gets `<name>_nnz`, `<name>_row` and `<name>_col`.
-        sizes: macros by name.
+        sizes: macros by name; LANES, the doubles in a vector, is one of them.
         arrays: static arrays of integers by name.
         loops: name of the C file in this package.
         lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments at once.
     """
 
     kernels: Mapping[str, ca.Function]
-    sizes: Mapping[str, int]
+    sizes: Mapping[str, float]
     arrays: Mapping[str, Sequence[int]]
     loops: str
     lanes: tuple[str, ...] = ()
@@ -80,7 +80,8 @@ class Unit:
         for function in self.kernels.values():
             generator.add(function)
         work = {"SZ_W": max(f.sz_w() for f in self.kernels.values()), "SZ_IW": max(f.sz_iw() for f in self.kernels.values())}
-        sizes, arrays = {**self.sizes, **work}, dict(self.arrays)
+        sizes: dict[str, float] = {**self.sizes, **work}
+        arrays = dict(self.arrays)
         for name, function in self.kernels.items():
             if name.endswith("_by"):
                 pattern = function.sparsity_out(0)
@@ -96,7 +97,6 @@ class Unit:
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
 _WRITTEN = re.compile(r"if \(res\[\d+\]!=0\) ")
 _VECTORS = """
-#define LANES 4 /* doubles in a vector */
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
 static inline vector lanes_sq(vector x) { return x * x; }
 static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }

@@ -9,18 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.models.backends.ccode import Unit
-from tepm_opt.models.backends.interface import Drive, Effort, Record, Scheme
-from tepm_opt.models.backends.statics import Solution
+from tepm_opt.models.backends.interface import LANES, SHARED, Drive, Effort, Record, Scheme, Solution, Status
 from tepm_opt.models.dynamics import Dynamics
 from tepm_opt.models.network import ROWS, Network
-
-LANES = 4  # directions differentiated at once, as in time_stepping.c
 
 
 def statics_unit(network: Network) -> Unit:
     """The C of `CompiledStatics`."""
     layout = network.layout
     sizes = {
+        **SHARED,
         "NB": layout.block,
         "NLEV": layout.levels,
         "NPROP": max(rows.stop for rows in network.property_rows.values()),
@@ -79,25 +77,25 @@ class CompiledStatics:
         self._arrays = _Arrays(network)
 
     def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """See `Chain.actuation`."""
+        """See `StaticsBackend.actuation`."""
         array, at = self._arrays.array, self._arrays.address
         array["u"][:], array["theta"][:] = u, theta
         self._actuation(at["u"], at["theta"], at["a"])
         return array["a"].copy()
 
     def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, most: int
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
     ) -> Solution:
-        """See `Chain.statics`."""
+        """See `StaticsBackend.statics`."""
         array, at = self._arrays.array, self._arrays.address
         array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
-        status = self._statics(at["x"], at["u"], mapped, at["external"], at["theta"], tolerance, most, at["observed"], at["info"])
-        return Solution(status, array["x"].copy(), array["observed"].copy(), *array["info"].tolist())
+        status = self._statics(at["x"], at["u"], mapped, at["external"], at["theta"], tolerance, max_iterations, at["observed"], at["info"])
+        return Solution(Status(status), array["x"].copy(), array["observed"].copy(), *array["info"].tolist())
 
     def sensitivity(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
-    ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray | None]:
-        """See `Chain.sensitivity`."""
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
+        """See `StaticsBackend.sensitivity`."""
         array, at, rows = self._arrays.array, self._arrays.address, len(weights)
         array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
         array["weights"][:rows] = weights
@@ -105,14 +103,13 @@ class CompiledStatics:
             at["x"], at["u"], mapped, at["external"], at["theta"], rows, at["weights"],
             at["by_u"], at["by_external"], at["by_theta"] if by_theta else None,
         )  # fmt: skip
-        return (
-            status, array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), array["by_theta"][:rows].copy() if by_theta else None
-        )  # fmt: skip
+        gradient = array["by_theta"][:rows].copy() if by_theta else None
+        return Status(status), array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), gradient
 
     def matrices(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `Chain.matrices`; the storage is column by column, as LAPACK has it."""
+        """See `StaticsBackend.matrices`; the storage is column by column, as LAPACK has it."""
         array, at = self._arrays.array, self._arrays.address
         array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
         self._matrices(at["x"], at["u"], mapped, at["external"], at["theta"], at["stiffness"], at["damping"])
@@ -120,16 +117,17 @@ class CompiledStatics:
 
     def inverse(
         self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        largest: float, close: float, tolerance: float, most: int,
-    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
-        """See `Chain.inverse`."""
+        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """See `StaticsBackend.inverse`."""
         array, at, half = self._arrays.array, self._arrays.address, len(targets)
         array["x"][:], array["a"][:half], array["a"][half:] = x, pressures, 0.0
         array["external"][:], array["theta"][:], array["weights"][:half], array["targets"][:] = external, theta, weights, targets
         status = self._inverse(
-            at["x"], at["a"], at["external"], at["theta"], at["weights"], at["targets"], largest, close, tolerance, most, at["info"]
-        )
-        return status, array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
+            at["x"], at["a"], at["external"], at["theta"], at["weights"], at["targets"],
+            max_step, target_tolerance, tolerance, max_iterations, at["info"],
+        )  # fmt: skip
+        return Status(status), array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
 
 
 def stepping_unit(dynamics: Dynamics) -> Unit:
@@ -137,6 +135,7 @@ def stepping_unit(dynamics: Dynamics) -> Unit:
     layout = dynamics.layout
     properties = dynamics.functions["properties"].size1_out(0)
     sizes = {
+        **SHARED,
         "NB": layout.block,
         "NLEV": layout.levels,
         "NPROP": properties,
@@ -170,8 +169,8 @@ class CompiledTimeStepper:
     def integrate(
         self, state: tuple[np.ndarray, np.ndarray], drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray,
         record: Record,
-    ) -> tuple[int, Effort]:  # fmt: skip
-        """See `TimeStepper.stepper`."""
+    ) -> tuple[Status, Effort]:  # fmt: skip
+        """See `TimeStepper.integrate`."""
         carried, tangents = state
         directions, groups, samples = len(drive.d_theta), len(tangents), len(drive.time)
         d_theta = _in_lanes(drive.d_theta.T, groups).swapaxes(0, 1).copy()
@@ -181,7 +180,7 @@ class CompiledTimeStepper:
         info = np.zeros(5)
         status = self._integrate(
             scheme.kind, drive.hold, first, last, samples, time.ctypes.data, rows.ctypes.data, scheme.step, scheme.tolerance,
-            scheme.farthest, theta.ctypes.data,
+            scheme.max_correction, theta.ctypes.data,
             carried.ctypes.data, record.observed.ctypes.data, record.trajectory.ctypes.data, groups, d_theta.ctypes.data,
             None if d_rows is None else d_rows.ctypes.data, tangents.ctypes.data, d_observed.ctypes.data, info.ctypes.data,
         )  # fmt: skip
@@ -189,7 +188,7 @@ class CompiledTimeStepper:
             new = slice(first + 1 if first else 0, last + 1)
             flat = d_observed[new].swapaxes(1, 2).reshape(-1, record.observed.shape[1], groups * LANES)
             record.d_observed[new] = flat[:, :, :directions]
-        return status, Effort(*info.tolist())
+        return Status(status), Effort(*info.tolist())
 
 
 def _in_lanes(values: np.ndarray, groups: int) -> np.ndarray:

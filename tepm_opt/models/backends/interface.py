@@ -1,16 +1,133 @@
-"""What time stepping takes and leaves, whichever backend does it."""
+"""What the backends take and leave, whichever does it: statuses, constants, arguments and results."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from tepm_opt.models.dynamics import Dynamics
+from tepm_opt.outcome import Ending
 
-DONE, DIVERGED, STUCK = range(3)
+if TYPE_CHECKING:
+    from tepm_opt.models.dynamics import Dynamics
+
+LANES = 4
+"""Doubles in a vector of the C: segments or directions that go through a kernel together."""
+PLAIN_NEWTON = 1e-6
+"""N: residual below which statics take plain Newton steps."""
+ENERGY_NOISE = 1e-14
+"""Relative rounding noise of the energy."""
+JUMP_TIME = 1e-9
+"""s: time that a jump of the inputs takes."""
+STAGE_ITERATIONS = 25
+"""Newton iterations of a stage before its step is halved."""
+MAX_HALVINGS = 10
+"""Halvings of a step before time stepping gives up."""
 IMPLICIT, EXPLICIT = range(2)
+
+
+class Status(IntEnum):
+    """How a call of a backend ended."""
+
+    SOLVED = 0
+    UNSTABLE = 1
+    """An equilibrium whose stiffness has a negative eigenvalue."""
+    STALLED = 2
+    """No step lowers the energy, or numbers beyond all bounds."""
+    EXHAUSTED = 3
+    """The largest number of iterations."""
+    INDEFINITE = 4
+    """The stiffness is not positive definite where it has to be."""
+    DIVERGED = 5
+    """A motion beyond all bounds."""
+    STUCK = 6
+    """A stage without a solution nearby, however short the step."""
+
+    @property
+    def ending(self) -> Ending:
+        """The same in the words of all long work."""
+        return _ENDINGS[self]
+
+
+_ENDINGS: Mapping[Status, Ending] = {
+    Status.SOLVED: Ending.SOLVED,
+    Status.UNSTABLE: Ending.UNSTABLE,
+    Status.STALLED: Ending.NOT_CONVERGED,
+    Status.EXHAUSTED: Ending.NOT_CONVERGED,
+    Status.INDEFINITE: Ending.UNSTABLE,
+    Status.DIVERGED: Ending.FAILED,
+    Status.STUCK: Ending.FAILED,
+}
+
+SHARED: Mapping[str, float] = {
+    "LANES": LANES, "PLAIN_NEWTON": PLAIN_NEWTON, "ENERGY_NOISE": ENERGY_NOISE, "JUMP_TIME": JUMP_TIME,
+    "STAGE_ITERATIONS": STAGE_ITERATIONS, "MAX_HALVINGS": MAX_HALVINGS, "IMPLICIT": IMPLICIT, "EXPLICIT": EXPLICIT,
+    **{status.name: status.value for status in Status},
+}  # fmt: skip
+"""What the C is told as macros."""
+
+
+class Solution(NamedTuple):
+    """What `StaticsBackend.statics` returns: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
+    largest residual force in N, energy in J."""
+
+    status: Status
+    x: np.ndarray
+    observed: np.ndarray
+    iterations: float
+    residual: float
+    energy: float
+
+
+class StaticsBackend(Protocol):
+    """What a backend offers; arrays are float64 and C-contiguous, levels x have the shape (n + 1, block)."""
+
+    def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Effective actuation a = [pressures, tensions] behind the effects' input maps."""
+        ...
+
+    def statics(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
+    ) -> Solution:
+        """Equilibrium from a start x under inputs u (the effective actuation if `mapped`) and external forces (3 · points,)."""
+        ...
+
+    def sensitivity(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Status and gradients by u, external forces and parameters, a row for each row of weights (rows, points · 3 + lengths)."""
+        ...
+
+    def matrices(
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each."""
+        ...
+
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """Status, levels, effective pressures (tensions are 0) and iterations at which weighted observations have their targets.
+
+        Newton on levels and pressures together, from a start nearby.
+
+        Args:
+            x: levels to start from, (n + 1, block) in m.
+            pressures: effective ones to start from, (actuators,) in Pa.
+            external: forces on the points in G, (3 · points,) in N.
+            theta: parameters.
+            weights: of the observations (points in G, then lengths) in as many sums as actuators, (actuators, observations).
+            targets: of the sums, (actuators,).
+            max_step: largest change of a pressure in a step in Pa; steps beyond it are shortened.
+            target_tolerance: of the sums in m.
+            tolerance: of the forces in N.
+            max_iterations: of Newton's method.
+        """
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +157,13 @@ class Scheme:
         kind: IMPLICIT or EXPLICIT.
         step: longest step in s.
         tolerance: of Newton's residuals in N.
-        farthest: in m, how far from its extrapolation a solution of Newton's method is believed; farther ones halve the step.
+        max_correction: in m, how far from its extrapolation a solution of Newton's method is believed; farther ones halve the step.
     """
 
     kind: int
     step: float
     tolerance: float = 1e-6
-    farthest: float = 5e-3
+    max_correction: float = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +211,7 @@ class TimeStepper(Protocol):
 
     def integrate(
         self, state: Any, drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray, record: Record
-    ) -> tuple[int, Effort]:
+    ) -> tuple[Status, Effort]:
         """Move the state from sample `first` to `last`; returns a status.
 
         Rows first + 1 … last are recorded, and row 0 when `first` is 0.

@@ -3,19 +3,14 @@
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NDRIVEN of them changed by inputs, NU inputs,
    NEXT external force components, NTHETA parameters, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel,
-   SZ_W, SZ_IW work of the kernels. Level 0 is fixed. */
+   SZ_W, SZ_IW work of the kernels. Statuses and limits are macros too: interface.py has them. Level 0 is fixed. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define LANES 4                          /* doubles in a vector; right-hand sides solved at once */
 #define NVEC ((2 * NB + LANES - 1) / LANES)
 #define LD (NVEC * LANES)                /* rows of a panel column, padded to whole vectors */
-#define FAR 1e-6                         /* N: residual below which plain Newton steps are taken */
-#define NOISE 1e-14                      /* relative rounding noise of the energy */
-enum { SOLVED = 0, UNSTABLE = 1, STALLED = 2, EXHAUSTED = 3, INDEFINITE = 4 };
 
-typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
 typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
 typedef struct {
@@ -284,39 +279,39 @@ void actuation(const double *u, const double *theta, double *a) {
 
 /* Equilibrium from the start x, levels 0 … NLEV, in place; `mapped`: u is the effective actuation.
    observed: points in G, lengths. info: iterations, residual in N, energy in J. Returns a status. */
-int statics(double *x, const double *u, int mapped, const double *external, const double *theta, double tolerance, int most,
+int statics(double *x, const double *u, int mapped, const double *external, const double *theta, double tolerance, int max_iterations,
             double *observed, double *info) {
   work *w = prepare(u, mapped, external, theta);
   if (!w) return STALLED;
   int status = EXHAUSTED, iteration;
   memcpy(w->x, x, sizeof w->x);
   memcpy(w->x[0], w->level_0, sizeof w->level_0);
-  for (iteration = 0; iteration <= most; iteration++) {
-    double here = assemble(w, 0), far = residual(w), slope = 0, t = 1;
-    info[1] = far; info[2] = here;
+  for (iteration = 0; iteration <= max_iterations; iteration++) {
+    double here = assemble(w, 0), away = residual(w), slope = 0, t = 1;
+    info[1] = away; info[2] = here;
     int indefinite = factor_safely(w), found = 0;
-    if (far < tolerance) { status = indefinite ? UNSTABLE : SOLVED; break; }
-    if (!(far < 1e300)) { status = STALLED; break; }
+    if (away < tolerance) { status = indefinite ? UNSTABLE : SOLVED; break; }
+    if (!(away < 1e300)) { status = STALLED; break; }
     newton_step(w);
-    if (!indefinite && far < FAR) {
+    if (!indefinite && away < PLAIN_NEWTON) {
       for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->x[l][i] += w->step[l][i];
       gradient(w);
       info[1] = residual(w);
-      if (info[1] < tolerance) { status = SOLVED; iteration++; break; } /* stable: so was the factor less than FAR away */
+      if (info[1] < tolerance) { status = SOLVED; iteration++; break; } /* stable: so was the factor a step before */
       continue;
     }
     for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) slope += w->force[l][i] * w->step[l][i];
     for (int halving = 0; halving < 40; halving++) {
       move(w, t);
       double there = energy(w, w->trial);
-      if (there <= here + 1e-4 * t * slope + NOISE * (1 + fabs(here))) { found = 1; break; }
+      if (there <= here + 1e-4 * t * slope + ENERGY_NOISE * (1 + fabs(here))) { found = 1; break; }
       double shorter = -slope * t * t / 2 / (there - here - slope * t);
       t = shorter > 0.1 * t ? (shorter < 0.5 * t ? shorter : 0.5 * t) : 0.1 * t;
     }
     if (!found) { status = STALLED; break; }
     memcpy(w->x, w->trial, sizeof w->x);
   }
-  info[0] = iteration > most ? most : iteration;
+  info[0] = iteration > max_iterations ? max_iterations : iteration;
   memcpy(x, w->x, sizeof w->x);
   const double *arg[] = {x, theta};
   double *res[] = {observed, observed + NPOINT};
@@ -445,18 +440,18 @@ static int solve_dense(int n, double *matrix, double *b) {
 }
 
 /* Effective pressures a[0 … NU/2) and levels x, in place, at which NU/2 weighted sums of the observations have their targets in
-   equilibrium: Newton on both together. `largest` change of a pressure in a step; tolerances for observations and forces.
+   equilibrium: Newton on both together. `max_step`: largest change of a pressure in a step.
    Meant for starts nearby; returns SOLVED, or another status and leaves the rest to a safeguarded method. */
 int inverse(double *x, double *a, const double *external, const double *theta, const double *weights, const double *targets,
-            double largest, double close, double tolerance, int most, double *info) {
+            double max_step, double target_tolerance, double tolerance, int max_iterations, double *info) {
   enum { N = NU / 2, NOBS = NPOINT + NLEN };
   work *w = prepare(a, 1, external, theta);
   if (!w) return STALLED;
   int status = EXHAUSTED, iteration;
   memcpy(w->x, x, sizeof w->x);
   memcpy(w->x[0], w->level_0, sizeof w->level_0);
-  for (iteration = 0; iteration < most; iteration++) {
-    double observed[NOBS], by_a[N][NU], by_external[ROWS * NEXT], shift[N][NLEV + 1][NB], matrix[N * N], change[N], step = 0, far = 0;
+  for (iteration = 0; iteration < max_iterations; iteration++) {
+    double observed[NOBS], by_a[N][NU], by_external[ROWS * NEXT], shift[N][NLEV + 1][NB], matrix[N * N], change[N], step = 0, away = 0;
     assemble(w, 0);
     if (factor(w)) { status = INDEFINITE; break; }
     const double *arg[] = {w->x[0], theta};
@@ -470,12 +465,12 @@ int inverse(double *x, double *a, const double *external, const double *theta, c
       for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) settling += shift[row][l][i] * w->force[l][i];
       for (int k = 0; k < N; k++) matrix[row * N + k] = by_a[row][k];
       change[row] = -error - settling;
-      if (!(fabs(error) <= far)) far = fabs(error);
+      if (!(fabs(error) <= away)) away = fabs(error);
     }
-    if (far < close && residual(w) < tolerance) { status = SOLVED; break; }
-    if (!(far < 1e3) || solve_dense(N, matrix, change)) { status = STALLED; break; }
+    if (away < target_tolerance && residual(w) < tolerance) { status = SOLVED; break; }
+    if (!(away < 1e3) || solve_dense(N, matrix, change)) { status = STALLED; break; }
     for (int k = 0; k < N; k++) if (fabs(change[k]) > step) step = fabs(change[k]);
-    for (int k = 0; k < N; k++) w->a[k] += change[k] * (step > largest ? largest / step : 1);
+    for (int k = 0; k < N; k++) w->a[k] += change[k] * (step > max_step ? max_step / step : 1);
     set_properties(w, external);
     gradient(w);
     newton_step(w);

@@ -4,66 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
 import scipy.linalg as sla
 
+from tepm_opt.models.backends.interface import ENERGY_NOISE, PLAIN_NEWTON, Solution, Status
 from tepm_opt.models.network import ROWS, Network
-
-SOLVED, UNSTABLE, STALLED, EXHAUSTED, INDEFINITE = range(5)
-FAR = 1e-6  # N, residual below which plain Newton steps are taken
-NOISE = 1e-14  # relative rounding noise of the energy
-
-
-class Solution(NamedTuple):
-    """What `StaticsBackend.statics` returns: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
-    largest residual force in N, energy in J."""
-
-    status: int
-    x: np.ndarray
-    observed: np.ndarray
-    iterations: float
-    residual: float
-    energy: float
-
-
-class StaticsBackend(Protocol):
-    """What a backend offers; arrays are float64 and C-contiguous, levels x have the shape (n + 1, block)."""
-
-    def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Effective actuation a = [pressures, tensions] behind the effects' input maps."""
-        ...
-
-    def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, most: int
-    ) -> Solution:
-        """Equilibrium from a start x under inputs u (the effective actuation if `mapped`) and external forces (3 · points,)."""
-        ...
-
-    def sensitivity(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
-    ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Status and gradients by u, external forces and parameters, a row for each row of weights (rows, points · 3 + lengths)."""
-        ...
-
-    def matrices(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each."""
-        ...
-
-    def inverse(
-        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        largest: float, close: float, tolerance: float, most: int,
-    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
-        """Status, levels, effective pressures (tensions are 0) and iterations at which weighted observations have their targets.
-
-        Newton on levels and pressures together from a start nearby: as many sums (rows of weights) as actuators, `largest` change of
-        a pressure in a step in Pa, `close` enough to the targets in m and `tolerance` of the forces in N, at `most` iterations.
-        """
-        ...
 
 
 def rotated(rotation: np.ndarray, vectors: np.ndarray, changes: np.ndarray) -> np.ndarray:
@@ -177,10 +124,10 @@ class PythonStatics:
                     raise
 
     def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, most: int
+        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
     ) -> Solution:
         """See `StaticsBackend.statics`; the algorithm is described in docs/architecture.md."""
-        status, x, *info = self._newton(x, *self.prepare(u, mapped, external, theta)[1:], theta, tolerance, most)
+        status, x, *info = self._newton(x, *self.prepare(u, mapped, external, theta)[1:], theta, tolerance, max_iterations)
         return Solution(status, x, self.observe(x, theta), *info)
 
     def observe(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -193,28 +140,28 @@ class PythonStatics:
         return force.T, length.T
 
     def _newton(
-        self, x: np.ndarray, P: np.ndarray, level_0: np.ndarray, theta: np.ndarray, tolerance: float, most: int
-    ) -> tuple[int, np.ndarray, int, float, float]:
+        self, x: np.ndarray, P: np.ndarray, level_0: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
+    ) -> tuple[Status, np.ndarray, int, float, float]:
         x = np.concatenate([level_0[None], x[1:]])
         at = self.assemble(x, P, theta)
-        for iteration in range(most + 1):
-            far = float(np.abs(at.force).max())
-            if not far < 1e300:
-                return STALLED, x, iteration, far, at.energy
+        for iteration in range(max_iterations + 1):
+            largest = float(np.abs(at.force).max())
+            if not largest < 1e300:
+                return Status.STALLED, x, iteration, largest, at.energy
             factor, indefinite = self._factor_safely(at, x, P, theta)
-            if far < tolerance:
-                return UNSTABLE if indefinite else SOLVED, x, iteration, far, at.energy
+            if largest < tolerance:
+                return (Status.UNSTABLE if indefinite else Status.SOLVED), x, iteration, largest, at.energy
             step = np.zeros_like(x)
             step[1:] = sla.cho_solve_banded((factor, True), -at.force.ravel()).reshape(at.force.shape)
-            plain = not indefinite and far < FAR
+            plain = not indefinite and largest < PLAIN_NEWTON
             moved = x + step if plain else self._search(x, step, at, P, theta)
             if moved is None:
-                return STALLED, x, iteration, far, at.energy
+                return Status.STALLED, x, iteration, largest, at.energy
             x, at = moved, self.assemble(moved, P, theta)
-            far = float(np.abs(at.force).max())
-            if plain and far < tolerance:  # stable: so was the factor less than FAR away
-                return SOLVED, x, iteration + 1, far, at.energy
-        return EXHAUSTED, x, most, float(np.abs(at.force).max()), at.energy
+            largest = float(np.abs(at.force).max())
+            if plain and largest < tolerance:  # stable: so was the factor a step before
+                return Status.SOLVED, x, iteration + 1, largest, at.energy
+        return Status.EXHAUSTED, x, max_iterations, float(np.abs(at.force).max()), at.energy
 
     def _search(self, x: np.ndarray, step: np.ndarray, at: Assembly, P: np.ndarray, theta: np.ndarray) -> np.ndarray | None:
         """Rotation-aware line search on the energy (Armijo); None where no length of the step lowers it."""
@@ -222,7 +169,7 @@ class PythonStatics:
         for _ in range(40):
             trial = move(x, t * step)
             there = self.energy(trial, P, theta)
-            if there <= at.energy + 1e-4 * t * slope + NOISE * (1 + abs(at.energy)):
+            if there <= at.energy + 1e-4 * t * slope + ENERGY_NOISE * (1 + abs(at.energy)):
                 return trial
             shorter = -slope * t * t / 2 / (there - at.energy - slope * t)
             t = min(max(shorter, 0.1 * t), 0.5 * t) if shorter > 0 else 0.1 * t
@@ -230,7 +177,7 @@ class PythonStatics:
 
     def sensitivity(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
-    ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray | None]:
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
         """See `StaticsBackend.sensitivity`: one factorisation, one adjoint solve a row."""
         layout = self.network.layout
         a, P, level_0 = self.prepare(u, mapped, external, theta)
@@ -241,7 +188,7 @@ class PythonStatics:
         try:
             factor = sla.cholesky_banded(at.band, lower=True)
         except np.linalg.LinAlgError:
-            return INDEFINITE, results[0], results[1], results[2] if by_theta else None
+            return Status.INDEFINITE, results[0], results[1], results[2] if by_theta else None
         for row, weight in enumerate(weights):
             by_x, direct = self._call("observe_adjoint", x.ravel(), theta, weight[: 3 * layout.points], weight[3 * layout.points :])
             total = direct.ravel()
@@ -263,7 +210,7 @@ class PythonStatics:
             if by_theta:
                 total = total + self._call("properties_theta_adjoint", *outer, by_P.T, by_level_0)[0].ravel()
             results[0][row], results[1][row], results[2][row] = by_a, by_external, total
-        return SOLVED, results[0], results[1], results[2] if by_theta else None
+        return Status.SOLVED, results[0], results[1], results[2] if by_theta else None
 
     def matrices(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
@@ -275,37 +222,37 @@ class PythonStatics:
 
     def inverse(
         self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        largest: float, close: float, tolerance: float, most: int,
-    ) -> tuple[int, np.ndarray, np.ndarray, int]:  # fmt: skip
+        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
         """See `StaticsBackend.inverse`."""
         layout, a = self.network.layout, np.concatenate([pressures, np.zeros(len(pressures))])
-        for iteration in range(most):
+        for iteration in range(max_iterations):
             _, P, level_0 = self.prepare(a, True, external, theta)
             x = np.concatenate([level_0[None], x[1:]])
             at = self.assemble(x, P, theta)
             try:
                 factor = sla.cholesky_banded(at.band, lower=True)
             except np.linalg.LinAlgError:
-                return INDEFINITE, x, a[: len(pressures)], iteration
+                return Status.INDEFINITE, x, a[: len(pressures)], iteration
             errors = weights @ self.observe(x, theta) - targets
             _, by_a, _, _ = self.sensitivity(x, a, True, external, theta, weights, False)
-            if np.abs(errors).max() < close and np.abs(at.force).max() < tolerance:
-                return SOLVED, x, a[: len(pressures)], iteration
+            if np.abs(errors).max() < target_tolerance and np.abs(at.force).max() < tolerance:
+                return Status.SOLVED, x, a[: len(pressures)], iteration
             settled = np.zeros_like(x)
             settled[1:] = sla.cho_solve_banded((factor, True), at.force.ravel()).reshape(at.force.shape)
             settling = np.array([self._directional(x, theta, weight, settled) for weight in weights])
             if not np.abs(errors).max() < 1e3:
-                return STALLED, x, a[: len(pressures)], iteration
+                return Status.STALLED, x, a[: len(pressures)], iteration
             try:
                 change = np.linalg.solve(by_a[:, : len(pressures)], settling - errors)
             except np.linalg.LinAlgError:
-                return STALLED, x, a[: len(pressures)], iteration
-            a[: len(pressures)] += change * min(1.0, largest / np.abs(change).max())
+                return Status.STALLED, x, a[: len(pressures)], iteration
+            a[: len(pressures)] += change * min(1.0, max_step / np.abs(change).max())
             force = self.assemble(x, self.prepare(a, True, external, theta)[1], theta).force
             step = np.zeros((layout.levels + 1, layout.block))
             step[1:] = -sla.cho_solve_banded((factor, True), force.ravel()).reshape(force.shape)
             x = move(x, step)
-        return EXHAUSTED, x, a[: len(pressures)], most
+        return Status.EXHAUSTED, x, a[: len(pressures)], max_iterations
 
     def _directional(self, x: np.ndarray, theta: np.ndarray, weight: np.ndarray, direction: np.ndarray) -> float:
         """Change of a weighted sum of the observations when the levels move in a direction."""

@@ -1,9 +1,10 @@
-/* Marching in time around the kernels that CasADi generates above this text in the same unit: Crouzeix's two-stage SDIRK with a
+/* Steps in time around the kernels that CasADi generates above this text in the same unit: Crouzeix's two-stage SDIRK with a
    block-tridiagonal elimination, classical RK4, forward sensitivities. time_stepping.py is the reference twin.
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P (MASS the one of the mass), NU inputs, NEXT external
    force components, NTHETA parameters, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges,
-   SZ_W, SZ_IW work of the kernels. For every sparse Jacobian `f` there are f_nnz, f_row and f_col. Level 0 is fixed. */
+   SZ_W, SZ_IW work of the kernels. For every sparse Jacobian `f` there are f_nnz, f_row and f_col. Level 0 is fixed.
+   Statuses, schemes and limits are macros too: interface.py has them. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,11 +13,6 @@
 #define NINPUT (NU + NEXT)
 #define BATCHES ((NLEV + LANES - 1) / LANES)      /* of segments that go through a kernel together */
 #define AT_LEAST_1(n) ((n) ? (n) : 1)
-#define MOMENT 1e-9                              /* s: time a jump of the inputs takes */
-#define MOST 25                                  /* Newton iterations of a stage before its step is halved */
-#define DEEPEST 10                               /* halvings of a step before giving up */
-enum { DONE = 0, DIVERGED = 1, STUCK = 2 };
-enum { IMPLICIT = 0, EXPLICIT = 1 };
 
 typedef double levels[NLEV + 1][NB];
 typedef vector lanes[NLEV + 2][NB];
@@ -65,7 +61,7 @@ typedef struct { /* inputs over time */
 
 typedef struct {
   int scheme, groups;
-  double tolerance, farthest; /* N, and m that a stage may correct its extrapolation by */
+  double tolerance, max_correction; /* N, and m that a stage may correct its extrapolation by */
   history *inputs;
   tangent *d;
   lane_rates *stage[2];
@@ -77,7 +73,7 @@ static void run(kernel *f, work *w, const double **arg, double **res) { f(arg, r
 /* Finds the sample at or before a time and returns the part of the way to the next one: inputs change linearly, or hold until it;
    `left` is just before a jump. */
 static double place(history *h, double t, int left) {
-  if (h->hold) t += left ? -MOMENT : MOMENT; /* a sample's time may come with rounding */
+  if (h->hold) t += left ? -JUMP_TIME : JUMP_TIME; /* a sample's time may come with rounding */
   while (h->at + 2 < h->samples && h->time[h->at + 1] <= t) h->at++;
   while (h->at > 0 && h->time[h->at] > t) h->at--;
   double part = (t - h->time[h->at]) / (h->time[h->at + 1] - h->time[h->at]);
@@ -283,21 +279,21 @@ static int newton(stepper *m, work *w, double step, levels x_0, levels v_0, int 
   double before = INFINITY, rate = 1;
   levels guess;
   memcpy(guess, w->x, sizeof guess);
-  for (int iteration = 0; iteration < MOST; iteration++) {
+  for (int iteration = 0; iteration < STAGE_ITERATIONS; iteration++) {
     for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->v[l][i] = (w->x[l][i] - x_0[l][i]) / step;
     if (w->factored) forces(w, step, 0);
     else if (assemble(m, w, step)) return STUCK;
-    double far = 0;
+    double largest = 0;
     for (int l = 1; l <= NLEV; l++) {
       double mass = w->P[l - 1][MASS] / step;
       for (int i = 0; i < NB; i++) {
         double r = w->step[l][i] = w->force[l][i] + mass * (w->v[l][i] - v_0[l][i]);
-        if (!(fabs(r) <= far)) far = fabs(r);
+        if (!(fabs(r) <= largest)) largest = fabs(r);
       }
     }
-    if (far < m->tolerance) return DONE;
-    if (!(far < 1e12)) return STUCK;
-    if (iteration) rate = far / before;
+    if (largest < m->tolerance) return SOLVED;
+    if (!(largest < 1e12)) return STUCK;
+    if (iteration) rate = largest / before;
     if (rate > 0.3 && iteration) w->factored = 0; /* the next iteration has a matrix of its own */
     solve(w, w->step);
     double corrected = 0;
@@ -307,12 +303,12 @@ static int newton(stepper *m, work *w, double step, levels x_0, levels v_0, int 
         double d = fabs(w->x[l][i] - guess[l][i]);
         if (d > corrected) corrected = d;
       }
-    if (corrected > m->farthest && !last_try) return STUCK; /* too far to trust that this is the solution nearby */
+    if (corrected > m->max_correction && !last_try) return STUCK; /* too far to trust that this is the solution nearby */
     m->iterations++;
-    before = far;
-    if (!NEDGE && iteration && far * rate < m->tolerance) { /* the step just taken has done it */
+    before = largest;
+    if (!NEDGE && iteration && largest * rate < m->tolerance) { /* the step just taken has done it */
       for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->v[l][i] = (w->x[l][i] - x_0[l][i]) / step;
-      return DONE;
+      return SOLVED;
     }
   }
   return STUCK;
@@ -415,7 +411,7 @@ static int implicit_step(stepper *m, work *w, state *s, double t, double h, int 
     memcpy(a[1 - k], w->a, sizeof w->a);
     for (int g = 0; g < m->groups; g++) memcpy(d_a[g][1 - k], m->d[g].a, sizeof m->d[g].a);
   }
-  int status = DONE;
+  int status = SOLVED;
   w->factored = 0;
   for (int i = 0; i < 2 && !status; i++) {
     double before = i ? (1 - 2 * gamma) * h : 0;
@@ -498,7 +494,7 @@ static int explicit_step(stepper *m, work *w, state *s, double t, double h) {
     memcpy(Y, w->rate, sizeof Y);
     for (int e = 0; e < NLEV; e++) for (int k = 0; k < NEDGE; k++) s->y_edges[e][k] += weight[i] * h * Y[e][k];
   }
-  return DONE;
+  return SOLVED;
 }
 
 static int bounded(state *s) {
@@ -511,9 +507,9 @@ static int bounded(state *s) {
 static int advance(stepper *m, work *w, state *s, double t, double h, int depth) {
   if (m->scheme == EXPLICIT) { m->steps++; return explicit_step(m, w, s, t, h); }
   if (s->depth <= depth + 1) {
-    int status = implicit_step(m, w, s, t, h, depth == DEEPEST);
-    if (!status) { m->steps++; s->depth = depth; return DONE; }
-    if (depth == DEEPEST) return status;
+    int status = implicit_step(m, w, s, t, h, depth == MAX_HALVINGS);
+    if (!status) { m->steps++; s->depth = depth; return SOLVED; }
+    if (depth == MAX_HALVINGS) return status;
     m->halvings++;
   }
   int status = advance(m, w, s, t, h / 2, depth + 1);
@@ -548,10 +544,10 @@ static int begin(stepper *m, work *w, state *s) {
     memset(m->d + g, 0, sizeof m->d[g]);
     look_along(m->inputs, m->inputs->time[0], 0, 0, NU, 0, g, m->d[g].u);
   }
-  move_inputs(m, w, s, m->inputs->time[0] + m->inputs->delay, MOMENT, 0);
+  move_inputs(m, w, s, m->inputs->time[0] + m->inputs->delay, JUMP_TIME, 0);
   set_properties(m, w, w->a, m->inputs->time[0]);
   memcpy(s->x[0], w->level_0, sizeof w->level_0);
-  if (!m->groups) return DONE;
+  if (!m->groups) return SOLVED;
   memcpy(w->x, s->x, sizeof w->x);
   memcpy(w->v, s->v, sizeof w->v);
   memcpy(w->y, s->y_edges, sizeof w->y);
@@ -562,16 +558,16 @@ static int begin(stepper *m, work *w, state *s) {
     differentiate(m, w, g, m->inputs->time[0], 0, m->d[g].a, d, w->v);
     memcpy(m->d[g].x, d->x, sizeof d->x);
   }
-  return DONE;
+  return SOLVED;
 }
 
 int state_size(void) { return sizeof(state) / sizeof(double); }
 int tangent_size(void) { return sizeof(tangent) / sizeof(double); }
 
-/* March from sample `first` to sample `last` of `samples` with steps of at most `step`; rows first + 1 … last are recorded, and row 0
+/* Moves on from sample `first` to sample `last` of `samples` with steps of at most `step`; rows first + 1 … last are recorded, and row 0
    where `first` is 0. s carries the state, d (groups) its directions. info: steps, iterations, factorisations, halvings, time reached. */
 int integrate(int scheme, int hold, long first, long last, long samples, const double *time, const double *rows, double step, double tolerance,
-          double farthest, const double *theta, double *carried, double *observed, double *trajectory, int groups, const double *d_theta,
+          double max_correction, const double *theta, double *carried, double *observed, double *trajectory, int groups, const double *d_theta,
           const double *d_rows, double *d, double *d_observed, double *info) {
   work *w = aligned_alloc(64, (sizeof(work) + 63) / 64 * 64);
   if (!w) return STUCK;
@@ -588,13 +584,13 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
   double *res[] = {&inputs.delay}, *res_by[] = {inputs.by_delay};
   run(delay, w, arg, res);
   run(delay_by, w, arg, res_by);
-  stepper m = {.scheme = scheme, .groups = groups, .tolerance = tolerance, .farthest = farthest, .inputs = &inputs, .d = (tangent *)d};
-  int status = DONE;
+  stepper m = {.scheme = scheme, .groups = groups, .tolerance = tolerance, .max_correction = max_correction, .inputs = &inputs, .d = (tangent *)d};
+  int status = SOLVED;
   for (int i = 0; i < 2 && groups; i++) m.stage[i] = malloc(groups * sizeof(lane_rates));
   if (!first && !(status = begin(&m, w, s))) record(&m, w, s, 0, observed, trajectory, (vector *)d_observed);
   if (first) { /* w->a is where the inputs are */
     state same = *s;
-    const double zero[NU] = {0}, moment = MOMENT, *now[] = {same.u, zero, same.y_inputs, &moment, theta};
+    const double zero[NU] = {0}, moment = JUMP_TIME, *now[] = {same.u, zero, same.y_inputs, &moment, theta};
     double *a[] = {w->a, same.y_inputs};
     run(input_motion, w, now, a);
   }
@@ -602,7 +598,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
   for (long k = first; k < last && !status; k++) {
     double span = time[k + 1] - time[k];
     int count = (int)ceil(span / step * (1 - 1e-9));
-    if (hold) move_inputs(&m, w, s, time[k], MOMENT, 0);
+    if (hold) move_inputs(&m, w, s, time[k], JUMP_TIME, 0);
     for (int i = 0; i < count && !status; i++) {
       status = advance(&m, w, s, time[k] + i * span / count, span / count, 0);
       if (!status && !bounded(s)) status = DIVERGED;

@@ -16,13 +16,20 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import splu
 
-from tepm_opt.models.backends.interface import DIVERGED, DONE, EXPLICIT, STUCK, Drive, Effort, Record, Scheme
+from tepm_opt.models.backends.interface import (
+    EXPLICIT,
+    JUMP_TIME,
+    MAX_HALVINGS,
+    STAGE_ITERATIONS,
+    Drive,
+    Effort,
+    Record,
+    Scheme,
+    Status,
+)
 from tepm_opt.models.dynamics import Dynamics
 
 GAMMA = 0.5 + np.sqrt(3) / 6
-MOMENT = 1e-9  # s, time a jump of the inputs takes
-MOST = 25  # Newton iterations of a stage before its step is halved
-DEEPEST = 10  # halvings of a step before giving up
 
 
 @dataclass
@@ -116,8 +123,8 @@ class PythonTimeStepper:
 
     def integrate(
         self, state: _State, drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray, record: Record
-    ) -> tuple[int, Effort]:
-        """See `TimeStepper.stepper`."""
+    ) -> tuple[Status, Effort]:
+        """See `TimeStepper.integrate`."""
         run = _Run(self, drive, theta, scheme)
         run.effort.reached = float(drive.time[first])
         if first == 0:
@@ -127,17 +134,17 @@ class PythonTimeStepper:
             span = drive.time[k + 1] - drive.time[k]
             count = int(np.ceil(span / scheme.step * (1 - 1e-9)))
             if drive.hold:
-                run.move_inputs(state, drive.time[k], MOMENT, left=False)
+                run.move_inputs(state, drive.time[k], JUMP_TIME, left=False)
             for i in range(count):
                 try:
                     run.advance(state, drive.time[k] + i * span / count, span / count, 0)
                 except _Unsolved:
-                    return STUCK, run.effort
+                    return Status.STUCK, run.effort
                 if not np.abs(state.x[1:]).sum() < 1e3 * state.x[1:].size:
-                    return DIVERGED, run.effort
+                    return Status.DIVERGED, run.effort
                 run.effort.reached = float(drive.time[k] + (i + 1) * span / count)
             run.record(state, record, k + 1)
-        return DONE, run.effort
+        return Status.SOLVED, run.effort
 
 
 class _Run:
@@ -156,7 +163,7 @@ class _Run:
         """Row at a time, its slope, and its change along the directions (row, directions); `left`: just before a jump."""
         drive = self.drive
         if drive.hold:
-            t += -MOMENT if left else MOMENT  # a sample's time may come with rounding
+            t += -JUMP_TIME if left else JUMP_TIME  # a sample's time may come with rounding
         k = int(np.clip(np.searchsorted(drive.time, t, side="right") - 1, 0, len(drive.time) - 2))
         part = (t - drive.time[k]) / (drive.time[k + 1] - drive.time[k])
         part = float(part >= 1) if drive.hold else min(max(part, 0.0), 1.0)
@@ -224,26 +231,26 @@ class _Run:
     ) -> tuple[np.ndarray, Any]:
         """Positions at the end of a stage and the factor last used."""
         before, rate, guess = np.inf, 1.0, x
-        for iteration in range(MOST):
+        for iteration in range(STAGE_ITERATIONS):
             v = (x - x_0) / step
             v[0] = 0
             force, _ = self.forces(x, v, y, step)
             factor = factor or self.tangent(x, v, y, step)
             residual = force + self.mass / step * (v - v_0)[1:]
-            far = float(np.abs(residual).max())
-            if far < self.scheme.tolerance:
+            largest = float(np.abs(residual).max())
+            if largest < self.scheme.tolerance:
                 return x, factor
-            if not far < 1e12:
+            if not largest < 1e12:
                 break
-            rate = far / before if iteration else 1.0
+            rate = largest / before if iteration else 1.0
             x = x.copy()
             x[1:] -= factor.solve(residual.ravel()).reshape(residual.shape)
-            if np.abs(x - guess).max() > self.scheme.farthest and not last_try:
+            if np.abs(x - guess).max() > self.scheme.max_correction and not last_try:
                 break  # too far to trust that this is the solution nearby
             factor = None if rate > 0.3 and iteration else factor
             self.effort.iterations += 1
-            before = far
-            if not self.of.dynamics.edge_states and iteration and far * rate < self.scheme.tolerance:
+            before = largest
+            if not self.of.dynamics.edge_states and iteration and largest * rate < self.scheme.tolerance:
                 return x, factor  # the step just taken has done it
         raise _Unsolved
 
@@ -285,7 +292,7 @@ class _Run:
         state.u, _, along = (part[: self.inputs] for part in self.look(t, False))
         if state.d:
             state.d["u"] = along
-        self.move_inputs(state, t + self.delay, MOMENT, left=False)
+        self.move_inputs(state, t + self.delay, JUMP_TIME, left=False)
         self.set_properties(state.a, t)
         state.x[0] = self.level_0
         if state.d:
@@ -303,10 +310,10 @@ class _Run:
         if state.depth <= depth + 1:
             kept = state.u, state.y_inputs, state.a, dict(state.d)
             try:
-                self.implicit_step(state, t, h, last_try=depth == DEEPEST)
+                self.implicit_step(state, t, h, last_try=depth == MAX_HALVINGS)
             except _Unsolved:
                 state.u, state.y_inputs, state.a, state.d = kept
-                if depth == DEEPEST:
+                if depth == MAX_HALVINGS:
                     raise
                 self.effort.halvings += 1
             else:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from tepm_opt.models.backends.statics import SOLVED
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
@@ -109,7 +109,7 @@ def _exact(model: CompiledModel, lengths: np.ndarray, start: Equilibrium) -> Equ
     status, x, pressures, _ = model.statics.inverse(
         start.x, start.inputs[:half], np.zeros(observed), model.theta, weights, targets, 8.0 / area, 1e-10, 1e-9, 40
     )
-    if status == SOLVED:
+    if status == Status.SOLVED:
         effective = np.concatenate([pressures, np.zeros(half)])
         found = equilibrium(model, effective, np.zeros((observed // 3, 3)), replace(start, x=x), mapped=True, explain=False)
         if found.solved and np.abs(found.lengths - lengths).max() < 1e-7:
