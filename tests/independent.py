@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from tepm_opt.models.effects import Context, Effect, Properties
+from tepm_opt.models.effect import Context, Effect, Properties
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
 

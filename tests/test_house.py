@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tepm_opt.models.effects import STANDARD, effects
+
 ROOT = Path(__file__).parent.parent
 PACKAGE = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in sorted((ROOT / "tepm_opt").rglob("*.py"))}
 LINES, BYTES = 400, 22_000
@@ -38,6 +40,20 @@ def test_import_contracts() -> None:
     assert kept, done.stdout + done.stderr
     declared = (ROOT / "pyproject.toml").read_text(encoding="utf-8").count("[[tool.importlinter.contracts]]")
     assert (int(kept[1]), int(kept[2])) == (declared, 0), done.stdout + done.stderr
+
+
+def test_no_effect_is_named_outside_its_folder() -> None:
+    """Neither alone nor as the start of a parameter's full name; the rig's imperfections share names with effects on purpose."""
+    allowed = [ROOT / "tepm_opt" / "models" / "effects", ROOT / "tepm_opt" / "hw" / "simulation" / "imperfections"]
+    named = re.compile(rf"({'|'.join(effect.name for effect in (*effects(), *STANDARD))})(\[.*\])?(\.\w*)?")
+    assert named.fullmatch("actuator_gain[13].loss")
+    found = []
+    for path in sorted((ROOT / "tepm_opt").rglob("*.py")):
+        if any(path.is_relative_to(folder) for folder in allowed):
+            continue
+        literals = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Constant)]
+        found += [f"{path}: line {n.lineno}: {n.value!r}" for n in literals if isinstance(n.value, str) and named.fullmatch(n.value)]
+    assert not found
 
 
 @pytest.mark.slow

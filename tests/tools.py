@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.models.effects import Effect, effects
+from tepm_opt.models.effect import Effect
+from tepm_opt.models.effects import effects
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import Robot, load_robot
@@ -63,7 +64,7 @@ def variant(**sections: dict) -> Robot:
 def with_effect(model: Model, effect: Effect, **parameters: float) -> Model:
     """The model with an effect at its probe values; where it has a detail, on the third actuator or point."""
     layout = Layout.of(model.robot)
-    names = {"actuator": layout.actuator_names, "point": layout.point_names}.get(effect.detail)
+    names = layout.details(effect.detail)
     return model.with_effect(effect.name, names[min(2, len(names) - 1)] if names else None, **parameters)
 
 

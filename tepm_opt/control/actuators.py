@@ -11,7 +11,6 @@ import numpy as np
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 
-LAGS = {"regulator_lag.filling_time": "filling", "regulator_lag.exhausting_time": "exhausting", "time_delay.delay": "delay"}
 BELIEF = 0.5  # how far a measured pressure or tension moves the estimate
 
 
@@ -32,11 +31,11 @@ class Devices:
 
     @staticmethod
     def of(model: CompiledModel) -> Devices:
-        """The actuators of the robot file; a lag or delay named as an effect of the model goes before it."""
-        data = model.robot.actuation
-        known = {"filling": data.filling_time_s, "exhausting": data.exhausting_time_s, "delay": data.command_delay_s}
-        known |= {short: model.values[name] for name, short in LAGS.items() if name in model.values}
-        return Devices(tension_rate=data.tension_rate_N_per_s or np.inf, **known)
+        """The actuators of the robot file; a lag or delay that an effect of the model declares goes before it."""
+        data, lag, delay = model.robot.actuation, model.pressure_lag, model.command_delay
+        filling, exhausting = (data.filling_time_s, data.exhausting_time_s) if lag is None else lag
+        rate = data.tension_rate_N_per_s or np.inf
+        return Devices(filling, exhausting, rate, data.command_delay_s if delay is None else delay)
 
     def lag(self, pressure: np.ndarray, command: np.ndarray, duration: float) -> np.ndarray:
         """Pressure in Pa after some s under a constant command."""
@@ -132,7 +131,7 @@ class InputEffects:
     def __init__(self, model: CompiledModel, inputs: np.ndarray) -> None:
         self.model = model
         self._area, self._half = model.values["A"], model.layout.inputs // 2
-        self._theta = np.array([0.0 if name in LAGS else value for name, value in model.values.items()])
+        self._theta = model.theta_without_lag
         self._inputs, self._memory = inputs, np.zeros(model.reference_stepper.dynamics.input_states)
         probes = model.input_max * np.array([[0.1], [0.9]])
         direct = all(np.array_equal(model.statics.actuation(probe, self._theta), probe) for probe in probes)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.data.tables import read_table, write_table
+from tepm_opt.data.tables import Table, read_table, write_table
 from tepm_opt.errors import InputError
 
 AXES = ("x", "y", "z")
@@ -73,10 +73,25 @@ def read_setpoints(path: str | Path, actuators: Sequence[str], limits: np.ndarra
             raise InputError(f"{path}: column {name!r}: the robot has no such actuator; valid: {', '.join(actuators)}")
     absent = np.all([np.isnan(table.columns[name]) for name in names if name in table], axis=0)
     columns = [table.column(name, may_be_empty=absent) for name in names]
-    for name, values, limit in zip(names, columns, limits, strict=True):
-        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, f"0 … {limit:g} {name.rsplit('_', 1)[1]}")
+    refuse_out_of_range(table, names, limits)
     forces = [table.column(name) if name in table else np.zeros(len(time)) for name in FORCE_COLUMNS]
     return SetPoints(time, np.stack(columns, axis=1), np.stack(forces, axis=1))
+
+
+def refuse_out_of_range(table: Table, names: Sequence[str], limits: np.ndarray) -> None:
+    """Refuse inputs outside 0 … limit; empty fields pass.
+
+    Args:
+        table: of a file.
+        names: columns of the inputs.
+        limits: upper limits of the columns in Pa and N, (columns,).
+
+    Raises:
+        InputError: with file, line, column and the range.
+    """
+    for name, limit in zip(names, limits, strict=True):
+        values = table.columns[name]
+        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, f"0 … {limit:g} {name.rsplit('_', 1)[1]}")
 
 
 def write_setpoints(path: str | Path, setpoints: SetPoints, actuators: Sequence[str]) -> None:

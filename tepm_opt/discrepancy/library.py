@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from tepm_opt.models.effects import ActiveEffect, Effect, effects, find_effect
+from tepm_opt.models.effect import ActiveEffect, Effect
+from tepm_opt.models.effects import effects, find_effect
 from tepm_opt.models.layout import Layout
-from tepm_opt.models.model import Model, label
+from tepm_opt.models.model import Model
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Candidate:
     @property
     def label(self) -> str:
         """Name with the detail: "actuator_gain[13]"."""
-        return label(ActiveEffect(self.name, self.detail))
+        return ActiveEffect(self.name, self.detail).label
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -50,8 +51,7 @@ class Candidate:
     @property
     def acts_on_inputs(self) -> bool:
         """Whether it stands between the commands and what presses and pulls, so that measured pressures and tensions may show it."""
-        hooks = ("inputs", "pressure_memory", "tension_memory", "delay")
-        return any(getattr(type(self.effect), hook) is not getattr(Effect, hook) for hook in hooks)
+        return any(self.effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "delay"))
 
     @property
     def bends(self) -> bool:
@@ -62,9 +62,8 @@ class Candidate:
 def candidates(model: Model) -> tuple[Candidate, ...]:
     """All effects that the model does not have yet, one for every detail of those that have one."""
     layout = Layout.of(model.robot)
-    details = {"actuator": layout.actuator_names, "point": layout.point_names, None: (None,)}
-    every = [Candidate(effect.name, detail) for effect in effects() for detail in details[effect.detail]]
-    present = {label(effect) for effect in model.effects}
+    every = [Candidate(effect.name, detail) for effect in effects() for detail in layout.details(effect.detail) or (None,)]
+    present = {effect.label for effect in model.effects}
     return tuple(candidate for candidate in every if candidate.label not in present)
 
 
@@ -80,6 +79,6 @@ def narrow(model: Model, values: dict[str, float], kept: Iterable[Candidate]) ->
     present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]
     active = []
     for name, detail in present:
-        prefix = label(ActiveEffect(name, detail))
+        prefix = ActiveEffect(name, detail).label
         active.append(ActiveEffect(name, detail, {p.name: values[f"{prefix}.{p.name}"] for p in find_effect(name).parameters}))
     return replace(model, parameters=parameters, effects=tuple(active))

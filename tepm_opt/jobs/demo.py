@@ -26,7 +26,6 @@ CONTROLLERS = (DEFAULT, "mode2", "mode1")  # the one that takes longest first
 NAMES = {name: find_controller(name).title for name in reversed(CONTROLLERS)}
 COURSE = Course()
 SEED = 1
-OF_ANY_ROBOT = ("time_delay", "regulator_lag")  # imperfections
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,5 +156,5 @@ def rig_of(model: CompiledModel) -> RigFile:
     if model.robot.model_copy(update={"name": prototype.nominal.name}) == prototype.nominal:
         return prototype
     described = prototype.model_dump(exclude={"parameter_factors", "imperfections"})
-    kept = prototype.imperfections.model_dump(include=set(OF_ANY_ROBOT))
+    kept = prototype.imperfections.only(lambda imperfection: imperfection.of_devices).model_dump()
     return RigFile.model_validate({**described, "name": model.robot.name, "robot": model.model.source, "imperfections": kept})

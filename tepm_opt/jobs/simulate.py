@@ -16,7 +16,7 @@ from tepm_opt.data.channels import TIME, Channels
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.metrics import error_over_time, point_errors, shape_error
 from tepm_opt.data.run import Run, read_run_table, refuse_unusable, run_of, write_run
-from tepm_opt.data.setpoints import SetPoints, length_columns, point_columns
+from tepm_opt.data.setpoints import SetPoints, length_columns, point_columns, refuse_out_of_range
 from tepm_opt.data.tables import write_table
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.output import save_summary
@@ -56,9 +56,7 @@ def read_task(path: str | Path, model: CompiledModel) -> SimulationTask:
     channels = Channels(names, model.layout.point_names if recorded else ())
     run = run_of(table, Path(path).name, "validation", channels, static=False)
     refuse_unusable(table, channels, static=False)
-    for name, limit in zip(channels.inputs, model.input_max, strict=True):
-        values = table.columns[name]
-        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, f"0 … {limit:g} {name.rsplit('_', 1)[1]}")
+    refuse_out_of_range(table, channels.inputs, model.input_max)
     if run.rows < 2:
         raise InputError(f"{path}: 1 row; valid: at least 2, the motion lasts from the first to the last")
     return SimulationTask(SetPoints(run.time, run.inputs, run.tip_force), run.points if recorded else None)

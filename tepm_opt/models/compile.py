@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+import casadi as ca
 import numpy as np
 
 from tepm_opt.errors import InputError
@@ -17,6 +18,8 @@ from tepm_opt.models.backends.interface import StaticsBackend, TimeStepper
 from tepm_opt.models.backends.statics import PythonStatics
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
 from tepm_opt.models.dynamics import write_dynamics
+from tepm_opt.models.effect import ActiveEffect, Effect
+from tepm_opt.models.effects import find_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.network import Network, write_network
@@ -81,6 +84,32 @@ class CompiledModel:
         other = replace(self, theta=finite_array(theta, self.theta.shape, "theta"))
         other.__dict__.update({name: self.__dict__[name] for name in ("reference_stepper", "stepper") if name in self.__dict__})
         return other
+
+    def _declared(self, hook: str) -> list[tuple[ActiveEffect, Effect, dict[str, ca.SX]]]:
+        """The effects with this hook, and their parameters' values as constants."""
+        found = [(effect, kind) for effect in self.model.effects if (kind := find_effect(effect.name)).has(hook)]
+        return [(effect, kind, {p.name: ca.SX(self.values[f"{effect.label}.{p.name}"]) for p in kind.parameters}) for effect, kind in found]
+
+    @cached_property
+    def pressure_lag(self) -> tuple[float, float] | None:
+        """Time constants in s with which pressures rise and fall, by the effects that declare a lag; None without one.
+
+        Lags that act one after the other are taken as one with the sum of their time constants.
+        """
+        lags = [lag for _, kind, own in self._declared("lag") if (lag := kind.lag(own)) is not None]
+        return (sum(float(lag.filling) for lag in lags), sum(float(lag.exhausting) for lag in lags)) if lags else None
+
+    @cached_property
+    def command_delay(self) -> float | None:
+        """Time in s by which commands act late, by the effects that declare a delay; None without one."""
+        delays = [float(kind.delay(own)) for _, kind, own in self._declared("delay")]
+        return sum(delays) if delays else None
+
+    @cached_property
+    def theta_without_lag(self) -> np.ndarray:
+        """Values of the parameters with every effect that declares a lag at its null values, (parameters,)."""
+        null = {f"{effect.label}.{p.name}": p.null for effect, kind, _ in self._declared("lag") for p in kind.parameters}
+        return np.array([null.get(name, value) for name, value in self.values.items()])
 
     @cached_property
     def rest(self) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from tepm_opt.models.effects import Effect
+from tepm_opt.models.effect import Effect
 from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread
@@ -88,7 +88,7 @@ def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
     for kind, own, context in writer.effects:
         signal, speed = _mapped(kind, own, context, signal, speed)
         for which, remembers in enumerate((kind.pressure_memory, kind.tension_memory)):
-            if getattr(type(kind), remembers.__name__) is getattr(Effect, remembers.__name__):
+            if not kind.has(remembers.__name__):
                 continue
             state = ca.SX.sym("y", half)
             y = writer.actuators(state)
@@ -111,7 +111,7 @@ def _mapped(
     kind: Effect, own: Mapping[str, ca.SX], context: object, signal: list[ca.SX], speed: list[ca.SX]
 ) -> tuple[list[ca.SX], list[ca.SX]]:
     """Signals and their rates behind an effect's input map."""
-    if type(kind).inputs is Effect.inputs:
+    if not kind.has("inputs"):
         return signal, speed
     symbols = [ca.SX.sym("s", *part.shape) for part in signal]
     mapped = ca.vertcat(*kind.inputs(*symbols, own, context))  # type: ignore[arg-type]

@@ -100,6 +100,14 @@ class Layout:
         """Names of the reference points: "s1", "s2", …"""
         return tuple(f"s{i + 1}" for i in range(self.points))
 
+    def details(self, kind: str | None) -> tuple[str, ...]:
+        """What the detail of an effect can name: actuators, points, or nothing where the effect has no detail.
+
+        Args:
+            kind: "actuator", "point" or None, as `Effect.detail` has it.
+        """
+        return {"actuator": self.actuator_names, "point": self.point_names, None: ()}[kind]
+
     def rest_positions(self, radius: float, length: float) -> np.ndarray:
         """Nodes at rest in the base frame, shape (n + 1, actuators, 3) in m, for a radius and a module length in m."""
         angles, heights = np.array(self.angles), np.arange(self.levels + 1) * length / self.segments

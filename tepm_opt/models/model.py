@@ -14,7 +14,8 @@ from pydantic import Field
 from tepm_opt.data.documents import Section, read_toml, toml_string, validated
 from tepm_opt.data.files import write_atomically
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.effects import ActiveEffect, find_effect
+from tepm_opt.models.effect import ActiveEffect
+from tepm_opt.models.effects import find_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import UNITS, Parameters, Robot, builtin_robots, load_robot
 
@@ -60,13 +61,8 @@ class Model:
         """Every parameter by full name ("K_a", "payload.mass", "actuator_gain[13].loss"), SI, robot's first."""
         values = {**self.robot.parameters.model_dump(), **self.parameters}
         for effect in self.effects:
-            values |= {f"{label(effect)}.{name}": value for name, value in sorted(effect.parameters.items())}
+            values |= {f"{effect.label}.{name}": value for name, value in sorted(effect.parameters.items())}
         return values
-
-
-def label(effect: ActiveEffect) -> str:
-    """Name of an effect with its detail: "actuator_gain[13]"."""
-    return f"{effect.name}[{effect.detail}]" if effect.detail else effect.name
 
 
 def check_parameters(robot: Robot, values: Mapping[str, float], where: str) -> None:
@@ -88,7 +84,7 @@ def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
         InputError: with name, value and what is valid.
     """
     kind = find_effect(effect.name, where)
-    details = {"actuator": layout.actuator_names, "point": layout.point_names, None: ()}[kind.detail]
+    details = layout.details(kind.detail)
     if kind.detail is None and effect.detail is not None:
         raise InputError(f"{where}: effect {effect.name!r} has no detail, found detail = {effect.detail!r}")
     if kind.detail is not None and effect.detail not in details:
@@ -113,8 +109,8 @@ def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -
     """
     for k, effect in enumerate(effects):
         check_effect(effect, layout, where)
-        if label(effect) in [label(other) for other in effects[:k]]:
-            raise InputError(f"{where}: effect {label(effect)} stands twice; valid: once, with all its parameters")
+        if effect.label in [other.label for other in effects[:k]]:
+            raise InputError(f"{where}: effect {effect.label} stands twice; valid: once, with all its parameters")
 
 
 class _EffectTable(Section):

@@ -89,6 +89,19 @@ class Actuation(Section):
         """One step of the tendon motor in N; 0 where it is continuous."""
         return self.tension_resolution * self.tension_full_scale_N
 
+    def on_grid(self, inputs: np.ndarray) -> np.ndarray:
+        """Inputs u = [pressures, tensions], (…, 2 · modules · actuators) in Pa and N, as `pressures_on_grid` and `tensions_on_grid`."""
+        pressures, tensions = np.split(np.asarray(inputs), 2, axis=-1)
+        return np.concatenate([self.pressures_on_grid(pressures), self.tensions_on_grid(tensions)], axis=-1)
+
+    def pressures_on_grid(self, pressures: np.ndarray) -> np.ndarray:
+        """Pressures in Pa rounded to the regulators' steps, from 0 to the largest step within their limit; continuous ones stay."""
+        return _on_grid(pressures, self.pressure_step, self.pressure_max_Pa)
+
+    def tensions_on_grid(self, tensions: np.ndarray) -> np.ndarray:
+        """Tensions in N rounded to the motors' steps, from 0 to the largest step within their limit; continuous ones stay."""
+        return _on_grid(tensions, self.tension_step, self.tension_max_N)
+
     @model_validator(mode="after")
     def _range_within_full_scale(self) -> Actuation:
         for kind, unit in (("pressure", "Pa"), ("tension", "N")):
@@ -96,6 +109,12 @@ class Actuation(Section):
             if largest > full * (1 + 1e-9):
                 raise ValueError(f"{kind}_max_{unit} = {largest:g} exceeds {kind}_full_scale_{unit} = {full:g}")
         return self
+
+
+def _on_grid(values: np.ndarray, step: float, limit: float) -> np.ndarray:
+    if not step:
+        return np.asarray(values)
+    return np.clip(np.round(np.divide(values, step)), 0, np.floor(limit / step * (1 + 1e-12))) * step
 
 
 class Mount(Section):

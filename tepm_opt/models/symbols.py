@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from tepm_opt.models.effects import STANDARD, Context, Effect, Properties, find_effect
+from tepm_opt.models.effect import Context, Effect, Properties
+from tepm_opt.models.effects import STANDARD, find_effect
 from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Edge, Layout
 from tepm_opt.models.model import Model
 
@@ -37,17 +38,15 @@ class Writer:
         mount = model.robot.mount
         self.rotation, self.position = mount.rotation, np.array(mount.base_position_m)
         gravity = mount.rotation.T @ np.array(mount.gravity_m_per_s2)
-        details = {**{n: i for i, n in enumerate(layout.actuator_names)}, **{n: i for i, n in enumerate(layout.point_names)}}
 
         def active(kind: Effect, prefix: str, detail: str | None) -> tuple[Effect, dict[str, ca.SX], Context]:
             own = {p.name: self.value[f"{prefix}.{p.name}"] for p in kind.parameters}
-            index = None if detail is None else details[detail]
+            index = None if detail is None else layout.details(kind.detail).index(detail)
             return kind, own, Context(layout, index, self.rotation, self.position, gravity)
 
         self.effects = [active(kind, kind.name, None) for kind in STANDARD]
         for effect in model.effects:
-            prefix = f"{effect.name}[{effect.detail}]" if effect.detail else effect.name
-            self.effects.append(active(find_effect(effect.name), prefix, effect.detail))
+            self.effects.append(active(find_effect(effect.name), effect.label, effect.detail))
 
     def rest_ring(self) -> ca.SX:
         """Nodes of a level at rest about its centre, (3, actuators)."""

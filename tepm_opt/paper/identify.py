@@ -63,12 +63,15 @@ def rig_with(base: RigFile, values: np.ndarray) -> RigFile:
     of = {name: round(float(value), 5) for name, value in zip(SIZES, values, strict=True)}
     content = base.model_dump()
     content["parameter_factors"] |= {name: of[name] for name in FACTORS}
-    parts = content["imperfections"]
-    parts["rigid_plates"]["clamped_length_m"] = of["clamped_length_m"]
-    parts["mass_distribution"]["fraction"] = of["mass_fraction"]
-    side = (of["mass_side_x"], of["mass_side_y"])
-    parts["uneven_mass"] |= {"fraction": float(np.hypot(*side)), "toward_deg": float(np.rad2deg(np.arctan2(side[1], side[0])))}
-    parts["actuator_gain"]["loss"] = {name: of[f"loss_{name}"] for name in ACTUATORS}
+    parts, side = base.imperfections, (of["mass_side_x"], of["mass_side_y"])
+    toward = {"fraction": float(np.hypot(*side)), "toward_deg": float(np.rad2deg(np.arctan2(side[1], side[0])))}
+    changed = parts.replaced(
+        parts.rigid_plates.model_copy(update={"clamped_length_m": of["clamped_length_m"]}),
+        parts.mass_distribution.model_copy(update={"fraction": of["mass_fraction"]}),
+        parts.uneven_mass.model_copy(update=toward),
+        parts.actuator_gain.model_copy(update={"loss": {name: of[f"loss_{name}"] for name in ACTUATORS}}),
+    )
+    content["imperfections"] = changed.model_dump()
     return RigFile.model_validate(content)
 
 

@@ -39,14 +39,6 @@ def axial_forces(model: CompiledModel, inputs: np.ndarray) -> np.ndarray:
     return model.values["A"] * effective[:half] - effective[half:]
 
 
-def on_grid(model: CompiledModel, inputs: np.ndarray) -> np.ndarray:
-    """Inputs rounded to the actuators' resolutions, within their limits; continuous ones stay."""
-    step, limit = model.input_step, model.input_max
-    safe = np.where(step > 0, step, 1.0)
-    highest = np.floor(limit / safe * (1 + 1e-12))
-    return np.where(step > 0, np.clip(np.round(inputs / safe), 0, highest) * safe, inputs)
-
-
 def force_range(model: CompiledModel, mode: ActuationMode) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest axial forces (modules · actuators,) in N that a mode can make with all actuators alike."""
     half, limit = model.layout.inputs // 2, model.input_max
@@ -54,7 +46,7 @@ def force_range(model: CompiledModel, mode: ActuationMode) -> tuple[np.ndarray, 
     full_pressure[half:], full_tension[:half] = 0.0, 0.0
     if mode is ActuationMode.PRESSURE:
         return axial_forces(model, 0 * limit), axial_forces(model, full_pressure)
-    return axial_forces(model, full_tension), axial_forces(model, on_grid(model, full_pressure))
+    return axial_forces(model, full_tension), axial_forces(model, model.robot.actuation.on_grid(full_pressure))
 
 
 def allocate(model: CompiledModel, forces: np.ndarray, mode: ActuationMode, mid_tension: float | None = None) -> Allocation:
@@ -75,10 +67,10 @@ def allocate(model: CompiledModel, forces: np.ndarray, mode: ActuationMode, mid_
         inputs[half:] = limit[half:] / 2 if mid_tension is None else mid_tension
     _correct(model, inputs, forces, slice(0, half), 1 / area)
     if mode is ActuationMode.HYBRID:
-        inputs[:half] = on_grid(model, inputs)[:half]
+        inputs[:half] = model.robot.actuation.pressures_on_grid(inputs[:half])
         _correct(model, inputs, forces, slice(half, None), -1.0)
     error = float(np.abs(forces - axial_forces(model, inputs)).max())
-    return Allocation(inputs, on_grid(model, inputs), error)
+    return Allocation(inputs, model.robot.actuation.on_grid(inputs), error)
 
 
 def _correct(model: CompiledModel, inputs: np.ndarray, forces: np.ndarray, part: slice, gain: float) -> None:

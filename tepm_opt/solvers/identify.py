@@ -13,7 +13,6 @@ from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.effects import find_effect
-from tepm_opt.models.model import label
 from tepm_opt.models.robot import UNITS, Parameters
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
@@ -67,7 +66,7 @@ def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) ->
         InputError: no such parameter; a value outside its prior.
     """
     robot, known = model.robot, model.values
-    effects = {f"{label(effect)}.{p.name}": p for effect in model.model.effects for p in find_effect(effect.name).parameters}
+    effects = {f"{effect.label}.{p.name}": p for effect in model.model.effects for p in find_effect(effect.name).parameters}
     found = []
     for name in robot.priors if names is None else names:
         if name not in known:

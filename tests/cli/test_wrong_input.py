@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tepm_opt.models import effects
-from tepm_opt.models.effects import Effect, Parameter
+from tepm_opt.models.effect import Effect, Parameter
 from tepm_opt.models.robot import robot_text
 from tests.cli.conftest import Command, Outcome, script
 from tests.cli.tables import input_columns

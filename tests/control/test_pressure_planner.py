@@ -8,6 +8,7 @@ from tepm_opt.control.friction import course, turned
 from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import compile_model
+from tepm_opt.models.effects import _registry, find_effect
 from tepm_opt.models.model import Model
 
 NOMINAL = Model.of("kang2017")
@@ -79,6 +80,21 @@ def test_devices_of_the_robot_file_and_of_a_model_with_a_lag_of_its_own():
     assert Devices.of(compile_model(NOMINAL, backend="python")) == DEVICES
     known = NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.3).with_effect("time_delay", delay=0.02)
     assert Devices.of(compile_model(known, backend="python")) == Devices(0.05, 0.3, 10.0, 0.02)
+
+
+def test_devices_of_a_model_whose_lag_has_another_name(monkeypatch):
+    """Lags and delays are found by what effects declare, whatever they and their parameters are called."""
+    for effect, name in (("regulator_lag", "slow_valves"), ("time_delay", "late_bus")):
+        renamed = type("Renamed", (type(find_effect(effect)),), {"name": name})()
+        monkeypatch.setitem(_registry(), name, renamed)
+    known = NOMINAL.with_effect("slow_valves", filling_time=0.05, exhausting_time=0.3).with_effect("late_bus", delay=0.02)
+    model = compile_model(known, backend="python")
+    assert Devices.of(model) == Devices(0.05, 0.3, 10.0, 0.02)
+    assert Devices.of(model.with_theta(np.where(model.theta == 0.3, 0.2, model.theta))).exhausting == 0.2
+    effects = InputEffects(model, np.append(np.full(6, 2e5), np.full(6, 3.0)))
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 3e5), np.full(6, 3.0))))
+    effects.advance(actuators, 0.01)
+    assert effects.forces == pytest.approx(np.zeros(6), abs=1e-9)
 
 
 def test_actuators_lag_and_slew():

@@ -1,6 +1,6 @@
 """The contract every effect passes: null identity, derivatives, recovery of its own parameters, potentials and passivity.
 
-A new effect is tested without a line here. Three made-up ones stand for those of third parties. Every day each effect is tested in company:
+A new effect is tested without a line here. Four made-up ones stand for those of third parties. Every day each effect is tested in company:
 in one model that has all the others at their null values. Alone, in a model of its own that takes seconds to compile, it is slow.
 """
 
@@ -17,9 +17,10 @@ from scipy.optimize import least_squares
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.effects import ActiveEffect, Effect, Parameter, _registry, effects, find_effect, register
+from tepm_opt.models.effect import ActiveEffect, Effect, Lag, Memory, Parameter
+from tepm_opt.models.effects import _registry, effects, find_effect, register
 from tepm_opt.models.layout import VERTICAL
-from tepm_opt.models.model import Model, label, read_model, write_model
+from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.solvers.gain import solve_gain
 from tepm_opt.solvers.modes import full
 from tepm_opt.solvers.simulate import Directions, simulate
@@ -74,7 +75,22 @@ class ToyHolder(Effect):
         return points + ca.vertcat(parameters["along_x"], parameters["along_y"], 0) @ column
 
 
-TOYS = (ToyHardening(), ToyStiffening(), ToyHolder())
+class ToyValve(Effect):
+    """A third party's lag, whose name and parameters nobody knows: pressures lag alike on the way up and down."""
+
+    name = "toy_valve"
+    explains = "valves that take time"
+    reference = "made up for this test"
+    parameters = (Parameter("slowness", "s", null=0.0, probe=0.04, low=0.0, high=1.0),)
+
+    def lag(self, parameters):
+        return Lag(parameters["slowness"], parameters["slowness"])
+
+    def pressure_memory(self, pressure, rate, state, parameters, context):
+        return Memory(-rate, ca.SX.ones(*state.shape), parameters["slowness"] * ca.SX.ones(*state.shape))
+
+
+TOYS = (ToyHardening(), ToyStiffening(), ToyHolder(), ToyValve())
 
 
 @dataclass(frozen=True)
@@ -94,7 +110,7 @@ class Subject:
     @property
     def own(self) -> dict[Parameter, int]:
         """Its parameters' places in theta."""
-        return {p: self.compiled.network.parameter_names.index(f"{label(self.active)}.{p.name}") for p in self.effect.parameters}
+        return {p: self.compiled.network.parameter_names.index(f"{self.active.label}.{p.name}") for p in self.effect.parameters}
 
     def at(self, values: dict[Parameter, float]) -> CompiledModel:
         """The compiled model with other values of the effect's parameters."""
@@ -110,7 +126,7 @@ class Subject:
     @property
     def detail(self) -> int | None:
         """Number of the actuator or point the effect acts on."""
-        names = {"actuator": self.compiled.layout.actuator_names, "point": self.compiled.layout.point_names}.get(self.effect.detail)
+        names = self.compiled.layout.details(self.effect.detail)
         return names.index(self.active.detail) if names else None
 
 
@@ -122,7 +138,7 @@ def each(chosen: Iterable[Effect]) -> list:
 
 
 def overrides(effect: Effect, hooks: tuple[str, ...]) -> bool:
-    return any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in hooks)
+    return any(effect.has(hook) for hook in hooks)
 
 
 ALL = (*effects(), *TOYS)
@@ -154,7 +170,7 @@ def subject_of():
         theta = compiled.theta.copy()
         for other in compiled.model.effects:
             for parameter in find_effect(other.name).parameters if other.name != effect.name else ():
-                theta[compiled.network.parameter_names.index(f"{label(other)}.{parameter.name}")] = parameter.null
+                theta[compiled.network.parameter_names.index(f"{other.label}.{parameter.name}")] = parameter.null
         active = next(each for each in compiled.model.effects if each.name == effect.name)
         return Subject(effect, active, compiled.with_theta(theta))
 
@@ -384,6 +400,30 @@ def test_in_motion_it_recovers_its_own_parameters(moving, excitation):
         x_scale="jac",
     )
     np.testing.assert_allclose(found.x, 1.3, rtol=0.02)
+
+
+def test_what_it_declares_to_a_controller_vanishes_at_its_null_values(subject):
+    effect, still = subject.effect, (None, 0.0, (0.0, 0.0))
+    assert (subject.compiled.pressure_lag not in still) == effect.has("lag")
+    assert (subject.compiled.command_delay not in still) == effect.has("delay")
+    assert subject.null.pressure_lag in still
+    assert subject.null.command_delay in still
+    without = subject.null if effect.has("lag") else subject.compiled
+    np.testing.assert_array_equal(subject.compiled.theta_without_lag, without.theta)
+
+
+@pytest.mark.usefixtures("subject_of")
+@pytest.mark.parametrize("effect", [effect for effect in ALL if effect.has("lag")], ids=lambda effect: effect.name)
+def test_the_lag_that_it_declares_is_the_one_of_its_memory(effect):
+    """Under a constant command the pressure's distance from it falls exponentially, from below while filling, from above else."""
+    model = compile_model(with_effect(NOMINAL, effect), backend="python")
+    half, duration = model.layout.inputs // 2, 0.03
+    inputs = np.append(np.full(half, 2e5), np.full(half, 3.0))
+    off = np.where(np.arange(half) % 2, 1e4, -1e4)
+    _, after = model.reference_stepper.values("input_motion", inputs, 0 * inputs, off, duration, model.theta)
+    assert model.pressure_lag is not None
+    filling, exhausting = model.pressure_lag
+    assert after.ravel() == pytest.approx(off * np.exp(-duration / np.where(off < 0, filling, exhausting)), rel=1e-9)
 
 
 @pytest.mark.usefixtures("subject_of")

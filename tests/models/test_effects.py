@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.effects import Memory, effects, find_effect, register
+from tepm_opt.models.effect import Memory
+from tepm_opt.models.effects import effects, find_effect, register
 from tepm_opt.models.effects.payload import Payload
 from tepm_opt.models.layout import VERTICAL
 from tepm_opt.models.model import Model

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tepm_opt.errors import InputError
-from tepm_opt.models.effects import ActiveEffect
+from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.models.robot import load_robot, robot_text
 

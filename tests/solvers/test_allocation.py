@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.allocation import ActuationMode, allocate, axial_forces, force_range, on_grid
+from tepm_opt.solvers.allocation import ActuationMode, allocate, axial_forces, force_range
 from tests.tools import in_company
 
 AREA, STEP = 50.27e-6, 4.5e3
@@ -93,8 +93,8 @@ def test_forces_out_of_range_are_missed_by_what_is_said(kang, mode, force, misse
 @given(st.lists(st.floats(0, 1), min_size=12, max_size=12))
 def test_rounding_stays_in_range_and_is_idempotent(kang, parts):
     u = np.array(parts) * kang.input_max
-    rounded = on_grid(kang, u)
+    rounded = kang.robot.actuation.on_grid(u)
     assert (rounded >= 0).all()
     assert (rounded <= kang.input_max * (1 + 1e-12)).all()
     assert (abs(rounded - u) <= kang.input_step * (1 + 1e-9)).all()
-    np.testing.assert_array_equal(on_grid(kang, rounded), rounded)
+    np.testing.assert_array_equal(kang.robot.actuation.on_grid(rounded), rounded)

@@ -16,13 +16,10 @@ from tepm_opt.hw.commands import check_command, check_setpoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.actuation import ActuationDynamics
 from tepm_opt.hw.simulation.devices import Lens
-from tepm_opt.hw.simulation.imperfections import Body, Imperfections
+from tepm_opt.hw.simulation.imperfections import Body
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
 from tepm_opt.hw.simulation.timeline import Timeline, knots
 from tepm_opt.models.robot import Robot
-
-OF_ONE_ACTUATOR = ("time_delay", "regulator_lag", "pressure_dead_zone", "pressure_hysteresis", "tendon_slack", "tendon_friction",
-                   "stiffness_hardening", "creep", "structural_friction")  # fmt: skip
 
 
 class BenchRig:
@@ -235,5 +232,5 @@ def one_actuator(robot: Robot) -> Robot:
 
 def _one_actuator(file: RigFile) -> RigFile:
     """A rig file without what only a whole arm has."""
-    kept = {name: getattr(file.imperfections, name) for name in OF_ONE_ACTUATOR}
-    return file.model_copy(update={"name": f"bench of {file.name}", "imperfections": Imperfections(**kept)})
+    kept = file.imperfections.only(lambda imperfection: imperfection.of_one_actuator)
+    return file.model_copy(update={"name": f"bench of {file.name}", "imperfections": kept})

@@ -8,13 +8,11 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.effects.base import ActiveEffect, Context, Effect, Memory, Parameter, Play, Properties
+from tepm_opt.models.effect import Effect
 from tepm_opt.models.effects.gravity import Gravity
 from tepm_opt.models.effects.known_loads import KnownLoads
 
-__all__ = [
-    "STANDARD", "ActiveEffect", "Context", "Effect", "Memory", "Parameter", "Play", "Properties", "effects", "find_effect", "register",
-]  # fmt: skip
+__all__ = ["STANDARD", "effects", "find_effect", "register"]
 
 STANDARD: tuple[Effect, ...] = (Gravity(), KnownLoads())
 """What every model carries; model files do not list it."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effects.base import Context, Effect, Properties
+from tepm_opt.models.effect import Context, Effect, Properties
 
 
 class KnownLoads(Effect):

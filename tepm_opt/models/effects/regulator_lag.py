@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effects.base import Context, Effect, Memory, Parameter
+from tepm_opt.models.effect import Context, Effect, Lag, Memory, Parameter
 
-MOMENT = 1e-6  # s; looks this far ahead to see whether a muscle fills or empties
+LOOK_AHEAD = 1e-6  # s; looks this far ahead to see whether a muscle fills or empties
 
 
 class RegulatorLag(Effect):
@@ -22,8 +22,12 @@ class RegulatorLag(Effect):
         Parameter("exhausting_time", "s", null=0.0, probe=0.05, low=0.0, high=10.0),
     )
 
+    def lag(self, parameters: Mapping[str, ca.SX]) -> Lag:
+        return Lag(parameters["filling_time"], parameters["exhausting_time"])
+
     def pressure_memory(
         self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
     ) -> Memory | None:
-        filling = state - MOMENT * rate < 0
-        return Memory(-rate, ca.SX.ones(*state.shape), ca.if_else(filling, parameters["filling_time"], parameters["exhausting_time"]))
+        lag = self.lag(parameters)
+        filling = state - LOOK_AHEAD * rate < 0
+        return Memory(-rate, ca.SX.ones(*state.shape), ca.if_else(filling, lag.filling, lag.exhausting))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effects.base import Context, Effect, Parameter, Play
+from tepm_opt.models.effect import Context, Effect, Parameter, Play
 
 SMALLEST_DISTANCE = 1e-6  # N; keeps quotients finite where a tendon is loose
 

@@ -7,7 +7,7 @@ import numpy as np
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.allocation import axial_forces, on_grid
+from tepm_opt.solvers.allocation import axial_forces
 from tepm_opt.solvers.simulate import SimulationError, simulate
 
 SUBSTEP = 1e-3  # s, of the regulators between the set points
@@ -45,7 +45,7 @@ def commands(
     for row in range(1, len(time)):
         if row < len(time) - 1:
             ideal = np.clip(ahead[row] + carried, 0.0, highest)
-            given[row] = on_grid(model, np.concatenate([ideal, np.zeros(half)]))[:half]
+            given[row] = model.robot.actuation.pressures_on_grid(ideal)
             carried = ideal - given[row]
         muscle[row] = _lagged(muscle[row - 1], given[row - 1], given[row], time[row] - time[row - 1], lags)
     return given, muscle

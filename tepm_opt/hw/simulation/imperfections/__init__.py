@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -26,6 +27,8 @@ __all__ = ["Body", "EdgeStage", "Imperfection", "Imperfections", "PressureStage"
 class TimeDelay(Imperfection):
     """Commands take effect late, all by the same time."""
 
+    of_one_actuator: ClassVar[bool] = True
+    of_devices: ClassVar[bool] = True
     delay_s: Annotated[float, between(0, 10, "s")] = 0.0
 
 
@@ -52,6 +55,15 @@ class Imperfections(Section):
     sensor_offset: SensorOffset = Field(default_factory=SensorOffset)
     field_distortion: FieldDistortion = Field(default_factory=FieldDistortion)
     sensor_misalignment: SensorMisalignment = Field(default_factory=SensorMisalignment)
+
+    def only(self, kept: Callable[[Imperfection], bool]) -> Imperfections:
+        """Those that `kept` is true for; the others do nothing."""
+        return self.model_copy(update={name: type(item)() for name, item in self if not kept(item)})
+
+    def replaced(self, *others: Imperfection) -> Imperfections:
+        """The same with each of the others in the place of the one of its kind."""
+        by_kind = {type(other): other for other in others}
+        return self.model_copy(update={name: by_kind.get(type(item), item) for name, item in self})
 
     @property
     def active(self) -> dict[str, Imperfection]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -143,7 +143,15 @@ class StaticMap:
 
 
 class Imperfection(Section):
-    """Base of all imperfections: every key has a default, and with all defaults nothing happens."""
+    """Base of all imperfections: every key has a default, and with all defaults nothing happens.
+
+    Attributes:
+        of_one_actuator: whether a single actuator on a bench has it too.
+        of_devices: whether it belongs to the devices, which are the same for any robot.
+    """
+
+    of_one_actuator: ClassVar[bool] = False
+    of_devices: ClassVar[bool] = False
 
     @property
     def active(self) -> bool:

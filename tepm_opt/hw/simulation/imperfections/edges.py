@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -34,6 +34,7 @@ class StructuralFriction(Imperfection):
     (`share` of it), so that it vanishes where the muscle is at rest.
     """
 
+    of_one_actuator: ClassVar[bool] = True
     sliding_N: Annotated[float, between(0, 100, "N")] = 0.0
     share: Annotated[float, between(0, 0.9, "of the elastic force")] = 0.0
     breakaway_ratio: Annotated[float, between(1, 5, "of the sliding friction")] = 1.0
@@ -78,6 +79,7 @@ class Creep(Imperfection):
     At once a muscle is (1 + `fraction`) as stiff as in the long run.
     """
 
+    of_one_actuator: ClassVar[bool] = True
     fraction: Annotated[float, between(0, 5, "of the stiffness")] = 0.0
     time_constants_s: Annotated[
         tuple[Annotated[float, between(1e-3, 1e4, "s")], ...], Field(min_length=1, max_length=8, description="1 … 8 time constants")
@@ -109,6 +111,7 @@ class Exponential:
 class StiffnessHardening(Imperfection):
     """Stiffness that grows as exp(growth · strain) with the stretch (Fung's law), not with compression."""
 
+    of_one_actuator: ClassVar[bool] = True
     growth: Annotated[float, between(0, 20, "a unit of strain")] = 0.0
 
     @model_validator(mode="after")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -36,6 +36,8 @@ class UnequalLag:
 class RegulatorLag(Imperfection):
     """The regulator fills and empties the muscle with time constants of their own."""
 
+    of_one_actuator: ClassVar[bool] = True
+    of_devices: ClassVar[bool] = True
     fill_s: Annotated[float, between(0, 30, "s")] = 0.0
     exhaust_s: Annotated[float, between(0, 30, "s")] = 0.0
 
@@ -46,6 +48,7 @@ class RegulatorLag(Imperfection):
 class PressureDeadZone(Imperfection):
     """Softplus: p_eff = s ln(1 + exp((p − p_0) / s)), shifted to be zero at zero pressure; the bladder has to be pressed on."""
 
+    of_one_actuator: ClassVar[bool] = True
     threshold_Pa: Annotated[float, between(0, 1e6, "Pa")] = 0.0
     softness_Pa: Annotated[float, between(1, 1e6, "Pa")] = 3e3
 
@@ -83,6 +86,7 @@ class PlayStack:
 class PressureHysteresis(Imperfection):
     """Stacked play operators; `width_Pa` is the full width of a large loop along the pressure axis."""
 
+    of_one_actuator: ClassVar[bool] = True
     width_Pa: Annotated[float, between(0, 1e6, "Pa")] = 0.0
     operators: Annotated[int, Field(strict=True, ge=1, le=20, description="1 … 20")] = 4
 

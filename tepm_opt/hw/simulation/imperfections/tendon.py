@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ class TendonSlack(Imperfection):
     The motor's elastic stroke (tension over `winding_stiffness_N_per_m`) first takes up the slack that the actuator's lengthening leaves.
     """
 
+    of_one_actuator: ClassVar[bool] = True
     length_m: Annotated[float, between(0, 0.5, "m")] = 0.0
     winding_stiffness_N_per_m: Annotated[float, between(1, 1e5, "N/m")] = 250.0
 
@@ -61,6 +62,7 @@ class Sheath:
 class TendonFriction(Imperfection):
     """Gasket (constant) and guides (in proportion to the tension) between motor and end; a tendon cannot push."""
 
+    of_one_actuator: ClassVar[bool] = True
     constant_N: Annotated[float, between(0, 100, "N")] = 0.0
     share: Annotated[float, between(0, 0.9, "of the tension")] = 0.0
     bristle_stiffness_N_per_m: Annotated[float, between(10, 1e5, "N/m")] = 1500.0

@@ -72,6 +72,18 @@ class Context:
 
 
 @dataclass(frozen=True)
+class Lag:
+    """A first-order lag of all pressures.
+
+    Attributes:
+        filling, exhausting: time constants of rising and of falling pressures in s, as CasADi symbols; 0 is at once.
+    """
+
+    filling: ca.SX
+    exhausting: ca.SX
+
+
+@dataclass(frozen=True)
 class Memory:
     """An internal state y that is 0 at rest and forgets: dy/dt = drive - decay / scale * y, elementwise.
 
@@ -116,8 +128,8 @@ class Play:
         """y after a time at whose end the limit is this one: exact for a limit that stays."""
         sense = ca.if_else(self.rising, 1.0, -1.0)
         left, path = sense * (state - self.limit) / self.corner, time * self.pace / self.corner
-        most = ca.fmax(left - path, 0)
-        left = most + ca.log(ca.exp(-most) + ca.exp(left - path - most) - ca.exp(-path - most))
+        top = ca.fmax(left - path, 0)  # keeps the exponentials finite
+        left = top + ca.log(ca.exp(-top) + ca.exp(left - path - top) - ca.exp(-path - top))
         return self.limit + sense * self.corner * left
 
 
@@ -145,6 +157,11 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     detail: ClassVar[str | None] = None
     smooth: ClassVar[bool] = True
+
+    @classmethod
+    def has(cls, hook: str) -> bool:
+        """Whether this effect has a hook of its own, by the name of the method."""
+        return getattr(cls, hook) is not getattr(Effect, hook)
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
         """Input map: commanded to effective pressure (Pa) and tension (N), both of shape (modules, actuators)."""
@@ -185,6 +202,10 @@ class Effect:
         """
         return None
 
+    def lag(self, parameters: Mapping[str, ca.SX]) -> Lag | None:
+        """Time constants, where this effect's pressure memory is a first-order lag that a controller can compensate; else None."""
+        return None
+
     def delay(self, parameters: Mapping[str, ca.SX]) -> ca.SX:
         """Time in s by which all commands take effect late."""
         return ca.SX(0)
@@ -207,3 +228,8 @@ class ActiveEffect:
     name: str
     detail: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Name with the detail: "actuator_gain[13]"."""
+        return f"{self.name}[{self.detail}]" if self.detail else self.name
