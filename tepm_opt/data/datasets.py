@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from tepm_opt.data.channels import Channels
-from tepm_opt.data.documents import Section, between, read_toml, toml_string, validated
+from tepm_opt.data.documents import Section, between, explain, read_toml, refusal, toml_string, validated
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.run import Role, Run, read_run_table, refuse_unusable, run_of, write_run
 from tepm_opt.errors import InputError, unknown_name
 
 DESCRIPTION = "dataset.toml"
+ChannelsOf = Callable[[str], Channels]
+"""Channels of a robot given by built-in name or path."""
 
 
 class RunEntry(Section):
@@ -131,6 +133,85 @@ def description_path(folder: str | Path) -> Path:
     return path
 
 
+@dataclass(frozen=True, eq=False)
+class FolderReading:
+    """What could be read of a data set's folder, each file once.
+
+    Attributes:
+        folder: that was read.
+        listed: files of the runs in `dataset.toml`; none where that is wrong.
+        dataset: the runs that could be read; None where `dataset.toml` is wrong.
+        faults: what could not be read, as pairs of a file's name and what is wrong with it.
+        refused: the first reason why nothing can be computed from the data; None where there is none.
+    """
+
+    folder: Path
+    listed: tuple[str, ...]
+    dataset: DataSet | None
+    faults: tuple[tuple[str, str], ...]
+    refused: InputError | None
+
+    @property
+    def usable(self) -> DataSet:
+        """The data set.
+
+        Raises:
+            InputError: the first reason why nothing can be computed from it.
+        """
+        if self.refused is not None or self.dataset is None:
+            raise self.refused or InputError(f"{self.folder}: cannot be read")
+        return self.dataset
+
+
+def read_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> FolderReading:
+    """Read all that can be read of a data set, and keep what is wrong with the rest.
+
+    Args:
+        folder: of `dataset.toml`.
+        channels_of: the channels of the robot that `dataset.toml` names; where absent the header of the first readable run tells the names.
+
+    Raises:
+        InputError: no folder, no `dataset.toml`, or one that is not TOML.
+    """
+    folder = Path(folder)
+    path = description_path(folder)
+    content = read_toml(path)
+    faults: list[tuple[str, str]] = []
+    refused: list[InputError] = []
+
+    def found(file: str, error: InputError) -> None:
+        faults.append((file, str(error).removeprefix(f"{folder / file}: ")))
+        refused.append(error)
+
+    try:
+        description = Description.model_validate(content)
+    except ValidationError as failure:
+        wrong = tuple((DESCRIPTION, message) for message in explain(Description, failure))
+        return FolderReading(folder, (), None, wrong, refusal(Description, failure, str(path)))
+    channels = None
+    if channels_of is not None:
+        try:
+            channels = channels_of(_robot_source(folder, description))
+        except InputError as error:
+            found(DESCRIPTION, error)
+    runs = []
+    for entry in description.runs:
+        try:
+            table = read_run_table(folder / entry.file)
+            channels = channels or Channels.from_header(table.columns)
+            runs.append(run_of(table, entry.file, entry.role, channels, description.static))
+        except InputError as error:
+            found(entry.file, error)
+            continue
+        try:
+            refuse_unusable(table, channels, description.static)
+        except InputError as error:  # the checks say more about it
+            refused.append(error)
+    dataset = dataset_of(folder, description, channels or Channels((), ()), runs)
+    listed = tuple(entry.file for entry in description.runs)
+    return FolderReading(folder, listed, dataset, tuple(faults), next(iter(refused), None))
+
+
 def read_dataset(folder: str | Path, channels: Channels | None = None) -> DataSet:
     """Read a data set as what follows can use it: finite inputs, increasing time. Doubtful values are found by `check_dataset`.
 
@@ -141,24 +222,19 @@ def read_dataset(folder: str | Path, channels: Channels | None = None) -> DataSe
     Raises:
         InputError: as for `read_description` and `read_run`.
     """
-    folder = Path(folder)
-    description = read_description(folder)
-    runs = []
-    for entry in description.runs:
-        table = read_run_table(folder / entry.file)
-        channels = Channels.from_header(table.columns) if channels is None else channels
-        run = run_of(table, entry.file, entry.role, channels, description.static)
-        refuse_unusable(table, channels, description.static)
-        runs.append(run)
-    return dataset_of(folder, description, channels or Channels((), ()), runs)
+    return read_folder(folder, None if channels is None else lambda robot: channels).usable
 
 
 def dataset_of(folder: Path, description: Description, channels: Channels, runs: Iterable[Run]) -> DataSet:
     """A data set from the parts that were read; the robot's path becomes one from the working folder."""
-    robot = folder / description.robot
-    source = str(robot) if robot.is_file() else description.robot
     rate, noise = description.sample_rate_hz, description.position_noise_m
-    return DataSet(description.name, source, channels, tuple(runs), rate, noise, description.static)
+    return DataSet(description.name, _robot_source(folder, description), channels, tuple(runs), rate, noise, description.static)
+
+
+def _robot_source(folder: Path, description: Description) -> str:
+    """Built-in name of the robot, or its file's path from the working folder."""
+    robot = folder / description.robot
+    return str(robot) if robot.is_file() else description.robot
 
 
 def write_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False) -> None:

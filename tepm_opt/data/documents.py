@@ -80,9 +80,13 @@ def validated(model: type[Checked], content: Mapping[str, Any], where: str) -> C
     try:
         return model.model_validate(content)
     except ValidationError as failure:
-        # a key nobody knows explains a missing one better than the other way round
-        error = min(failure.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
-        raise InputError(f"{where}: {_explain(model, error)}") from failure
+        raise refusal(model, failure, where) from failure
+
+
+def refusal(model: type[BaseModel], failure: ValidationError, where: str) -> InputError:
+    """The error that names one fault of a failed validation: a key nobody knows, which explains a missing one, or else the first."""
+    error = min(failure.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
+    return InputError(f"{where}: {_explain(model, error)}")
 
 
 def explain(model: type[BaseModel], failure: ValidationError) -> list[str]:

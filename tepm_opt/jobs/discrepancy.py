@@ -7,23 +7,32 @@ import json
 from importlib.metadata import version
 from pathlib import Path
 
+from tepm_opt.data.checks.dataset import check_reading
+from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
-from tepm_opt.models.channels import channels_of, check, open_dataset
+from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
 
 VERDICT, MODEL, FITS = "verdict.json", "model.toml", ".fits.json"
 
 
-def refuse_errors(folder: Path) -> list[str]:
-    """Warnings of a data set's check, one line each.
+def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet, list[str]]:
+    """A data set, read once, and the warnings of its check, one line each.
+
+    Args:
+        folder: of the data set.
+        despite_errors: whether to take it without a check, as long as it can be used at all; there are no warnings then.
 
     Raises:
-        InputError: the check finds errors; the first few stand in the message.
+        InputError: the data cannot be used, or the check finds errors; the first few stand in the message.
     """
-    findings = check(folder)
+    reading = read(folder)
+    if despite_errors:
+        return reading.usable, []
+    findings = check_reading(reading)
     lines = {
         kind: [f"{f.file}: {f.channel + ': ' if f.channel else ''}{f.message}" for f in findings if f.severity == kind]
         for kind in ("error", "warning")
@@ -31,7 +40,7 @@ def refuse_errors(folder: Path) -> list[str]:
     if errors := lines["error"]:
         more = f" (and {len(errors) - 3} more errors: tepm data check {folder})" if len(errors) > 3 else ""
         raise InputError(f"{folder}: {'; '.join(errors[:3])}{more}. An answer from such data would mislead")
-    return lines["warning"]
+    return reading.usable, lines["warning"]
 
 
 def run_discrepancy(
@@ -54,8 +63,7 @@ def run_discrepancy(
         InputError: data or model cannot be used; the message says why.
     """
     folder, out = Path(folder), Path(out)
-    warnings = [] if despite_errors else refuse_errors(folder)
-    dataset = open_dataset(folder)
+    dataset, warnings = checked_dataset(folder, despite_errors)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:

@@ -17,8 +17,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.library import narrow
 from tepm_opt.discrepancy.workflow import noise_of
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.discrepancy import MODEL, refuse_errors
-from tepm_opt.models.channels import open_dataset
+from tepm_opt.jobs.discrepancy import MODEL, checked_dataset
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import write_model
 from tepm_opt.outcome import Outcome
@@ -43,9 +42,7 @@ def open_datasets(folders: Sequence[Path], despite_errors: bool = False) -> list
     """
     found = []
     for folder in folders:
-        if not despite_errors:
-            refuse_errors(folder)
-        dataset = open_dataset(folder)
+        dataset, _ = checked_dataset(folder, despite_errors)
         runs = tuple(replace(run, file=f"{folder.name}/{run.file}") for run in dataset.runs)
         found.append(replace(dataset, runs=runs))
         if dataset.channels != found[0].channels:

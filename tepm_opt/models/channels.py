@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from tepm_opt.data.channels import Channels
-from tepm_opt.data.checks.dataset import check_folder
+from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.checks.findings import Finding
-from tepm_opt.data.datasets import DataSet, read_dataset, read_description
+from tepm_opt.data.datasets import DataSet, FolderReading, read_folder
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
 
@@ -27,15 +27,22 @@ def channels_of(robot: Robot) -> Channels:
     )
 
 
+def read(folder: str | Path) -> FolderReading:
+    """All that can be read of a data set, with the columns, the limits and the size of the robot that it names.
+
+    Raises:
+        InputError: no folder, no `dataset.toml`, or one that is not TOML.
+    """
+    return read_folder(folder, lambda robot: channels_of(load_robot(robot)))
+
+
 def open_dataset(folder: str | Path) -> DataSet:
     """A data set with the columns of the robot that it names.
 
     Raises:
         InputError: as for `read_dataset` and `load_robot`.
     """
-    description = read_description(folder)
-    robot = Path(folder) / description.robot
-    return read_dataset(folder, channels_of(load_robot(robot if robot.is_file() else description.robot)))
+    return read(folder).usable
 
 
 def check(folder: str | Path) -> list[Finding]:
@@ -44,4 +51,4 @@ def check(folder: str | Path) -> list[Finding]:
     Raises:
         InputError: no folder, no `dataset.toml`, or one that is not TOML.
     """
-    return check_folder(folder, lambda robot: channels_of(load_robot(robot)))
+    return check_reading(read(folder))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from tepm_opt.data.checks.dataset import check_folder
 from tepm_opt.data.datasets import read_dataset, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import checked_dataset
 from tepm_opt.models.channels import check
 from tests.data.made import CHANNELS, make_dataset
 
@@ -235,6 +237,21 @@ ALSO = {"mm": "in mm", "pasted": "jumps"}
 def folder(tmp_path: Path) -> Path:
     write_dataset(make_dataset(), tmp_path / "set")
     return tmp_path / "set"
+
+
+def test_every_file_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the way to a verdict the data are checked and used as they were read."""
+    opened: list[Path] = []
+    plain = Path.open
+
+    def counted(path: Path, *arguments: Any, **options: Any) -> Any:
+        opened.append(path)
+        return plain(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", counted)
+    dataset, _ = checked_dataset(folder)
+    own = [path.name for path in opened if path.parent == folder]
+    assert sorted(own) == sorted(["dataset.toml", *(run.file for run in dataset.runs)])
 
 
 def test_nothing_is_wrong_at_first(folder: Path) -> None:

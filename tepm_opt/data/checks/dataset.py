@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.findings import Finding, Subject
 from tepm_opt.data.checks.inputs import check_inputs, excited
 from tepm_opt.data.checks.motion import check_motion
 from tepm_opt.data.checks.points import check_points, wrong_units
 from tepm_opt.data.checks.time import check_time
-from tepm_opt.data.datasets import DESCRIPTION, DataSet, Description, dataset_of, description_path
-from tepm_opt.data.documents import explain, read_toml
-from tepm_opt.data.run import ROLES, Run, read_run_table, run_of
-from tepm_opt.errors import InputError
-
-ChannelsOf = Callable[[str], Channels]
+from tepm_opt.data.datasets import DESCRIPTION, ChannelsOf, DataSet, FolderReading, read_folder
+from tepm_opt.data.run import ROLES, Run
 
 
 def check_dataset(dataset: DataSet) -> list[Finding]:
@@ -92,10 +86,25 @@ def _declared_noise(dataset: DataSet, subjects: list[Subject]) -> Iterator[Findi
         yield Finding("warning", DESCRIPTION, None, None, "", message)
 
 
-def check_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> list[Finding]:
-    """What is wrong or doubtful in a data set's folder, also where it cannot be read as a data set: all faults, not the first.
+def check_reading(reading: FolderReading) -> list[Finding]:
+    """What is wrong or doubtful in a data set's folder that was read: all faults, not the first.
 
     Runs are looked at once `dataset.toml` is right.
+    """
+    findings = [Finding("error", file, None, None, "", message) for file, message in reading.faults]
+    if reading.dataset is None:
+        return findings
+    if reading.dataset.runs or not findings:
+        findings += check_dataset(reading.dataset)
+    listed = {(reading.folder / file).resolve() for file in reading.listed}
+    for path in sorted(reading.folder.glob("*.csv")):
+        if path.resolve() not in listed and not path.name.startswith("."):
+            findings.append(Finding("warning", path.name, None, None, "", f"in the folder, but not listed in {DESCRIPTION}"))
+    return findings
+
+
+def check_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> list[Finding]:
+    """What is wrong or doubtful in a data set's folder, also where it cannot be read as a data set: all faults, not the first.
 
     Args:
         folder: of `dataset.toml`.
@@ -104,35 +113,4 @@ def check_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> l
     Raises:
         InputError: no folder, no `dataset.toml`, or one that is not TOML.
     """
-    folder = Path(folder)
-    content = read_toml(description_path(folder))
-    findings: list[Finding] = []
-
-    def found(file: str, error: str) -> None:
-        findings.append(Finding("error", file, None, None, "", error.removeprefix(f"{folder / file}: ")))
-
-    try:
-        description = Description.model_validate(content)
-    except ValidationError as failure:
-        return [Finding("error", DESCRIPTION, None, None, "", message) for message in explain(Description, failure)]
-    channels = None
-    if channels_of is not None:
-        robot = folder / description.robot
-        try:
-            channels = channels_of(str(robot) if robot.is_file() else description.robot)
-        except InputError as error:
-            found(DESCRIPTION, str(error))
-    runs = []
-    for entry in description.runs:
-        try:
-            table = read_run_table(folder / entry.file)
-            channels = channels or Channels.from_header(table.columns)
-            runs.append(run_of(table, entry.file, entry.role, channels, description.static))
-        except InputError as error:
-            found(entry.file, str(error))
-    findings += check_dataset(dataset_of(folder, description, channels or Channels((), ()), runs)) if runs or not findings else []
-    listed = {(folder / entry.file).resolve() for entry in description.runs}
-    for path in sorted(folder.glob("*.csv")):
-        if path.resolve() not in listed and not path.name.startswith("."):
-            findings.append(Finding("warning", path.name, None, None, "", f"in the folder, but not listed in {DESCRIPTION}"))
-    return findings
+    return check_reading(read_folder(folder, channels_of))
