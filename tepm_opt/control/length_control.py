@@ -92,7 +92,7 @@ class LengthController:
         count = robot.modules * robot.actuators
         self._area = robot.parameters.A
         self._pressure_max, self._tension_max = robot.input_max[:count], robot.input_max[count:]
-        self._step = robot.actuation.pressure_step
+        self._actuation = robot.actuation
         self._pid = Pid(count, settings.filter_time)
         self._time: float | None = None
         self._held = np.zeros(count)
@@ -118,7 +118,7 @@ class LengthController:
         error = target.lengths - self._pid.observe(np.where(np.isfinite(lengths), lengths, last), duration)
         self._switch(error, target)
         self._follow(target, duration)
-        held = self._on_grid(self._held)
+        held = self._actuation.pressures_on_grid(self._held)
         high = np.where(self.enabled, held, self._pressure_max) * self._area
         low = np.where(self.enabled, high - self._tension_max, 0.0)
         forces = self._pid.step(error, target.forces, self._gains(), np.array([low, high]), duration)
@@ -149,10 +149,6 @@ class LengthController:
         most = settings.mid_ranging_rate * duration
         moved = np.clip(self._held + np.clip(missing, -most, most) / self._area, 0.0, self._pressure_max)
         self._held = np.where(self.enabled, moved, self._held)
-
-    def _on_grid(self, pressure: np.ndarray) -> np.ndarray:
-        on_grid = np.round(pressure / self._step) * self._step if self._step > 0 else pressure
-        return np.clip(on_grid, 0.0, self._pressure_max)
 
 
 @dataclass(frozen=True, eq=False)

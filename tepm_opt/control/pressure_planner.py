@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.control.actuators import Devices
+from tepm_opt.models.robot import on_grid
 
 
 @dataclass(frozen=True)
@@ -79,5 +80,5 @@ class PressurePlanner:
     def _moved(self, wanted: np.ndarray, command: np.ndarray) -> np.ndarray:
         if not self.step:
             return wanted
-        rounded = np.minimum(np.round(wanted / self.step) * self.step, self.limits)
+        rounded = on_grid(wanted, self.step, self.limits)
         return np.where(np.abs(wanted - command) > self.settings.deadband * self.step, rounded, command)

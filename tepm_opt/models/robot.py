@@ -96,11 +96,11 @@ class Actuation(Section):
 
     def pressures_on_grid(self, pressures: np.ndarray) -> np.ndarray:
         """Pressures in Pa rounded to the regulators' steps, from 0 to the largest step within their limit; continuous ones stay."""
-        return _on_grid(pressures, self.pressure_step, self.pressure_max_Pa)
+        return on_grid(pressures, self.pressure_step, self.pressure_max_Pa)
 
     def tensions_on_grid(self, tensions: np.ndarray) -> np.ndarray:
         """Tensions in N rounded to the motors' steps, from 0 to the largest step within their limit; continuous ones stay."""
-        return _on_grid(tensions, self.tension_step, self.tension_max_N)
+        return on_grid(tensions, self.tension_step, self.tension_max_N)
 
     @model_validator(mode="after")
     def _range_within_full_scale(self) -> Actuation:
@@ -111,7 +111,8 @@ class Actuation(Section):
         return self
 
 
-def _on_grid(values: np.ndarray, step: float, limit: float) -> np.ndarray:
+def on_grid(values: np.ndarray, step: float, limit: float | np.ndarray) -> np.ndarray:
+    """Values rounded to whole steps, from 0 to the largest step within `limit`; as they are where the step is 0 (continuous)."""
     if not step:
         return np.asarray(values)
     return np.clip(np.round(np.divide(values, step)), 0, np.floor(limit / step * (1 + 1e-12))) * step

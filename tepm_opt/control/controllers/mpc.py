@@ -196,10 +196,9 @@ class Mpc:
 
     def start(self) -> Command:
         """Where the robot shall rest before the first sample."""
-        forces, step = self.reference.forces[0], self.model.robot.actuation.pressure_step
+        forces = self.reference.forces[0]
         pressure = np.clip((forces + self.middle) / self.area, 0.0, self._pressure_max)
-        if step > 0:
-            pressure = np.minimum(np.round(pressure / step), np.floor(self._pressure_max / step * (1 + 1e-12))) * step
+        pressure = self.model.robot.actuation.pressures_on_grid(pressure)
         free = self.settings.use is not Use.PRESSURE
         tension = np.clip(self.area * pressure - forces, 0.0, self._tension_max) * free
         return Command(pressure, tension, np.full(len(forces), free))
