@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.documents import Section, between, explain, read_toml, refusal, toml_string, validated
 from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.markup import html_table
 from tepm_opt.data.run import Role, Run, read_run_table, refuse_unusable, run_of, write_run
 from tepm_opt.errors import InputError, unknown_name
 
@@ -87,6 +88,15 @@ class DataSet:
                 found = f"{run.inputs.shape[1]} inputs and {run.points.shape[1]} points"
                 raise InputError(f"{run.file}: {found}; valid: {len(self.channels.inputs)} and {len(self.channels.points)}")
 
+    def __repr__(self) -> str:
+        rate = "equilibria" if self.sample_rate is None else f"{self.sample_rate:g} Hz"
+        return f"DataSet({self.name}: {len(self.fit)} runs to fit to, {len(self.validation)} to judge by, {rate}, robot {self.robot})"
+
+    def _repr_html_(self) -> str:
+        """The runs, for notebooks."""
+        rows = [(run.file, run.role, str(run.rows), f"{run.duration:g}" if run.rows else "") for run in self.runs]
+        return html_table(("run", "role", "rows", "duration in s"), rows, repr(self))
+
     @property
     def fit(self) -> tuple[Run, ...]:
         """The runs to fit to."""
@@ -150,6 +160,9 @@ class FolderReading:
     dataset: DataSet | None
     faults: tuple[tuple[str, str], ...]
     refused: InputError | None
+
+    def __repr__(self) -> str:
+        return f"FolderReading({self.folder}: {len(self.dataset.runs) if self.dataset else 0} runs, {len(self.faults)} faults)"
 
     @property
     def usable(self) -> DataSet:

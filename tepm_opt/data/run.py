@@ -67,6 +67,11 @@ class Run:
             if values.dtype.kind not in "fU":
                 raise InputError(f"{self.file}: column {name!r} has the type {values.dtype}; valid: floating-point numbers or text")
 
+    def __repr__(self) -> str:
+        lasting = f" over {self.duration:g} s" if self.rows and np.isfinite(self.duration) else ""
+        size = f"{self.rows} rows{lasting}, {self.inputs.shape[1]} inputs, {self.points.shape[1]} points"
+        return f"Run({self.file}: {self.role}, {size})"
+
     @property
     def rows(self) -> int:
         """Number of samples."""

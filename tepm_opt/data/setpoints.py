@@ -51,6 +51,11 @@ class SetPoints:
     inputs: np.ndarray
     tip_force: np.ndarray
 
+    def __repr__(self) -> str:
+        rows, columns = self.inputs.shape
+        lasting = f" over {self.time[-1] - self.time[0]:g} s" if rows else ""
+        return f"SetPoints({rows} rows{lasting}, {columns} inputs{', with a tip force' if self.tip_force.any() else ''})"
+
     @classmethod
     def single(cls, inputs: Sequence[float] | np.ndarray, tip_force: Sequence[float] | None = None) -> SetPoints:
         """One row at time 0: inputs (2 · modules · actuators,) in Pa and N, force on the tip (3,) in N, none where absent."""

@@ -27,6 +27,9 @@ class Table:
     columns: Mapping[str, np.ndarray]
     lines: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        return f"Table({self.path}: {len(self.lines)} rows, {len(self.columns)} columns)"
+
     def __contains__(self, name: str) -> bool:
         return name in self.columns
 

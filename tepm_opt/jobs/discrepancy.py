@@ -82,7 +82,7 @@ def run_discrepancy(
 
 def _fingerprint(folder: Path, model: Model, seed: int) -> str:
     """Changes with the data, the model, the seed and the version of this package."""
-    digest = hashlib.sha256(repr((model, seed, version("tepm-opt"))).encode())
+    digest = hashlib.sha256(repr((model.robot.model_dump_json(), model.values, seed, version("tepm-opt"))).encode())
     for path in sorted(folder.glob("*")):
         if path.is_file():
             digest.update(path.name.encode() + path.read_bytes())

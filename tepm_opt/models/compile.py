@@ -44,6 +44,10 @@ class CompiledModel:
     statics: StaticsBackend
     reference: PythonStatics
 
+    def __repr__(self) -> str:
+        size = f"{self.layout.levels} levels, {self.layout.inputs} inputs, {len(self.theta)} parameters"
+        return f"CompiledModel({self.robot.name} in {'C' if self.is_c else 'Python'}: {size})"
+
     @property
     def robot(self) -> Robot:
         """The robot."""

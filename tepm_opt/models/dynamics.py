@@ -35,6 +35,9 @@ class Dynamics:
     input_states: int
     edge_states: int
 
+    def __repr__(self) -> str:
+        return f"Dynamics({self.layout.levels} levels, {self.input_states} states of the inputs, {self.edge_states} of a segment's edges)"
+
 
 def write_dynamics(model: Model) -> Dynamics:
     """The CasADi functions of a moving model.

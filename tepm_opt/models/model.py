@@ -13,6 +13,7 @@ from pydantic import Field
 
 from tepm_opt.data.documents import Section, read_toml, toml_string, validated
 from tepm_opt.data.files import write_atomically
+from tepm_opt.data.markup import html_table
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.effects import find_effect
@@ -55,6 +56,22 @@ class Model:
         """This model with one more effect; parameters not given have their probe values."""
         values = {parameter.name: parameter.probe for parameter in find_effect(name).parameters}
         return replace(self, effects=(*self.effects, ActiveEffect(name, detail, {**values, **parameters})))
+
+    def __repr__(self) -> str:
+        changed = [f"{name}={value:g}" for name, value in self.parameters.items()]
+        changed += [f"{effect.label}({', '.join(f'{n}={v:g}' for n, v in effect.parameters.items())})" for effect in self.effects]
+        return f"Model({self.robot.name}: {', '.join(changed) or 'nominal'})"
+
+    def _repr_html_(self) -> str:
+        """Every parameter with its value and unit, and where it comes from, for notebooks."""
+        rows = []
+        for name, nominal in self.robot.parameters.model_dump().items():
+            value = self.parameters.get(name, nominal)
+            rows.append((name, f"{value:g}", UNITS[name], f"instead of {nominal:g}" if name in self.parameters else "robot file"))
+        for effect in self.effects:
+            kind = find_effect(effect.name)
+            rows += [(f"{effect.label}.{p.name}", f"{effect.parameters[p.name]:g}", p.unit, kind.explains) for p in kind.parameters]
+        return html_table(("parameter", "value", "unit", ""), rows, f"model of {self.robot.name}")
 
     @property
     def values(self) -> dict[str, float]:

@@ -39,6 +39,9 @@ class Network:
     functions: Mapping[str, ca.Function]
     driven: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        return f"Network({self.layout.levels} levels, {len(self.parameter_names)} parameters, {len(self.functions)} functions)"
+
     @property
     def property_rows(self) -> dict[str, slice]:
         """Rows of P by name."""

@@ -167,6 +167,11 @@ class Robot(Section):
                 raise unknown_name("parameter", name, UNITS, "priors")
         return self
 
+    def __repr__(self) -> str:
+        return f"Robot({self.name}: {self.modules} x {self.actuators} actuators, {self.geometry.segments_per_module} segments a module)"
+
+    __str__ = __repr__
+
     @property
     def modules(self) -> int:
         """Number of modules."""

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.datasets import DataSet, read_dataset, read_description, write_dataset
 from tepm_opt.data.run import Run, read_run, write_run
-from tepm_opt.data.setpoints import FORCE_COLUMNS
+from tepm_opt.data.setpoints import FORCE_COLUMNS, SetPoints
 from tepm_opt.errors import InputError
 from tests.data.made import NAMES, make_dataset
 from tests.paths import reference
@@ -227,3 +227,14 @@ def test_runs_of_another_robot_do_not_fit() -> None:
         replace(make_dataset(), channels=Channels(("11", "12", "13"), ("s1", "s2")))
     with pytest.raises(InputError, match=r"unknown run 'step.csv': did you mean 'steps.csv'"):
         make_dataset().run("step.csv")
+
+
+def test_they_say_in_one_line_what_they_are() -> None:
+    dataset = make_dataset()
+    assert repr(dataset) == f"DataSet({dataset.name}: 1 runs to fit to, 1 to judge by, 50 Hz, robot kang2017)"
+    assert repr(dataset.runs[0]) == "Run(steps.csv: fit, 300 rows over 5.98 s, 12 inputs, 4 points)"
+    assert dataset._repr_html_().count("<tr>") == 1 + len(dataset.runs)
+    assert (
+        repr(SetPoints(np.array([1.0, 3.0]), np.zeros((2, 12)), np.ones((2, 3))))
+        == "SetPoints(2 rows over 2 s, 12 inputs, with a tip force)"
+    )

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tepm_opt.errors import InputError
+from tepm_opt.models.compile import compile_model
 from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.models.robot import load_robot, robot_text
@@ -42,10 +43,32 @@ def test_models_compare_and_print():
     assert model != NOMINAL.with_parameters(K_a=351.0).with_effect("payload", mass=0.02)
     assert model != NOMINAL.with_parameters(K_a=350.0).with_effect("payload", mass=0.03)
     assert model == NOMINAL.with_effect("payload", mass=0.02).with_parameters(K_a=350.0)
-    for part in ("kang2017", "K_a", "350.0", "payload", "0.02"):
+    for part in ("kang2017", "K_a", "K_a=350", "payload", "0.02"):
         assert part in repr(model)
     with pytest.raises(AttributeError):
         model.effects = ()
+
+
+def test_they_say_in_one_line_what_they_are():
+    model = NOMINAL.with_parameters(K_a=350.0).with_effect("payload", mass=0.02)
+    compiled = compile_model(model, backend="python")
+    said = {
+        "Robot(kang2017: 2 x 3 actuators, 6 segments a module)": model.robot,
+        "Model(kang2017: nominal)": NOMINAL,
+        "Model(kang2017: K_a=350, payload(mass=0.02))": model,
+        "CompiledModel(kang2017 in Python: 12 levels, 12 inputs, 11 parameters)": compiled,
+    }
+    assert [repr(described) for described in said.values()] == list(said)
+    for described in (compiled.network, compiled.reference_stepper.dynamics):
+        assert repr(described).startswith(f"{type(described).__name__}(12 levels, ")
+        assert len(repr(described)) < 120
+
+
+def test_a_notebook_shows_parameters_and_effects():
+    shown = NOMINAL.with_parameters(K_a=350.0).with_effect("payload", mass=0.02)._repr_html_()
+    assert "<td>K_a</td><td>350</td><td>N/m</td><td>instead of 358.86</td>" in shown
+    assert "<td>payload.mass</td><td>0.02</td><td>kg</td>" in shown
+    assert shown.count("<tr>") == 12  # with the head
 
 
 def test_values_are_the_robots_then_the_effects():

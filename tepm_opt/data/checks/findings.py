@@ -46,6 +46,9 @@ class Subject:
     channels: Channels
     rate: float | None
 
+    def __repr__(self) -> str:
+        return f"Subject({self.run!r})"
+
     def found(self, severity: Severity, channel: str, message: str, rows: Sequence[int] | np.ndarray = ()) -> Finding:
         """A finding about rows (from 0) of the run; the message names their lines."""
         lines = [self.run.line(int(row)) for row in rows]

@@ -148,6 +148,9 @@ class Drive:
     d_theta: np.ndarray
     d_rows: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        return f"Drive({len(self.time)} samples, {'held' if self.hold else 'linear'}, {len(self.d_theta)} directions)"
+
 
 @dataclass(frozen=True)
 class Scheme:
@@ -179,6 +182,9 @@ class Record:
     observed: np.ndarray
     trajectory: np.ndarray
     d_observed: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"Record({len(self.observed)} samples, {self.d_observed.shape[-1]} directions)"
 
     @staticmethod
     def empty(dynamics: Dynamics, samples: int, directions: int) -> Record:
