@@ -77,7 +77,7 @@ class ModesRun:
         at = self.linear.equilibrium
         slowest = [
             {
-                "frequency_Hz": mode.frequency, "damping": mode.damping, "time_constant_s": mode.time_constant, "together": mode.together,
+                "frequency_Hz": mode.frequency, "damping": mode.damping, "time_constant_s": mode.time_constant, "together": mode.multiplicity,
                 "shape": mode.words, "driven_most_by": self.driver(mode)[0],
             }
             for mode in self.modes[:shown]
@@ -133,7 +133,7 @@ class ModesRun:
             "time_constant_s": [mode.time_constant for mode in found],
             "real_1_per_s": [mode.value.real for mode in found],
             "imaginary_rad_per_s": [mode.value.imag for mode in found],
-            "together": [mode.together for mode in found],
+            "together": [mode.multiplicity for mode in found],
         }
         words = {"shape": [mode.words for mode in found], "driven_most_by": [name for name, _ in drivers]}
         names = point_columns(self.model.layout.point_names)

@@ -39,7 +39,7 @@ def shapes_figure(modes: Sequence[Mode], title: str) -> Figure:
     """The slowest modes of motion (not of memory), one of those that share a frequency: the arm at both ends of its swing."""
     drawn: list[Mode] = []
     for mode in modes:
-        if not mode.memory and not (drawn and mode.together > 1 and np.isclose(mode.value, drawn[-1].value)):
+        if not mode.memory and not (drawn and mode.multiplicity > 1 and np.isclose(mode.value, drawn[-1].value)):
             drawn.append(mode)
     figure = Figure(figsize=(12.5, 6.2), **STYLE)  # type: ignore[arg-type]
     panels = figure.subplots(1, SHOWN, sharey=True)
@@ -76,7 +76,7 @@ def _draw_mode(axes: Axes, mode: Mode) -> None:
     axes.set_aspect("equal")
     axes.grid(alpha=0.3)
     axes.set_xlabel(f"{direction_in_words(sideways)} in mm", fontsize=9)
-    often = {1: "", 2: ", twice"}.get(mode.together, f", {mode.together} times")
+    often = {1: "", 2: ", twice"}.get(mode.multiplicity, f", {mode.multiplicity} times")
     speed = f"{mode.frequency:.2f} Hz, ζ = {mode.damping:.3f}" if mode.oscillates else f"time constant {mode.time_constant:.3g} s"
     axes.set_title("\n".join([*wrap(mode.words, 24), speed + often]), fontsize=9)
 

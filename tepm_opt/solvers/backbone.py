@@ -21,5 +21,11 @@ def backbone(base: np.ndarray, points: np.ndarray, count: int = 41) -> np.ndarra
 
 
 def backbone_error(base: np.ndarray, measured: np.ndarray, modelled: np.ndarray, count: int = 41) -> np.ndarray:
-    """Distance of two backbones at the same parameters, (…, count) in m, from reference points (…, points, 3) in m."""
+    """Distance of two backbones at the same parameters, (…, count) in m.
+
+    Args:
+        base: the base plate's centre, (3,) in m.
+        measured, modelled: reference points in the same frame, (…, points, 3) in m.
+        count: of points on the curves.
+    """
     return np.linalg.norm(backbone(base, measured, count) - backbone(base, modelled, count), axis=-1)

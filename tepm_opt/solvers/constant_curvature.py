@@ -59,6 +59,12 @@ def lengths_from_tip(tip: Sequence[float] | np.ndarray, modules: int, radius: fl
 
     All modules together are one arc through base and tip, tangent to z at the base, hence unique.
 
+    Args:
+        tip: in the base frame, (3,) in m.
+        modules: how many.
+        radius: of the actuators' circle, m.
+        angles: of the actuators on it, (actuators,) in rad.
+
     Raises:
         ValueError: the tip is not above the base plane's origin in any arc of less than a full turn (tip at the base).
     """

@@ -138,7 +138,14 @@ class Curve:
 def input_curve(
     model: CompiledModel, actuation: Literal["pressure", "tension"], actuator: str, low: float = 0.10, high: float = 0.20, count: int = 21
 ) -> Curve:
-    """Tip against one input over [low, high] of its range, as in Fig. 11.
+    """Tip against one input over part of its range, all others zero, as in Fig. 11.
+
+    Args:
+        model: compiled model.
+        actuation: which of the actuator's inputs.
+        actuator: its name ("13").
+        low, high: ends of the part, 0 … 1.
+        count: of operating points.
 
     Raises:
         InputError: no such actuator.

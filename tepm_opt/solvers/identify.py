@@ -35,7 +35,7 @@ class Free:
         start: first value.
         low, high: its range; for a robot parameter with a prior the prior's (SPEC section 4: uniform).
         scale: a small but visible change of it.
-        expected, doubt: mean and standard deviation of what is believed beforehand besides the range; infinite doubt for nothing.
+        prior_mean, prior_std: of a normal prior besides the range; infinite standard deviation for none.
     """
 
     name: str
@@ -44,15 +44,15 @@ class Free:
     low: float
     high: float
     scale: float
-    expected: float = 0.0
-    doubt: float = np.inf
+    prior_mean: float = 0.0
+    prior_std: float = np.inf
 
     @property
     def spread(self) -> float:
         """Standard deviation of what is known before any data: of a uniform distribution over a finite range, else wide."""
         width = self.high - self.low
-        if np.isfinite(self.doubt):
-            return self.doubt
+        if np.isfinite(self.prior_std):
+            return self.prior_std
         return width / np.sqrt(12) if np.isfinite(width) else 1e3 * self.scale
 
 
@@ -148,9 +148,9 @@ class Problem:
         return np.array([free.scale for free in self.free])
 
     @property
-    def belief(self) -> tuple[np.ndarray, np.ndarray]:
-        """Expected values and their weights 1/doubt², (parameters,) each."""
-        return np.array([free.expected for free in self.free]), np.array([free.doubt for free in self.free]) ** -2.0
+    def prior(self) -> tuple[np.ndarray, np.ndarray]:
+        """Means of the normal priors and their precisions 1/std², 0 where there is none, (parameters,) each."""
+        return np.array([free.prior_mean for free in self.free]), np.array([free.prior_std for free in self.free]) ** -2.0
 
     def residuals(self, values: np.ndarray, names: Sequence[str] | None = None) -> list[Residual]:
         """Measured less modelled of every run, differentiated by `names` (the free ones where absent).
@@ -341,8 +341,8 @@ def _weighted(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarra
 
 
 def _cost(problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None]) -> float:
-    expected, belief = problem.belief
-    return float(belief @ (values - expected) ** 2) + float(
+    mean, precision = problem.prior
+    return float(precision @ (values - mean) ** 2) + float(
         sum(np.sum((r.values if w is None else r.values * w) ** 2) for r, w in zip(residuals, weights, strict=True))
     )
 
@@ -357,8 +357,8 @@ def _step(
     problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None], damping: float
 ) -> tuple[np.ndarray, float]:
     square, slope = normal_equations(residuals, weights)
-    expected, belief = problem.belief
-    square, slope = square + np.diag(belief), slope + belief * (values - expected)
+    mean, precision = problem.prior
+    square, slope = square + np.diag(precision), slope + precision * (values - mean)
     return bounded_step(square, slope, problem.low - values, problem.high - values, problem.scale, damping)
 
 

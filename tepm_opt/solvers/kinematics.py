@@ -169,7 +169,12 @@ def each_configuration(
     mid_tension: float | None = None,
     settings: IkSettings = DEFAULT,
 ) -> Iterator[Configuration]:
-    """`solve_ik` for targets (points, 3), one after the other, each started from the last one solved.
+    """`solve_ik` for many targets, one after the other, each started from the last one solved.
+
+    Args:
+        model: compiled model.
+        targets: tip positions in G, (points, 3) in m.
+        mode, loads, mid_tension, settings: see `solve_ik`.
 
     Raises:
         InputError: targets or loads of a wrong shape or not finite.
@@ -190,7 +195,16 @@ def solve_trajectory(
     mid_tension: float | None = None,
     settings: IkSettings = DEFAULT,
 ) -> list[Configuration]:
-    """All of `each_configuration`; targets out of reach do not end it."""
+    """All of `each_configuration`; targets out of reach do not end it.
+
+    Args:
+        model: compiled model.
+        targets: tip positions in G, (points, 3) in m.
+        mode, loads, mid_tension, settings: see `solve_ik`.
+
+    Raises:
+        InputError: targets or loads of a wrong shape or not finite.
+    """
     return list(each_configuration(model, targets, mode, loads, mid_tension, settings))
 
 

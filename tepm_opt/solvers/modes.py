@@ -69,7 +69,7 @@ class Mode:
         value: eigenvalue in 1/s, imaginary part ≥ 0.
         right: eigenvector, (states,); of unit and real displacement where a node goes farthest.
         left: row with left @ right = 1, by which states and inputs drive the mode, (states,).
-        together: number of modes with this eigenvalue. Two is the sway of a straight arm, which has no direction of its own:
+        multiplicity: number of modes with this eigenvalue. Two is the sway of a straight arm, which has no direction of its own:
             shapes are then chosen along the axes of the base as far as they can be.
     """
 
@@ -77,7 +77,7 @@ class Mode:
     value: complex
     right: np.ndarray
     left: np.ndarray
-    together: int
+    multiplicity: int
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -167,7 +167,7 @@ def modes(linear: Linear) -> tuple[Mode, ...]:
 
 
 def _shaped(linear: Linear, vectors: np.ndarray) -> np.ndarray:
-    """Eigenvectors (states, together) of one eigenvalue, chosen and normalised as `Mode` says."""
+    """Eigenvectors (states, multiplicity) of one eigenvalue, chosen and normalised as `Mode` says."""
     size, count = linear.coordinates, vectors.shape[1]
     x, y = vectors[:size], vectors[2 * size :]
     if count == 2 and _independent(x):

@@ -149,8 +149,14 @@ def equilibrium(
 ) -> Equilibrium:
     """`solve_statics` for checked arrays.
 
-    With `mapped`, u are effective actuations (pressures may be negative); without `explain`, a failure is not followed by
-    continuation (for trial points of an iteration).
+    Args:
+        model: compiled model.
+        u: inputs, (2 · modules · actuators,) in Pa and N.
+        loads: known forces on the reference points in G, (points, 3) in N.
+        start: an equilibrium to start from; rest where absent.
+        settings: tolerances.
+        mapped: whether u are effective actuations, whose pressures may be negative.
+        explain: whether a failure is followed by continuation; not for trial points of an iteration.
     """
     found = _newton(model, u, loads, model.rest if start is None else start.x, settings, mapped)
     if not found.solved and start is not None:

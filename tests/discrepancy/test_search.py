@@ -13,7 +13,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.screen import screen
-from tepm_opt.discrepancy.search import Fits, SearchSettings
+from tepm_opt.discrepancy.search import Fits, SearchSettings, explain
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.discrepancy.workflow import Discovery
 from tepm_opt.errors import InputError
@@ -123,6 +123,23 @@ class TestScreening:
         start = [scores[0].start[f"sensor_offset[s3].{axis}"] for axis in "xyz"]
         assert start == pytest.approx(OFFSET, abs=2e-4)
         assert max(gains[1:]) < 0.9
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        SearchSettings(max_iterations=1, max_effects=0),
+        SearchSettings(max_iterations=1, max_noise_excess=1e6),
+        SearchSettings(max_iterations=1, fits_first_round=0),
+    ],
+    ids=["no effects", "all of it noise", "no fits"],
+)
+def test_a_search_that_may_not_try_fits_the_known_parameters_only(library: CompiledModel, runs: list[Run], settings: SearchSettings) -> None:
+    missing = [Candidate("sensor_offset", "s3")]
+    found = explain(Fits(problem(library, runs), settings), missing, 0)
+    assert found.tried == [found.without]
+    assert found.best is found.without
+    assert found.without.excess > 1
 
 
 class TestFits:

@@ -12,7 +12,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.outcome import Ending
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.kinematics import solve_ik
 from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, PlanSettings, Sphere, plan_move, plan_path
 from tepm_opt.solvers.simulate import simulate
@@ -161,6 +161,11 @@ class TestObstacles:
         assert plan.outcome.ending is Ending.BLOCKED
         assert plan.outcome.message == "end: s4 is 20.0 mm inside obstacle 1; valid: at least 2 mm away"
         assert len(plan.time) == len(plan.setpoints.inputs) == 0
+
+    def test_clearance_is_a_setting(self, kang: CompiledModel) -> None:
+        near = Sphere((END[0], 0.0, END[2] + RADIUS + 4e-3), RADIUS)
+        plan = plan_move(kang, START, END, obstacles=[near], settings=PlanSettings(clearance=0.005))
+        assert plan.outcome == Outcome(Ending.BLOCKED, "end: s4 is 4.0 mm from obstacle 1; valid: at least 5 mm away")
 
 
 class TestPath:

@@ -128,7 +128,7 @@ def test_modes_are_the_poles_and_add_up(systems):
 def test_sway_of_the_straight_arm_is_told_along_its_axes(systems):
     first, second, twist, *_ = modes(systems["rest"])
     assert (first.words, second.words) == ("sway: first bending along x", "sway: first bending along y")
-    assert first.together == second.together == 2
+    assert first.multiplicity == second.multiplicity == 2
     for mode, axis in ((first, 0), (second, 1)):
         assert mode.frequency == pytest.approx(5.642 / (2 * np.pi), abs=1e-4)
         assert mode.damping == pytest.approx(0.245 / np.hypot(0.245, 5.642), abs=1e-4)

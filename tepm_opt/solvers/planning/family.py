@@ -150,7 +150,13 @@ def _polynomial(y: ca.SX, coefficients: np.ndarray, degree: int) -> ca.SX:
 
 
 def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, fit: FamilyFit) -> Family:
-    """The family in a box about lengths (n, 3) in m.
+    """The family in a box about the lengths of a task.
+
+    Args:
+        model: compiled model.
+        lengths: actuator lengths of the modules along the task, (n, 3) in m.
+        start: an equilibrium nearby.
+        fit: degrees, nodes and margins of the polynomials.
 
     Raises:
         FamilyError: some configurations of the box do not exist.

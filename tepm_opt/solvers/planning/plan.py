@@ -108,9 +108,14 @@ def plan_path(
     model: CompiledModel, trajectory: Trajectory, objective: Objective = Objective.TIME, duration: float | None = None,
     obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT, progress: Progress = silent,
 ) -> MotionPlan:  # fmt: skip
-    """Along a trajectory's path from rest to rest, at speeds of its own; see `plan_move` for the other arguments.
+    """Along a trajectory's path from rest to rest, at speeds of its own.
 
     The path is the quintic spline through the trajectory's points; its times do not count.
+
+    Args:
+        model: compiled model; its lags and delays are left to the settings.
+        trajectory: whose path to keep to.
+        objective, duration, obstacles, settings, progress: see `plan_move`.
 
     Raises:
         InputError: fewer than 6 points, points that repeat, or as for `plan_move`.
