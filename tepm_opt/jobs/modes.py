@@ -77,7 +77,8 @@ class ModesRun:
         at = self.linear.equilibrium
         slowest = [
             {
-                "frequency_Hz": mode.frequency, "damping": mode.damping, "time_constant_s": mode.time_constant, "together": mode.multiplicity,
+                "frequency_Hz": mode.frequency, "damping": mode.damping, "time_constant_s": mode.time_constant,
+                "together": mode.multiplicity,
                 "shape": mode.words, "driven_most_by": self.driver(mode)[0],
             }
             for mode in self.modes[:shown]

@@ -134,7 +134,7 @@ class TestScreening:
     ],
     ids=["no effects", "all of it noise", "no fits"],
 )
-def test_a_search_that_may_not_try_fits_the_known_parameters_only(library: CompiledModel, runs: list[Run], settings: SearchSettings) -> None:
+def test_a_search_that_may_not_try_fits_known_parameters_only(library: CompiledModel, runs: list[Run], settings: SearchSettings) -> None:
     missing = [Candidate("sensor_offset", "s3")]
     found = explain(Fits(problem(library, runs), settings), missing, 0)
     assert found.tried == [found.without]
