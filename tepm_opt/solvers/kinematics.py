@@ -195,16 +195,7 @@ def solve_trajectory(
     mid_tension: float | None = None,
     settings: IkSettings = DEFAULT,
 ) -> list[Configuration]:
-    """All of `each_configuration`; targets out of reach do not end it.
-
-    Args:
-        model: compiled model.
-        targets: tip positions in G, (points, 3) in m.
-        mode, loads, mid_tension, settings: see `solve_ik`.
-
-    Raises:
-        InputError: targets or loads of a wrong shape or not finite.
-    """
+    """All configurations of `each_configuration`, with the same arguments; targets out of reach do not end it."""
     return list(each_configuration(model, targets, mode, loads, mid_tension, settings))
 
 
