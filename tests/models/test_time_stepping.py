@@ -45,6 +45,14 @@ def test_both_backends_step_alike(pair, hold):
     assert (first.effort.steps, first.effort.halvings) == (second.effort.steps, second.effort.halvings)
 
 
+def test_both_backends_halve_alike(kang, kang_python, compiler):
+    """Everything jumps at once, in steps that are too long for it."""
+    first, second = (simulate(m, gentle(m, 0.1, 3, 1.0), hold=True, step=0.05) for m in (kang, kang_python))
+    np.testing.assert_allclose(first.levels, second.levels, rtol=0, atol=1e-12)
+    assert (first.effort.steps, first.effort.halvings) == (second.effort.steps, second.effort.halvings)
+    assert first.effort.halvings > 3
+
+
 def test_both_backends_do_rk4_alike(pair):
     c, python = pair
     setpoints = gentle(c, 0.02, 3, 0.02)
