@@ -22,6 +22,11 @@ TENSION = np.array([3.5, 2.0, 5.0, 3.0, 4.0, 1.0])  # N
 DIRECTION = np.array([1.0, -1, 1, -1, 1, 1])  # in which the muscles move, far enough that friction has turned over in a period
 RATES = 1.0 * DIRECTION  # m/s
 KNOWN = FilterSettings(rate_time=np.inf)  # the filter takes RATES for true, not those that it sees, and so knows the DIRECTION
+OTHER = FilterSettings(
+    force_drift=1.5, force_correlation_time=0.6, force_noise=0.01, strength_std=0.1, strength_drift=0.01, friction_std=1.0,
+    friction_drift=0.4, reversal_noise=0.3, presliding_distance=2e-4, load_share=0.2, rate_time=np.inf, bias_std=2e-3, bias_drift=1e-3,
+    bias_correlation_time=3.0, tip_bias_drift=2e-3,
+)  # fmt: skip
 SLOW = np.r_[:4, 10:14, 20:50]  # of the state: fast modes follow their forces, so that their covariance is singular to rounding
 PARTS = [20, 26, 32, 38]  # of the state: motion, unknown forces, strength, friction, bias
 PROBABILITY = 1e-3  # of a test of consistency that fails though all is well
@@ -118,10 +123,10 @@ def bounds(freedom: int) -> tuple[float, float]:
     return float(chi2.ppf(PROBABILITY / 2, freedom)), float(chi2.isf(PROBABILITY / 2, freedom))
 
 
-@pytest.mark.parametrize("moving", [False, True])
-def test_filter_is_consistent(circle_points, moving):
+@pytest.mark.parametrize(("moving", "settings"), [(False, KNOWN), (True, KNOWN), (True, OTHER)], ids=["still", "moving", "other noise"])
+def test_filter_is_consistent(circle_points, moving, settings):
     """NIS over all runs and times, NEES over all runs at some times, against χ²; a fifth of the points is lost, 0.2 s all of them."""
-    random, settings = np.random.default_rng(7), KNOWN
+    random = np.random.default_rng(7)
     nis, seen, nees, count = 0.0, 0, {19: 0.0, 60: 0.0, 119: 0.0}, 16
     for _ in range(count):
         filtered = Estimator(circle_points[0], NOISE, MIDDLE, settings)
@@ -210,17 +215,44 @@ def test_outlier_of_one_frame_is_refused(here, point):
     assert kept < free / 20
 
 
-def test_point_that_jumps_for_good_is_believed_after_a_while(here):
-    """Refused for `patience` frames in a row, taken after that; one good frame in between starts the count anew."""
-    arm, filtered = settled(here)
+@pytest.mark.parametrize("most", [10, 4])
+def test_point_that_jumps_for_good_is_believed_after_a_while(here, most):
+    """Refused for `most_rejections` frames in a row, taken after that; one good frame in between starts the count anew."""
+    arm, filtered = settled(here, replace(KNOWN, most_rejections=most))
     jump, refused = np.array([0.0, 0.0, 0.03]), []
     for k, points in enumerate(run(arm, filtered, 40)):
         points[1] += jump * (k != 5)
         refused.append(filtered.update(points).refused)
     refused = np.array(refused)
     assert not refused[:, [0, 2, 3]].any()
-    assert refused[:, 1].tolist() == [True] * 5 + [False] + [True] * 10 + [False] * 24
+    first = min(most, 5)
+    assert refused[:6, 1].tolist() == [True] * first + [False] * (6 - first)
+    if most > 5:
+        assert refused[6:, 1].tolist() == [True] * most + [False] * (34 - most)
     assert np.linalg.norm(filtered.estimate(refused[-1]).points[1] - arm.points[1] - jump) < 5e-3
+
+
+@pytest.mark.parametrize("distance", [5e-4, 5e-3])
+def test_friction_turns_over_within_the_presliding_distance(here, distance):
+    """After a period in which all lengths rise by 1 mm: as Dahl has it; with rates that are smoothed, later the longer they are."""
+    forces, rates = np.array([here.forces, here.forces]), np.full(6, 0.1)
+    filtered = Estimator(here, NOISE, MIDDLE, replace(KNOWN, presliding_distance=distance))
+    filtered.predict(forces, TENSION, rates, here)
+    turned = filtered.update(np.full((4, 3), np.nan)).direction
+    np.testing.assert_allclose(turned, 1 - np.exp(-1e-3 / distance))
+
+
+def test_rates_are_smoothed_with_their_time_constant(here):
+    """A muscle that moves beside the reference is noticed within `rate_time`."""
+    seen = {}
+    for time in (0.05, 0.5, np.inf):
+        filtered = Estimator(here, NOISE, MIDDLE, replace(KNOWN, rate_time=time))
+        filtered.mean[10:20] = 1e-3
+        filtered.predict(np.array([here.forces, here.forces]), TENSION, np.zeros(6), here)
+        seen[time] = filtered.update(np.full((4, 3), np.nan)).deviation
+    moving = here.model.drive.T @ np.full(10, 1e-3)
+    for time, found in seen.items():
+        np.testing.assert_allclose(found, (1 - np.exp(-PERIOD / time)) * moving, atol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (4, 2), (12,)])

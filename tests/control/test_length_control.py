@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.length_control import LengthController, LengthTarget, TendonUse, hold
+from tepm_opt.control.length_control import LengthController, LengthSettings, LengthTarget, TendonUse, hold
 from tepm_opt.control.lengths import LengthEstimator
+from tepm_opt.control.pid import Gains
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.simulation.bench import BenchRig
@@ -38,6 +39,43 @@ def test_motors_are_on_while_the_error_is_small_with_hysteresis():
     mixed = LengthController(ROBOT).command(0.0, np.full(6, 0.22), target(0.22 + np.array([0, 5, 0, 5, 0, 5]) * 1e-3))
     assert mixed.enabled.tolist() == [True, False] * 3
     assert not mixed.tensions[~mixed.enabled].any()
+
+
+def test_thresholds_of_the_motors_are_settings():
+    """On below 1 mm, off above 6 mm."""
+    controller = LengthController(ROBOT, settings=LengthSettings(enable_below=1e-3, disable_above=6e-3))
+    errors = (1.5e-3, 0.9e-3, 5.9e-3, 6.1e-3)
+    assert [bool(controller.command(0.0, np.full(6, 0.22), target(0.22 + e)).enabled[0]) for e in errors] == [False, True, True, False]
+
+
+def test_tension_begins_at_its_middle_and_is_brought_back_into_its_band():
+    """The held pressure is chosen for `mid_tension`; where that is outside the band it follows at `mid_ranging_rate`, up to its edge."""
+    settings = LengthSettings(mid_tension=4.0, low_tension=1.0, high_tension=2.5, mid_ranging_rate=0.5)
+    controller, tensions = LengthController(ROBOT, settings=settings), []
+    for k in range(500):
+        tensions.append(controller.command(0.01 * k, np.full(6, 0.22), target(0.22)).tensions[0])
+    step = ROBOT.parameters.A * 4500
+    assert tensions[0] == pytest.approx(4.0, abs=step)
+    assert tensions[100] == pytest.approx(3.5, abs=step)
+    assert tensions[-1] == pytest.approx(2.5, abs=step)
+    low = LengthController(ROBOT, settings=LengthSettings(mid_tension=0.2, low_tension=1.0))
+    assert [low.command(0.01 * k, np.full(6, 0.22), target(0.22)).tensions[0] for k in range(200)][-1] == pytest.approx(1.0, abs=step)
+
+
+def test_gains_and_filter_are_settings():
+    """Proportional gains of either actuation make the force; a slow filter sees little of a step."""
+    gains = {"pressure_gains": Gains(100.0, 0.0, 0.0), "tension_gains": Gains(200.0, 0.0, 0.0)}
+    for error, gain in ((5e-3, 100.0), (1e-3, 200.0)):
+        command = LengthController(ROBOT, settings=LengthSettings(**gains)).command(0.0, np.full(6, 0.22), target(0.22 + error))
+        assert ROBOT.parameters.A * command.pressures - command.tensions == pytest.approx(FORCES + gain * error)
+    made = {}
+    for time in (0.0, 1.0):
+        controller = LengthController(ROBOT, TendonUse.FOLLOWS, LengthSettings(**gains, filter_time=time))
+        controller.command(0.0, np.full(6, 0.22), target(0.22))
+        command = controller.command(0.1, np.full(6, 0.21), target(0.22))
+        made[time] = ROBOT.parameters.A * command.pressures - FORCES
+    assert made[0.0] == pytest.approx(np.full(6, 1.0))
+    assert made[1.0] == pytest.approx(np.full(6, 1 - np.exp(-0.1)))
 
 
 def test_axial_force_is_the_feed_forward_at_the_target():

@@ -1,5 +1,7 @@
 """The length estimator against equilibria whose lengths are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,13 @@ def test_a_few_samples_are_enough_with_the_usual_settings(kang, bent):
     pushed = solve_statics(kang, BENT, [0.3, 0, 0])
     aware = LengthEstimator(kang, np.array([0.3, 0, 0]), EXACT)
     assert aware.update(pushed.points) == pytest.approx(pushed.lengths.ravel(), abs=1e-7)
+
+
+def test_largest_step_bounds_what_a_sample_can_change(kang, bent):
+    """Ten steps of at most 0.1 N."""
+    estimator = LengthEstimator(kang, settings=replace(EXACT, steps=10, largest_step=0.1))
+    estimator.update(bent.points)
+    assert np.abs(estimator.forces).max() == pytest.approx(1.0, rel=0.1)
 
 
 def test_missing_points(kang, bent):

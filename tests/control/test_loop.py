@@ -186,6 +186,32 @@ def test_ends(short, change, ending, at, says):
     assert rig.stopped == 1
 
 
+@pytest.mark.parametrize(
+    ("change", "limits", "ending", "at"),
+    [
+        (blind, {"tracking_timeout": 0.4}, Ending.BLIND, 1.4),
+        (astray, {"error_timeout": 0.2}, Ending.DISAGREED, 1.2),
+        (astray, {"largest_error": 1.0}, Ending.DONE, 4.49),  # it is 0.87 m off
+        (strained, {"limit_margin": 0.1}, Ending.DONE, 4.49),  # 7.5 N of 7 N
+    ],
+)
+def test_limits_of_the_guard(short, change, limits, ending, at):
+    """Each one alone decides when its trouble ends the loop, or that it does not."""
+    done = close_loop(Fake(short, change), Still(short), ROBOT, replace(GUARD, **limits))
+    assert done.outcome.ending is ending
+    assert done.time[-1] == pytest.approx(at, abs=0.03)
+
+
+@pytest.mark.parametrize("tolerance", [0.09, 0.11])
+def test_start_may_be_off_by_its_tolerance(short, tolerance):
+    """Tracked 100 mm beside the model's."""
+    rig = Fake(short, lambda now, sample: replace(sample, points=sample.points + np.array([0.1, 0, 0])))
+    kept = LoopRecord(short)
+    with pytest.raises(InputError, match="100 mm") if tolerance < 0.1 else contextlib.nullcontext():
+        close_loop(rig, Still(short), ROBOT, replace(GUARD, start_tolerance=tolerance), keep=kept)
+    assert len(kept.rows) == (0 if tolerance < 0.1 else len(short))
+
+
 @pytest.mark.parametrize("change", [broken, lambda now, sample: replace(sample, points=sample.points[:3])])
 def test_rig_is_stopped_whatever_is_raised(short, change):
     """And what was done until then is kept."""

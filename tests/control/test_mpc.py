@@ -12,10 +12,12 @@ from scipy.linalg import solve_discrete_are
 from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.estimator import Operating
 from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
+from tepm_opt.control.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.qp import QpResult
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.modal_model import modal_model
@@ -205,6 +207,65 @@ def test_late_step_goes_on_with_the_last_plan(kang, short):
     for row in range(3):
         in_order(controller.command(sample_at(short, row, random)))
     assert controller.fallbacks == {"late": 3}
+
+
+@pytest.mark.parametrize("part", [0.5, 0.3])
+def test_tensions_start_at_their_middle(kang, short, part):
+    """Within half a step of the regulators."""
+    start = Mpc(kang, short, MpcSettings(mid_range=part)).start()
+    assert start.tensions == pytest.approx(np.full(6, 7.0 * part), abs=kang.values["A"] * 4500 / 2 * 1.01)
+
+
+def test_horizon_and_preview_are_settings(kang, short):
+    """Plans are as long as the horizon; a preview that is no longer than it is enough."""
+    controller = Mpc(kang, short, MpcSettings(stages=8, pressure_planner=PressurePlannerSettings(preview=11)))
+    in_order(controller.command(sample_at(short, 0, np.random.default_rng(1))))
+    assert controller.last.plan.shape == (8, 6)
+
+
+def test_motors_are_switched_by_the_length_error(kang, short):
+    """By the rule of mode 2: on while the estimated lengths are near, off where they are far; thresholds decide."""
+    on = {}
+    for thresholds in ((3e-3, 4e-3), (1.0, 2.0), (1e-9, 2e-9)):
+        settings = MpcSettings(switching=True, enable_below=thresholds[0], disable_above=thresholds[1])
+        controller = Mpc(kang, short, settings)
+        for row in range(30):
+            off = np.array([50e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4
+            command = controller.command(Sample(short.period * row, short.equilibria[row].points + off))
+        on[thresholds] = int(command.enabled.sum())
+    assert list(on.values()) == [on[3e-3, 4e-3], 6, 0]
+    assert 0 < on[3e-3, 4e-3] < 6
+
+
+def held_off(kang: CompiledModel, short: Reference, settings: MpcSettings, first: int, count: int) -> np.ndarray:
+    """Pressures (steps, actuators) in Pa while the arm is pushed 10 mm aside, from a row of the reference on."""
+    path = dataclasses.replace(
+        short, tips=short.tips[first:], forces=short.forces[first:], equilibria=short.equilibria[first:],
+        counted=short.counted[first:], point=short.point[first:],
+    )  # fmt: skip
+    controller, found = Mpc(kang, path, settings), []
+    for row in range(count):
+        points = path.equilibria[row].points + np.array([10e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4
+        found.append(controller.command(Sample(path.period * row, points)).pressures)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("row", "quick", "slow"),
+    [
+        (0, {"disturbance_time": 0.05}, {"disturbance_time": 5.0}),
+        (400, {"full_feedback_speed": 0.05}, {"full_feedback_speed": 1e3}),
+        (400, {"feedback_time": 0.01}, {"feedback_time": 5.0}),
+    ],
+)
+def test_pressures_take_over_what_goes_on(kang, short, row, quick, slow):
+    """A push that stays: pressures move further from those without it the sooner they take over, the more they take part in feedback."""
+    moved = {}
+    for name, change in (("quick", quick), ("slow", slow)):
+        planner = PressurePlannerSettings(quantised=False, **change)
+        pressures = [held_off(kang, short, MpcSettings(mid_ranging=on, pressure_planner=planner), row, 12) for on in (True, False)]
+        moved[name] = float(np.abs(pressures[0] - pressures[1]).sum())
+    assert moved["quick"] > 1.1 * moved["slow"]
 
 
 @pytest.mark.parametrize("use", list(Use))

@@ -103,10 +103,11 @@ def test_another_solver():
         assert found.iterations > 0
 
 
-def test_ten_thousand_programs():
+@pytest.mark.parametrize("count", [2_000, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_thousands_of_programs(count):
     """Every twentieth has no solution; every answer is checked by its optimality conditions."""
     programs, solver, worst = Programs(0), QpSolver(RATES), 0.0
-    for k in range(10_000):
+    for k in range(count):
         feasible = k % 20 != 7
         program = programs.make(feasible)
         result = solve(solver, program)
