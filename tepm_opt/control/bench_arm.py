@@ -142,7 +142,7 @@ class BenchArm:
         return np.repeat(self.bench.true_lengths, MUSCLES)
 
     def stop(self) -> None:
-        """Stop as the bench does."""
+        """Stop the bench."""
         self.bench.stop()
 
     def __enter__(self) -> BenchArm:

@@ -100,14 +100,17 @@ class Operating:
         end = np.linalg.solve(A, once - period * forced) / period
         return Operating(model, forces, moved, once - end, end, period)
 
+    def __repr__(self) -> str:
+        return f"Operating(modes={len(self.model.stiffness)}, period={self.period:g} s)"
+
     def doubled(self) -> Operating:
-        """The same over two periods."""
+        """The same model over two periods."""
         start = self.A @ (self.start + self.end / 2) + self.start / 2
         end = self.A @ (self.end / 2) + self.start / 2 + self.end
         return replace(self, A=self.A @ self.A, start=start, end=end, period=2 * self.period)
 
     def advance(self, state: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """[q, q'] one period on under axial forces at its start and end, (2, actuators) in N."""
+        """State [q, q'] one period on, (2 · modes,), under axial forces at its start and end, (2, actuators) in N."""
         pushed = (forces - self.forces) @ self.model.drive.T
         return self.A @ state + self.start @ pushed[0] + self.end @ pushed[1]
 
@@ -147,6 +150,10 @@ class StateEstimate:
     nis: float
     seen: int
     refused: np.ndarray
+
+    def __repr__(self) -> str:
+        tip = ", ".join(f"{value:.4f}" for value in self.points[-1])
+        return f"StateEstimate(tip=({tip}) m, nis={self.nis:.3g}, seen={self.seen}, refused={int(self.refused.sum())})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +205,7 @@ class Estimator:
         self._nis, self._seen = np.nan, 0
 
     def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: Operating) -> Transition:
-        """One period on; how.
+        """Advance the estimate by one period; returns the transition of the state that it used.
 
         Args:
             forces: known axial forces at its start and end, (2, actuators) in N.
@@ -217,7 +224,7 @@ class Estimator:
         return done
 
     def _transition(self, forces: np.ndarray, tension: np.ndarray, turning: np.ndarray, then: Operating) -> Transition:
-        """Of one period in which frictions turned over by so much, (actuators,)."""
+        """Transition over one period in which frictions turned over by `turning`, (actuators,) of 0 … 2."""
         settings, now, size, modes = self.settings, self.operating, len(self.mean), self._modes
         drive, period = now.model.drive, now.period
         by_force, pushed = (now.start + now.end) @ drive, (forces - now.forces) @ drive.T
@@ -285,7 +292,7 @@ class Estimator:
         return wrong & (self._outlying <= self.settings.most_rejections)
 
     def estimate(self, refused: np.ndarray) -> StateEstimate:
-        """The present one."""
+        """The present estimate; `refused` are the points taken for outliers, (points,) of bool."""
         model, bias = self.operating.model, self.mean[self._bias].reshape(-1, 3)
         points = model.equilibrium.points + (model.observe @ self.mean[: self._modes]).reshape(-1, 3) + bias
         return StateEstimate(
@@ -297,5 +304,5 @@ class Estimator:
 
 @lru_cache(maxsize=8)
 def _limit(gate: float) -> float:
-    """Of the squared innovation of three coordinates."""
+    """Largest squared innovation of three coordinates that is believed, by chi-square with the probability `gate`."""
     return float(chi2.isf(gate, 3))

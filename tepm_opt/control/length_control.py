@@ -171,6 +171,9 @@ class HoldRecord:
     inputs: np.ndarray
     enabled: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"HoldRecord({self.time[-1]:.2f} s, samples={len(self.time)}, targets={int(self.target.max()) + 1})"
+
 
 def hold(
     rig: Rig,

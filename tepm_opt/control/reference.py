@@ -41,16 +41,20 @@ class Reference:
     period: float = PERIOD
 
     def __len__(self) -> int:
-        """Periods."""
+        """Number of periods."""
         return len(self.tips)
+
+    def __repr__(self) -> str:
+        targets = len(np.unique(self.point))
+        return f"Reference({self.duration:.2f} s, {len(self)} periods, counted={int(self.counted.sum())}, targets={targets})"
 
     @property
     def duration(self) -> float:
-        """Seconds from the first to the last sample."""
+        """Time from the first to the last target in s."""
         return self.period * (len(self) - 1)
 
     def at(self, periods: np.ndarray | int) -> np.ndarray:
-        """Row numbers of periods, those beyond the ends at the ends."""
+        """Row numbers of periods, (…,); those beyond the ends are at the ends."""
         return np.clip(periods, 0, len(self) - 1)
 
     @cached_property
@@ -127,17 +131,36 @@ def reference_by_forces(model: CompiledModel, forces: np.ndarray, period: float 
 
 
 def approach(model: CompiledModel, target: np.ndarray, seconds: float, period: float = PERIOD) -> np.ndarray:
-    """Tips from where the robot rests without forces to a target (3,), smoothly, (periods, 3) in m."""
+    """Tips from where the robot rests without forces to a target, smoothly, (periods, 3) in m.
+
+    Args:
+        model: the controller's.
+        target: (3,) in m in G.
+        seconds: duration of the way in s.
+        period: of control in s.
+    """
     rest = solve_statics(model, np.zeros(model.layout.inputs)).tip
     part = rising(np.arange(0.0, 1.0, period / seconds))[:, None]
     return rest + part * (target - rest)
 
 
 def along(trajectory: Trajectory, start_up: float = START_UP, laps: float = 1.0, period: float = PERIOD) -> tuple[np.ndarray, np.ndarray]:
-    """Tips along a trajectory, (periods, 3) in m, which speeds up to its timing and slows down from it smoothly; whether they count.
+    """Tips along a trajectory, which speeds up to its timing and slows down from it smoothly.
 
     A closed trajectory is run through before it counts while it speeds up, and on while it slows down, so that what counts has the
     trajectory's own timing. An open one starts and ends at its ends and counts as a whole.
+
+    Args:
+        trajectory: path with its time.
+        start_up: time in s in which the speed rises from rest and, at the end, falls to it.
+        laps: how often a closed trajectory counts.
+        period: of control in s.
+
+    Returns:
+        Tips (periods, 3) in m in G, and over which periods the error counts, (periods,) of bool.
+
+    Raises:
+        InputError: an open trajectory of one point.
     """
     time, positions = trajectory.time - trajectory.time[0], trajectory.positions
     if trajectory.closed:
@@ -159,10 +182,17 @@ def along(trajectory: Trajectory, start_up: float = START_UP, laps: float = 1.0,
 
 
 def point_by_point(targets: np.ndarray, move: float, stay: float, taken: float, period: float = PERIOD) -> tuple[np.ndarray, ...]:
-    """Tips that go from each target (targets, 3) to the next in `move` s and stay until `stay` s are over, as in Fig. 12.
+    """Tips that go from each target to the next and stay there, as in Fig. 12.
+
+    Args:
+        targets: (targets, 3) in m in G.
+        move: time in s of the way to a target.
+        stay: time in s for a target, with the way to it.
+        taken: time in s at the end of a stay over which the error counts.
+        period: of control in s.
 
     Returns:
-        Tips (periods, 3) in m, whether they count (the last `taken` s at each target), and the number of the target.
+        Tips (periods, 3) in m, whether they count (periods,) of bool, and the number of the target.
     """
     each = round(stay / period)
     inside = period * np.arange(each)
@@ -176,6 +206,6 @@ def point_by_point(targets: np.ndarray, move: float, stay: float, taken: float, 
 
 
 def _spun_up(clock: np.ndarray, start_up: float) -> np.ndarray:
-    """Time along a path whose speed rises smoothly from 0 to 1 within `start_up` s: with t³ − t⁴/2 there, at its end half of it."""
+    """Time along a path whose speed rises smoothly from 0 to 1 within `start_up` s: there t³ − t⁴/2 of it, so half of it at its end."""
     part = np.clip(clock / start_up, 0.0, 1.0)
     return start_up * (part**3 - part**4 / 2) + np.maximum(clock - start_up, 0.0)

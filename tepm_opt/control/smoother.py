@@ -21,6 +21,7 @@ from scipy.sparse.linalg import splu
 from tepm_opt.control.estimator import DEFAULT, Estimator, FilterSettings, Operating, Transition
 from tepm_opt.control.loop import LoopRecord
 from tepm_opt.errors import InputError
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.modal_model import modal_model
 
 SETS = 40  # active sets that are tried
@@ -43,6 +44,10 @@ class RecordedMotion:
     forces: np.ndarray
     tensions: np.ndarray
     rates: np.ndarray
+
+    def __repr__(self) -> str:
+        lost = int((~np.isfinite(self.points).all(axis=2)).sum())
+        return f"RecordedMotion(samples={len(self.operating)}, points lost={lost})"
 
     @staticmethod
     def of(done: LoopRecord, area: float) -> RecordedMotion:
@@ -80,7 +85,7 @@ class Smoothed:
         bias: of the reference points, (samples, points, 3) in m.
         points: where they are, bias included, (samples, points, 3) in m in G.
         filtered: where the filter had them, (samples, points, 3) in m in G.
-        solved: whether the active set was found.
+        outcome: whether the active set was found.
     """
 
     motion: np.ndarray
@@ -90,7 +95,15 @@ class Smoothed:
     bias: np.ndarray
     points: np.ndarray
     filtered: np.ndarray
-    solved: bool
+    outcome: Outcome
+
+    @property
+    def solved(self) -> bool:
+        """Whether the active set was found."""
+        return self.outcome.solved
+
+    def __repr__(self) -> str:
+        return f"Smoothed({self.outcome}, samples={len(self.motion)})"
 
 
 def smooth(recorded: RecordedMotion, noise: float, middle: float, settings: FilterSettings = DEFAULT, bounded: bool = True) -> Smoothed:
@@ -131,7 +144,8 @@ def smooth(recorded: RecordedMotion, noise: float, middle: float, settings: Filt
     models = [operating.model for operating in recorded.operating]
     at = [model.equilibrium.points.ravel() + model.observe @ q[:modes] for model, q in zip(models, motion, strict=True)]
     there, bias = (np.array(at) + bias).reshape(count, *points), bias.reshape(count, *points)
-    return Smoothed(motion, unknown, strength, friction, bias, there, np.array(seen), solved)
+    outcome = Outcome(Ending.SOLVED) if solved else Outcome(Ending.NOT_CONVERGED, f"no active set after {SETS} tries")
+    return Smoothed(motion, unknown, strength, friction, bias, there, np.array(seen), outcome)
 
 
 def _minimised(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -156,6 +157,31 @@ class ClosedLoop:
         """Names of the actuators."""
         return channels_of(self.model.robot).actuators
 
+    def __repr__(self) -> str:
+        reached = f"{self.time[-1]:.2f}" if len(self.time) else "0"
+        parts = [f"{name} {1e3 * self.rms(true):.3g} mm rms" for true, name in ((True, "true"), (False, "tracked"))]
+        where = f"{self.setup.kind.title} on {self.setup.rig}"
+        return f"ClosedLoop({self.outcome}, {where}, {reached} of {self.duration:.2f} s, {', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        """Table of the run's figures, for notebooks."""
+        told = self.summary(timing=False)
+        rows = [
+            ("controller", self.setup.kind.title),
+            ("rig", self.setup.rig),
+            ("robot", self.model.robot.name),
+            ("end", str(self.outcome)),
+        ]
+        rows.append(("time", f"{told['reached_s']:.2f} of {self.duration:.2f} s"))
+        for kind in ("true", "tracked"):
+            if error := told["errors"][kind]:
+                text = f"{1e3 * error['rms_m']:.3g} mm rms, {1e3 * error['largest_m']:.3g} mm at most"
+                rows.append((f"error, {kind}", text))
+        rows.append(("regulator steps", f"{told['pressure_moves_per_s']:.3g} 1/s"))
+        rows.append(("fallbacks", str(sum(self.fallbacks.values()))))
+        cells = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>" for name, text in rows)
+        return f"<table>{cells}</table>"
+
     def errors(self, true: bool) -> np.ndarray:
         """The tip, true or tracked, less its target, (samples, 3) in m."""
         return (self.truth if true else self.points[:, -1]) - self.targets
@@ -180,7 +206,7 @@ class ClosedLoop:
         return area * pressure, tension
 
     def span(self) -> slice:
-        """Samples from the first to the last that counts."""
+        """Slice of the samples from the first to the last that counts."""
         places = np.flatnonzero(self.counted)
         return slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0)
 

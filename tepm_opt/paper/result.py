@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class ExperimentResult:
-    """An experiment on the rig, beside the model where the paper compares.
+    """Result of an experiment on the rig, beside the model where the paper compares.
 
     Attributes:
         figure: "fig7", …
@@ -30,3 +30,7 @@ class ExperimentResult:
     checks: Mapping[str, bool] = field(default_factory=dict)
     tables: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
     data: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(f"{key}={value:.4g}" for key, value in self.numbers.items())
+        return f"ExperimentResult({self.figure}, {sum(self.checks.values())} of {len(self.checks)} checks hold, {numbers})"

@@ -29,7 +29,7 @@ def _label(loop: ClosedLoop) -> str:
 
 
 def _tip(loop: ClosedLoop, true: bool) -> np.ndarray:
-    """In mm, (samples, 3), true or tracked."""
+    """Tip in mm, (samples, 3), true or tracked."""
     return 1e3 * (loop.truth if true else loop.points[:, -1])
 
 

@@ -17,6 +17,7 @@ from tepm_opt.control.qp import QpResult
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending, Outcome
@@ -316,6 +317,24 @@ def test_loop_on_the_virtual_prototype(short, followed):
     assert followed.error() < 2e-3
     commanded = np.array([command.pressures for command in followed.commands])
     assert (np.diff(commanded, axis=0) != 0).sum() < 0.2 * commanded.size
+
+
+def test_results_say_in_one_line_what_they_are(kang, short, followed):
+    """How it ended first, no arrays; a closed loop is a table in notebooks."""
+    controller = Mpc(kang, short)
+    controller.command(sample_at(short, 0, np.random.default_rng(1)))
+    assert repr(short) == "Reference(4.49 s, 450 periods, counted=100, targets=1)"
+    assert repr(followed) == "LoopRecord(done, samples=450, until=4.49 s)"
+    assert repr(controller).startswith("Mpc(kang2017, linear, Reference(")
+    assert repr(controller.last).startswith("Step(solved, period=0, moves=")
+    assert repr(controller.last.estimate).startswith("StateEstimate(tip=(")
+    loop = ClosedLoop.of(followed, kang, LoopSetup(rig="sim <one>"))
+    assert repr(loop).startswith("ClosedLoop(done, MPC on sim <one>, 4.49 of 4.49 s, true ")
+    assert len(repr(loop)) < 120
+    table = loop._repr_html_()
+    assert "<th>controller</th><td>MPC</td>" in table
+    assert "sim &lt;one&gt;" in table
+    assert f"{1e3 * followed.error():.3g} mm rms" in table
 
 
 def test_soft_corridor_pulls_the_tip_in(kang, short):

@@ -109,7 +109,7 @@ DEFAULT = MpcSettings()
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What a control step did.
+    """Record of one control step.
 
     Attributes:
         period: number of the sample's reference row.
@@ -134,6 +134,10 @@ class Step:
     iterations: int
     seconds: tuple[float, float]
 
+    def __repr__(self) -> str:
+        took = f"{1e3 * self.seconds[0]:.2g} ms"
+        return f"Step({self.outcome}, period={self.period}, moves={self.moves}, iterations={self.iterations}, took={took})"
+
 
 @dataclass(frozen=True, eq=False)
 class _Ahead:
@@ -150,11 +154,11 @@ class Mpc:
 
     Args:
         model: compiled; its effects are compensated.
-        reference: where the tip shall be.
-        settings: how.
+        reference: targets of the tip.
+        settings: of the controller.
 
     Attributes:
-        last: what the last step did; None before the first one.
+        last: record of the last step; None before the first one.
         fallbacks: number of steps that went on with an older plan, by the reason.
     """
 
@@ -194,8 +198,12 @@ class Mpc:
         self._zero: float | None = None
         self._row = 0
 
+    def __repr__(self) -> str:
+        kind = "nonlinear" if self.settings.nonlinear else "linear"
+        return f"Mpc({self.model.robot.name}, {kind}, {self.reference!r}, fallbacks={self.fallbacks})"
+
     def start(self) -> Command:
-        """Where the robot shall rest before the first sample."""
+        """Set points under which the robot shall rest before the first sample."""
         forces = self.reference.forces[0]
         pressure = np.clip((forces + self.middle) / self.area, 0.0, self._pressure_max)
         pressure = self.model.robot.actuation.pressures_on_grid(pressure)
@@ -229,7 +237,7 @@ class Mpc:
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks))
 
     def _point(self, period: int) -> Operating:
-        """The network about the reference at a period."""
+        """Local model of the network about the reference at a period."""
         row = int(self.reference.at(period))
         found = self._operating.get(row)
         if found is None:
@@ -240,7 +248,7 @@ class Mpc:
         return found
 
     def _observe(self, sample: Sample) -> StateEstimate:
-        """Estimator and actuators up to the sample."""
+        """Bring estimator and actuators up to the sample."""
         reference = self.reference
         self._zero = sample.time if self._zero is None else self._zero
         row = round((sample.time - self._zero) / self.period)
