@@ -11,6 +11,6 @@ G = solve_gain(held).matrix
 draws its figures. All names are listed in `__init__.pyi`.
 """
 
-from tepm_opt import lazy
+import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy.attach(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,8 @@
-"""Names of the package and where each is at home; see `tepm_opt.lazy`."""
+"""Names of the package and where each is at home; imported when they are first used."""
 
-from tepm_opt.plots.drawing import draw as draw
-from tepm_opt.plots.figure import save as save
-from tepm_opt.plots.gain import gain_figure as gain_figure
-from tepm_opt.plots.ik import ik_figure as ik_figure
-from tepm_opt.plots.plan import plan_figure as plan_figure
-from tepm_opt.plots.statics import statics_figure as statics_figure
+from .drawing import draw as draw
+from .figure import save as save
+from .gain import gain_figure as gain_figure
+from .ik import ik_figure as ik_figure
+from .plan import plan_figure as plan_figure
+from .statics import statics_figure as statics_figure

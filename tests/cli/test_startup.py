@@ -78,13 +78,13 @@ def test_every_name_of_a_package_is_there_and_is_the_one_at_home(package: object
     }
     assert sorted(homes) == dir(package) == package.__all__  # type: ignore[attr-defined]
     for name, home in homes.items():
-        assert getattr(package, name) is getattr(import_module(str(home)), name)
+        assert getattr(package, name) is getattr(import_module(f".{home}", package.__name__), name)  # type: ignore[attr-defined]
     folder = stub.parent
     assert not {path.stem for path in folder.iterdir()} & homes.keys(), "a module of the same name would take its place"
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match=r"module 'tepm_opt' has no attribute 'solve_everything'"):
+    with pytest.raises(AttributeError, match="solve_everything"):
         _ = tepm_opt.solve_everything  # type: ignore[attr-defined]
 
 
