@@ -68,13 +68,13 @@ def test_labels_are_inside_the_picture(short: Simulation) -> None:
 
 
 def test_gif(short: Simulation, tmp_path: Path) -> None:
-    parts: list[float] = []
+    told: list[tuple[str, float, float]] = []
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        path, whole = films.save(short, tmp_path / name, "gif", parts.append)
+        path, whole = films.save(short, tmp_path / name, "gif", lambda *each: told.append(each))
         assert (path, whole) == (tmp_path / name / "animation.gif", True)
         assert [file.name for file in (tmp_path / name).iterdir()] == ["animation.gif"]
-    assert parts == [k / 11 for k in range(1, 12)] * 2
+    assert told == [("film", k, 11) for k in range(1, 12)] * 2
     assert (tmp_path / "one" / "animation.gif").read_bytes() == (tmp_path / "two" / "animation.gif").read_bytes()
     with Image.open(tmp_path / "one" / "animation.gif") as film:
         assert (film.n_frames, film.size, film.info["duration"]) == (11, (WIDTH, HEIGHT), 40)  # type: ignore[attr-defined]

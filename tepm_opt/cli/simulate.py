@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from tepm_opt.jobs.simulate import SimulateRun
     from tepm_opt.models.compile import CompiledModel
     from tepm_opt.plots.film import Kind
+    from tepm_opt.progress import Progress
     from tepm_opt.solvers.simulate import Directions, Method
 
 SHORTEST, LONGEST = 0.02, 1000.0  # ms; a step that was meant in s is below
@@ -113,7 +113,7 @@ def simulate(
             run.save(folder)
             kept = f"the tables are in {out}"
             plots.draw(run, folder)
-            made, whole = _film(run, folder, kind, lambda part: progress("film", part, 1))
+            made, whole = _film(run, folder, kind, progress)
     except KeyboardInterrupt:
         warn(f"interrupted: {kept}")
         return INTERRUPTED
@@ -126,7 +126,7 @@ def simulate(
     return INTERRUPTED
 
 
-def _film(run: SimulateRun, folder: Path, kind: Kind, progress: Callable[[float], None]) -> tuple[Path | None, bool]:
+def _film(run: SimulateRun, folder: Path, kind: Kind, progress: Progress) -> tuple[Path | None, bool]:
     """The film's path, none where it is not wanted, and whether it was not interrupted; an earlier film goes."""
     from tepm_opt.plots import film
 

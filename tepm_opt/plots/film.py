@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Literal, cast
 
@@ -20,6 +20,7 @@ from tepm_opt.data.files import atomic_path
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.plots.figure import MISSED
 from tepm_opt.plots.scene import COLOURS, EDGE, FLOOR, HEIGHT, PLATE, RING, WIDTH, Scene
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.simulate import Simulation
 
 Kind = Literal["mp4", "gif", "none"]
@@ -61,10 +62,14 @@ def frames(time: np.ndarray) -> tuple[np.ndarray, float]:
     return np.where(moments - time[before] <= time[after] - moments, before, after), faster
 
 
-def save(
-    simulation: Simulation, folder: str | Path, kind: Kind, progress: Callable[[float], None] = lambda part: None
-) -> tuple[Path | None, bool]:
+def save(simulation: Simulation, folder: str | Path, kind: Kind, progress: Progress = silent) -> tuple[Path | None, bool]:
     """Draw a simulation as `animation.mp4` or `animation.gif`.
+
+    Args:
+        simulation: the motion.
+        folder: where the film goes.
+        kind: "mp4", "gif" or "none".
+        progress: told about the pictures drawn.
 
     Returns:
         The film's path (None where there is none) and whether it is whole: an interruption (Ctrl-C) ends it early.
@@ -92,7 +97,7 @@ class _Pictures:
         interrupted: whether they ended early.
     """
 
-    def __init__(self, simulation: Simulation, instants: np.ndarray, note: str, progress: Callable[[float], None]) -> None:
+    def __init__(self, simulation: Simulation, instants: np.ndarray, note: str, progress: Progress) -> None:
         self.drawn, self.interrupted = 0, False
         self._simulation, self._instants, self._note, self._progress = simulation, instants, note, progress
 
@@ -102,7 +107,7 @@ class _Pictures:
             for instant in self._instants:
                 yield scene.image(int(instant))
                 self.drawn += 1
-                self._progress(self.drawn / len(self._instants))
+                self._progress("film", self.drawn, len(self._instants))
         except KeyboardInterrupt:
             self.interrupted = True
 
