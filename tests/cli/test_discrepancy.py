@@ -74,6 +74,7 @@ class TestIdentify:
         assert done.json() == json.loads((here / "identified" / "identified.json").read_text())
         assert list(done.json()["parameters"]) == ["K_a", "m_d"]
 
+    @pytest.mark.slow
     def test_a_model_with_an_effect(self, tepm: Command, here: Path, data: Path) -> None:
         spoilt(data)
         write_model(NOMINAL.with_effect("sensor_offset", "s3", x=0.0, y=0.0, z=0.0), here / "m.toml")

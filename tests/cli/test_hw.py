@@ -488,6 +488,7 @@ def started(*arguments: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 def test_real_time(terminal: Path) -> None:
     """A check; a jog that has the port while an emergency stop is tried, and that is then interrupted; an emergency stop."""
     done = script("hw", "check", terminal)

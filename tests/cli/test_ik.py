@@ -301,6 +301,7 @@ class TestRobots:
             ("circle", "--radius", 0.04, "--height", 0.17),
             circle(4, 0.04, 0.17),
             id="one module of 12 segments",
+            marks=pytest.mark.slow,
         ),
         pytest.param(  # hanging from a base that is turned over and shifted: upright, three modules buckle under their weight
             {"modules = 2": "modules = 3", "module = 6": "module = 2", "[0, 0, -0.050]": "[0.1, 0, 0.9]", "[0, 0, 0]  ": "[180, 0, 0]"},
@@ -308,6 +309,7 @@ class TestRobots:
             ("line", "--from", "0.10,0,0.275", "--to", "0.15,0.03,0.270"),
             np.linspace([0.1, 0, 0.275], [0.15, 0.03, 0.27], 4),
             id="three modules of 2 segments",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             {"[90, 210, 330]": "[0, 90, 180, 270]", "module = 6": "module = 5"},

@@ -67,6 +67,7 @@ def test_files(tepm: Command, here: Path) -> None:
     assert abs(values).max() == pytest.approx(told["fastest_eigenvalue_1_per_s"])
 
 
+@pytest.mark.slow
 def test_the_same_twice(tepm: Command, here: Path) -> None:
     contents = []
     for name in ("a", "b"):

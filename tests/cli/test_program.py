@@ -165,6 +165,7 @@ class TestDemo:
 
 class TestReproducibility:
     @pytest.mark.usefixtures("quick", "drawn")
+    @pytest.mark.slow
     def test_two_runs_write_the_same_bytes(self, tepm: Command, here: Path, small: tuple[Path, Outcome]) -> None:
         done = tepm("demo", "--out", "out", "--json")
         assert (done.status, done.err) == (0, "")

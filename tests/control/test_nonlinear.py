@@ -78,6 +78,7 @@ def test_a_plan_without_an_equilibrium_is_left(short, operating):
     assert all(np.isfinite(part).all() for part in forecast.cost(np.zeros(6)))
 
 
+@pytest.mark.slow
 def test_it_closes_the_loop(kang, short, followed):
     """On the virtual prototype as near as the linear one; nothing falls back."""
     rig = SimulatedRig()

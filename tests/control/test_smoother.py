@@ -164,6 +164,7 @@ def test_shapes_that_do_not_fit_are_refused(circle_points):
         smooth(recorded.between(3, 4), NOISE, MIDDLE, KNOWN)
 
 
+@pytest.mark.slow
 def test_run_on_the_virtual_prototype(kang, followed):
     """A second of a closed loop, as it was recorded: the tip is 0.4 mm off, as filtered 0.7 mm, as tracked 1.0 mm."""
     recorded = RecordedMotion.of(followed, kang.values["A"]).between(340, 440)

@@ -95,6 +95,7 @@ class TestFewRuns:
         errors = answer.verdict.errors
         assert errors.recalibrated < 1.1 * errors.noise_floor < errors.nominal, answer.line(key)
 
+    @pytest.mark.slow
     def test_something_foreign(self, few: Callable[[str], Answer]) -> None:
         answer = few(key := "sagging_supply")
         assert answer.right, answer.line(key)

@@ -68,7 +68,7 @@ def test_a_guide_keeps_the_machine_straight_and_the_spring_holds_it() -> None:
     ("hidden", "name", "size"),
     [
         pytest.param({"friction": 0.8}, "structural_friction", None, marks=pytest.mark.slow),
-        ({"filling": 0.15}, "regulator_lag", 0.15),
+        pytest.param({"filling": 0.15}, "regulator_lag", 0.15, marks=pytest.mark.slow),
         ({}, None, None),
     ],
     ids=["friction", "lag", "nothing"],

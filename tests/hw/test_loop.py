@@ -76,6 +76,7 @@ def test_play_reaches_every_pin(board: Board, count: int, tmp_path: Path, monkey
     assert board.idle_steps == 0
 
 
+@pytest.mark.slow
 def test_the_robot_moves_as_the_simulated_rig(board: Board) -> None:
     """Through firmware and drivers, or directly: the same virtual prototype goes to the same place."""
     random = np.random.default_rng(3)
@@ -125,6 +126,7 @@ def ended(process: subprocess.Popen[str]) -> str:
     return said
 
 
+@pytest.mark.slow
 def test_one_script_for_every_rig(terminal: tuple[str, subprocess.Popen[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Unchanged on the simulated rig, on a serial port and on a recording of the first."""
     hurry(monkeypatch)
