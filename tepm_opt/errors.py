@@ -14,7 +14,14 @@ class InputError(ValueError):
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str], where: str = "") -> InputError:
-    """An `InputError` for a name that is not in `valid`: lists the valid ones, the most similar first."""
+    """An `InputError` for a name that is not in `valid`: lists the valid ones and suggests the most similar.
+
+    Args:
+        kind: what the name stands for, such as "effect".
+        name: the unknown name.
+        valid: all names that would have worked.
+        where: file or option that it stands in; empty for none.
+    """
     names = sorted(valid)
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""

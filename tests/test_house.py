@@ -85,3 +85,35 @@ def test_docstrings_can_be_read_alone() -> None:
     found = [(path, own, node.name, ast.get_docstring(node) or "") for path, text in PACKAGE.items() for own, node in public(text)]
     assert not [(path, name) for path, own, name, text in found if own and not text]
     assert not [(path, name, text) for path, _, name, text in found if hanging.match(text)]
+
+
+def parameters(function: ast.FunctionDef) -> list[ast.arg]:
+    """All parameters of a function but `self`, `cls`, `*` and `**`."""
+    every = function.args
+    return [each for each in (*every.posonlyargs, *every.args, *every.kwonlyargs) if each.arg not in ("self", "cls")]
+
+
+def described(text: str) -> Iterator[tuple[str, str, list[ast.arg]]]:
+    """Name, docstring and parameters of all public functions and methods; a class stands for its `__init__`."""
+    for _, node in public(text):
+        if isinstance(node, ast.FunctionDef):
+            yield node.name, ast.get_docstring(node) or "", parameters(node)
+            continue
+        for made in node.body:
+            if isinstance(made, ast.FunctionDef) and made.name == "__init__":
+                yield node.name, (ast.get_docstring(node) or "") + (ast.get_docstring(made) or ""), parameters(made)
+
+
+def test_four_arguments_are_described() -> None:
+    """Args names all of them. Commands describe theirs as options; a method without words has those of the one it overrides."""
+    many = [(path, *each) for path, text in PACKAGE.items() for each in described(text) if len(each[2]) >= 4]
+    assert len(many) > 100
+    inherited = {name for _, name, text, _ in many if "Args:" in text}
+    found = []
+    for path, name, text, arguments in many:
+        command = any(re.search(r"typer\.|Option", ast.unparse(each.annotation)) for each in arguments if each.annotation)
+        if command or text.startswith("See `") or (not text and name in inherited):
+            continue
+        _, _, listed = text.partition("Args:")
+        found += [f"{path}: {name}: {each.arg}" for each in arguments if not re.search(rf"\b{each.arg}\b", listed)]
+    assert not found

@@ -95,7 +95,14 @@ def warn(text: str) -> None:
 
 
 def report(summary: dict[str, Any], lines: Iterable[str], as_json: bool, ok: bool) -> int:
-    """Print a run's summary or its lines for people; the exit status."""
+    """Print a run's summary or its lines for people; the exit status.
+
+    Args:
+        summary: the run's numbers, plain data; "interrupted" in it decides the exit status.
+        lines: what people read instead, in rich's markup.
+        as_json: whether to print the summary.
+        ok: whether everything was solved.
+    """
     if as_json:
         print(json.dumps(summary, indent=2))
     else:

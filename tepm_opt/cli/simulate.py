@@ -42,7 +42,14 @@ def sensitivities(names: str | None, model: CompiledModel, method: str) -> Direc
 
 
 def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[str]:
-    """What a run says to people."""
+    """What a simulation says to people, line by line.
+
+    Args:
+        run: the simulation.
+        out: folder of its files.
+        took: time of the computation in s.
+        film: path of the film; None where none was drawn.
+    """
     told = run.summary()
     where = f", files in {escape(str(out))}" if told["simulated"] else ", nothing to keep"
     speed = f", {told['reached_s'] / took:.3g} times as fast as real time" if told["reached_s"] and took > 0 else ""

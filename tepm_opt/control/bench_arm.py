@@ -45,7 +45,15 @@ def guided(robot: Robot) -> Robot:
 
 
 def length_reference(model: CompiledModel, lengths: np.ndarray, stay: float, move: float = 0.5, period: float = PERIOD) -> Reference:
-    """Stays at each length (targets,) in m for `stay` s, the first `move` s of which it takes to go there; from the free length on."""
+    """Stays at one length after the other, each reached smoothly; starts at the free length.
+
+    Args:
+        model: the compiled guided robot.
+        lengths: where to stay, (targets,) in m.
+        stay: time for each length in s, the way there included.
+        move: time of the way there in s.
+        period: control period in s.
+    """
     part = rising(period * np.arange(round(stay / period)) / move)
     before = np.append(model.values["L_0"], lengths[:-1])
     course = np.concatenate([start + part * (end - start) for start, end in zip(before, lengths, strict=True)])

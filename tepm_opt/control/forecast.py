@@ -84,10 +84,10 @@ class Horizon:
 
         Args:
             operating: local model at stage 0, by control periods.
-            reference: along which.
-            rows: of the reference at stages −1, 0, 1, …
-            motion: [q, q'] about the operating point at stage 0.
-            bias: of the tip in m, (3,).
+            reference: what is followed.
+            rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
+            motion: [q, q'] about the operating point at stage 0, (2 · modes,).
+            bias: what the tip's position is off by in m, (3,).
         """
         model, two = operating.model, operating.doubled()
         path = (reference.levels[rows] - model.levels) @ model.weights.T
@@ -186,7 +186,15 @@ class Forecast(Protocol):
         ...
 
     def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """Take a new present; see `Horizon.about`."""
+        """Take a new present.
+
+        Args:
+            operating: local model at stage 0, by control periods.
+            reference: what is followed.
+            rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
+            motion: [q, q'] about the operating point at stage 0, (2 · modes,).
+            bias: what the tip's position is off by in m, (3,).
+        """
         ...
 
     def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -217,7 +225,7 @@ class LinearForecast:
         self._lags, self._later = np.maximum(behind, 0), behind >= 0
 
     def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """Take a new present; see `Horizon.about`."""
+        """See `Forecast.about`."""
         self.horizon.about(operating, reference, rows, motion, bias)
 
     def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -51,7 +51,7 @@ class NonlinearForecast:
         self._displaced: np.ndarray | None = None  # of the points from the reference in the last plan, (stages + 1, 3 · points) in m
 
     def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """Take a new present and linearise along the plan; see `Horizon.about`."""
+        """See `Forecast.about`; linearises along the last plan."""
         horizon, stages = self.horizon, self.horizon.stages
         horizon.about(operating, reference, rows, motion, bias)
         self._operating, before = operating, operating.model

@@ -239,7 +239,14 @@ def read_dataset(folder: str | Path, channels: Channels | None = None) -> DataSe
 
 
 def dataset_of(folder: Path, description: Description, channels: Channels, runs: Iterable[Run]) -> DataSet:
-    """A data set from the parts that were read; the robot's path becomes one from the working folder."""
+    """A data set from the parts that were read; the robot's path becomes one from the working folder.
+
+    Args:
+        folder: where the data set is.
+        description: content of its `dataset.toml`.
+        channels: names and magnitudes of its columns.
+        runs: its runs, in order.
+    """
     rate, noise = description.sample_rate_hz, description.position_noise_m
     return DataSet(description.name, _robot_source(folder, description), channels, tuple(runs), rate, noise, description.static)
 

@@ -36,6 +36,13 @@ def run_to_frame(run: Run, channels: Channels) -> Any:
 def run_from_frame(frame: Any, file: str, role: Role = "fit", channels: Channels | None = None, static: bool = False) -> Run:
     """A run from a frame with the columns of SPEC section 4 and any others; `run_to_frame`'s inverse.
 
+    Args:
+        frame: a pandas frame, a row a sample.
+        file: file name of the run.
+        role: "fit" or "validation".
+        channels: expected columns; those that the frame's names tell where absent.
+        static: whether rows are equilibria, not samples of a motion.
+
     Raises:
         InputError: as for `read_run`; pandas is not installed.
     """

@@ -88,7 +88,13 @@ class Run:
 
 
 def read_run(path: str | Path, role: Role = "fit", channels: Channels | None = None, static: bool = False) -> Run:
-    """Read one CSV file.
+    """A run from its CSV file.
+
+    Args:
+        path: the file.
+        role: "fit" or "validation".
+        channels: expected columns; those that the header tells where absent.
+        static: whether rows are equilibria, not samples of a motion.
 
     Raises:
         InputError: unreadable file, missing column, text where a number belongs, input that is not finite, time that does not increase.
@@ -107,6 +113,13 @@ def read_run_table(path: str | Path) -> Table:
 
 def run_of(table: Table, file: str, role: Role, channels: Channels, static: bool) -> Run:
     """A run from its table, values unchecked; data of equilibria need no time, and a tip force that is not there is none.
+
+    Args:
+        table: columns of the file, (rows,) each in the units of the header.
+        file: file name of the run.
+        role: "fit" or "validation".
+        channels: expected columns.
+        static: whether rows are equilibria, not samples of a motion.
 
     Raises:
         InputError: a column is missing, or stands for an actuator or point that the robot does not have.

@@ -24,7 +24,16 @@ COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 def paragraph(
     status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation
 ) -> str:
-    """The answer in one paragraph."""
+    """The answer in one paragraph.
+
+    Args:
+        status: kind of answer.
+        named: effects that the answer names, with their parameters.
+        errors: of the models on validation runs, in m.
+        where: a sentence that says where the model misses.
+        known: recalibrated parameters by full name.
+        explanation: what the search found.
+    """
     shrinks = f"On validation runs the error falls from {_mm(errors.nominal)} (nominal) over {_mm(errors.recalibrated)} (recalibrated)"
     floor = f"noise {_mm(errors.noise_floor)}"
     if status is VerdictStatus.NO_DISCREPANCY:
@@ -50,7 +59,14 @@ def paragraph(
 
 
 def notes(dataset: DataSet, explanation: Explanation, best: ParameterEstimate, noise: float) -> tuple[str, ...]:
-    """What a reader should know besides."""
+    """Sentences that a reader should know besides the answer.
+
+    Args:
+        dataset: the data.
+        explanation: what the search found.
+        best: parameters of the best hypothesis.
+        noise: of a coordinate, 1 sigma in m.
+    """
     found = []
     if not dataset.validation:
         found.append("No run is kept for validation: errors are on the runs fitted to and flatter the model.")

@@ -164,18 +164,40 @@ class Effect:
         return getattr(cls, hook) is not getattr(Effect, hook)
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
-        """Input map: commanded to effective pressure (Pa) and tension (N), both of shape (modules, actuators)."""
+        """Input map: commanded to effective pressure (Pa) and tension (N), both of shape (modules, actuators).
+
+        Args:
+            pressure: what the effects before have left, (modules, actuators) in Pa.
+            tension: what the effects before have left, (modules, actuators) in N.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
         return pressure, tension
 
     def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
         """Change stiffness, damping, rest length and mass in place."""
 
     def loads(self, properties: Properties, external: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
-        """Force on every level in the base frame, (3, n) in N; `external` are the known forces on the points in G, (3, points)."""
+        """Force on every level in the base frame, (3, n) in N.
+
+        Args:
+            properties: the network's, with the changes of all effects.
+            external: known forces on the reference points in G, (3, points) in N.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
         return ca.SX.zeros(3, context.layout.levels)
 
     def edge_energy(self, edge: Edge, length: ca.SX, rest: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
-        """Additional potential of an edge in J as a function of its length in m."""
+        """Additional potential of an edge in J as a function of its length.
+
+        Args:
+            edge: which one of a segment.
+            length: its length in m.
+            rest: its rest length in m.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
         return ca.SX(0)
 
     def pressure_memory(
@@ -183,14 +205,27 @@ class Effect:
     ) -> Memory | Play | None:
         """Internal state y of every pressure, (modules, actuators) in Pa; the effective pressure is pressure + y.
 
-        `pressure` and its `rate` are those that this effect's input map has left; `state` is y before they act.
+        Args:
+            pressure: what this effect's input map has left, (modules, actuators) in Pa.
+            rate: of this pressure, (modules, actuators) in Pa/s.
+            state: y before these act, (modules, actuators) in Pa.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
         """
         return None
 
     def tension_memory(
         self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
     ) -> Memory | Play | None:
-        """The same for tensions, in N."""
+        """Internal state y of every tension, (modules, actuators) in N; the effective tension is tension + y.
+
+        Args:
+            tension: what this effect's input map has left, (modules, actuators) in N.
+            rate: of this tension, (modules, actuators) in N/s.
+            state: y before these act, (modules, actuators) in N.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
         return None
 
     def edge_memory(
@@ -198,7 +233,13 @@ class Effect:
     ) -> Memory | None:
         """Internal state y of an edge, a force in N that pulls its ends together; None for edges the effect leaves alone.
 
-        `properties` are the edge's own: "stiffness", "damping", "rest" and, of a vertical edge, "axial".
+        Args:
+            edge: which one of a segment.
+            length: its length in m.
+            rate: of its length in m/s.
+            properties: the edge's own, SI: "stiffness", "damping", "rest" and, of a vertical edge, "axial".
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
         """
         return None
 

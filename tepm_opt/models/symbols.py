@@ -162,7 +162,14 @@ def norm(vector: ca.SX) -> ca.SX:
 
 
 def spread(layout: Layout, edge: Edge, pair: ca.SX, matrix: ca.SX) -> None:
-    """Add [[k, -k], [-k, k]] with the (3, 3) block k to a segment's matrix at the edge's nodes."""
+    """Add an edge's [[k, -k], [-k, k]] to a segment's matrix, in place.
+
+    Args:
+        layout: the network's geometry.
+        edge: which one of the segment.
+        pair: the block k, (3, 3).
+        matrix: of the segment, (2 · block, 2 · block).
+    """
     at = [level * layout.block + 3 * node for level, node in (edge.a, edge.b)]
     for i, row in enumerate(at):
         for j, column in enumerate(at):
@@ -170,7 +177,14 @@ def spread(layout: Layout, edge: Edge, pair: ca.SX, matrix: ca.SX) -> None:
 
 
 def pull_apart(layout: Layout, edge: Edge, vector: ca.SX, force: ca.SX) -> None:
-    """Add an edge's gradient (3,) to a segment's force, with opposite signs at its nodes."""
+    """Add an edge's gradient to a segment's force with opposite signs at its nodes, in place.
+
+    Args:
+        layout: the network's geometry.
+        edge: which one of the segment.
+        vector: gradient at the edge's second node, (3,) in N.
+        force: of the segment, (2 · block,) in N.
+    """
     for sign, (level, node) in ((-1, edge.a), (1, edge.b)):
         at = level * layout.block + 3 * node
         force[at : at + 3] += sign * vector

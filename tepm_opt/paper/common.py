@@ -118,7 +118,14 @@ def play(rig: SimulatedRig, setpoints: SetPoints, until: float, progress: Progre
 
 
 def ramp(inputs: np.ndarray, rise: float, start: np.ndarray | None = None, force: np.ndarray | None = None) -> SetPoints:
-    """Ramp from `start` (zero where absent) and no load to inputs u and a tip force (3,), in `rise` s."""
+    """Ramp from inputs without load to inputs with a tip force.
+
+    Args:
+        inputs: u at the end, (2 · modules · actuators,) in Pa and N.
+        rise: time that it takes in s.
+        start: u at the beginning, in the same order; zero where absent.
+        force: tip force at the end in G, (3,) in N; zero where absent.
+    """
     first = np.zeros_like(inputs) if start is None else start
     tip = np.zeros(3) if force is None else force
     return SetPoints(np.array([0.0, rise]), np.array([first, inputs]), np.array([np.zeros(3), tip]))

@@ -29,7 +29,14 @@ def dynamic_bend_inputs(setting: Setting) -> np.ndarray:
 
 
 def settled_points(setting: Setting, inputs: np.ndarray, noise: int, force: np.ndarray | None = None) -> np.ndarray:
-    """Where the prototype ends after a ramp, (points, 3) in m: the mean over the last period of its sway."""
+    """Where the prototype ends after a ramp, (points, 3) in m: the mean over the last period of its sway.
+
+    Args:
+        setting: what all experiments start from.
+        inputs: u at the ramp's end, (2 · modules · actuators,) in Pa and N.
+        noise: number of the run, which decides the noise of its devices.
+        force: tip force at the ramp's end in G, (3,) in N; zero where absent.
+    """
     time, points = play(setting.prototype(noise), ramp(inputs, RISE, force=force), RISE + HOLD, setting.clock.part())
     return np.nanmean(points[time > RISE + HOLD - SWAY], axis=0)
 

@@ -65,6 +65,12 @@ def damping(setting: Setting, stiff: float, time: np.ndarray, length: np.ndarray
     """c_v in N s/m, and the fitted length (samples,) in m: least squares of a mass on spring and damper, let go at an unknown instant.
 
     A chain of n_e edges with c_v each acts as c_v / n_e between its ends; a third of the actuator's mass moves with its end.
+
+    Args:
+        setting: what all experiments start from.
+        stiff: K_a in N/m.
+        time: of the samples since about the release, (samples,) in s.
+        length: of the actuator once let go, (samples,) in m.
     """
     robot = bench(setting, 0).robot
     mass = robot.parameters.m_d / 3

@@ -27,7 +27,14 @@ def targets(setting: Setting, points: int = 32) -> tuple[np.ndarray, list[Length
 
 
 def follow(setting: Setting, use: TendonUse, noise: int, wanted: list[LengthTarget]) -> HoldRecord:
-    """One round on the prototype; lengths are estimated from the tracked points."""
+    """One round on the prototype; lengths are estimated from the tracked points.
+
+    Args:
+        setting: what all experiments start from.
+        use: mode of the length controller.
+        noise: number of the run, which decides the noise of its devices.
+        wanted: lengths to hold, one after the other, (modules · actuators,) in m each.
+    """
     estimator = LengthEstimator(setting.model)
     rig = setting.prototype(noise)
     controller = LengthController(rig.robot, use)

@@ -110,7 +110,14 @@ def gap_figure(errors: Mapping[str, float], data: str = "validation runs") -> Fi
 
 
 def points_figure(points: Sequence[str], errors: Mapping[str, np.ndarray], floor: float, data: str = "validation runs") -> Figure:
-    """Error of every reference point, (points,) in m by model, against the noise floor in m."""
+    """Error of every reference point by model, against the noise floor.
+
+    Args:
+        points: names of the points.
+        errors: root mean square distances by the model's name, (points,) in m each.
+        floor: what noise alone makes of it in m.
+        data: what the errors are taken over, for the title.
+    """
     figure = Figure(figsize=(max(6.5, 1.1 * len(points) + 2.5), 3.6), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     width = 0.8 / max(len(errors), 1)

@@ -146,7 +146,16 @@ def _finish(figure: Figure, title: str) -> None:
 
 
 def step_figure(system: System, reduced: Reduced, duration: float, title: str, part: float = 0.01, count: int = 1001) -> Figure:
-    """Outputs after a step of a part of every input's range, full system and reduced one, by python-control."""
+    """Outputs of the full and the reduced system after a step of every input, by python-control.
+
+    Args:
+        system: the full system.
+        reduced: the reduced one, with the same inputs and outputs.
+        duration: shown time in s.
+        title: of the figure.
+        part: height of the steps over the inputs' ranges.
+        count: number of instants.
+    """
     from control import step_response
 
     time = np.linspace(0.0, duration, count)

@@ -33,7 +33,14 @@ def _text(value: Any) -> str:
 def write_paper_page(
     path: Path, summary: Mapping[str, Any], results: Sequence[ExperimentResult], figures: Mapping[str, Path], rig: RigFile
 ) -> None:
-    """Write the page; `figures` are PNG files by the results' names, put into it.
+    """Write the page of the paper's experiments.
+
+    Args:
+        path: the HTML file.
+        summary: numbers of the study, plain data.
+        results: of the finished experiments.
+        figures: PNG files by the results' names; their content is put into the page.
+        rig: the simulated rig that was used.
 
     Raises:
         InputError: the folder cannot be written to.

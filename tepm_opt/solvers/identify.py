@@ -188,7 +188,14 @@ class Residual:
 
     @staticmethod
     def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float) -> Residual:
-        """Residuals from a run and its prediction, points (rows, points, 3) and by (parameters, rows, points, 3)."""
+        """Residuals from a run and its prediction.
+
+        Args:
+            run: what was measured.
+            points: predicted reference points in G, (rows, points, 3) in m.
+            by: their change with each parameter, (parameters, rows, points, 3) in m per its unit.
+            noise: of a coordinate, 1 sigma in m.
+        """
         present = np.isfinite(run.points)
         values = np.where(present, run.points - points, 0.0) / noise
         slopes = -np.where(present, by, 0.0).reshape(len(by), present.size).T / noise

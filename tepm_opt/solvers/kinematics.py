@@ -172,9 +172,8 @@ def each_configuration(
     """`solve_ik` for many targets, one after the other, each started from the last one solved.
 
     Args:
-        model: compiled model.
         targets: tip positions in G, (points, 3) in m.
-        mode, loads, mid_tension, settings: see `solve_ik`.
+        model, mode, loads, mid_tension, settings: see `solve_ik`.
 
     Raises:
         InputError: targets or loads of a wrong shape or not finite.
@@ -195,7 +194,11 @@ def solve_trajectory(
     mid_tension: float | None = None,
     settings: IkSettings = DEFAULT,
 ) -> list[Configuration]:
-    """All configurations of `each_configuration`, with the same arguments; targets out of reach do not end it."""
+    """All configurations along a trajectory, solved or not.
+
+    Args:
+        model, targets, mode, loads, mid_tension, settings: see `each_configuration`.
+    """
     return list(each_configuration(model, targets, mode, loads, mid_tension, settings))
 
 

@@ -72,7 +72,18 @@ def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: b
 def predict_all(
     model: CompiledModel, runs: Sequence[Run], names: Sequence[str] = (), static: bool = False, step: float = LONGEST_STEP,
 ) -> list[Prediction]:  # fmt: skip
-    """`predict` for several runs, at once on the machine's cores; same arguments and errors."""
+    """Predictions of several runs by `predict`, at once on the machine's cores.
+
+    Args:
+        model: compiled model with its effects.
+        runs: their inputs and tip forces; their positions are not looked at.
+        names: parameters by full name by which to differentiate.
+        static: whether rows are equilibria, not samples of a motion.
+        step: longest time step in s.
+
+    Raises:
+        InputError, PredictionError: as for `predict`.
+    """
     return in_parallel(lambda run: predict(model, run, names, static, step), runs)
 
 

@@ -50,7 +50,14 @@ class Subject:
         return f"Subject({self.run!r})"
 
     def found(self, severity: Severity, channel: str, message: str, rows: Sequence[int] | np.ndarray = ()) -> Finding:
-        """A finding about rows (from 0) of the run; the message names their lines."""
+        """A finding about rows of the run; the message names their lines in the file.
+
+        Args:
+            severity: how bad it is.
+            channel: column or reference point that it is about; empty where it concerns the file.
+            message: what was found, in one line.
+            rows: numbers of the rows, from 0; empty where it is about the whole run.
+        """
         lines = [self.run.line(int(row)) for row in rows]
         where = f"{lines_text(lines)}: " if lines else ""
         ends = (lines[0], lines[-1]) if lines else (None, None)

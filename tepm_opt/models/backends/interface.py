@@ -92,19 +92,47 @@ class StaticsBackend(Protocol):
     def statics(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
     ) -> Solution:
-        """Equilibrium from a start x under inputs u (the effective actuation if `mapped`) and external forces (3 · points,)."""
+        """Equilibrium from a start, under inputs and external forces.
+
+        Args:
+            x: levels to start from, (n + 1, block) in m.
+            u: inputs, (inputs,) in Pa and N.
+            mapped: whether `u` is already the effective actuation behind the effects' input maps.
+            external: forces on the points in G, (3 · points,) in N.
+            theta: parameters, (parameters,) in SI.
+            tolerance: largest residual force of a solution in N.
+            max_iterations: of Newton's method.
+        """
         ...
 
     def sensitivity(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
     ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Status and gradients by u, external forces and parameters, a row for each row of weights (rows, points · 3 + lengths)."""
+        """Status, and gradients of weighted observations by u, external forces and parameters (None without `by_theta`), (rows, …) each.
+
+        Args:
+            x: levels of an equilibrium, (n + 1, block) in m.
+            u: inputs, (inputs,) in Pa and N.
+            mapped: whether `u` is already the effective actuation behind the effects' input maps.
+            external: forces on the points in G, (3 · points,) in N.
+            theta: parameters, (parameters,) in SI.
+            weights: of the observations (points in G, then lengths), (rows, 3 · points + lengths).
+            by_theta: whether to differentiate by the parameters, too.
+        """
         ...
 
     def matrices(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each."""
+        """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each.
+
+        Args:
+            x: levels at which to evaluate, (n + 1, block) in m.
+            u: inputs, (inputs,) in Pa and N.
+            mapped: whether `u` is already the effective actuation behind the effects' input maps.
+            external: forces on the points in G, (3 · points,) in N.
+            theta: parameters, (parameters,) in SI.
+        """
         ...
 
     def inverse(
@@ -218,8 +246,16 @@ class TimeStepper(Protocol):
     def integrate(
         self, state: Any, drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray, record: Record
     ) -> tuple[Status, Effort]:
-        """Move the state from sample `first` to `last`; returns a status.
+        """Move the state from one sample to a later one; returns status and effort.
 
         Rows first + 1 … last are recorded, and row 0 when `first` is 0.
+
+        Args:
+            state: what `start` or the last call has left; changed in place.
+            drive: inputs and forces at all samples, and the directions.
+            first, last: numbers of the samples, from 0.
+            scheme: how to step.
+            theta: parameters, (parameters,) in SI.
+            record: what is filled.
         """
         ...

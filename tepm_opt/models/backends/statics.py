@@ -80,7 +80,14 @@ class PythonStatics:
         return self._call("input_map", u, theta)[0].ravel()
 
     def prepare(self, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Effective actuation, properties (n, rows) and level 0 (block,)."""
+        """Effective actuation (inputs,), properties (n, rows) and level 0 (block,).
+
+        Args:
+            u: inputs, (inputs,) in Pa and N.
+            mapped: whether `u` is already the effective actuation behind the effects' input maps.
+            external: forces on the points in G, (3 · points,) in N.
+            theta: parameters, (parameters,) in SI.
+        """
         a = u if mapped else self.actuation(u, theta)
         columns, level_0 = self._call("properties", a, external.reshape(-1, 3), theta)
         return a, np.ascontiguousarray(columns.T), level_0.ravel()
@@ -93,7 +100,14 @@ class PythonStatics:
         return np.broadcast_to(theta, (self.network.layout.levels, len(theta)))
 
     def assemble(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray, convex: bool = False) -> Assembly:
-        """Energy, force and stiffness at x."""
+        """Energy, force and stiffness at x.
+
+        Args:
+            x: levels, (n + 1, block) in m.
+            P: properties, (n, rows).
+            theta: parameters, (parameters,) in SI.
+            convex: whether to leave out the geometric stiffness of compressed edges, so that the stiffness is positive definite.
+        """
         n, block = self.network.layout.levels, self.network.layout.block
         name = "segment_convex" if convex else "segment_stiffness"
         energy, force, first, second = self._call(name, x[:-1], x[1:], P, self._repeat(theta))

@@ -105,7 +105,13 @@ class PythonTimeStepper:
         return self.segment_jacobian(x, still, y, 0.0, P, np.broadcast_to(theta, (self.n, len(theta))))
 
     def segment_jacobian(self, x: np.ndarray, v: np.ndarray, y: np.ndarray, step: float, P: np.ndarray, thetas: np.ndarray) -> np.ndarray:
-        """`segment_by` of all segments, full matrices (n, 2 · block + edge states, arguments)."""
+        """`segment_by` of all segments, full matrices (n, 2 · block + edge states, arguments).
+
+        Args:
+            x, v: levels and velocities, (n + 1, block) in m and m/s.
+            y, step: edge states (n, edge states), and length of the stage in s.
+            P, thetas: properties (n, rows), and parameters of each segment (n, parameters).
+        """
         pattern = self.dynamics.functions["segment_by"].sparsity_out(0)
         values = self._call("segment_by", x[:-1], x[1:], v[:-1], v[1:], y, np.full((self.n, 1), step), P, thetas)[0]
         by = np.zeros((self.n, *pattern.shape))

@@ -186,7 +186,13 @@ class Unknowns:
         self.rows, self.least, self.most = [], [], []
 
     def add(self, name: str, guess: np.ndarray, low: float = -np.inf, high: float = np.inf) -> ca.MX:
-        """An unknown of the shape of its first guess."""
+        """Add an unknown; its symbol, in the shape of its first guess.
+
+        Args:
+            name: of the symbol.
+            guess: first values, in the unknown's unit.
+            low, high: bounds of all its entries, in the same unit.
+        """
         symbol = ca.MX.sym(name, *guess.shape)
         self.symbols.append(ca.vec(symbol))
         self.guess.append(guess.ravel("F"))
@@ -195,7 +201,13 @@ class Unknowns:
         return symbol
 
     def keep(self, expression: ca.MX, low: float, high: float, scale: float = 1.0) -> None:
-        """A constraint on all entries."""
+        """Add a constraint on all entries of an expression.
+
+        Args:
+            expression: of the unknowns, any shape.
+            low, high: bounds of all its entries, in its unit.
+            scale: typical size in the same unit, by which the solver's numbers are divided.
+        """
         self.rows.append(ca.vec(expression) / scale)
         self.least.append(np.full(expression.numel(), low / scale))
         self.most.append(np.full(expression.numel(), high / scale))

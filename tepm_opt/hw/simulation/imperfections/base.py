@@ -94,7 +94,14 @@ class TensionStage(Protocol):
         ...
 
     def step(self, tension: np.ndarray, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
-        """Do as `PressureStage.step`; `length` and `rate` of the actuators are those at the start of the tick."""
+        """Tensions that come out at the start and the end of a tick, (2, modules · actuators) in N.
+
+        Args:
+            tension: what goes in at the start and the end of the tick (linear between), (2, modules · actuators) in N.
+            length: of the actuators at the start of the tick, (modules · actuators,) in m.
+            rate: of these lengths, (modules · actuators,) in m/s.
+            duration: of the tick in s.
+        """
         ...
 
 

@@ -15,7 +15,14 @@ _LARGEST_STRAIN = 0.4  # of a muscle, for the choice of the tick; the paper's re
 
 
 class Bristles:
-    """LuGre friction in all vertical edges: of one size, and in proportion to the pull of their springs."""
+    """LuGre friction in all vertical edges: of one size, and in proportion to the pull of their springs.
+
+    Args:
+        friction: its state, (n, actuators).
+        sliding: friction force while sliding that is always there, in N.
+        share: what comes on top of it, by stretch, (n, actuators) in N/m.
+        rest: rest lengths, (n, actuators) in m.
+    """
 
     def __init__(self, friction: LuGre, sliding: float, share: np.ndarray, rest: np.ndarray) -> None:
         self.friction, self.sliding, self.share, self.rest = friction, sliding, share, rest

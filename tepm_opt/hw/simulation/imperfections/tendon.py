@@ -44,7 +44,14 @@ class TendonSlack(Imperfection):
 
 
 class Sheath:
-    """LuGre friction along the tendon: more tension at its end while the muscle draws it out, less while it is wound in."""
+    """LuGre friction along the tendon: more tension at its end while the muscle draws it out, less while it is wound in.
+
+    Args:
+        count: number of actuators.
+        constant: friction at any tension in N.
+        share: friction over tension.
+        bristles: stiffness of the bristles in N/m.
+    """
 
     def __init__(self, count: int, constant: float, share: float, bristles: float) -> None:
         self.constant, self.share = constant, share
