@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """Something given by a person is wrong.
+    """Wrong input by a person, told in one line with what would be valid.
 
     The message is one line: where it is (file, line, key), what was found and what is valid. Command lines print it without a traceback.
     """

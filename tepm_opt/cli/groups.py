@@ -89,7 +89,7 @@ TRAJECTORY_HELP = f"{', '.join(SHAPES)} or a CSV file with x, y, z in m in frame
 
 @dataclass(frozen=True)
 class ShapeOptions(OptionGroup):
-    """What can be chosen of a built-in shape besides its points and duration; the registry of shapes says what there is.
+    """Parameters of the built-in shapes, from their registry; number of points and duration are options of their own.
 
     Attributes:
         given: values by name; those not given are absent.
@@ -140,7 +140,7 @@ class ShapeOptions(OptionGroup):
 
 @dataclass(frozen=True)
 class TrajectoryOptions(ShapeOptions):
-    """Points and duration of a trajectory, and what can be chosen of its shape."""
+    """Number of points and duration of a trajectory, and the parameters of its shape."""
 
     @classmethod
     def options(cls) -> Iterator[inspect.Parameter]:
@@ -153,7 +153,7 @@ class TrajectoryOptions(ShapeOptions):
 
 @dataclass(frozen=True)
 class PathOptions(ShapeOptions):
-    """What can be chosen of the shape of a path whose ends are options of the command itself."""
+    """Parameters of the shape of a path whose ends are options of the command itself."""
 
     @classmethod
     def options(cls) -> Iterator[inspect.Parameter]:

@@ -27,7 +27,7 @@ def _print_version(wanted: bool) -> None:
 
 
 class InterruptedByUserError(Exception):
-    """Ctrl-C on its way through typer, which would end the program without a word."""
+    """Interruption by Ctrl-C, under a name that typer does not catch and end the program for."""
 
 
 class Program(TyperGroup):

@@ -48,7 +48,7 @@ def record(
 
 
 def kept(plan: RecordingPlan, out: Path) -> str:
-    """What is there where a recording ended early."""
+    """Sentence that tells a person how many runs are kept where a recording ended early."""
     from tepm_opt.data.datasets import DESCRIPTION, read_description
     from tepm_opt.recording.measure import UNFINISHED
 

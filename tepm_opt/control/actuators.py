@@ -38,7 +38,7 @@ class Devices:
         return Devices(filling, exhausting, rate, data.command_delay_s if delay is None else delay)
 
     def lag(self, pressure: np.ndarray, command: np.ndarray, duration: float) -> np.ndarray:
-        """Pressure in Pa after some s under a constant command."""
+        """Pressure in Pa that a constant command leads to after a time in s."""
         filling, exhausting = (math.exp(-duration / time) if time > 0 else 0.0 for time in (self.filling, self.exhausting))
         more = pressure - command
         return command + more * np.where(more < 0, filling, exhausting)
@@ -70,7 +70,7 @@ class Actuators:
         return self.area * self.pressure - self.tension
 
     def advance(self, duration: float) -> np.ndarray:
-        """Some s under the command in force; F_a at the start and the end, (2, actuators) in N."""
+        """Advance by a time in s under the command in force; F_a at its start and end, (2, actuators) in N."""
         before, command = self.forces, self.command
         most = self.devices.tension_rate * duration
         self.pressure = self.devices.lag(self.pressure, command.pressures, duration)
@@ -100,7 +100,7 @@ class Sent:
 
     @property
     def last(self) -> Command:
-        """The one sent last."""
+        """The command sent last, whether it acts yet or not."""
         return self._entries[-1][1]
 
     def add(self, acts_at: float, command: Command) -> None:
@@ -139,7 +139,7 @@ class InputEffects:
         self.forces = self._extra(model.statics.actuation(inputs, self._theta), inputs)
 
     def advance(self, actuators: Actuators, duration: float) -> None:
-        """Move on to the actuators' present pressures and tensions, some s after the last call."""
+        """Advance to the actuators' present pressures and tensions, a time in s after the last call."""
         if self.none:
             return
         inputs = np.concatenate([actuators.pressure, actuators.tension])

@@ -120,7 +120,7 @@ class BenchArm:
         return Sample(sample.time, points, lengths=sample.lengths, status=sample.status)
 
     def apply(self, command: Command) -> None:
-        """The mean of the pressures, the tensions together."""
+        """Command the mean of the three pressures and the sum of the three tensions."""
         pressure, tension = np.array([command.pressures.mean()]), np.array([command.tensions.sum()])
         self.bench.apply(Command(pressure, tension, command.enabled[:1]))
 

@@ -88,7 +88,7 @@ class Operating:
 
     @staticmethod
     def of(model: ModalModel, forces: np.ndarray, period: float) -> Operating:
-        """Exact for forces linear in a period (first-order hold; Franklin, Powell, Workman, Digital Control, 1998, section 6.3)."""
+        """Discrete model, exact for forces linear in a period (Franklin, Powell, Workman, Digital Control, 1998, section 6.3)."""
         count = len(model.stiffness)
         A = np.zeros((2 * count, 2 * count))
         A[:count, count:] = np.eye(count)

@@ -17,7 +17,7 @@ NOTHING = 1e-6  # m/N: what moves the tip less does not move it (a tip on a guid
 
 @dataclass(frozen=True)
 class Weights:
-    """What costs as much as what.
+    """Weights of the terms in the cost, as the sizes at which they cost the same.
 
     Attributes:
         tip: error of the tip in m.
@@ -202,7 +202,7 @@ class Forecast(Protocol):
         ...
 
     def take(self, forces: np.ndarray | None) -> None:
-        """Told what was planned: deviations of the forces at stages 1 …, (stages, actuators) in N, or None where there is no plan."""
+        """Take note of a plan: deviations of the forces at stages 1 …, (stages, actuators) in N; None where there is none."""
         ...
 
 
@@ -233,7 +233,7 @@ class LinearForecast:
         return self.horizon.cost(begin, self._responses(begin))
 
     def take(self, forces: np.ndarray | None) -> None:
-        """A plan changes nothing: the model is the reference's."""
+        """Ignore the plan: this forecast is always about the reference."""
 
     def _responses(self, begin: np.ndarray) -> Responses:
         """What the forces at stages 1 … make of the arm, with `begin` at stage 0."""

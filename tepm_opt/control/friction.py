@@ -6,7 +6,7 @@ import numpy as np
 
 
 def turned(direction: np.ndarray, change: np.ndarray, distance: float) -> np.ndarray:
-    """Direction −1 … 1 after a change of length, (…,) each; both in m with the distance.
+    """Direction −1 … 1 after a change of length, (…,) each; change and distance in m.
 
     ds = dx / distance · (1 − s sgn dx), exactly for a motion one way. Dahl, A solid friction model, Aerospace Corp. TOR-158, 1968.
     """
@@ -15,7 +15,7 @@ def turned(direction: np.ndarray, change: np.ndarray, distance: float) -> np.nda
 
 
 def course(direction: np.ndarray, changes: np.ndarray, distance: float) -> np.ndarray:
-    """Directions after each of some changes one after the other, (changes, …), from one (…,)."""
+    """Directions −1 … 1 after each of successive changes in m, (changes, …), from a first direction (…,)."""
     kept = np.exp(-np.abs(changes) / distance)
     out = np.sign(changes) * (1 - kept)
     for k in range(len(out)):

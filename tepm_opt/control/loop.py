@@ -22,7 +22,7 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 
 Look = Callable[[Sample, np.ndarray], None]
-"""Given every sample with the tip's target (3,) in m, for a live view."""
+"""Callback of a live view: takes every sample and the tip's target, (3,) in m."""
 DONE = Outcome(Ending.DONE)
 INTERRUPTED = Outcome(Ending.INTERRUPTED, "interrupted by the user")
 
@@ -166,7 +166,7 @@ def _uncollected() -> Iterator[None]:
 
 
 class Stopped(Exception):  # noqa: N818  it says what happened
-    """The guard has stopped a loop.
+    """Stop of a closed loop by its guard; the message says why.
 
     Attributes:
         outcome: why.

@@ -118,7 +118,7 @@ class NonlinearForecast:
         return Responses(seen[:, 1:], seen[:, 0], last[:, 1:], last[:, 0])
 
     def take(self, forces: np.ndarray | None) -> None:
-        """The plan along which the next forecast is; without one it is along the reference."""
+        """Take note of the plan along which the next forecast is linearised; without one it is the reference."""
         self._displaced = None if forces is None else self._answers @ np.append(1.0, forces.ravel())
 
 

@@ -41,7 +41,7 @@ class PressurePlannerSettings:
 
 
 class PressurePlanner:
-    """Plans pressures, period by period.
+    """Planner of the coarse pressures, period by period.
 
     Args:
         devices: lags of the regulators.

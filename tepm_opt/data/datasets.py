@@ -274,7 +274,7 @@ def write_dataset(dataset: DataSet, folder: str | Path, overwrite: bool = False)
 
 
 def description_of(dataset: DataSet, folder: Path) -> Description:
-    """What `dataset.toml` in this folder says of a data set.
+    """Description of a data set, as `dataset.toml` in this folder is to hold it.
 
     Raises:
         InputError: a value that the file may not hold.

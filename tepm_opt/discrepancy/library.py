@@ -30,7 +30,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name with the detail: "actuator_gain[13]"."""
+        """Name of the candidate with its detail: "actuator_gain[13]"."""
         return ActiveEffect(self.name, self.detail).label
 
     @property

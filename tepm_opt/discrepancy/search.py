@@ -26,7 +26,7 @@ Shares = dict[Candidate, float]
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """When structure counts, when an effect is believed.
+    """Thresholds of the search: when structure counts and when an effect is believed.
 
     Squares are means over the measured coordinates; the excess is what they have beyond the noise's, over the noise's (1: as much
     structure as noise).
@@ -80,7 +80,7 @@ class Hypothesis:
 
     @property
     def left(self) -> float:
-        """The smaller of the excess on held-out data and on the data fitted to: what is surely there."""
+        """Structure that is surely left: the smaller of the excess on held-out data and on the data fitted to."""
         return min(self.excess, max(self.estimate.cost / max(self.estimate.count, 1) - 1, 0.0))
 
     @property

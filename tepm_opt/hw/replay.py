@@ -82,7 +82,7 @@ class ReplayRig:
         check_command(command, self.robot)
 
     def stop(self) -> None:
-        """Nothing moves."""
+        """Do nothing: in a recording nothing moves."""
 
     @property
     def simulated(self) -> None:

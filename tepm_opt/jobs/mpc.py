@@ -29,7 +29,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.measure import GOOD, STATUS, journal_path
 
 Look = Callable[[Sample, Command], None]
-"""Given every sample with what was commanded then, for a live view."""
+"""Callback of a live view: takes every sample and what was commanded then."""
 
 
 class _Keeper:

@@ -119,7 +119,7 @@ def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
 
 
 def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -> None:
-    """`check_effect` for all, and none twice.
+    """Check all effects with `check_effect`, and that none is there twice.
 
     Raises:
         InputError: with name, value and what is valid.

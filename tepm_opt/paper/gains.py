@@ -25,7 +25,7 @@ def sweep(setting: Setting, actuation: str, noise: int) -> tuple[np.ndarray, np.
 
 
 def open_loop_gain(setting: Setting) -> ExperimentResult:
-    """Fig. 11."""
+    """Experiment of Fig. 11: the tip's height against one pressure or one tension."""
     curves: dict[str, tuple[np.ndarray, np.ndarray]] = {kind: sweep(setting, kind, 1) for kind in ("pressure", "tension")}
     spread: dict[tuple[str, str], float] = {}
     slope: dict[tuple[str, str], float] = {}

@@ -56,7 +56,7 @@ def hysteresis(force: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
 
 
 def loaded(setting: Setting) -> ExperimentResult:
-    """Fig. 10, both parts."""
+    """Experiment of Fig. 10, both parts: bending under a force at the tip, and bending and return."""
     nothing = np.zeros(setting.model.layout.inputs)
     at = solve_statics(setting.model, nothing, FORCE)
     runs = [settled_points(setting, nothing, noise, FORCE) for noise in range(1, setting.runs + 1)]

@@ -42,12 +42,12 @@ def settled_points(setting: Setting, inputs: np.ndarray, noise: int, force: np.n
 
 
 def elongation(setting: Setting) -> ExperimentResult:
-    """Fig. 7."""
+    """Experiment of Fig. 7: elongation."""
     return _static(setting, "fig7", "Elongation", elongation_inputs(setting))
 
 
 def double_bend(setting: Setting) -> ExperimentResult:
-    """Fig. 8."""
+    """Experiment of Fig. 8: double bend."""
     return _static(setting, "fig8", "Double bend", double_bend_inputs(setting))
 
 
@@ -76,7 +76,7 @@ def shape_table(setting: Setting, model: np.ndarray, prototype: np.ndarray) -> d
 
 
 def dynamic_bend(setting: Setting) -> ExperimentResult:
-    """Fig. 9."""
+    """Experiment of Fig. 9: dynamic bend."""
     setpoints = ramp(dynamic_bend_inputs(setting), BEND)
     time, model = play(setting.twin(), setpoints, BEND, setting.clock.part())
     runs = [play(setting.prototype(noise), setpoints, BEND, setting.clock.part())[1] for noise in range(1, setting.runs + 1)]

@@ -89,7 +89,7 @@ def damping(setting: Setting, stiff: float, time: np.ndarray, length: np.ndarray
 
 
 def identification(setting: Setting) -> ExperimentResult:
-    """III.B: the free actuator, K_a and c_v."""
+    """Experiment of section III.B: the free actuator, K_a and c_v."""
     pressures, lengths = staircase(setting, 1)
     area = setting.model.values["A"]
     stiff = stiffness(area, pressures, lengths)
@@ -123,7 +123,7 @@ def regulate(setting: Setting, use: TendonUse, noise: int) -> HoldRecord:
 
 
 def set_points(setting: Setting) -> ExperimentResult:
-    """Fig. 6, both modes."""
+    """Experiment of Fig. 6: set points of one actuator in both modes."""
     numbers, tables, data = {}, {}, {}
     for use in TendonUse:
         rounds = [regulate(setting, use, noise) for noise in range(1, setting.runs + 1)]

@@ -73,7 +73,7 @@ def reached(held: HoldRecord, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tracking(setting: Setting, points: int = 32) -> ExperimentResult:
-    """Fig. 12, both modes."""
+    """Experiment of Fig. 12: the circle of Eq. (7) in both modes."""
     positions, wanted = targets(setting, points)
     numbers, tables, share = {}, {}, {}
     data = {"target": positions}

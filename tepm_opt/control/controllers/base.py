@@ -30,11 +30,11 @@ class Telemetry:
 
 
 class Controller(Protocol):
-    """What follows a reference, sample by sample."""
+    """A controller: follows a reference, sample by sample."""
 
     @property
     def reference(self) -> Reference:
-        """What is followed."""
+        """The reference that the controller follows."""
         ...
 
     def start(self) -> Command:
@@ -69,11 +69,11 @@ class NoSettings:
 
     @property
     def asked(self) -> dict[str, Option]:
-        """Nothing."""
+        """No options: always empty."""
         return {}
 
     def in_real_time(self, period: float) -> NoSettings:
-        """The same."""
+        """These settings, unchanged: there is nothing that real time changes."""
         return self
 
 

@@ -18,7 +18,7 @@ from tepm_opt.data.run import ROLES, Run
 
 
 def check_dataset(dataset: DataSet) -> list[Finding]:
-    """What is wrong or doubtful in a data set, in the order of its runs.
+    """Findings in a data set: all that is wrong or doubtful, in the order of its runs.
 
     Limits, units and order of the points are judged as far as `dataset.channels` knows the robot.
     """

@@ -63,7 +63,7 @@ def _distances(subject: Subject) -> np.ndarray:
 
 
 def wrong_units(subject: Subject) -> Iterator[Finding]:
-    """Positions beyond or below what the robot's size allows."""
+    """Findings where positions are so large or small for the robot that their unit must be wrong."""
     channels = subject.channels
     ratios = _distances(subject)
     if channels.height is None:

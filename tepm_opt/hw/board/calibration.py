@@ -85,11 +85,11 @@ class Calibration:
         return self._all(np.round(self.steps * tensions))
 
     def pressures(self, monitors: tuple[int, ...]) -> np.ndarray:
-        """Measured, in Pa."""
+        """Pressures in Pa from the monitors' counts, (actuators of all modules,)."""
         return (np.array(monitors[: len(self.codes)]) - self.monitor_zero) / self.monitor
 
     def tensions(self, dynamometers: tuple[int, ...]) -> np.ndarray:
-        """Measured, in N."""
+        """Tensions in N from the dynamometers' counts, (actuators of all modules,)."""
         return (np.array(dynamometers[: len(self.codes)]) - self.counts_zero) / self.counts
 
     def _whole(self, values: np.ndarray, most: int, kind: str, wanted: np.ndarray, unit: str) -> list[int]:

@@ -101,7 +101,7 @@ class PlaybackPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """Nobody listens."""
+        """Ignore what is sent: a recording does not answer."""
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing: a recording holds no port."""

@@ -26,7 +26,7 @@ class Port(Protocol):
         ...
 
     def write(self, data: bytes) -> None:
-        """Send."""
+        """Send bytes over the line."""
         ...
 
     def close(self) -> None:

@@ -23,11 +23,11 @@ COUNTS_PER_V = 32768 / 5
 """All analog inputs are given as if converted with 15 bits over 5 V."""
 DAC_CODES = 4096
 POSITION_MODE = 0x80
-"""In `enabled` of SET: tendon set points are steps, not counts of the dynamometers."""
+"""Bit of the field `enabled` of SET: tendon set points are steps, not counts of the dynamometers."""
 
 
 Values = dict[str, Any]
-"""Of a message by name: numbers, and tuples of them."""
+"""Content of a message: numbers and tuples of numbers by the field's name."""
 
 
 class State(IntEnum):

@@ -16,7 +16,7 @@ from tepm_opt.hw.simulation.timeline import Timeline
 
 
 class Diverged(RuntimeError):  # noqa: N818  it says what happened
-    """The simulation left all bounds."""
+    """Failure of a simulation whose numbers have left all bounds."""
 
 
 class Machine:
@@ -84,7 +84,7 @@ class Machine:
         return axial, reduce(np.add, (stage.settle(lengths) for stage in self._edges)) if self._edges else None
 
     def advance(self, until: int, commands: Timeline, forces: Timeline) -> None:
-        """Move on to a step.
+        """Advance the simulation to a step.
 
         Args:
             until: step to stop at.

@@ -10,7 +10,7 @@ from tepm_opt.errors import InputError
 
 
 class Timeline:
-    """Piecewise linear and, at its knots, perhaps discontinuous; times are whole steps of `step` s.
+    """Piecewise linear course of a value, perhaps with jumps at its knots; times are whole steps of `step` s.
 
     Args:
         value: before the first knot.
@@ -62,7 +62,7 @@ class Timeline:
 
 
 def knots(time: np.ndarray, step: float) -> np.ndarray:
-    """Whole steps from the first of times (rows,) in s, (rows,).
+    """Numbers of whole steps from the first time to each of times (rows,) in s, (rows,).
 
     Raises:
         InputError: they do not increase by at least a step.

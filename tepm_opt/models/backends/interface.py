@@ -216,7 +216,7 @@ class Record:
 
     @staticmethod
     def empty(dynamics: Dynamics, samples: int, directions: int) -> Record:
-        """Filled with NaN."""
+        """A record filled with NaN."""
         layout = dynamics.layout
         observed = 3 * layout.points + layout.inputs // 2
         shapes = (samples, observed), (samples, 2, layout.levels + 1, layout.block), (samples, observed, directions)

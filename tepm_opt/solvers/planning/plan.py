@@ -108,7 +108,7 @@ def plan_path(
     model: CompiledModel, trajectory: Trajectory, objective: Objective = Objective.TIME, duration: float | None = None,
     obstacles: Sequence[Obstacle] = (), settings: PlanSettings = DEFAULT, progress: Progress = silent,
 ) -> MotionPlan:  # fmt: skip
-    """Along a trajectory's path from rest to rest, at speeds of its own.
+    """Plan along a trajectory's path from rest to rest; the speeds are the plan's own.
 
     The path is the quintic spline through the trajectory's points; its times do not count.
 

@@ -33,7 +33,7 @@ class TimeDelay(Imperfection):
 
 
 class Imperfections(Section):
-    """The names of SPEC section 5 and two foreign ones; the order is that in which they act."""
+    """All imperfections of a rig, in the order in which they act: those of SPEC section 5 and two more."""
 
     time_delay: TimeDelay = Field(default_factory=TimeDelay)
     regulator_lag: RegulatorLag = Field(default_factory=RegulatorLag)
@@ -57,16 +57,16 @@ class Imperfections(Section):
     sensor_misalignment: SensorMisalignment = Field(default_factory=SensorMisalignment)
 
     def only(self, kept: Callable[[Imperfection], bool]) -> Imperfections:
-        """Those that `kept` is true for; the others do nothing."""
+        """Imperfections of which only those act that `kept` is true for."""
         return self.model_copy(update={name: type(item)() for name, item in self if not kept(item)})
 
     def replaced(self, *others: Imperfection) -> Imperfections:
-        """The same with each of the others in the place of the one of its kind."""
+        """Imperfections with each of the given ones in the place of the one of its kind."""
         by_kind = {type(other): other for other in others}
         return self.model_copy(update={name: by_kind.get(type(item), item) for name, item in self})
 
     @property
     def active(self) -> dict[str, Imperfection]:
-        """Those that do something by name, in the order in which they act."""
+        """Imperfections that do something, by name, in the order in which they act."""
         every: dict[str, Imperfection] = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: imperfection for name, imperfection in every.items() if imperfection.active}

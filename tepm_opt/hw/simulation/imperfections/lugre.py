@@ -25,7 +25,7 @@ class LuGre:
         self.stiffness, self.damping, self.breakaway, self.stribeck = stiffness, damping, breakaway, stribeck
 
     def settle(self) -> np.ndarray:
-        """Upright bristles: no force, (shape)."""
+        """Set all bristles upright; the force is then 0, (shape)."""
         self.bend = np.zeros_like(self.bend)
         return self.bend
 
