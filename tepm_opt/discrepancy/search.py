@@ -20,6 +20,11 @@ from tepm_opt.solvers.predict import PredictionError
 from tepm_opt.solvers.text import listed, shortened
 
 CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
+# part of the squared output of the other effects that their forms may be wrong by (5 % of the size); an effect that takes away less
+# beside them may only mend their forms
+FORM_ERROR_RATIO = 0.0025
+MIN_SHARE_CLOSED = 0.1  # part of the excess left on held-out data that one more effect must take away to be tried along
+MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
 Effects = tuple[Candidate, ...]
 Shares = dict[Candidate, float]
 
@@ -34,13 +39,9 @@ class SearchSettings:
     Attributes:
         max_noise_excess: excess that counts as noise: 0.05 is 22 % of the noise's standard deviation.
         min_excess_removed: excess that an effect must take away alone to be named: 0.15 is 39 % of the noise's standard deviation.
-        form_error_ratio: part of the squared output of the other effects that their forms may be wrong by (0.0025: 5 % of the size);
-            an effect that takes away less beside them may only mend their forms.
-        min_share_closed: part of the excess left, on held-out data, that one more effect must take away to be tried along, 0 … 1.
-        min_probability: by which it must beat going without, 0 … 1.
+        min_probability: by which one more effect must beat going without it to be tried along, 0 … 1.
         even_odds_ratio: how many times the excess left the part that only this effect takes away must be for even odds that it is
             a cause, not a stand-in for something outside the library.
-        min_gain_ratio: part of the best candidate's first-order gain from which others are fitted, too, 0 … 1.
         fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
         max_effects: most effects at once.
         max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
@@ -49,11 +50,8 @@ class SearchSettings:
 
     max_noise_excess: float = 0.05
     min_excess_removed: float = 0.15
-    form_error_ratio: float = 0.0025
-    min_share_closed: float = 0.1
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0
-    min_gain_ratio: float = 0.25
     fits_first_round: int = 5
     fits_later_rounds: int = 3
     max_effects: int = 3
@@ -224,7 +222,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         winner = _most_probable([best, *trials], seed)
         if (
             winner is best
-            or winner.excess > (1 - settings.min_share_closed) * best.excess
+            or winner.excess > (1 - MIN_SHARE_CLOSED) * best.excess
             or not _beats(winner, best, seed, settings.min_probability)
         ):
             break
@@ -265,7 +263,7 @@ def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[H
     if not scores:
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
-    promising = [score for score in scores if score.gain >= settings.min_gain_ratio * scores[0].gain][:most]
+    promising = [score for score in scores if score.gain >= MIN_GAIN_RATIO * scores[0].gain][:most]
     trials = [fits.fit((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
     return [trial for trial in trials if trial is not None]
 
@@ -286,7 +284,7 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
     settings = fits.settings
     while True:
         shares, smaller = {}, {}
-        doubt = {effect: settings.form_error_ratio * _output(best, effect) for effect in best.effects}
+        doubt = {effect: FORM_ERROR_RATIO * _output(best, effect) for effect in best.effects}
         left = max(best.excess - sum(doubt.values()), 0.0) + settings.max_noise_excess / 10
         for effect in best.effects:
             rest = tuple(c for c in best.effects if c != effect)

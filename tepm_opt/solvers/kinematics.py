@@ -22,6 +22,10 @@ from tepm_opt.solvers.constant_curvature import lengths_from_tip
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
 from tepm_opt.solvers.text import millimetres
 
+FORCE_TOLERANCE = 1e-6  # N of change below which forces of redundant actuators are of minimum norm; set points are coarser
+HOMOTOPY_STEPS = 12  # from rest to a target that no first guess solves, each some centimetres
+MAX_OVERSHOOT = 0.5  # parts of the forces' range by which the search may leave it; beyond, the nearest point within them is sought
+
 
 @dataclass(frozen=True)
 class IkSettings:
@@ -31,17 +35,11 @@ class IkSettings:
         tolerance: largest error of tip and length differences, m.
         max_iterations: most Gauss-Newton steps from one start.
         max_step: largest change of an axial force in one step, N.
-        force_tolerance: with redundant actuators, change of the forces below which they are of minimum norm, N.
-        homotopy_steps: from rest to a target that no seed solves.
-        max_overshoot: how far the search may leave the limits of the forces, in parts of their range.
     """
 
     tolerance: float = 1e-9
     max_iterations: int = 30
     max_step: float = 8.0
-    force_tolerance: float = 1e-6
-    homotopy_steps: int = 12
-    max_overshoot: float = 0.5
 
 
 DEFAULT = IkSettings()
@@ -256,7 +254,7 @@ def _free(problem: _IkProblem, target: np.ndarray, start: Configuration | None, 
         return found
     at, forces, found = problem.at(np.zeros(problem.half), None), np.zeros(problem.half), None
     origin = at.tip
-    for part in np.linspace(0, 1, settings.homotopy_steps + 1)[1:]:
+    for part in np.linspace(0, 1, HOMOTOPY_STEPS + 1)[1:]:
         found = _gauss_newton(problem, origin + part * (target - origin), forces, at, settings)
         if found is None:
             return None
@@ -275,7 +273,7 @@ def _gauss_newton(
         return found
     errors, change = problem.errors(at, target), np.inf
     for step in range(settings.max_iterations):
-        if np.abs(errors).max() < settings.tolerance and (change < settings.force_tolerance or not problem.redundant):
+        if np.abs(errors).max() < settings.tolerance and (change < FORCE_TOLERANCE or not problem.redundant):
             return _configuration(target, at, forces, Outcome(), step)
         jacobian = problem.jacobian(at)
         full = _minimum_norm(jacobian, jacobian @ forces - errors) - forces
@@ -289,7 +287,7 @@ def _gauss_newton(
         else:
             return None
         forces, at, errors, change = forces + part * full, trial, changed, part * np.abs(full).max()
-        if (np.maximum(problem.low - forces, forces - problem.high) > settings.max_overshoot * (problem.high - problem.low)).any():
+        if (np.maximum(problem.low - forces, forces - problem.high) > MAX_OVERSHOOT * (problem.high - problem.low)).any():
             return None
     return None
 

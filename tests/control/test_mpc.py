@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
-from tepm_opt.control.estimator import Operating
+from tepm_opt.control.estimator import FilterSettings, Operating
 from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
 from tepm_opt.control.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.qp import QpResult
@@ -349,3 +349,13 @@ def test_soft_corridor_pulls_the_tip_in(kang, short):
         beyond[corridor] = float(np.maximum(np.abs(planned) - 1e-3, 0).sum())
         assert controller.fallbacks == {}
     assert beyond[1e-3] < 0.7 * beyond[np.inf]
+
+
+@pytest.mark.parametrize(("probability", "refused"), [(1e-6, [2]), (0.0, [])])
+def test_the_filter_takes_its_settings(kang, short, probability, refused):
+    """A point far off is an outlier unless nothing is too improbable."""
+    sample = sample_at(short, 0, np.random.default_rng(1))
+    sample.points[2] += 0.3
+    controller = Mpc(kang, short, MpcSettings(filter=FilterSettings(gate_probability=probability)))
+    controller.command(sample)
+    assert np.flatnonzero(controller.last.estimate.refused).tolist() == refused

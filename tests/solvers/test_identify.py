@@ -218,12 +218,14 @@ class TestWhatRunsCannotTell:
 
     def test_all_is_well(self, estimate: ParameterEstimate) -> None:
         assert unidentifiable(estimate) == []
+        assert len(unidentifiable(estimate, max_relative_std=0.0)) == len(estimate.values), "but nothing is known exactly"
 
     def test_profile_of_what_is_well_known(self, kang: CompiledModel) -> None:
         run = steady(kang, random_inputs(kang, 20, 6, 0.0, 0.4), {"K_a": 1.01 * kang.values["K_a"]})
         found = identify(problem(kang, (run,), "K_a", "r", static=True))
         (value, _), (std, _) = found.values, found.std
         assert profile(found, "K_a") == pytest.approx((value - 1.96 * std, value + 1.96 * std), abs=0.1 * std)
+        assert profile(found, "K_a", threshold=1.0) == pytest.approx((value - std, value + std), abs=0.1 * std)
 
     def test_profile_ends_at_a_bound(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
         """Nothing moves, so that the damping may be anything within its prior."""

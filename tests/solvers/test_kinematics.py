@@ -9,7 +9,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.allocation import force_range
-from tepm_opt.solvers.kinematics import ActuationMode, solve_ik, solve_trajectory
+from tepm_opt.solvers.kinematics import ActuationMode, IkSettings, solve_ik, solve_trajectory
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import circle
 from tests.tools import in_company, random_directions, variant
@@ -229,6 +229,40 @@ def test_known_loads(kang):
         assert found.solved
         check_held(kang, found, force)
         assert abs(found.forces - solve_ik(kang, CIRCLE[5]).forces).max() > 0.01
+        (along,) = solve_trajectory(kang, CIRCLE[5:6], loads=force)
+        np.testing.assert_array_equal(along.forces, found.forces)
+
+
+class TestSettings:
+    """On a target 36 mm from a configuration that is known."""
+
+    @pytest.fixture
+    def start(self, kang):
+        return solve_ik(kang, [0.13, 0.0, 0.35])
+
+    def test_steps_are_no_larger(self, kang, start):
+        target, steps = [0.1, 0.02, 0.35], []
+        for largest in (0.3, 1.0, 8.0):
+            found = solve_ik(kang, target, start=start, settings=IkSettings(max_step=largest))
+            assert found.solved
+            assert found.steps >= abs(found.forces - start.forces).max() / largest
+            steps.append(found.steps)
+        assert steps == sorted(set(steps), reverse=True)
+
+    def test_after_so_many_steps_the_slow_search_takes_over(self, kang, start):
+        target = [0.1, 0.02, 0.35]
+        free = solve_ik(kang, target, start=start)
+        enough, few = (solve_ik(kang, target, start=start, settings=IkSettings(max_iterations=n)) for n in (free.steps + 1, 1))
+        assert enough.steps == free.steps
+        assert few.solved
+        assert few.steps > free.steps
+        np.testing.assert_allclose(few.forces, free.forces, atol=1e-5)
+
+    def test_mid_tension_only_moves_the_set_points(self, kang, start):
+        low = solve_ik(kang, start.target, mid_tension=1.0)
+        np.testing.assert_allclose(low.forces, start.forces, atol=1e-6)
+        assert (low.allocation.inputs[6:] < start.allocation.inputs[6:]).all()
+        check_held(kang, low)
 
 
 @pytest.mark.parametrize("mode", MODES)

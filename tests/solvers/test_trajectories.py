@@ -36,6 +36,16 @@ def test_line():
     assert not path.closed
 
 
+@pytest.mark.parametrize("path", [circle, lissajous])
+def test_closed_paths_are_moved_and_scaled(path):
+    """By radius, height and duration."""
+    one, other = path(16), path(16, duration=3.0, radius=0.1, height=0.3)
+    largest = np.abs(one.positions[:, :2]).max()
+    np.testing.assert_allclose(other.positions[:, :2], 0.1 / largest * one.positions[:, :2], atol=1e-15)
+    assert set(other.positions[:, 2]) == {0.3}
+    np.testing.assert_allclose(other.time, 3.0 * np.arange(16) / 16)
+
+
 @pytest.mark.parametrize("path", [circle, lissajous, line])
 @pytest.mark.parametrize("points", [0, -3, 10**9])
 def test_absurd_numbers_of_points_are_refused(path, points):

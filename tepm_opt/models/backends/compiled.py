@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.models.backends.ccode import Unit
-from tepm_opt.models.backends.interface import LANES, SHARED, Drive, Effort, Record, Scheme, Solution, Status
+from tepm_opt.models.backends.interface import LANES, MAX_CORRECTION, SHARED, Drive, Effort, Record, Scheme, Solution, Status
 from tepm_opt.models.dynamics import Dynamics
 from tepm_opt.models.network import ROWS, Network
 
@@ -180,9 +180,9 @@ class CompiledTimeStepper:
         info = np.zeros(5)
         status = self._integrate(
             scheme.kind, drive.hold, first, last, samples, time.ctypes.data, rows.ctypes.data, scheme.step, scheme.tolerance,
-            scheme.max_correction, theta.ctypes.data,
-            carried.ctypes.data, record.observed.ctypes.data, record.trajectory.ctypes.data, groups, d_theta.ctypes.data,
-            None if d_rows is None else d_rows.ctypes.data, tangents.ctypes.data, d_observed.ctypes.data, info.ctypes.data,
+            MAX_CORRECTION, theta.ctypes.data, carried.ctypes.data, record.observed.ctypes.data, record.trajectory.ctypes.data,
+            groups, d_theta.ctypes.data, None if d_rows is None else d_rows.ctypes.data, tangents.ctypes.data,
+            d_observed.ctypes.data, info.ctypes.data,
         )  # fmt: skip
         if groups:
             new = slice(first + 1 if first else 0, last + 1)

@@ -26,6 +26,8 @@ STAGE_ITERATIONS = 25
 """Newton iterations of a stage before its step is halved."""
 MAX_HALVINGS = 10
 """Halvings of a step before time stepping gives up."""
+MAX_CORRECTION = 5e-3
+"""m from its extrapolation within which a solution of Newton's method is believed; farther ones halve the step."""
 IMPLICIT, EXPLICIT = range(2)
 
 
@@ -188,13 +190,11 @@ class Scheme:
         kind: IMPLICIT or EXPLICIT.
         step: longest step in s.
         tolerance: of Newton's residuals in N.
-        max_correction: in m, how far from its extrapolation a solution of Newton's method is believed; farther ones halve the step.
     """
 
     kind: int
     step: float
     tolerance: float = 1e-6
-    max_correction: float = 5e-3
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 from tepm_opt.models.backends.interface import (
     EXPLICIT,
     JUMP_TIME,
+    MAX_CORRECTION,
     MAX_HALVINGS,
     STAGE_ITERATIONS,
     Drive,
@@ -251,7 +252,7 @@ class _Run:
             rate = largest / before if iteration else 1.0
             x = x.copy()
             x[1:] -= factor.solve(residual.ravel()).reshape(residual.shape)
-            if np.abs(x - guess).max() > self.scheme.max_correction and not last_try:
+            if np.abs(x - guess).max() > MAX_CORRECTION and not last_try:
                 break  # too far to trust that this is the solution nearby
             factor = None if rate > 0.3 and iteration else factor
             self.effort.iterations += 1

@@ -24,6 +24,9 @@ from tepm_opt.solvers.statics import Equilibrium, equilibrium
 from tepm_opt.solvers.text import shortened
 
 PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
+MODES = 30  # of the network, the slowest, that count in the least squares: softer ones count more, stiffer ones hardly move
+BOX_MARGIN = 0.25  # parts of the task's size by which the box goes beyond it: the way between its ends may bulge
+MIN_BOX_MARGIN = 0.004  # m by which it does at least, where a length hardly changes along the task
 
 
 @dataclass(frozen=True)
@@ -33,19 +36,14 @@ class FamilyFit:
     Attributes:
         degree, nodes: total degree, and Chebyshev nodes along each length, of the configurations.
         dynamics_degree, dynamics_nodes: the same of the matrices H, D and Q and of the smallest eigenvalue.
-        modes: of the network that count in the least squares.
         validation_samples: random configurations at which errors are measured.
-        box_margin, min_box_margin: how far the box goes beyond the task, in parts of its size and at least, m.
     """
 
     degree: int = 5
     nodes: int = 7
     dynamics_degree: int = 3
     dynamics_nodes: int = 5
-    modes: int = 30
     validation_samples: int = 60
-    box_margin: float = 0.25
-    min_box_margin: float = 0.004
 
 
 class FamilyError(RuntimeError):
@@ -156,13 +154,13 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
         model: compiled model.
         lengths: actuator lengths of the modules along the task, (n, 3) in m.
         start: an equilibrium nearby.
-        fit: degrees, nodes and margins of the polynomials.
+        fit: degrees and nodes of the polynomials.
 
     Raises:
         FamilyError: some configurations of the box do not exist.
     """
     low, high = lengths.min(axis=0), lengths.max(axis=0)
-    pad = np.maximum(fit.box_margin * (high - low), fit.min_box_margin)
+    pad = np.maximum(BOX_MARGIN * (high - low), MIN_BOX_MARGIN)
     low, high = low - pad, high + pad
     half, middle = (high - low) / 2, _exact(model, (low + high) / 2, start)
 
@@ -179,7 +177,7 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
     first = np.stack([_basis(y_slow, _exponents(degree), (k,)) @ levels for k in range(3)], axis=2)
     second = np.stack([_basis(y_slow, _exponents(degree), pair) @ levels for pair in PAIRS], axis=2)
     slow_found = solved(y_slow)
-    maps = np.array([_maps(at, a, b, fit.modes) for at, a, b in zip(slow_found, first, second, strict=True)])
+    maps = np.array([_maps(at, a, b) for at, a, b in zip(slow_found, first, second, strict=True)])
     moving = _fitted(y_slow, maps.reshape(len(maps), -1), fit.dynamics_degree)
     stability = _fitted(y_slow, np.array([[at.smallest_eigenvalue] for at in slow_found]), fit.dynamics_degree)
 
@@ -206,9 +204,9 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
     return Family(model, low, high, middle, *functions, *errors)
 
 
-def _maps(at: Equilibrium, first: np.ndarray, second: np.ndarray, modes: int) -> np.ndarray:
+def _maps(at: Equilibrium, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """[H, D, Q] at an equilibrium, (modules · 3, 3 + 3 + 6), from dx/dy (coordinates, 3) and d²x/dy² (coordinates, 6)."""
-    local = modal_model(at, modes=min(modes, len(first)))
+    local = modal_model(at, modes=min(MODES, len(first)))
     inertia, curvature = local.weights @ first, local.weights @ second
     needed = np.hstack([inertia, local.damping @ inertia, curvature])
     softness = 1 / local.stiffness[:, None]

@@ -1,0 +1,137 @@
+"""What each setting of the search does, on a table of what every set of effects leaves instead of fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy import search
+from tepm_opt.discrepancy.evidence import Evidence, weights
+from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.screen import Score
+from tepm_opt.discrepancy.search import Effects, Explanation, Hypothesis, SearchSettings, explain
+
+BLOCKS, SAMPLES, NOISE = 20, 90, 3e-4
+EFFECTS = {label: Candidate("sensor_offset", label) for label in ("s1", "s2", "s3", "s4")}
+ROWS, MOTION = 100, 20.0  # samples, and how many times the noise the measured motion is, RMS
+
+
+def hypothesis(effects: Effects, excess: float, uneven: float = 0.0) -> Hypothesis:
+    """One that leaves an excess, unevenly over the blocks of time if asked to."""
+    counts = np.full(BLOCKS, SAMPLES)
+    squares = SAMPLES * (1 + excess + uneven * np.cos(np.arange(BLOCKS)) - uneven * np.cos(np.arange(BLOCKS)).mean())
+    estimate: Any = SimpleNamespace(named={}, cost=float(squares.sum()), count=int(counts.sum()))
+    return Hypothesis(effects, estimate, Evidence(squares, counts, 1, np.zeros(1)))
+
+
+@dataclass
+class Table:
+    """What `Fits` offers a search: hypotheses by their effects' details, in a given order of promise."""
+
+    settings: SearchSettings
+    excess: dict[str, float]
+    gains: dict[str, float]
+    uneven: dict[str, float] = field(default_factory=dict)
+    done: dict[Effects, Hypothesis] = field(default_factory=dict)
+
+    @property
+    def problem(self) -> Any:
+        """Runs whose points swing by `MOTION` times the noise."""
+        points = MOTION * NOISE * np.sqrt(2) * np.sin(2 * np.pi * np.arange(ROWS) / ROWS)[:, None, None] * np.ones((1, 4, 3))
+        run = Run("swing.csv", "fit", np.arange(ROWS) / 50, np.zeros((ROWS, 12)), np.zeros((ROWS, 3)), points)
+        return SimpleNamespace(runs=(run,), noise=NOISE)
+
+    def fit(self, effects: Effects, _: object) -> Hypothesis:
+        effects = tuple(sorted(effects, key=lambda c: c.label))
+        key = " ".join(str(c.detail) for c in effects)
+        if effects not in self.done:
+            self.done[effects] = hypothesis(effects, self.excess.get(key, 1e3), self.uneven.get(key, 0.0))
+        return self.done[effects]
+
+    def screen(self, base: Hypothesis, _: object) -> list[Score]:
+        scores = [Score(EFFECTS[label], gain, {}) for label, gain in self.gains.items() if EFFECTS[label] not in base.effects]
+        return sorted(scores, key=lambda score: -score.gain)
+
+
+@pytest.fixture(autouse=True)
+def exact_forms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No doubt about the effects' forms."""
+    monkeypatch.setattr(search, "_output", lambda *_: 0.0)
+
+
+def searched(excess: dict[str, float], gains: dict[str, float] | None = None, uneven: dict[str, float] | None = None, **settings: Any):
+    """What a search finds and the table it was made on."""
+    table: Any = Table(SearchSettings(**settings), excess, gains or {"s1": 1.0, "s2": 0.9}, uneven or {})
+    return explain(table, list(EFFECTS.values()), 0), table
+
+
+def named(found: Explanation) -> str:
+    return " ".join(str(c.detail) for c in found.best.effects)
+
+
+ONE = {"": 4.0, "s1": 0.02, "s2": 3.9, "s1 s2": 0.02}
+"""s1 explains all but noise."""
+
+
+def test_what_takes_away_too_little_is_not_named() -> None:
+    small = {**ONE, "": 0.4}
+    assert named(searched(small)[0]) == "s1"
+    assert named(searched(small, min_excess_removed=0.5)[0]) == ""
+
+
+def test_an_effect_must_beat_going_without() -> None:
+    """By a probability, here of one that is better in some blocks of time and worse in others."""
+    excess, uneven = {**ONE, "": 1.0, "s1": 0.8, "s2": 2.0}, {"s1": 0.9}
+    with_it, without = hypothesis((EFFECTS["s1"],), 0.8, 0.9), hypothesis((), 1.0)
+    sure = weights([with_it.evidence, without.evidence], 0)[0]
+    assert 0.6 < sure < 0.999
+    for asked, tried in ((sure - 1e-3, ("s1",)), (sure + (1 - sure) / 2, ())):
+        found = searched(excess, uneven=uneven, min_probability=asked, max_effects=1)[0]
+        assert tuple(c.detail for c in found.widest.effects) == tried
+
+
+def test_even_odds_ask_for_a_share_of_what_is_left() -> None:
+    """Here s1 takes away 3 times as much as it leaves."""
+    excess = {"": 4.0, "s1": 1.0, "s2": 3.9, "s1 s2": 1.0}
+    assert named(searched(excess, even_odds_ratio=2.0)[0]) == "s1"
+    assert named(searched(excess, even_odds_ratio=4.0)[0]) == ""
+
+
+def test_where_much_is_unexplained_nothing_is_named() -> None:
+    """The best leaves 5 % of the motion's standard deviation."""
+    excess = {"": 40.0, "s1": (0.05 * MOTION) ** 2, "s2": 39.0, "s1 s2": 1.0}
+    assert named(searched(excess)[0]) == "s1"
+    found = searched(excess, max_unexplained_ratio=0.04)[0]
+    assert found.best is found.without
+    assert [c.detail for c in found.widest.effects] == ["s1"], "though it was tried"
+
+
+@pytest.mark.parametrize("fits", [0, 1, 2])
+def test_later_rounds_fit_so_many(fits: int) -> None:
+    excess = {"": 8.0, "s1": 1.0, "s2": 7.0, "s3": 7.0, "s4": 7.0}
+    _, table = searched(excess, {"s1": 1.0, "s2": 0.9, "s3": 0.8, "s4": 0.7}, fits_later_rounds=fits)
+    assert sum(len(effects) == 2 for effects in table.done) == fits
+
+
+class TestRules:
+    """What is no setting."""
+
+    def test_only_what_promises_a_share_of_the_best_is_fitted(self) -> None:
+        _, table = searched(ONE, {"s1": 1.0, "s2": 0.3, "s3": 0.2})
+        assert {c.detail for effects in table.done for c in effects} == {"s1", "s2"}
+
+    @pytest.mark.parametrize(("left", "tried"), [(0.95, ["s1"]), (0.8, ["s1", "s2"])])
+    def test_one_more_effect_must_close_a_tenth(self, left: float, tried: list[str]) -> None:
+        found, _ = searched({"": 8.0, "s1": 1.0, "s2": 7.0, "s1 s2": left})
+        assert [c.detail for c in found.widest.effects] == tried
+
+    @pytest.mark.parametrize(("output", "kept"), [(0.0, "s1 s2"), (400.0, "s1")])
+    def test_what_may_mend_another_effects_form_is_dropped(self, monkeypatch: pytest.MonkeyPatch, output: float, kept: str) -> None:
+        """s2 takes away 0.9 beside s1, whose form may be wrong by a four-hundredth of its squared output."""
+        monkeypatch.setattr(search, "_output", lambda _, effect: output if effect == EFFECTS["s1"] else 0.0)
+        assert named(searched({"": 8.0, "s1": 0.95, "s2": 7.0, "s1 s2": 0.05})[0]) == kept
