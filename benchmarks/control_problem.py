@@ -14,7 +14,8 @@ import scipy.linalg as sla
 
 from tepm_opt.control.qp import QpSolver
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.kinematics import ActuationMode, solve_trajectory
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import solve_trajectory
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.trajectories import circle
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.scene import Scene, free
 from benchmarks.workshop import Workshop
-from tepm_opt.hw.simulation.imperfections import Body
+from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 
 TOLERANCES: dict[str, dict[str, float]] = {

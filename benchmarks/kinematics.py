@@ -13,7 +13,8 @@ from benchmarks.scene import Scene, free
 from benchmarks.statics import IPOPT, Peers, checked, converged
 from benchmarks.timing import Contender, Task
 from benchmarks.workshop import Buffered, Workshop
-from tepm_opt.solvers.kinematics import Configuration, Mode, solve_ik
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import Configuration, solve_ik
 
 OURS = "tepm_opt solve_ik"
 SIMULTANEOUS_C = "IPOPT simultaneous, generated C"
@@ -69,7 +70,7 @@ def tasks(scene: Scene, peers: Peers, workshop: Workshop) -> list[Task]:
     mismatch = Buffered(ca.Function("mismatch", [network.x, simultaneous.target], [simultaneous.mismatch]))
     observe = ca.Function("observe", [network.x], [ca.vertcat(network.tip, network.lengths)])
     target, half = _target(5 * STEP), network.lengths.numel() // 2
-    neighbour = solve_ik(model, _target(4 * STEP), Mode.HYBRID)
+    neighbour = solve_ik(model, _target(4 * STEP), ActuationMode.HYBRID)
 
     def answer(x: Any) -> np.ndarray:
         return observe(x).full().ravel()
@@ -90,12 +91,12 @@ def tasks(scene: Scene, peers: Peers, workshop: Workshop) -> list[Task]:
             converged(result[0])
             return answer(result[1])
 
-        found = solve_ik(model, target, Mode.HYBRID, start=start)
+        found = solve_ik(model, target, ActuationMode.HYBRID, start=start)
         expected = np.concatenate([target, np.tile(found.equilibrium.lengths[0], 2)])
         contenders = [
             Contender(
                 OURS,
-                lambda: solve_ik(model, target, Mode.HYBRID, start=start),
+                lambda: solve_ik(model, target, ActuationMode.HYBRID, start=start),
                 lambda result: answer(free(result.equilibrium)),
                 ours=True,
             ),

@@ -129,7 +129,7 @@ def task(key: str, title: str, scene: Scene, peers: Peers, start: Equilibrium, g
     trust, hybrid = _scipy(peers, x, force)
 
     def statics() -> Any:
-        return model.statics.statics(start.x, goal.inputs, False, nothing, model.theta, TOLERANCE, DEFAULT.iterations)
+        return model.statics.statics(start.x, goal.inputs, False, nothing, model.theta, TOLERANCE, DEFAULT.max_iterations)
 
     def peer(name: str, solve: Callable[[], Any], found: Callable[[Any], Any] = lambda x: x, slow: bool = False) -> Contender:
         return Contender(name, solve, lambda result: scene.tip_of(found(result)), slow=slow)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import pkgutil
 import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -117,3 +119,28 @@ def test_four_arguments_are_described() -> None:
         _, _, listed = text.partition("Args:")
         found += [f"{path}: {name}: {each.arg}" for each in arguments if not re.search(rf"\b{each.arg}\b", listed)]
     assert not found
+
+
+def test_documents_name_what_exists() -> None:
+    """Files, dotted names and imports in README, CONTRIBUTING and docs/; two dotted names are groups of entry points, not modules."""
+    missing = []
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))):
+        text = path.read_text(encoding="utf-8")
+        missing += [
+            (path.name, name) for name in re.findall(r"\b(?:tepm_opt|tests|benchmarks)/[\w/]+\.\w+", text) if not (ROOT / name).exists()
+        ]
+        blocks = [ast.parse(block) for block in re.findall(r"```python\n(.*?)```", text, re.S)]
+        imports = [node for block in blocks for node in ast.walk(block) if isinstance(node, ast.ImportFrom)]
+        names = {f"{node.module}.{alias.name}" for node in imports for alias in node.names}
+        names |= set(re.findall(r"\btepm_opt(?:\.\w+)+", text)) - {"tepm_opt.effects", "tepm_opt.controllers"}
+        for name in sorted(names):
+            try:
+                pkgutil.resolve_name(name)
+            except (ImportError, AttributeError):
+                missing.append((path.name, name))
+    assert not missing
+
+
+def test_benchmarks_can_be_imported() -> None:
+    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+        import_module(f"benchmarks.{path.stem}")

@@ -58,7 +58,8 @@ def identify(
 
 def _tell(summary: dict[str, Any], folder: Path) -> None:
     """Print what was found for people."""
-    from tepm_opt.jobs.identify import MODEL, SUMMARY
+    from tepm_opt.jobs.discrepancy import MODEL
+    from tepm_opt.jobs.identify import SUMMARY
 
     table = Table("parameter", "before", "found", "95 %", "unit", "")
     for name, entry in summary["parameters"].items():

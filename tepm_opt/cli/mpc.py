@@ -22,14 +22,14 @@ from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_
 if TYPE_CHECKING:
     from tepm_opt.hw.rig import Command, Rig, Sample
     from tepm_opt.jobs.closed_loop import ClosedLoop
-    from tepm_opt.jobs.mpc import Look
+    from tepm_opt.jobs.mpc import Observer
 
 CONTROLLER = "mpc"
 CONTROLLERS = f"{CONTROLLER}: the predictive controller; mode1, mode2: the paper's; a wrong name lists all."
 
 
 @contextmanager
-def live(wanted: bool, rig: Rig) -> Iterator[Look | None]:
+def live(wanted: bool, rig: Rig) -> Iterator[Observer | None]:
     """The live view in rerun, where it is wanted.
 
     Raises:
@@ -42,11 +42,11 @@ def live(wanted: bool, rig: Rig) -> Iterator[Look | None]:
 
     stream = RerunStream("tepm mpc")
 
-    def look(sample: Sample, command: Command) -> None:
+    def observer(sample: Sample, command: Command) -> None:
         stream.show(sample, command, nodes=None if rig.simulated is None else rig.simulated.true_nodes)
 
     try:
-        yield look
+        yield observer
     finally:
         stream.close()
 
@@ -124,8 +124,8 @@ def mpc(
         with shown(as_json) as bars:
             reference = tepm.whole_reference(compiled, targets, driven, kinematics.settings(), bars)
         try:
-            with stopped_by_signals(), live(view, device) as look, shown(as_json) as bars:
-                loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, look=look)
+            with stopped_by_signals(), live(view, device) as observer, shown(as_json) as bars:
+                loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, observer=observer)
         except (RuntimeError, OSError) as error:
             return failed(error, "nothing was finished")
         try:

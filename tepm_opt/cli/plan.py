@@ -20,7 +20,7 @@ from tepm_opt.solvers.trajectories import SHAPES, Trajectory
 
 if TYPE_CHECKING:
     from tepm_opt.jobs.plan import PlanRun
-    from tepm_opt.solvers.planning.plan import Obstacle
+    from tepm_opt.solvers.planning.program import Obstacle
 
 OBSTACLES = "sphere:x,y,z,radius or box:x0,y0,z0,x1,y1,z1"
 Ends = tuple[list[float], list[float]]
@@ -33,7 +33,7 @@ def obstacle(text: str) -> Obstacle:
     Raises:
         InputError: unknown kind, wrong numbers, a ball or box without a size.
     """
-    from tepm_opt.solvers.planning.plan import Box, Sphere
+    from tepm_opt.solvers.planning.program import Box, Sphere
 
     kind, _, numbers = text.partition(":")
     if kind not in ("sphere", "box"):

@@ -13,8 +13,25 @@ from rich.markup import escape
 from threadpoolctl import threadpool_limits
 from typer.core import TyperGroup
 
-from tepm_opt.cli import data, demo, discrepancy, gain, identify, ik, modes, mpc, paper, plan, play, record, robot, simulate, statics
-from tepm_opt.cli.common import INTERRUPTED, WRONG_INPUT, stderr
+from tepm_opt.cli import (
+    INTERRUPTED,
+    data,
+    demo,
+    discrepancy,
+    gain,
+    identify,
+    ik,
+    modes,
+    mpc,
+    paper,
+    plan,
+    play,
+    record,
+    robot,
+    simulate,
+    statics,
+)
+from tepm_opt.cli.common import WRONG_INPUT, stderr
 from tepm_opt.cli.groups import spread
 from tepm_opt.cli.hw import commands as hw
 from tepm_opt.errors import InputError

@@ -1,8 +1,8 @@
 """Kalman filter for the arm's slow motion, unknown axial forces, strength, friction and what the tracked points are off by.
 
-The state is [q, q', d, g, c, b]: modal coordinates about an operating point (see `solvers.local`), axial forces that nobody commanded,
-by what part each muscle is stronger than the model has it, its dry friction, and biases of the reference points. Forces that wander
-and a bias of the tip that does not fade make the tip nearly free of offset (Pannocchia and Rawlings, Disturbance models for
+The state is [q, q', d, g, c, b]: modal coordinates about an operating point (see `solvers.modal_model`), axial forces that nobody
+commanded, by what part each muscle is stronger than the model has it, its dry friction, and biases of the reference points. Forces that
+wander and a bias of the tip that does not fade make the tip nearly free of offset (Pannocchia and Rawlings, Disturbance models for
 offset-free model-predictive control, AIChE J. 49, 2003).
 """
 
@@ -69,7 +69,7 @@ DEFAULT = FilterSettings()
 
 @dataclass(frozen=True, eq=False)
 class Operating:
-    """A local model in discrete time.
+    """A modal model in discrete time.
 
     Attributes:
         model: in continuous time.

@@ -58,7 +58,7 @@ class Horizon:
         speed: speed of the reference's tip over the stages in m/s.
         rest_force: deviation of the forces that brings the tip to its target at rest, with the bias it has, (actuators,) in N.
         holding: forces that hold the points where they are displaced to, (actuators, 3 · points) in N/m.
-        stage: the local model at stage 0 over one stage.
+        stage: the modal model at stage 0 over one stage.
         by_start, by_end: what deviations of the forces at start and end of a stage add to [e, e'], (2 · modes, actuators) in 1/N.
         free: deviation [e, e'] without forces at stages 0 …, (stages + 1, 2 · modes).
         rest: deviation [e, e'] at rest under `rest_force`, (2 · modes,).
@@ -83,7 +83,7 @@ class Horizon:
         """Take a new present.
 
         Args:
-            operating: local model at stage 0, by control periods.
+            operating: modal model at stage 0, by control periods.
             reference: what is followed.
             rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
             motion: [q, q'] about the operating point at stage 0, (2 · modes,).
@@ -189,7 +189,7 @@ class Forecast(Protocol):
         """Take a new present.
 
         Args:
-            operating: local model at stage 0, by control periods.
+            operating: modal model at stage 0, by control periods.
             reference: what is followed.
             rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
             motion: [q, q'] about the operating point at stage 0, (2 · modes,).
@@ -207,7 +207,7 @@ class Forecast(Protocol):
 
 
 class LinearForecast:
-    """Prediction with one local model, about the reference at stage 0.
+    """Prediction with one modal model, about the reference at stage 0.
 
     Attributes:
         horizon: the coming stages.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tepm_opt.control.controllers import Controller, Telemetry
+from tepm_opt.control.controllers.base import Controller, Telemetry
 from tepm_opt.control.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
@@ -21,7 +21,7 @@ from tepm_opt.models.robot import Robot
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 
-Look = Callable[[Sample, np.ndarray], None]
+Observer = Callable[[Sample, np.ndarray], None]
 """Callback of a live view: takes every sample and the tip's target, (3,) in m."""
 DONE = Outcome(Ending.DONE)
 INTERRUPTED = Outcome(Ending.INTERRUPTED, "interrupted by the user")
@@ -115,7 +115,7 @@ def close_loop(
     robot: Robot,
     guard: Guard | None = None,
     progress: Progress = silent,
-    look: Look | None = None,
+    observer: Observer | None = None,
     keep: LoopRecord | None = None,
 ) -> LoopRecord:
     """Follow a controller's reference on a rig, which is stopped at the end whatever happens.
@@ -129,7 +129,7 @@ def close_loop(
         robot: its limits.
         guard: when to stop.
         progress: told the stage and how much of it is done, in s.
-        look: given every sample with its target.
+        observer: given every sample with its target.
         keep: filled, instead of a new one, so that a caller has what was done whatever is raised.
 
     Raises:
@@ -137,13 +137,13 @@ def close_loop(
     """
     guard, done = guard or Guard(), keep or LoopRecord(controller.reference)
     rests = rig.simulated is not None or guard.approach_time <= 0
-    watch = _Supervisor(guard, robot)
+    supervisor = _Supervisor(guard, robot)
     with rig, _uncollected():
         try:
-            first = _prepared(rig, controller, robot, guard, watch, progress, rests)
-            _closed(rig, controller, watch, progress, look, done, first)
+            first = _prepared(rig, controller, robot, guard, supervisor, progress, rests)
+            _closed(rig, controller, supervisor, progress, observer, done, first)
             if not rests:
-                _down(rig, done.commands[-1], guard, watch, progress)
+                _down(rig, done.commands[-1], guard, supervisor, progress)
         except Stopped as stop:
             done.outcome = stop.outcome
         except KeyboardInterrupt:
@@ -209,7 +209,9 @@ class _Supervisor:
             raise Stopped(Ending.DISAGREED, f"the tip was more than {1e3 * guard.largest_error:.0f} mm off for {guard.error_timeout:g} s")
 
 
-def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watch: _Supervisor, progress: Progress, rests: bool) -> Sample:
+def _prepared(
+    rig: Rig, controller: Controller, robot: Robot, guard: Guard, supervisor: _Supervisor, progress: Progress, rests: bool
+) -> Sample:
     """The first sample, with the robot at rest where the controller starts."""
     start = controller.start()
     check_command(start, robot)
@@ -223,7 +225,7 @@ def _prepared(rig: Rig, controller: Controller, robot: Robot, guard: Guard, watc
     began, whole = sample.time, guard.approach_time + guard.settle_time
     missed: list[np.ndarray] = []
     while (passed := sample.time - began) < whole:
-        watch.check(sample)
+        supervisor.check(sample)
         rig.apply(_part(start, smooth_step(passed / guard.approach_time)))
         progress("to the start", passed, whole)
         if passed > guard.approach_time + guard.settle_time / 2:
@@ -242,17 +244,23 @@ def _part(command: Command, part: float) -> Command:
     return Command(part * command.pressures, part * command.tensions * command.enabled, command.enabled)
 
 
-def _down(rig: Rig, last: Command, guard: Guard, watch: _Supervisor, progress: Progress) -> None:
+def _down(rig: Rig, last: Command, guard: Guard, supervisor: _Supervisor, progress: Progress) -> None:
     """From the last command slowly to nothing; what ends that early is stopped, which is no worse than what was to come."""
     with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
         for passed, share in smooth_ramp(lambda: rig.time, guard.approach_time):
             rig.apply(_part(last, 1 - share))
             progress("back to zero", passed, guard.approach_time)
-            watch.check(rig.read())
+            supervisor.check(rig.read())
 
 
 def _closed(
-    rig: Rig, controller: Controller, watch: _Supervisor, progress: Progress, look: Look | None, done: LoopRecord, sample: Sample
+    rig: Rig,
+    controller: Controller,
+    supervisor: _Supervisor,
+    progress: Progress,
+    observer: Observer | None,
+    done: LoopRecord,
+    sample: Sample,
 ) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
     reference, zero, row = controller.reference, sample.time, -1
@@ -265,9 +273,9 @@ def _closed(
             rig.apply(command)
             _note(done, rig, sample, sample.time - zero, row, command, seconds, controller)
             progress("tracking", sample.time - zero, reference.duration)
-            if look:
-                look(sample, reference.tips[row])
-        watch.check(sample, reference.tips[row])
+            if observer:
+                observer(sample, reference.tips[row])
+        supervisor.check(sample, reference.tips[row])
         sample = rig.read()
 
 

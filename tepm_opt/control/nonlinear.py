@@ -27,14 +27,14 @@ STRETCH = 3  # stages
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Some stages: a local model by stages, and modal forces that are there anyway at their ends, (stages + 1, modes)."""
+    """Some stages: a modal model by stages, and modal forces that are there anyway at their ends, (stages + 1, modes)."""
 
     operating: Operating
     pushed: np.ndarray
 
 
 class NonlinearForecast:
-    """Prediction with a local model for each stretch of the last plan.
+    """Prediction with a modal model for each stretch of the last plan.
 
     Attributes:
         horizon: the coming stages.
@@ -123,6 +123,6 @@ class NonlinearForecast:
 
 
 def _turned(state: np.ndarray, before: Operating, after: Operating) -> np.ndarray:
-    """Deviations [e, e'] in columns, from the modes of one local model to those of another."""
+    """Deviations [e, e'] in columns, from the modes of one modal model to those of another."""
     turn, modes = after.seen_from(before)[0], len(state) // 2
     return np.concatenate([turn @ state[:modes], turn @ state[modes:]])

@@ -1,4 +1,4 @@
-"""Coarse: what pressures shall be, on the regulators' grid, so that the tensions can do the rest from the middle of their range.
+"""Coarse pressures: what they shall be, on the regulators' grid, so that the tensions can do the rest from the middle of their range.
 
 Pressure and tension act on the same force, F_a = p A − λ, so the pressure can be planned for each muscle by itself: ahead of the
 regulator's lag it follows what is needed of F_a with the tension at its middle (mid-ranging; Allison and Isaksson, Design and

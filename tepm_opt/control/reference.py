@@ -11,7 +11,8 @@ from scipy.interpolate import CubicSpline
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, counted, silent
-from tepm_opt.solvers.kinematics import ActuationMode, IkSettings, each_configuration
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import IkSettings, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.control.actuators import Devices
-from tepm_opt.control.controllers import DEFAULT, ControllerKind, ControllerSettings, Option, Telemetry, find_controller, settings_of
+from tepm_opt.control.controllers import DEFAULT, find_controller, settings_of
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option, Telemetry
 from tepm_opt.control.loop import DONE, LoopRecord
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import FORCE_COLUMNS

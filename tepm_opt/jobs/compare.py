@@ -51,11 +51,11 @@ def compare(tasks: Sequence[LoopTask], workers: int = 1, progress: Progress = si
         found = [_alone(task, progress) for task in tasks]
     else:
         context = get_context("spawn")
-        told = context.SimpleQueue()
-        with ProcessPoolExecutor(min(workers, len(tasks)), context, _begin, (told,)) as pool:
-            waiting = [pool.submit(_told, task) for task in tasks]
+        queue = context.SimpleQueue()
+        with ProcessPoolExecutor(min(workers, len(tasks)), context, _begin, (queue,)) as pool:
+            waiting = [pool.submit(_reporting, task) for task in tasks]
             try:
-                _watch(waiting, told, progress)
+                _forward(waiting, queue, progress)
             except KeyboardInterrupt:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
@@ -76,32 +76,32 @@ def _alone(task: LoopTask, progress: Progress) -> ClosedLoop:
     return run_closed_loop(model, reference, rig, task.setup, progress=lambda stage, done, of: progress(name, done, of))
 
 
-_TELL: Any = None  # of a process of the pool: where it says how far it is
+_QUEUE: Any = None  # of a process of the pool: where it says how far it is
 
 
-def _begin(told: Any) -> None:
-    global _TELL
-    _TELL = told
+def _begin(queue: Any) -> None:
+    global _QUEUE
+    _QUEUE = queue
 
 
-def _told(task: LoopTask) -> ClosedLoop:
+def _reporting(task: LoopTask) -> ClosedLoop:
     """`_alone` in a process of its own, which compiles (or finds) the model for itself."""
     last = [0.0]
 
     def tell(stage: str, done: float, of: float) -> None:
         if time.monotonic() > last[0] + LOOK:
             last[0] = time.monotonic()
-            _TELL.put((stage, done, of))
+            _QUEUE.put((stage, done, of))
 
     with threadpool_limits(1, "blas"):  # as in the program itself
         return _alone(task, tell)
 
 
-def _watch(waiting: Sequence[Future[ClosedLoop]], told: Any, progress: Progress) -> None:
+def _forward(waiting: Sequence[Future[ClosedLoop]], queue: Any, progress: Progress) -> None:
     """Pass on how far the processes are until all have ended."""
     while True:
         left = wait(waiting, LOOK).not_done
-        while not told.empty():
-            progress(*told.get())
+        while not queue.empty():
+            progress(*queue.get())
         if not left:
             return

@@ -19,7 +19,7 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.allocation import ActuationMode
+from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.trajectories import Trajectory, circle
 
 CONTROLLERS = (DEFAULT, "mode2", "mode1")  # the one that takes longest first
@@ -139,10 +139,10 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
     """
     tasks = [LoopTask(model.model, trajectory, COURSE, rig_of(model), LoopSetup(controller, seed=SEED)) for controller in CONTROLLERS]
 
-    def show(stage: str, done: float, of: float) -> None:
+    def named(stage: str, done: float, of: float) -> None:
         progress(f"closed loop, {NAMES[stage]}", done, of)
 
-    found = {loop.setup.controller: loop for loop in compare(tasks, os.cpu_count() or 1, show)}
+    found = {loop.setup.controller: loop for loop in compare(tasks, os.cpu_count() or 1, named)}
     return {NAMES[name]: found[name] for name in NAMES if name in found}
 
 

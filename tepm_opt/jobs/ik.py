@@ -16,7 +16,8 @@ from tepm_opt.jobs.output import collect, outcome_of, save_shapes, save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, counted, silent
-from tepm_opt.solvers.kinematics import ActuationMode, Configuration, IkSettings, each_configuration
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import Configuration, IkSettings, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 

@@ -28,7 +28,7 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.measure import GOOD, STATUS, journal_path
 
-Look = Callable[[Sample, Command], None]
+Observer = Callable[[Sample, Command], None]
 """Callback of a live view: takes every sample and what was commanded then."""
 
 
@@ -95,7 +95,7 @@ def run_closed_loop(
     folder: str | Path | None = None,
     guard: Guard | None = None,
     progress: Progress = silent,
-    look: Look | None = None,
+    observer: Observer | None = None,
 ) -> ClosedLoop:
     """Follow a reference on a rig and write log.csv and summary.json; the rig is stopped whatever happens.
 
@@ -109,7 +109,7 @@ def run_closed_loop(
         folder: for the results; None writes nothing. While the loop runs a journal is there, named log-….unfinished.csv.
         guard: when to stop.
         progress: told the stage and how much of it is done, in s.
-        look: given every sample with what was commanded then.
+        observer: given every sample with what was commanded then.
 
     Raises:
         InputError: unknown controller; the rig has another robot, or disagrees with the model before the loop is closed; a folder that
@@ -134,8 +134,8 @@ def run_closed_loop(
         def watched(sample: Sample, target: np.ndarray) -> None:
             statuses.append(sample.status)
             keep(len(done.rows) - 1)
-            if look is not None:
-                look(sample, done.commands[-1])
+            if observer is not None:
+                observer(sample, done.commands[-1])
 
         try:
             close_loop(rig, controller, model.robot, guard, progress, watched, done)

@@ -16,7 +16,10 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.planning.plan import MotionPlan, Objective, Obstacle, PlanSettings, plan_move, plan_path
+from tepm_opt.solvers.choices import Objective
+from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
+from tepm_opt.solvers.planning.program import Obstacle
+from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.trajectories import Trajectory
 
 INPUTS, REFERENCE = "inputs.csv", "reference.csv"

@@ -5,7 +5,7 @@ Two groups of sizes, because two groups of numbers show them:
 - Frictions and hysteresis act only in motion. They are those of the rig file given, chosen by hand from Fig. 10b's loop and Fig. 12's two
   modes (docs/paper.md).
 - Parameter errors, plates, uneven mass and unequal muscles decide where the robot rests. They are fitted to the seven published errors of
-  Figs. 7, 8 and 10a. A rest is computed by `hw.settle`, which knows no dry friction, so what friction adds to the same experiment on
+  Figs. 7, 8 and 10a. A rest is computed by `Machine.settle`, which knows no dry friction, so what friction adds to the same experiment on
   the whole rig is put on top and renewed after every fit.
 
 Sizes are held near their prior means by a weak penalty, parameter errors strictly within the priors of SPEC section 4.
@@ -94,11 +94,11 @@ class Identification:
         """Reference points at rest without friction, by figure."""
         found = {}
         for name, (inputs, force) in self.cases.items():
-            plant = Machine(rig_with(self.base, values))
+            machine = Machine(rig_with(self.base, values))
             forces = np.zeros((self.setting.model.layout.points, 3))
             forces[-1] = force
-            plant.settle(np.concatenate([inputs, np.ones(len(inputs) // 2)]), forces)
-            found[name] = plant.network.points(plant.network.nodes)
+            machine.settle(np.concatenate([inputs, np.ones(len(inputs) // 2)]), forces)
+            found[name] = machine.network.points(machine.network.nodes)
         return found
 
     def renew(self, values: np.ndarray) -> None:

@@ -13,7 +13,8 @@ from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.compile import compile_model
 from tepm_opt.paper.common import Setting
 from tepm_opt.paper.result import ExperimentResult
-from tepm_opt.solvers.kinematics import ActuationMode, solve_trajectory
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import solve_trajectory
 from tepm_opt.solvers.trajectories import circle
 
 APPROACH, STAY, TAKEN = 3.0, 3.0, 1.0  # s: to the first point; at each point; at its end, for the error (SPEC section 6)

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from tepm_opt.jobs.plan import PlanRun
 from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET
-from tepm_opt.solvers.planning.plan import Box, MotionPlan, Obstacle, Sphere
+from tepm_opt.solvers.planning.program import Box, Obstacle, Sphere
+from tepm_opt.solvers.planning.result import MotionPlan
 
 VIEWS = ((0, 2), (0, 1))
 MODULES = ("-", "--", ":", "-.")

@@ -14,7 +14,8 @@ from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.progress import Progress, counted, silent
-from tepm_opt.solvers.kinematics import ActuationMode, Configuration, each_configuration
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.text import html_table
 

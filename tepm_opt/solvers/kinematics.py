@@ -17,7 +17,8 @@ from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.layout import Layout
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.allocation import ActuationMode, Allocation, allocate, force_range
+from tepm_opt.solvers.allocation import Allocation, allocate, force_range
+from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.constant_curvature import lengths_from_tip
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
 from tepm_opt.solvers.text import millimetres

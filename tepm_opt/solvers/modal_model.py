@@ -88,7 +88,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
 
     Args:
         at: a stable equilibrium.
-        start: the local model at a neighbour, of the same model and as many modes: some five times faster than without, where the modes
+        start: the modal model at a neighbour, of the same model and as many modes: some five times faster than without, where the modes
             are found exactly. Frequencies are within 1e-3 of the exact ones; the gain is exact either way.
         modes: how many, at most the coordinates of the free levels.
 
@@ -103,7 +103,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
     if not 1 <= modes <= most:
         raise InputError(f"modes: {modes!r}; valid: 1 … {most}")
     if start is not None and (start.equilibrium.model is not model or len(start.stiffness) != modes):
-        raise InputError("start: of another model or number of modes; valid: a local model of the same, or None")
+        raise InputError("start: of another model or number of modes; valid: a modal model of the same, or None")
     stiffness, damping = model.statics.matrices(at.x, at.inputs, at.mapped, at.loads.ravel(), model.theta)
     factor, indefinite = _factor(stiffness, lower=1)
     if indefinite:

@@ -26,7 +26,7 @@ from tepm_opt.hw.board.linklog import LinkLog
 from tepm_opt.hw.board.ports import FoundPort, PortBusyError
 from tepm_opt.hw.rig import Command as RigCommand
 from tepm_opt.hw.rig import Sample
-from tepm_opt.hw.service import monitor as watch
+from tepm_opt.hw.service import monitor as service_monitor
 from tepm_opt.hw.service.line import Line, open_line
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, load_robot, robot_text
@@ -432,7 +432,7 @@ class TestMonitor:
         assert bench.world.board.safe
 
     def test_cable_out_and_in(self, tepm: Command, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(watch, "RETRY", 0.3)
+        monkeypatch.setattr(service_monitor, "RETRY", 0.3)
         first, tries = bench.port, []
 
         def opened(target: str) -> Line:

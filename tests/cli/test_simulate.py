@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.jobs import simulate as simulations
+from tepm_opt.jobs import simulate as simulate_job
 from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.plots import film
@@ -146,8 +146,8 @@ def test_sensitivities_against_differences(tepm: Command, here: Path) -> None:
 def test_a_recorded_run_is_compared_and_two_runs_give_the_same_bytes(tepm: Command, here: Path) -> None:
     """Points shifted by 3 mm, one of them missing: Eq. (5) is 3 mm. With all figures, sensitivities and a film."""
     inputs(here / "in.csv", (0.0, 0.1, 0.2))
-    task = simulations.read_task(here / "in.csv", model := compile_model("kang2017"))
-    run = simulations.run_simulation(model, task)
+    task = simulate_job.read_task(here / "in.csv", model := compile_model("kang2017"))
+    run = simulate_job.run_simulation(model, task)
     points = run.points + np.array([3e-3, 0, 0])
     points[1, -1] = np.nan
     rows = np.hstack([values(here / "in.csv"), np.zeros((3, 3)), points.reshape(3, -1)])
@@ -187,7 +187,7 @@ def test_a_motion_that_leaves_all_bounds_is_kept_until_then(tepm: Command, here:
         failed = Outcome(Ending.FAILED, "the motion left all bounds after 1.01 s")
         return replace(partial(*arguments, **options), outcome=failed)
 
-    monkeypatch.setattr(simulations, "simulate", failing)
+    monkeypatch.setattr(simulate_job, "simulate", failing)
     done = plain(tepm)
     assert done.status == 1
     assert done.err.count("\n") == 1
@@ -207,7 +207,7 @@ def test_interruption(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch
             raise KeyboardInterrupt
         return replace(partial(*arguments, **options), outcome=Outcome(Ending.INTERRUPTED))
 
-    monkeypatch.setattr(simulations, "simulate", interrupted)
+    monkeypatch.setattr(simulate_job, "simulate", interrupted)
     done = plain(tepm)
     assert done.status == 130
     assert "interrupted" in done.out + done.err

@@ -13,7 +13,8 @@ from scipy.stats import chi2
 from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
 from tepm_opt.control.reference import PERIOD
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.kinematics import ActuationMode, solve_ik
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import solve_ik
 from tepm_opt.solvers.modal_model import modal_model
 
 NOISE = 1e-3 / np.sqrt(3)  # m, of a coordinate

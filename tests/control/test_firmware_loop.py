@@ -57,8 +57,8 @@ def test_circle_through_the_firmware_as_on_the_simulated_rig(board: Board) -> No
     """Root mean square error of the true tip on the 8 s circle: within 10 % of the same controller's without board and line."""
     world = Witnessed(board, study.prototype(1))
     rig, truth = Emulated(world, "tension"), list[np.ndarray]()
-    controller, look = Mpc(study.model(), study.reference("circle")), lambda sample, target: truth.append(rig.truth)
-    through = close_loop(rig, controller, study.model().robot, look=look)
+    controller, observer = Mpc(study.model(), study.reference("circle")), lambda sample, target: truth.append(rig.truth)
+    through = close_loop(rig, controller, study.model().robot, observer=observer)
     through.truth[:] = truth
     direct = study.follow("circle", "mpc", 1)
     print(f"through the firmware {1e3 * through.error():.2f} mm, direct {1e3 * direct.error():.2f} mm")

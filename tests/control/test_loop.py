@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.control import controllers as controllers_module
-from tepm_opt.control.controllers import DEFAULT, ControllerKind, NoSettings, Telemetry, controllers, find_controller, register, settings_of
+from tepm_opt.control.controllers import DEFAULT, controllers, find_controller, register, settings_of
+from tepm_opt.control.controllers.base import ControllerKind, NoSettings, Telemetry
 from tepm_opt.control.controllers.modes import LengthFollower
 from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import Guard, LoopRecord, close_loop
@@ -257,7 +258,7 @@ def test_faster_rig_gets_a_command_a_period(short):
         assert close_loop(rig, Still(short), ROBOT, replace(GUARD, largest_error=np.inf)).rows == rows
 
 
-def test_measured_inputs_look_and_progress(short):
+def test_measured_inputs_observer_and_progress(short):
     """Rows of measured inputs where both are measured, and everybody who wants to see is told."""
     told, seen = [], []
     rig = Fake(short)

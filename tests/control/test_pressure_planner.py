@@ -24,15 +24,15 @@ def planner(**settings) -> PressurePlanner:
 
 def test_pressures_stay_on_the_grid_and_within_the_limits():
     """Whatever is needed, also far beyond what the muscles can do."""
-    random, coarse = np.random.default_rng(4), planner()
+    random, tested = np.random.default_rng(4), planner()
     command, pressure = np.zeros(6), np.zeros(6)
     for _ in range(200):
-        command, reached = coarse.plan(8e5 * random.normal(size=(29, 6)), command, pressure, 15)
+        command, reached = tested.plan(8e5 * random.normal(size=(29, 6)), command, pressure, 15)
         pressure = reached[0]
         assert command / STEP == pytest.approx(np.round(command / STEP), abs=1e-9)
         assert ((command >= 0) & (command <= 0.5e6)).all()
         assert ((reached >= 0) & (reached <= 0.5e6)).all()
-    assert coarse.plan(np.full((29, 6), 2e7), command, pressure, 15)[0] == pytest.approx(111 * STEP)
+    assert tested.plan(np.full((29, 6), 2e7), command, pressure, 15)[0] == pytest.approx(111 * STEP)
 
 
 @pytest.mark.parametrize(("steps", "moves"), [(0.4, False), (2.9, False), (3.1, True), (-2.9, False), (-3.1, True)])
@@ -52,13 +52,13 @@ def test_continuous_pressures_move_freely():
 @pytest.mark.parametrize("slope", [2e5, -2e5])
 def test_pressure_leads_its_lag(slope):
     """Along a ramp, up or down, the pressure in the muscle is where it is needed; a command that is only what is needed lags behind."""
-    coarse, start = planner(deadband=0.5, slope_window=3), 2.5e5 - 0.5 * slope
+    tested, start = planner(deadband=0.5, slope_window=3), 2.5e5 - 0.5 * slope
     lagging = np.full(6, start)
     pressure, command, off, without = np.full(6, start), np.full(6, start), [], []
     for k in range(50):
         time = STAGE * (k + np.arange(29))
         need = np.repeat((start + slope * time)[:, None], 6, axis=1)
-        command, _ = coarse.plan(need, command, pressure, 15)
+        command, _ = tested.plan(need, command, pressure, 15)
         pressure, lagging = DEVICES.lag(pressure, command, STAGE), DEVICES.lag(lagging, need[0], STAGE)
         off.append(np.abs(pressure - need[1]).max())
         without.append(np.abs(lagging - need[1]).max())

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tepm_opt.cli import run as tepm
-from tepm_opt.data.checks.dataset import check_dataset, check_folder
+from tepm_opt.data.checks.dataset import check_dataset, check_reading
 from tepm_opt.data.checks.findings import Finding
-from tepm_opt.data.datasets import DataSet, read_dataset, write_dataset
+from tepm_opt.data.datasets import DataSet, read_dataset, read_folder, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.models.channels import check, open_dataset
 from tests.data.made import CHANNELS, NAMES, make_dataset, make_run
@@ -49,7 +49,7 @@ class TestSilence:
 
     def test_the_null_set_with_and_without_its_robot(self) -> None:
         assert check(reference("null")) == []
-        assert check_folder(reference("null")) == []
+        assert check_reading(read_folder(reference("null"))) == []
 
     @pytest.mark.parametrize(
         ("noise", "grid"), [(1e-5, 0.0), (1e-5, 1e-4), (2e-4, 0.0), (2e-4, 1e-4), (5e-4, 1e-5), (1e-3, 0.0), (1e-3, 1e-3)]
@@ -283,7 +283,7 @@ def test_a_robot_of_another_size(tmp_path: Path) -> None:
     one = tuple(replace(run, inputs=run.inputs[:, [0, 1, 2, 6, 7, 8]], points=run.points[:, :2]) for run in dataset.runs)
     small = replace(dataset, channels=replace(NAMES, actuators=NAMES.actuators[:3], points=NAMES.points[:2]), runs=one)
     write_dataset(small, tmp_path)
-    assert check_folder(tmp_path) == []
+    assert check_reading(read_folder(tmp_path)) == []
     assert read_dataset(tmp_path).runs[0].points.shape == (300, 2, 3)
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.cli import run as tepm
-from tepm_opt.data.checks.dataset import check_folder
-from tepm_opt.data.datasets import read_dataset, write_dataset
+from tepm_opt.data.checks.dataset import check_reading
+from tepm_opt.data.datasets import read_dataset, read_folder, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import checked_dataset
@@ -255,7 +255,7 @@ def test_every_file_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_nothing_is_wrong_at_first(folder: Path) -> None:
-    assert check_folder(folder, lambda robot: CHANNELS) == []
+    assert check_reading(read_folder(folder, lambda robot: CHANNELS)) == []
 
 
 def test_there_are_enough() -> None:

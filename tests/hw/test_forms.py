@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tepm_opt.hw.simulation.imperfections import Body, Imperfections
+from tepm_opt.hw.simulation.imperfections import Imperfections
+from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.imperfections.edges import Prony, StructuralFriction
 from tepm_opt.hw.simulation.imperfections.lugre import LuGre
 from tepm_opt.hw.simulation.imperfections.pressure import PressureDeadZone, PressureHysteresis, UnequalLag

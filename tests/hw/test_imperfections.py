@@ -5,7 +5,8 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.simulation.imperfections import Body, Imperfections
+from tepm_opt.hw.simulation.imperfections import Imperfections
+from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.imperfections.body import BaseTilt, MassDistribution, Payload, RigidPlates, UnevenMass
 from tepm_opt.models.robot import load_robot
 from tests.hw.rigs import AREA, DAMPING, LENGTH, RADIUS, STIFFNESS, bar, inputs, ramps, read_until, resting, rig_of

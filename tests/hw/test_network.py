@@ -8,7 +8,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command
 from tepm_opt.hw.simulation.equilibrium import NoEquilibriumError, find_equilibrium
-from tepm_opt.hw.simulation.imperfections import Body
+from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.machine import Diverged
 from tests.hw.rigs import AREA, DAMPING, LENGTH, STIFFNESS, bar, inputs, ramps, read_until, resting, rig_of, robot_file
 from tests.paths import reference

@@ -9,7 +9,8 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.allocation import force_range
-from tepm_opt.solvers.kinematics import ActuationMode, IkSettings, solve_ik, solve_trajectory
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import IkSettings, solve_ik, solve_trajectory
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import circle
 from tests.tools import in_company, random_directions, variant

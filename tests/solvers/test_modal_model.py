@@ -6,7 +6,8 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.kinematics import ActuationMode, solve_trajectory
+from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics import solve_trajectory
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.statics import solve_statics

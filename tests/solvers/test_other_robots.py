@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tepm_opt.models.compile import compile_model
+from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.kinematics import ActuationMode, solve_ik
+from tepm_opt.solvers.kinematics import solve_ik
 from tepm_opt.solvers.statics import solve_statics
 from tests.tools import PRECISE, random_inputs, relative, slope, variant
 

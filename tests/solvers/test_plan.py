@@ -13,8 +13,11 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.solvers.choices import Objective
 from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.planning.plan import Box, MotionPlan, Objective, PlanSettings, Sphere, plan_move, plan_path
+from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
+from tepm_opt.solvers.planning.program import Box, Sphere
+from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import circle, line

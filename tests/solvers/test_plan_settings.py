@@ -9,8 +9,11 @@ import pytest
 
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending
+from tepm_opt.solvers.choices import Objective
 from tepm_opt.solvers.planning.family import FamilyFit
-from tepm_opt.solvers.planning.plan import MotionPlan, Objective, PlanSettings, Sphere, plan_move, plan_path
+from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
+from tepm_opt.solvers.planning.program import Sphere
+from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.trajectories import line
 
 START, END = (0.13, 0.0, 0.35), (0.09, 0.0, 0.35)

@@ -43,13 +43,13 @@ def monitor(
 
     def work() -> int:
         tracker = None if port.startswith(LOG) else shared.open_tracker(found)
-        watch = None
+        readings = None
         try:
-            watch = Monitor(lambda: shared.open_line(port), tracker)
-            _show(watch, view, seconds)
+            readings = Monitor(lambda: shared.open_line(port), tracker)
+            _show(readings, view, seconds)
         finally:
-            if watch is not None:
-                watch.close()
+            if readings is not None:
+                readings.close()
             if tracker is not None:
                 tracker.close()
         return SOLVED
@@ -57,28 +57,28 @@ def monitor(
     return safely(work, "the board was not armed", "the board was not armed")
 
 
-def _show(watch: Monitor, view: _View, seconds: float | None) -> None:
+def _show(readings: Monitor, view: _View, seconds: float | None) -> None:
     """Show readings until the time is over or the log ends."""
     from tepm_opt.hw.service.monitor import PERIOD
 
     terminal, due, last, before = stdout.is_terminal, 0.0, None, None
     with Live(console=stdout, refresh_per_second=10, transient=False) if terminal else nullcontext() as live:
-        for look in watch:
-            last = look
+        for reading in readings:
+            last = reading
             if live is not None:
-                live.update(view.table(look))
-                time.sleep(PERIOD if watch.recorded else 0.0)
-            elif look.time >= due + 1.0 - 1e-6 or (before is not None and _kind(look) != before):
-                due, before = look.time, _kind(look)
-                say(view.line(look))
-            if seconds is not None and look.time >= seconds - 1e-6:
+                live.update(view.table(reading))
+                time.sleep(PERIOD if readings.recorded else 0.0)
+            elif reading.time >= due + 1.0 - 1e-6 or (before is not None and _kind(reading) != before):
+                due, before = reading.time, _kind(reading)
+                say(view.line(reading))
+            if seconds is not None and reading.time >= seconds - 1e-6:
                 return
-    if watch.recorded:
+    if readings.recorded:
         say(f"the log ended after {last.time if last else 0.0:.1f} s")
 
 
 class _View:
-    """Looks as text.
+    """Readings as text.
 
     Raises:
         InputError: the robot file has no calibration.
@@ -91,55 +91,55 @@ class _View:
         self.names, self.points = Layout.of(robot).actuator_names, Layout.of(robot).point_names
         self.calibration = Calibration.of(robot)
 
-    def values(self, look: MonitorReading) -> tuple[Sequence[float], Sequence[float]]:
+    def values(self, reading: MonitorReading) -> tuple[Sequence[float], Sequence[float]]:
         """Pressures in kPa and tensions in N of all actuators; NaN without a status."""
-        if look.status is None:
+        if reading.status is None:
             nothing = [math.nan] * len(self.names)
             return nothing, nothing
-        pressures, tensions = self.calibration.pressures(look.status.monitors), self.calibration.tensions(look.status.dynamometers)
+        pressures, tensions = self.calibration.pressures(reading.status.monitors), self.calibration.tensions(reading.status.dynamometers)
         return [float(value) / 1e3 for value in pressures], [float(value) for value in tensions]
 
-    def line(self, look: MonitorReading) -> str:
+    def line(self, reading: MonitorReading) -> str:
         """One line."""
-        parts = [f"{look.time:7.1f} s", look.words]
-        if look.status is not None:
-            pressures, tensions = self.values(look)
+        parts = [f"{reading.time:7.1f} s", reading.words]
+        if reading.status is not None:
+            pressures, tensions = self.values(reading)
             parts.append("kPa " + " ".join(f"{name}:{value:.1f}" for name, value in zip(self.names, pressures, strict=True)))
             parts.append("N " + " ".join(f"{name}:{value:.2f}" for name, value in zip(self.names, tensions, strict=True)))
-            parts.append("steps " + " ".join(f"{value}" for value in look.status.positions[: len(self.names)]))
-        parts += [look.tracker] if look.tracker else []
-        return "; ".join([*parts, _line_words(look)])
+            parts.append("steps " + " ".join(f"{value}" for value in reading.status.positions[: len(self.names)]))
+        parts += [reading.tracker] if reading.tracker else []
+        return "; ".join([*parts, _line_words(reading)])
 
-    def table(self, look: MonitorReading) -> RenderableType:
+    def table(self, reading: MonitorReading) -> RenderableType:
         """For a terminal."""
-        state = None if look.status is None else look.status.state
+        state = None if reading.status is None else reading.status.state
         style = "green" if state is State.IDLE else "yellow" if state is State.ARMED else "red"
         actuators = Table("actuator", "pressure kPa", "tension N", "motor steps", "motor")
         for column in actuators.columns[1:4]:
             column.justify = "right"
-        pressures, tensions = self.values(look)
+        pressures, tensions = self.values(reading)
         for k, name in enumerate(self.names):
             position, on = ("–", "–")
-            if look.status is not None:
-                position, on = str(look.status.positions[k]), "on" if look.status.enabled >> k & 1 else "off"
+            if reading.status is not None:
+                position, on = str(reading.status.positions[k]), "on" if reading.status.enabled >> k & 1 else "off"
             actuators.add_row(name, _number(pressures[k], 1), _number(tensions[k], 3), position, on)
-        shown: list[RenderableType] = [Text(f"{look.time:.1f} s  {look.words}", style=f"bold {style}"), actuators]
-        if look.tracker:
-            points = Table("point", "x mm", "y mm", "z mm", *(() if look.frame is None else (f"age {1e3 * look.frame.age:.0f} ms",)))
+        shown: list[RenderableType] = [Text(f"{reading.time:.1f} s  {reading.words}", style=f"bold {style}"), actuators]
+        if reading.tracker:
+            points = Table("point", "x mm", "y mm", "z mm", *(() if reading.frame is None else (f"age {1e3 * reading.frame.age:.0f} ms",)))
             for k, name in enumerate(self.points):
-                at = [math.nan] * 3 if look.frame is None or k >= len(look.frame.points) else look.frame.points[k]
+                at = [math.nan] * 3 if reading.frame is None or k >= len(reading.frame.points) else reading.frame.points[k]
                 points.add_row(name, *(_number(1e3 * value, 1) for value in at))
-            shown += [points, Text(look.tracker)]
-        return Group(*shown, Text(_line_words(look), style="dim"))
+            shown += [points, Text(reading.tracker)]
+        return Group(*shown, Text(_line_words(reading), style="dim"))
 
 
-def _kind(look: MonitorReading) -> tuple[object, ...]:
+def _kind(reading: MonitorReading) -> tuple[object, ...]:
     """What is said at once where it changes and nobody looks at a terminal."""
-    return (None,) if look.status is None else (look.status.state, look.status.fault)
+    return (None,) if reading.status is None else (reading.status.state, reading.status.fault)
 
 
-def _line_words(look: MonitorReading) -> str:
-    return f"{look.rate:.0f} messages a second, {look.lost} lost, {look.bad} damaged"
+def _line_words(reading: MonitorReading) -> str:
+    return f"{reading.rate:.0f} messages a second, {reading.lost} lost, {reading.bad} damaged"
 
 
 def _number(value: float, digits: int) -> str:

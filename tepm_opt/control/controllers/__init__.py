@@ -8,13 +8,8 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 
-from tepm_opt.control.controllers.base import Controller, ControllerKind, ControllerSettings, NoSettings, Option, Telemetry, Value
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option
 from tepm_opt.errors import InputError, unknown_name
-
-__all__ = [
-    "DEFAULT", "Controller", "ControllerKind", "ControllerSettings", "NoSettings", "Option", "Telemetry", "Value", "controllers",
-    "find_controller", "register", "settings_of",
-]  # fmt: skip
 
 DEFAULT = "mpc"
 """The controller that runs where none is named."""

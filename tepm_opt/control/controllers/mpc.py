@@ -6,8 +6,8 @@ reference there. With e the deviation from the reference in modal coordinates an
     e'' + Δ e' + Ω e = B v − r'' − Δ r',      v = F_a − F_ref + d − friction,      F_a = p A − λ,
 
 a quadratic program in the tensions of the next stages minimises the tip's error, with pressures as they have just been planned (see
-`coarse`). What lies beyond the last stage is valued by the Riccati equation of the same problem without limits, one step of which is
-taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control, 2nd ed., 2017, chapters 1 and 2.
+`pressure_planner`). What lies beyond the last stage is valued by the Riccati equation of the same problem without limits, one step of
+which is taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control, 2nd ed., 2017, chapters 1 and 2.
 """
 
 from __future__ import annotations

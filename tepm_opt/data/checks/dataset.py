@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from tepm_opt.data.checks.inputs import check_inputs, excited
 from tepm_opt.data.checks.motion import check_motion
 from tepm_opt.data.checks.points import check_points, wrong_units
 from tepm_opt.data.checks.time import check_time
-from tepm_opt.data.datasets import DESCRIPTION, ChannelsOf, DataSet, FolderReading, read_folder
+from tepm_opt.data.datasets import DESCRIPTION, DataSet, FolderReading
 from tepm_opt.data.run import ROLES, Run
 
 
@@ -101,16 +100,3 @@ def check_reading(reading: FolderReading) -> list[Finding]:
         if path.resolve() not in listed and not path.name.startswith("."):
             findings.append(Finding("warning", path.name, None, None, "", f"in the folder, but not listed in {DESCRIPTION}"))
     return findings
-
-
-def check_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> list[Finding]:
-    """What is wrong or doubtful in a data set's folder, also where it cannot be read as a data set: all faults, not the first.
-
-    Args:
-        folder: of `dataset.toml`.
-        channels_of: the channels of the robot that `dataset.toml` names; where absent the header of the first readable run tells the names.
-
-    Raises:
-        InputError: no folder, no `dataset.toml`, or one that is not TOML.
-    """
-    return check_reading(read_folder(folder, channels_of))

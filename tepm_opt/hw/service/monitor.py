@@ -12,7 +12,7 @@ from tepm_opt.hw.service.line import Line
 from tepm_opt.hw.tracker import Frame, Tracker
 
 PERIOD, RETRY = 0.1, 0.5
-"""Seconds between two looks, and between two attempts to open a line that is gone."""
+"""Seconds between two readings, and between two attempts to open a line that is gone."""
 SILENT = 0.5
 """Seconds after which a board is called silent."""
 
@@ -45,7 +45,7 @@ class MonitorReading:
 
 
 class Monitor:
-    """Looks, one every `PERIOD`; ends where a recording ends.
+    """Readings, one every `PERIOD`; ends where a recording ends.
 
     Args:
         opens: opens the line, again where it was gone.
@@ -71,7 +71,7 @@ class Monitor:
         return self._line.recorded
 
     def __iter__(self) -> Iterator[MonitorReading]:
-        """Look until the caller has seen enough."""
+        """Read until the caller has seen enough."""
         greeted = self._line.recorded
         while True:
             if self._link is None:
@@ -88,7 +88,7 @@ class Monitor:
                 except LinkError as error:
                     self.close()
                     self._gone = str(error)
-            yield self._look()
+            yield self._reading()
 
     def close(self) -> None:
         """Give the line free."""
@@ -118,7 +118,7 @@ class Monitor:
         self._torn = None
         return False
 
-    def _look(self) -> MonitorReading:
+    def _reading(self) -> MonitorReading:
         status = None if self._link is None else self._link.status
         while self._tracker is not None and (frame := self._tracker.read(0.0)) is not None:
             self._frame = frame

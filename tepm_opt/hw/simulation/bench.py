@@ -16,7 +16,7 @@ from tepm_opt.hw.commands import check_command, check_setpoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.actuation import ActuationDynamics
 from tepm_opt.hw.simulation.devices import Lens
-from tepm_opt.hw.simulation.imperfections import Body
+from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
 from tepm_opt.hw.simulation.timeline import Timeline, knots
 from tepm_opt.models.robot import Robot

@@ -9,7 +9,7 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.actuation import ActuationDynamics
 from tepm_opt.hw.simulation.equilibrium import find_equilibrium
-from tepm_opt.hw.simulation.imperfections import Body
+from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.hw.simulation.timeline import Timeline

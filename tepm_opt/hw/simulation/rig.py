@@ -13,7 +13,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command, check_setpoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.devices import Lens, generator
-from tepm_opt.hw.simulation.imperfections import Sighting
+from tepm_opt.hw.simulation.imperfections.base import Sighting
 from tepm_opt.hw.simulation.machine import Machine
 from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file

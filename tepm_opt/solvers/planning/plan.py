@@ -1,6 +1,6 @@
 """Plans: the fastest, or the gentlest, motion from rest to rest that the actuators can make, as set points.
 
-A plan moves through configurations of equal curvature (`plan_family`), chosen by a nonlinear program (`plan_program`). Its set points
+A plan moves through configurations of equal curvature (`family`), chosen by a nonlinear program (`program`). Its set points
 come from the configurations themselves: exact equilibria, the forces of inertia and damping, pressures on the regulators' grid ahead of
 their lag, and tensions that take what the pressures leave. Because the robot never leaves the planned motion, none of it sways at the end.
 """
@@ -18,17 +18,15 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, counted, silent
-from tepm_opt.solvers.allocation import ActuationMode
+from tepm_opt.solvers.choices import ActuationMode, Objective
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.planning.family import FamilyError, FamilyFit, axial, make_family
-from tepm_opt.solvers.planning.program import Box, Limits, Obstacle, PlannedMotion, PlanTask, Route, Sphere, distance, solve
-from tepm_opt.solvers.planning.result import MotionPlan, Objective
+from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance, solve
+from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.planning.setpoints import commands, residual_sway, tensions
 from tepm_opt.solvers.statics import Equilibrium
 from tepm_opt.solvers.trajectories import Trajectory
-
-__all__ = ["Box", "MotionPlan", "Objective", "Obstacle", "PlanSettings", "Sphere", "plan_move", "plan_path"]
 
 EXACT = FamilyFit()
 INTERVAL = 0.02  # m of a long way to each interval of the splines, up to twice their number

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from tepm_opt.data.documents import Section, between
-from tepm_opt.hw.simulation.imperfections.base import Body, EdgeStage, Imperfection, PressureStage, Sighting, TensionStage
+from tepm_opt.hw.simulation.imperfections.base import Imperfection
 from tepm_opt.hw.simulation.imperfections.body import BaseTilt, ExternalLoad, MassDistribution, Payload, RigidPlates, UnevenMass
 from tepm_opt.hw.simulation.imperfections.edges import Creep, StiffnessHardening, StructuralFriction
 from tepm_opt.hw.simulation.imperfections.pressure import (
@@ -20,8 +20,6 @@ from tepm_opt.hw.simulation.imperfections.pressure import (
 )
 from tepm_opt.hw.simulation.imperfections.sensing import FieldDistortion, SensorMisalignment, SensorOffset
 from tepm_opt.hw.simulation.imperfections.tendon import TendonFriction, TendonSlack
-
-__all__ = ["Body", "EdgeStage", "Imperfection", "Imperfections", "PressureStage", "Sighting", "TensionStage", "TimeDelay"]
 
 
 class TimeDelay(Imperfection):
