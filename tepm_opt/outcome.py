@@ -35,6 +35,10 @@ class Ending(StrEnum):
     RIG_FAILED = "the rig failed"
 
 
+PROPER = (Ending.SOLVED, Ending.DONE)
+"""Endings of work that did what it was asked to."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How a piece of work ended, and why.
@@ -50,7 +54,11 @@ class Outcome:
     @property
     def solved(self) -> bool:
         """Whether it came to its proper end."""
-        return self.ending in (Ending.SOLVED, Ending.DONE)
+        return self.ending in PROPER
 
     def __str__(self) -> str:
         return f"{self.ending}: {self.message}" if self.message else str(self.ending)
+
+
+SOLVED = Outcome()
+"""The outcome of what is solved and has nothing to explain."""

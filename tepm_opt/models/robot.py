@@ -91,8 +91,11 @@ class Actuation(Section):
 
     def on_grid(self, inputs: np.ndarray) -> np.ndarray:
         """Inputs u = [pressures, tensions], (…, 2 · modules · actuators) in Pa and N, as `pressures_on_grid` and `tensions_on_grid`."""
-        pressures, tensions = np.split(np.asarray(inputs), 2, axis=-1)
-        return np.concatenate([self.pressures_on_grid(pressures), self.tensions_on_grid(tensions)], axis=-1)
+        rounded = np.array(inputs, dtype=float)
+        half = rounded.shape[-1] // 2
+        rounded[..., :half] = self.pressures_on_grid(rounded[..., :half])
+        rounded[..., half:] = self.tensions_on_grid(rounded[..., half:])
+        return rounded
 
     def pressures_on_grid(self, pressures: np.ndarray) -> np.ndarray:
         """Pressures in Pa rounded to the regulators' steps, from 0 to the largest step within their limit; continuous ones stay."""
@@ -115,7 +118,8 @@ def on_grid(values: np.ndarray, step: float, limit: float | np.ndarray) -> np.nd
     """Values rounded to whole steps, from 0 to the largest step within `limit`; as they are where the step is 0 (continuous)."""
     if not step:
         return np.asarray(values)
-    return np.clip(np.round(np.divide(values, step)), 0, np.floor(limit / step * (1 + 1e-12))) * step
+    steps = np.rint(np.divide(values, step))
+    return np.minimum(np.maximum(steps, 0.0), np.floor(limit / step * (1 + 1e-12))) * step
 
 
 class Mount(Section):

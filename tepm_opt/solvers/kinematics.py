@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.layout import Layout
-from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.allocation import Allocation, allocate, force_range
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.constant_curvature import lengths_from_tip
@@ -275,7 +275,7 @@ def _gauss_newton(
     errors, change = problem.errors(at, target), np.inf
     for step in range(settings.max_iterations):
         if np.abs(errors).max() < settings.tolerance and (change < FORCE_TOLERANCE or not problem.redundant):
-            return _configuration(target, at, forces, Outcome(), step)
+            return _configuration(target, at, forces, SOLVED, step)
         jacobian = problem.jacobian(at)
         full = _minimum_norm(jacobian, jacobian @ forces - errors) - forces
         part = min(1.0, settings.max_step / np.abs(full).max())
@@ -309,7 +309,7 @@ def _full_space_newton(
     at = problem.at(forces, replace(start, x=x))
     if not at.solved or np.abs(problem.errors(at, target)).max() > settings.tolerance:
         return None
-    return _configuration(target, at, forces, Outcome(), steps)
+    return _configuration(target, at, forces, SOLVED, steps)
 
 
 def _minimum_norm(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -387,7 +387,7 @@ def _constrained(
     if not at.solved or scale * np.abs(missed[3:]).max(initial=0.0) > 1e-7:
         return None
     there = scale * np.abs(missed[:3]).max() < 100 * settings.tolerance
-    return _configuration(target, at, problem.low + part * span, Outcome() if there else Outcome(Ending.OUT_OF_REACH), int(result.nit))
+    return _configuration(target, at, problem.low + part * span, SOLVED if there else Outcome(Ending.OUT_OF_REACH), int(result.nit))
 
 
 def _limits(problem: _IkProblem, forces: np.ndarray, mode: ActuationMode) -> tuple[str, ...]:

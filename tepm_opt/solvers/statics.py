@@ -11,7 +11,7 @@ import scipy.linalg as sla
 
 from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.text import millimetres
 
 
@@ -179,7 +179,7 @@ def _newton(
     solution = model.statics.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.max_iterations)
     layout, split = model.layout, 3 * model.layout.points
     points, lengths = solution.observed[:split].reshape(-1, 3), solution.observed[split:].reshape(layout.modules, layout.actuators)
-    outcome = Outcome()
+    outcome = SOLVED
     if solution.status == Status.UNSTABLE:
         outcome = Outcome(solution.status.ending, "the equilibrium is unstable: the stiffness matrix has a negative eigenvalue")
     elif solution.status != Status.SOLVED:

@@ -9,7 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.models.backends.ccode import Unit
-from tepm_opt.models.backends.interface import LANES, MAX_CORRECTION, SHARED, Drive, Effort, Record, Scheme, Solution, Status
+from tepm_opt.models.backends.interface import (
+    LANES,
+    MAX_CORRECTION,
+    SHARED,
+    STATUSES,
+    Drive,
+    Effort,
+    Record,
+    Scheme,
+    Solution,
+    Status,
+)
 from tepm_opt.models.dynamics import Dynamics
 from tepm_opt.models.network import ROWS, Network
 
@@ -90,7 +101,7 @@ class CompiledStatics:
         array, at = self._arrays.array, self._arrays.address
         array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
         status = self._statics(at["x"], at["u"], mapped, at["external"], at["theta"], tolerance, max_iterations, at["observed"], at["info"])
-        return Solution(Status(status), array["x"].copy(), array["observed"].copy(), *array["info"].tolist())
+        return Solution(STATUSES[status], array["x"].copy(), array["observed"].copy(), *array["info"].tolist())
 
     def sensitivity(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
@@ -104,7 +115,7 @@ class CompiledStatics:
             at["by_u"], at["by_external"], at["by_theta"] if by_theta else None,
         )  # fmt: skip
         gradient = array["by_theta"][:rows].copy() if by_theta else None
-        return Status(status), array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), gradient
+        return STATUSES[status], array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), gradient
 
     def matrices(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
@@ -127,7 +138,7 @@ class CompiledStatics:
             at["x"], at["a"], at["external"], at["theta"], at["weights"], at["targets"],
             max_step, target_tolerance, tolerance, max_iterations, at["info"],
         )  # fmt: skip
-        return Status(status), array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
+        return STATUSES[status], array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
 
 
 def stepping_unit(dynamics: Dynamics) -> Unit:
@@ -188,7 +199,7 @@ class CompiledTimeStepper:
             new = slice(first + 1 if first else 0, last + 1)
             flat = d_observed[new].swapaxes(1, 2).reshape(-1, record.observed.shape[1], groups * LANES)
             record.d_observed[new] = flat[:, :, :directions]
-        return Status(status), Effort(*info.tolist())
+        return STATUSES[status], Effort(*info.tolist())
 
 
 def _in_lanes(values: np.ndarray, groups: int) -> np.ndarray:

@@ -54,6 +54,9 @@ class Status(IntEnum):
         return _ENDINGS[self]
 
 
+STATUSES = tuple(Status)
+"""Statuses by their number."""
+
 _ENDINGS: Mapping[Status, Ending] = {
     Status.SOLVED: Ending.SOLVED,
     Status.UNSTABLE: Ending.UNSTABLE,
