@@ -83,7 +83,8 @@ def _correct(model: CompiledModel, inputs: np.ndarray, forces: np.ndarray, part:
         missing = forces - axial_forces(model, inputs)
         if np.abs(missing).max() < PRECISION:
             return
-        boost = np.where(np.abs(missing) > 0.9 * np.abs(before), 2 * boost, 1.0)
+        unanswered = (np.abs(missing) > 0.9 * np.abs(before)) & (np.sign(missing) == np.sign(before))  # what was overshot did answer
+        boost = np.where(unanswered, 2 * boost, 1.0)
         before = missing
         changed = np.clip(inputs[part] + gain * boost * missing, 0.0, model.input_max[part])
         moved = np.abs(changed - inputs[part]).max() / abs(gain)

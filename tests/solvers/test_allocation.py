@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tepm_opt.models.compile import compile_model
@@ -64,6 +64,7 @@ def test_hybrid_with_an_effect_on_the_inputs_is_exact_too(dead_zone, parts):
 
 
 @given(st.lists(st.floats(0.05, 1), min_size=6, max_size=6))
+@example([1.0, 1.0, 1.0, 1.0, 1.0, 0.0625])  # steps that are doubled within the dead zone overshoot
 def test_pressure_alone_makes_up_for_a_dead_zone(dead_zone, parts):
     """Beyond the rounded corner the threshold is added; within it the corner is inverted."""
     forces = np.array(parts) * force_range(dead_zone, ActuationMode.PRESSURE)[1]
