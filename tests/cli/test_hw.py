@@ -31,7 +31,7 @@ from tepm_opt.hw.service.line import Line, open_line
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, load_robot, robot_text
 from tepm_opt.solvers.statics import solve_statics
-from tests.cli.conftest import Command, Outcome, script
+from tests.cli.conftest import Command, script
 from tests.data.made import ACTUATORS
 from tests.hw.conftest import *  # noqa: F403  its fixtures
 from tests.hw.emulator import Board
@@ -488,6 +488,12 @@ def started(*arguments: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+def has_open(process: subprocess.Popen[str], device: Path) -> bool:
+    """Whether a program holds a device (Linux: what its descriptors point to)."""
+    held = Path(f"/proc/{process.pid}/fd")
+    return any(path.is_symlink() and path.resolve() == device.resolve() for path in held.iterdir())
+
+
 @pytest.mark.slow
 def test_real_time(terminal: Path) -> None:
     """A check; a jog that has the port while an emergency stop is tried, and that is then interrupted; an emergency stop."""
@@ -497,11 +503,12 @@ def test_real_time(terminal: Path) -> None:
     assert "✓ state: IDLE" in done.out
     jog = started("hw", "jog", terminal, "11", "--tension", "1", "--seconds", "60", "--yes")
     try:
-        busy = Outcome(0, "", "")
         deadline = time.monotonic() + 60
-        while "another program has it open" not in busy.err and time.monotonic() < deadline and jog.poll() is None:
-            busy = script("hw", "estop", terminal)
+        while not has_open(jog, terminal) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        busy = script("hw", "estop", terminal)
         assert busy.status == 2, busy.err
+        assert "another program has it open" in busy.err
         assert "press the emergency stop button" in busy.err
         time.sleep(1.0)
         jog.send_signal(signal.SIGINT)

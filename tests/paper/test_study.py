@@ -1,4 +1,4 @@
-"""The study: its table, its page, its files; the whole of it only by `pytest -m slow`."""
+"""The study: its table, its page, its files; the whole of it only by `pytest -m study`."""
 
 import hashlib
 import json
@@ -69,7 +69,7 @@ def test_quick_study_leaves_a_page_and_the_same_bytes_twice(tmp_path, capsys):
     assert not any(link in page for link in ("http://", "https://", 'src="/'))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_whole_study(tmp_path):
     """At least 12 published numbers within 15 % with one set of sizes; order and signs as the paper says."""
     assert run(["paper", "--out", str(tmp_path), "--json"]) == 0
