@@ -1,7 +1,8 @@
-"""Generated C as a cache: kernels and the loops around them become a shared library, kept by the hash of all it depends on."""
+"""Generated C: kernels and the loops around them become a shared library, kept under the hash of all it depends on."""
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import platform
@@ -9,26 +10,18 @@ import re
 import shutil
 import subprocess
 import sys
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources, util
 from pathlib import Path
 
 import casadi as ca
-import platformdirs
 
-from tepm_opt.data.files import atomic_path
-
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None
+from tepm_opt.models.backends import store
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
-CACHE_VARIABLE = "TEPM_OPT_CACHE"
 
 
 @cache
@@ -37,7 +30,7 @@ def find_compiler() -> tuple[str, ...] | None:
     for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
         if name and (path := shutil.which(name)):
             return (path,)
-    return (sys.executable, "-m", "ziglang", "cc") if util.find_spec("ziglang") else None
+    return (sys.executable, "-P", "-m", "ziglang", "cc") if util.find_spec("ziglang") else None
 
 
 @cache
@@ -50,11 +43,6 @@ def _machine(compiler: tuple[str, ...]) -> str:
     return "\n".join((*compiler, version, platform.platform(), flags))
 
 
-def cache_folder() -> Path:
-    """Where libraries are kept: $TEPM_OPT_CACHE or the user's cache folder."""
-    return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_path("tepm_opt"))
-
-
 @dataclass(frozen=True)
 class Unit:
     """What is compiled together: kernels, sizes and index arrays, and the loops around them.
@@ -64,6 +52,7 @@ class Unit:
         sizes: macros by name; LANES, the doubles in a vector, is one of them.
         arrays: static arrays of integers by name.
         loops: name of the C file in this package.
+        symbols: functions that are called from outside.
         lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments at once.
     """
 
@@ -71,6 +60,7 @@ class Unit:
     sizes: Mapping[str, float]
     arrays: Mapping[str, Sequence[int]]
     loops: str
+    symbols: tuple[str, ...]
     lanes: tuple[str, ...] = ()
 
     @cached_property
@@ -138,61 +128,38 @@ def _in_lanes(text: str, name: str, function: ca.Function) -> str:
     return _LOOP.format(name=name, inputs=inputs, outputs=outputs, given=max(sum(sizes[0]), 1), got=max(sum(sizes[1]), 1))
 
 
-def build(unit: Unit) -> Path | None:
-    """The shared library of a unit, from the cache or compiled; None (and one warning) where that is not possible."""
+def build(unit: Unit) -> ctypes.CDLL | None:
+    """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
     compiler = find_compiler()
     if compiler is None:
-        _warn_once("no C compiler found: CasADi's virtual machine is used, with the same results, some 50 times slower")
+        store.warn_once("no C compiler found: CasADi's virtual machine is used, with the same results, some 50 times slower")
         return None
     text = unit.source
     key = hashlib.sha256("\n".join((text, *FLAGS, _machine(compiler))).encode()).hexdigest()[:24]
-    library = cache_folder() / f"{Path(unit.loops).stem}-{key}.so"
-    if library.is_file():
-        return library
+    name = f"{Path(unit.loops).stem}-{key}"
     try:
-        library.parent.mkdir(parents=True, exist_ok=True)
-        with _turn(library):
-            if not library.is_file():
-                _compile(compiler, text, library)
-    except (OSError, subprocess.CalledProcessError, ValueError) as error:
+        with store.opened_folder() as folder:
+            if library := store.load(folder, name, unit.symbols):
+                return library
+            with store.turn(folder, name):
+                if library := store.load(folder, name, unit.symbols):
+                    return library
+                return store.open_library(store.keep(folder, name, _compile(compiler, text)), unit.symbols)
+    except (OSError, subprocess.CalledProcessError, ValueError, AttributeError) as error:
         detail = getattr(error, "stderr", None) or str(error)
-        _warn_once(f"compiling the network failed, CasADi's virtual machine is used: {detail.strip().splitlines()[0]}")
+        store.warn_once(f"compiling the network failed, CasADi's virtual machine is used: {detail.strip().splitlines()[0]}")
         return None
-    return library
 
 
-@contextmanager
-def _turn(library: Path) -> Iterator[None]:
-    """Wait for another process that compiles the same library; the system ends the turn of a process that dies."""
-    if fcntl is None:
-        yield  # two processes may compile the same, and the last one stays
-        return
-    lock = library.with_suffix(".lock")
-    with lock.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            lock.unlink(missing_ok=True)
-
-
-def _compile(compiler: tuple[str, ...], text: str, library: Path) -> None:
-    """Compile a C text; the library appears when it is whole.
+def _compile(compiler: tuple[str, ...], text: str) -> bytes:
+    """The library of a C text.
 
     Raises:
         subprocess.CalledProcessError: the compiler refuses.
-        InputError: the folder cannot be written to.
     """
-    with atomic_path(library) as temporary:
-        code = temporary.with_suffix(".c")
-        try:
-            code.write_text(text, encoding="utf-8")
-            command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(temporary), str(code), "-lm"]
-            subprocess.run(command, check=True, capture_output=True, text=True)
-        finally:
-            code.unlink(missing_ok=True)
-
-
-@cache
-def _warn_once(message: str) -> None:
-    warnings.warn(message, RuntimeWarning, stacklevel=4)
+    with tempfile.TemporaryDirectory(prefix="tepm_opt-") as folder:  # closed to others
+        code, library = Path(folder) / "network.c", Path(folder) / "network.so"
+        code.write_text(text, encoding="utf-8")
+        command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(library), str(code), "-lm"]
+        subprocess.run(command, check=True, capture_output=True, text=True)
+        return library.read_bytes()

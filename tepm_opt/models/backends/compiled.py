@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from pathlib import Path
 
 import numpy as np
 
@@ -41,7 +40,9 @@ def statics_unit(network: Network) -> Unit:
         "NPOINT": 3 * layout.points,
         "NLEN": layout.inputs // 2,
     }
-    return Unit(network.functions, sizes, {"DRIVEN": network.driven}, "statics.c")
+    return Unit(
+        network.functions, sizes, {"DRIVEN": network.driven}, "statics.c", ("actuation", "statics", "sensitivity", "inverse", "matrices")
+    )
 
 
 class _Arrays(threading.local):
@@ -73,17 +74,16 @@ class _Arrays(threading.local):
 class CompiledStatics:
     """Backend of compiled C (see `StaticsBackend`); thread-safe."""
 
-    def __init__(self, network: Network, library: Path) -> None:
+    def __init__(self, network: Network, library: ctypes.CDLL) -> None:
         self.network = network
-        loaded = ctypes.CDLL(str(library))
         p, i, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
-        self._actuation, self._statics, self._sensitivity = loaded.actuation, loaded.statics, loaded.sensitivity
+        self._actuation, self._statics, self._sensitivity = library.actuation, library.statics, library.sensitivity
         self._actuation.argtypes, self._actuation.restype = [p, p, p], None
         self._statics.argtypes = [p, p, i, p, p, d, i, p, p]
-        self._inverse = loaded.inverse
+        self._inverse = library.inverse
         self._inverse.argtypes = [p, p, p, p, p, p, d, d, d, i, p]
         self._sensitivity.argtypes = [p, p, i, p, p, i, p, p, p, p]
-        self._matrices = loaded.matrices
+        self._matrices = library.matrices
         self._matrices.argtypes = [p, p, i, p, p, p, p]
         self._arrays = _Arrays(network)
 
@@ -158,16 +158,16 @@ def stepping_unit(dynamics: Dynamics) -> Unit:
         "NIN": dynamics.input_states,
         "NEDGE": dynamics.edge_states,
     }
-    return Unit(dynamics.functions, sizes, {}, "time_stepping.c", lanes=("segment_motion", "segment_tangent", "segment_by"))
+    symbols, lanes = ("integrate", "state_size", "tangent_size"), ("segment_motion", "segment_tangent", "segment_by")
+    return Unit(dynamics.functions, sizes, {}, "time_stepping.c", symbols, lanes)
 
 
 class CompiledTimeStepper:
     """Backend of compiled C (see `TimeStepper`); thread-safe."""
 
-    def __init__(self, dynamics: Dynamics, library: Path) -> None:
+    def __init__(self, dynamics: Dynamics, library: ctypes.CDLL) -> None:
         self.dynamics = dynamics
-        loaded = ctypes.CDLL(str(library))
-        self._integrate, self._sizes = loaded.integrate, (loaded.state_size(), loaded.tangent_size())
+        self._integrate, self._sizes = library.integrate, (library.state_size(), library.tangent_size())
         p, i, n, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_long, ctypes.c_double
         self._integrate.argtypes = [i, i, n, n, n, p, p, d, d, d, p, p, p, p, i, p, p, p, p, p]
 
