@@ -11,7 +11,7 @@ from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.protocol import ACK, ARM, CLEAR, CONFIG, ESTOP, HELLO, SET, Fault, Key, ResetCause, Result, State
 from tests.hw.conftest import PRESSURE_MAX
 from tests.hw.emulator import BROWN_OUT, HZ, PIN, POWER_ON, Board
-from tests.hw.emulator.host import ALL, ZERO, Host
+from tests.hw.emulator.host import ALL, LIMITS_CHECK, ZERO, Host
 
 RAMP = 4096 / 0.9 * 1.0
 """DAC codes in a second, when the board gives up."""
@@ -64,7 +64,10 @@ def pressure_goes(host: Host, begin: np.ndarray) -> None:
 def back_to_work(host: Host) -> None:
     """ARM alone is refused; CLEAR and then ARM lead back, and the motors count from 0."""
     assert host.arm()["result"] == Result.WRONG_STATE
-    assert host.clear() | {"id": 0} == {"id": 0, "request": CLEAR.code, "result": 0, "state": State.IDLE, "session": host.session}
+    assert host.clear() | {"id": 0} == {
+        **{"id": 0, "request": CLEAR.code, "result": 0, "channel": 0},
+        **{"state": State.IDLE, "session": host.session},
+    }
     assert host.board.enabled == 0
     assert host.arm()["result"] == Result.DONE
     host.hold(0.03)
@@ -201,8 +204,8 @@ def test_dynamometer(busy: Host, channel: int, counts: int) -> None:
     pressure_goes(busy, busy.board.dac)
     assert (busy.state, busy.fault, busy.status["channel"]) == (State.FAULT, Fault.DYNAMOMETER, channel)
     busy.clear()
-    assert busy.arm()["result"] == Result.DYNAMOMETER
-    assert busy.status["channel"] == channel
+    refused = busy.arm()
+    assert (refused["result"], refused["channel"]) == (Result.DYNAMOMETER, channel)
     no_more_steps(busy)
     busy.board.dynamometer(channel, ZERO)
     busy.run(0.01)
@@ -292,18 +295,19 @@ def test_estop_button(busy: Host) -> None:
 
 
 def test_estop_frame(busy: Host) -> None:
-    """ESTOP over the line: everything off within 3 ms of being sent; CLEAR right behind it brings no pressure back."""
+    """ESTOP over the line: everything off within 3 ms of being sent; CLEAR brings no pressure back, and is refused while there is some."""
     board = busy.board
     board.dac_changes()
     busy.send(ESTOP, id=200)
-    session = (busy.session + 1) % 256
-    busy.send(CLEAR, id=201, session=session)
+    busy.send(CLEAR, id=201, session=busy.session + 1)
     took = until(busy, is_safe(busy), 0.01, 0.0001)
     print(f"safe after {1e3 * took:.1f} ms")
     assert took <= 0.003
     changes = board.dac_changes()
-    busy.run(0.05)
-    assert busy.state is State.IDLE
+    busy.run(0.03)
+    assert busy.heard[-1][2]["session"] == busy.session
+    assert [heard["result"] for _, kind, heard in busy.heard if kind is ACK][-2:] == [Result.DONE, Result.MONITOR]
+    assert busy.clear()["result"] == Result.DONE
     for k in range(6):
         codes = changes[changes[:, 1] == k, 2]
         assert np.all(np.diff(codes[codes.argmin() :]) == 0)  # once at zero it stays there
@@ -351,12 +355,14 @@ def test_bad_line(armed: Host, damage: Callable[[bytes, np.random.Generator], by
     behind = []
     for k in range(400):
         goal = [1000 + 4 * k] * 6
-        armed.sequence = (armed.sequence + 1) % 256
-        data = protocol.frame(SET.pack(sequence=armed.sequence, enabled=ALL | protocol.POSITION_MODE, pressures=[k] * 6, tendons=goal))
+        armed.sequence += 1
+        data = protocol.frame(
+            SET.pack(session=armed.session, sequence=armed.sequence, enabled=ALL | protocol.POSITION_MODE, pressures=[k] * 6, tendons=goal)
+        )
         board.send(damage(data, rng))
         armed.run(0.005)
         if k:
-            behind.append((armed.sequence - armed.status["sequence"]) % 256)
+            behind.append(armed.sequence - armed.status["sequence"])
     armed.hold(0.05, tendons=goal, steps=True, pressures=[k] * 6)
     print(f"{armed.status['bad']} frames damaged, at most {max(behind)} set points behind")
     assert armed.status["bad"] >= 15
@@ -390,18 +396,19 @@ def test_garbage_flood(busy: Host, kind: str) -> None:
     assert (busy.state, busy.fault) == (State.HOST_TIMEOUT, Fault.NONE)
     assert busy.status["late"] == late
     assert board.worst_gap <= 200e-6
+    stale = busy.status["stale"]
     for _ in range(2):
         busy.set()
         busy.run(0.005)
     busy.run(0.015)
-    assert busy.status["sequence"] == busy.sequence
+    assert busy.status["stale"] - stale in (1, 2)
     back_to_work(busy)
 
 
-def test_truncated_at_each_byte(host: Host) -> None:
+def test_truncated_at_each_byte(armed: Host) -> None:
     """A frame that ends early, wherever: the second good frame after it is understood at the latest, and nothing wrong before."""
-    host.run(0.05)
-    good = protocol.frame(SET.pack(sequence=99, enabled=ALL, pressures=PRESSURES, tendons=FAR))
+    host = armed
+    good = protocol.frame(SET.pack(session=host.session, sequence=99_999, enabled=ALL, pressures=PRESSURES, tendons=FAR))
     for length in range(len(good)):
         host.board.send(good[:length])
         host.set()
@@ -440,7 +447,7 @@ def test_replayed_set_point(armed: Host) -> None:
 def test_replayed_requests(host: Host) -> None:
     """ARM and CLEAR of an earlier session are refused, also when they are the last request that the board saw."""
     host.run(0.05)
-    arm = host.send(ARM, id=50, session=host.session, sequence=0)
+    arm = host.send(ARM, id=50, session=host.session, limits=LIMITS_CHECK)
     host.run(0.03)
     assert host.state is State.ARMED
     host.run(0.15)
@@ -469,16 +476,16 @@ def test_new_request_with_an_old_id(host: Host) -> None:
     """A host that starts anew counts its requests from the beginning: they are done, though their ids were used before."""
     host.run(0.05)
     for _ in range(2):
-        host.send(ARM, id=1, session=host.session, sequence=0)
+        host.send(ARM, id=1, session=host.session, limits=LIMITS_CHECK)
         host.run(0.03)
         assert host.state is State.ARMED
         host.run(0.15)
         assert host.state is State.HOST_TIMEOUT
         host.board.reset(PIN)
         host.run(0.05)
-    host.send(CONFIG, id=9, key=Key.STATUS_PERIOD_MS, value=10)
+    host.send(CONFIG, id=9, session=host.session, key=Key.STATUS_PERIOD_MS, value=10)
     host.run(0.03)
-    host.send(CONFIG, id=9, key=Key.STATUS_PERIOD_MS, value=50)
+    host.send(CONFIG, id=9, session=host.session, key=Key.STATUS_PERIOD_MS, value=50)
     host.run(0.1)
     before = len(host.statuses)
     host.run(0.5)
@@ -502,16 +509,16 @@ def test_requests_sent_twice(host: Host) -> None:
         return answers
 
     host.run(0.05)
-    first, second = twice(ARM, id=1, session=host.session, sequence=host.sequence)
+    first, second = twice(ARM, id=1, session=host.session, limits=LIMITS_CHECK)
     assert (first["result"], second["state"], second["session"]) == (Result.DONE, State.ARMED, first["session"])
     assert host.status["sequence"] == host.sequence  # not set back by the second
     for _ in range(2):
-        assert twice(CONFIG, id=2, key=Key.STATUS_PERIOD_MS, value=5)[1]["result"] == Result.DONE
+        assert twice(CONFIG, id=2, session=host.session, key=Key.STATUS_PERIOD_MS, value=5)[1]["result"] == Result.DONE
     session = host.session
     first, second = twice(ESTOP, id=3)
-    assert (first["result"], second["state"], second["session"]) == (Result.DONE, State.ESTOP, (session + 1) % 256)
+    assert (first["result"], second["state"], second["session"]) == (Result.DONE, State.ESTOP, session + 1)
     first, second = twice(CLEAR, id=4, session=host.session)
-    assert (first["result"], second["state"], second["session"]) == (Result.DONE, State.IDLE, (session + 2) % 256)
+    assert (first["result"], second["state"], second["session"]) == (Result.DONE, State.IDLE, session + 2)
     assert first["session"] == second["session"]
 
 
@@ -546,8 +553,10 @@ def test_baud_mismatch(host: Host) -> None:
     for k in range(60):
         frames = [
             protocol.frame(protocol.ASK.pack(id=k)),
-            protocol.frame(ARM.pack(id=k, session=host.session, sequence=0)),
-            protocol.frame(SET.pack(sequence=k + 1, enabled=ALL, pressures=[17 * k] * 6, tendons=[ZERO + 100 * k] * 6)),
+            protocol.frame(ARM.pack(id=k, session=host.session, limits=LIMITS_CHECK)),
+            protocol.frame(
+                SET.pack(session=host.session, sequence=k + 1, enabled=ALL, pressures=[17 * k] * 6, tendons=[ZERO + 100 * k] * 6)
+            ),
         ]
         host.board.send(resampled(b"".join(frames), 115200, host.board.baud))
         host.run(0.01)

@@ -46,7 +46,7 @@ class Checked(SerialRig):
             self.off.append(np.r_[board.dac, board.positions - self.world._unwound] - self._goal)
         super().apply(command)
         calibration = Calibration.of(self.robot)
-        self._goal = np.r_[calibration.to_codes(command.pressures, self.hello), calibration.to_steps(command.tensions)]
+        self._goal = np.r_[calibration.to_codes(command.pressures, self.limits.pressure_max), calibration.to_steps(command.tensions)]
 
 
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:

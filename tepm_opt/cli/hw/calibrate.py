@@ -141,7 +141,7 @@ def _drive(
         settled, last = moves.settle(rig, single, value), value
         taken = moves.monitors(rig, single, value, AVERAGED_S)
         counts.append(taken.mean(axis=0))
-        code = calibration.to_codes(single.command(value).pressures, rig.hello)[single.actuator]
+        code = calibration.to_codes(single.command(value).pressures, rig.limits.pressure_max)[single.actuator]
         volts.append(calibrate.command_volts(single.robot, single.actuator, code))
         true.append(1e-3 * level)
         read = calibration.pressures(tuple(counts[-1]))[single.actuator]

@@ -224,7 +224,7 @@ def estop(port: PortArgument) -> int:
         try:
             tries = _send_estop(link, line.clock)
             link.wait(lambda: link.status is not None and link.status.state is State.ESTOP, 1.0)
-            young = link.status is not None and 1e-6 * link.status.time_us < RESTARTED_S + ESTOP_S
+            young = link.status is not None and 1e-3 * link.status.time_ms < RESTARTED_S + ESTOP_S
         finally:
             link.close()
         say(f"ESTOP acknowledged {time.monotonic() - begin:.1f} s after the start: motors off, pressure outputs off.", "bold green")

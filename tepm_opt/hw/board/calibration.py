@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.link import Hello
 from tepm_opt.hw.board.protocol import CHANNELS, COUNTS_PER_V, DAC_CODES
 from tepm_opt.models.hardware import Hardware
 from tepm_opt.models.robot import Robot
@@ -64,21 +63,21 @@ class Calibration:
             each(tension.steps_per_mm, "tension.steps_per_mm"),
         )
 
-    def to_codes(self, pressures: np.ndarray, hello: Hello) -> list[int]:
-        """DAC codes of pressures in Pa, for all channels of a board.
+    def to_codes(self, pressures: np.ndarray, most: int) -> list[int]:
+        """DAC codes of pressures in Pa, for all channels of a board whose largest code is `most`.
 
         Raises:
             InputError: the board's compiled limit is lower.
         """
-        return self._whole(self.codes_zero + self.codes * pressures, hello.pressure_max, "pressure", pressures / 1e6, "MPa")
+        return self._whole(self.codes_zero + self.codes * pressures, most, "pressure", pressures / 1e6, "MPa")
 
-    def to_counts(self, tensions: np.ndarray, hello: Hello) -> list[int]:
-        """Counts of the dynamometers at tensions in N, for all channels of a board.
+    def to_counts(self, tensions: np.ndarray, most: int) -> list[int]:
+        """Counts of the dynamometers at tensions in N, for all channels of a board whose largest number of them is `most`.
 
         Raises:
             InputError: the board's compiled limit is lower.
         """
-        return self._whole(self.counts_zero + self.counts * tensions, hello.tension_max, "tension", tensions, "N")
+        return self._whole(self.counts_zero + self.counts * tensions, most, "tension", tensions, "N")
 
     def to_steps(self, tensions: np.ndarray) -> list[int]:
         """Steps of the motors from where the tendons are slack, for all channels of a board."""

@@ -10,9 +10,10 @@ from statistics import median
 from typing import Any
 
 from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.limits import Limits, told
 from tepm_opt.hw.board.linklog import RECEIVED, SENT, LinkLog
 from tepm_opt.hw.board.ports import Clock, Port
-from tepm_opt.hw.board.protocol import ACK, ASK, HELLO, REQUESTS, SET, STATUS, Fault, Message, ResetCause, Result, State
+from tepm_opt.hw.board.protocol import ACK, ASK, HELLO, LIMITS, REQUESTS, SET, STATUS, Fault, Message, ResetCause, Result, State
 
 TRIES, PATIENCE = 5, 0.05
 """How often a request is sent, and seconds until it is sent again."""
@@ -29,21 +30,22 @@ class Hello:
     Attributes:
         version: of the protocol that it speaks.
         channels: actuators that it drives.
+        monitors: pressure monitors that it has inputs for.
         reset_cause: why it started last; a boot loader may hide that.
         state, session: when it said so.
         build: identifies the firmware.
-        pressure_max, tension_max: compiled limits in DAC codes and counts.
+        limits: CRC of the limits and calibration that it was compiled with.
         timeout_ms: of a silent host.
     """
 
     version: int
     channels: int
+    monitors: int
     reset_cause: int
     state: State
     session: int
     build: int
-    pressure_max: int
-    tension_max: int
+    limits: int
     timeout_ms: int
 
     def __repr__(self) -> str:
@@ -61,15 +63,18 @@ class BoardStatus:
 
     Attributes:
         time: on the host's clock, when it came, in s.
-        state, fault, channel: of the board; `channel` is the actuator (from 0) that the fault is about.
-        session: counts the times that the robot was disarmed.
-        sequence: of the set point that it acts on.
+        state: of the board.
+        faults: bits of all faults since CLEAR.
+        fault, channel: the gravest of them, and the actuator (from 0) that it is about.
+        session: another one after each start, ARM, stop and CLEAR.
+        sequence: of the set point that it acts on, modulo 65,536.
         count: of STATUS messages.
         enabled: bits of the motors that are on.
         good, bad: frames that it understood and not.
         refused: set points beyond its limits.
+        stale: set points that were old, of another session, or came while it was not armed.
         late: passes of its main loop that took too long.
-        time_us: the board's own clock.
+        time_ms: the board's own clock.
         dynamometers, monitors: counts, (6,).
         positions: of the motors in steps, (6,).
     """
@@ -79,14 +84,16 @@ class BoardStatus:
     count: int
     session: int
     state: State
+    faults: int
     fault: Fault
     channel: int
     enabled: int
     good: int
     bad: int
     refused: int
+    stale: int
     late: int
-    time_us: int
+    time_ms: int
     dynamometers: tuple[int, ...]
     monitors: tuple[int, ...]
     positions: tuple[int, ...]
@@ -111,11 +118,27 @@ STATES = {
 FAULTS = {
     Fault.NONE: "none",
     Fault.RESET_WHILE_ARMED: "the board was reset while the robot was armed",
-    Fault.LOOP_HUNG: "the firmware's main loop hung",
-    Fault.TENSION_TOO_HIGH: "tendon {actuator} was pulled harder than allowed",
-    Fault.DYNAMOMETER: "dynamometer {actuator} is open or shorted",
-    Fault.REGULATOR: "regulator {actuator} does not follow its set point",
     Fault.TRAVEL: "motor {actuator} winds without end: is its tendon fixed?",
+    Fault.DYNAMOMETER: "dynamometer {actuator} is open or shorted, or has a loose contact",
+    Fault.TENSION_TOO_HIGH: "tendon {actuator} was pulled harder than allowed",
+    Fault.MONITOR: "the pressure monitor of regulator {actuator} is open or shorted",
+    Fault.REGULATOR: "regulator {actuator} does not follow its set point",
+    Fault.PRESSURE_TOO_HIGH: "regulator {actuator} gives more pressure than allowed",
+    Fault.BUS: "a DAC does not answer on the two-wire bus",
+    Fault.LOOP_HUNG: "the firmware's main loop hung",
+}
+
+
+REASONS = {
+    Result.WRONG_STATE: "not in this state",
+    Result.WRONG_SESSION: "something happened since it told its state last; try again",
+    Result.ESTOP_PRESSED: "the emergency stop is pressed, or its wire is broken",
+    Result.DYNAMOMETER: "dynamometer {actuator} is open or shorted",
+    Result.UNKNOWN_KEY: "it does not know this setting",
+    Result.OUT_OF_RANGE: "the value is out of its range",
+    Result.MONITOR: "the pressure monitor of regulator {actuator} does not show what the regulator was told",
+    Result.WRONG_LIMITS: "its limits or calibration are not those of the robot file",
+    Result.BUS: "a DAC does not answer on the two-wire bus",
 }
 
 
@@ -165,9 +188,10 @@ class Link:
         self.statistics = LinkStatistics()
         self._decoder = protocol.Decoder(protocol.TO_HOST)
         self._hello: Hello | None = None
+        self._limits: Limits | None = None
         self._acks: dict[int, dict[str, Any]] = {}
         self._sent_at: dict[int, float] = {}
-        self._sequence = self._id = self._session = 0
+        self._sequence = self._id = self._session = self._armed_session = 0
         self._failure: Exception | None = None
         self._news = threading.Condition(threading.RLock())
         self._closed = False
@@ -195,8 +219,22 @@ class Link:
             )
         return self._hello
 
-    def request(self, kind: Message, **values: int) -> None:
-        """Ask for something and wait until it is done.
+    def limits(self, timeout: float = 1.0) -> Limits:
+        """What the board was compiled with.
+
+        Raises:
+            LinkError: it does not say so in time.
+        """
+        end = self._clock() + timeout
+        while self._limits is None:
+            if self._clock() >= end:
+                raise LinkError(f"the board does not tell its limits within {timeout:g} s")
+            self.send(ASK, id=self._next_id())
+            self.wait(lambda: self._limits is not None, 0.25)
+        return self._limits
+
+    def request(self, kind: Message, **values: int) -> protocol.Values:
+        """Ask for something, wait until it is done, and give the answer.
 
         Raises:
             LinkError: it was refused, or there is no answer.
@@ -210,18 +248,24 @@ class Link:
             raise LinkError(f"the board does not answer {kind.name}; it stops by itself when nothing comes")
         answer = self._acks.pop(number)
         if answer["result"] != Result.DONE:
-            reason = Result(answer["result"]).name.lower().replace("_", " ")
+            reason = REASONS.get(answer["result"], "it says why in a way that this program does not know").format(
+                actuator=answer["channel"] + 1
+            )
             raise LinkError(f"the board refuses {kind.name}: {reason} (it is {State(answer['state']).name})")
+        return answer
 
-    def arm(self) -> None:
+    def arm(self, limits: int) -> None:
         """Arm the board, which has to be IDLE.
+
+        Args:
+            limits: CRC of the limits and calibration that the robot file asks for.
 
         Raises:
             LinkError: as for `request`.
         """
         self._sequence = 0
         self._sent_at.clear()
-        self.request(protocol.ARM, session=self._session, sequence=0)
+        self._armed_session = self.request(protocol.ARM, session=self._session, limits=limits)["session"]
 
     def clear(self) -> None:
         """Lead the board from a stop or fault to IDLE.
@@ -233,11 +277,19 @@ class Link:
         asked = self._clock()
         self.wait(lambda: self.status is not None and self.status.time > asked, 0.5)
 
+    def configure(self, key: protocol.Key, value: int) -> None:
+        """Change a setting of the board until it is reset.
+
+        Raises:
+            LinkError: as for `request`.
+        """
+        self.request(protocol.CONFIG, session=self._session, key=int(key), value=value)
+
     def set(self, enabled: int, pressures: list[int], tendons: list[int]) -> None:
         """Send a set point; the newest wins."""
-        self._sequence = (self._sequence + 1) % 256
-        self._sent_at[self._sequence] = self._clock()
-        self.send(SET, sequence=self._sequence, enabled=enabled, pressures=pressures, tendons=tendons)
+        self._sequence += 1
+        self._sent_at[self._sequence % 65536] = self._clock()
+        self.send(SET, session=self._armed_session, sequence=self._sequence, enabled=enabled, pressures=pressures, tendons=tendons)
 
     def send(self, kind: Message, **values: int | list[int]) -> None:
         """Send a message.
@@ -325,6 +377,9 @@ class Link:
         now = self._clock()
         for kind, values in self._decoder.feed(data):
             self.statistics.received += 1
+            if kind is LIMITS:
+                self._limits = told(values)
+                continue
             self._session = values["session"]
             if kind is STATUS:
                 self._take_status(now, values)
@@ -337,7 +392,7 @@ class Link:
     def _take_status(self, now: float, values: dict[str, Any]) -> None:
         last = self.status
         self.status = BoardStatus(now, **{**values, "state": State(values["state"]), "fault": Fault(values["fault"])})
-        if last is not None and self.status.time_us > last.time_us:
+        if last is not None and self.status.time_ms > last.time_ms:
             self.statistics.lost += (self.status.count - last.count - 1) % 256
         sent = self._sent_at.pop(self.status.sequence, None)
         if sent is not None:

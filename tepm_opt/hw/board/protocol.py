@@ -1,7 +1,12 @@
 """What host and board say to each other: the one description of the protocol. `firmware/protocol.h` is written from it.
 
-A frame on the line is COBS(payload + CRC) and a zero byte (Cheshire and Baker 1999). The CRC is CRC-16/XMODEM of the payload, high byte
-first. A payload is a code and the fields of that message, little-endian, always of the same length.
+A frame on the line is COBS(payload + CRC) and a zero byte (Cheshire and Baker 1999). The CRC is CRC-16/GENIBUS of the payload, high byte
+first: it begins with ones and is sent inverted, so that zeros before or after a frame damage it. A payload is a code and the fields of
+that message, little-endian, always of the same length.
+
+A session is what happens between two changes of mind: it has another number after each start of the board, ARM, stop and CLEAR, and none
+comes twice (`firmware/memory.cpp`). ARM, CLEAR, CONFIG and SET carry it, and SET a sequence number, which only grows: a frame that was
+recorded, repeated or held up does nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ from typing import Any
 
 from cobs import cobs
 
-VERSION = 1
+VERSION = 2
 CHANNELS = 6
 """Actuators that a board can have: the arrays of all messages have this length."""
 COUNTS_PER_V = 32768 / 5
@@ -41,15 +46,26 @@ class State(IntEnum):
 
 
 class Fault(IntEnum):
-    """Why the board is in FAULT."""
+    """What was found wrong; a graver one has a greater number. All that were found are kept as bits, and the gravest decides.
+
+    From MONITOR on pressure cannot be trusted to follow: the board switches its outputs off, which vents everything.
+    """
 
     NONE = 0
     RESET_WHILE_ARMED = 1
-    LOOP_HUNG = 2
-    TENSION_TOO_HIGH = 3
-    DYNAMOMETER = 4
-    REGULATOR = 5
-    TRAVEL = 6
+    TRAVEL = 2
+    DYNAMOMETER = 3
+    TENSION_TOO_HIGH = 4
+    MONITOR = 5
+    REGULATOR = 6
+    PRESSURE_TOO_HIGH = 7
+    BUS = 8
+    LOOP_HUNG = 9
+
+    @property
+    def bit(self) -> int:
+        """Its place in the field `faults` of STATUS; 0 for NONE."""
+        return 1 << self >> 1
 
 
 class Result(IntEnum):
@@ -62,6 +78,9 @@ class Result(IntEnum):
     DYNAMOMETER = 4
     UNKNOWN_KEY = 5
     OUT_OF_RANGE = 6
+    MONITOR = 7
+    WRONG_LIMITS = 8
+    BUS = 9
 
 
 class Key(IntEnum):
@@ -126,58 +145,86 @@ class Message:
 
 
 _N = CHANNELS
-SET = Message("SET", 0x01, (("sequence", "B"), ("enabled", "B"), ("pressures", f"{_N}H"), ("tendons", f"{_N}h")))
-ARM = Message("ARM", 0x02, (("id", "B"), ("session", "B"), ("sequence", "B")))
-CLEAR = Message("CLEAR", 0x03, (("id", "B"), ("session", "B")))
+SET = Message("SET", 0x01, (("session", "I"), ("sequence", "I"), ("enabled", "B"), ("pressures", f"{_N}H"), ("tendons", f"{_N}h")))
+ARM = Message("ARM", 0x02, (("id", "B"), ("session", "I"), ("limits", "H")))
+CLEAR = Message("CLEAR", 0x03, (("id", "B"), ("session", "I")))
 ESTOP = Message("ESTOP", 0x04, (("id", "B"),))
-CONFIG = Message("CONFIG", 0x05, (("id", "B"), ("key", "B"), ("value", "H")))
+CONFIG = Message("CONFIG", 0x05, (("id", "B"), ("session", "I"), ("key", "B"), ("value", "H")))
 ASK = Message("ASK", 0x06, (("id", "B"),))
 DISARM = Message("DISARM", 0x07, (("id", "B"),))
 STATUS = Message(
     "STATUS",
     0x81,
     (
-        ("sequence", "B"),
+        ("sequence", "H"),  # the low half of the last set point's
         ("count", "B"),
-        ("session", "B"),
+        ("session", "I"),
         ("state", "B"),
+        ("faults", "H"),
         ("fault", "B"),
         ("channel", "B"),
         ("enabled", "B"),
         ("good", "H"),
         ("bad", "H"),
         ("refused", "B"),
+        ("stale", "B"),
         ("late", "B"),
-        ("time_us", "I"),
+        ("time_ms", "I"),
         ("dynamometers", f"{_N}H"),
         ("monitors", f"{_N}H"),
         ("positions", f"{_N}h"),
     ),
 )
-ACK = Message("ACK", 0x82, (("id", "B"), ("request", "B"), ("result", "B"), ("state", "B"), ("session", "B")))
+ACK = Message("ACK", 0x82, (("id", "B"), ("request", "B"), ("result", "B"), ("channel", "B"), ("state", "B"), ("session", "I")))
 HELLO = Message(
     "HELLO",
     0x83,
     (
         ("version", "B"),
         ("channels", "B"),
+        ("monitors", "B"),
         ("reset_cause", "B"),
         ("state", "B"),
-        ("session", "B"),
+        ("session", "I"),
         ("build", "I"),
-        ("pressure_max", "H"),
-        ("tension_max", "H"),
+        ("limits", "H"),
         ("timeout_ms", "B"),
     ),
 )
+LIMITS = Message(
+    "LIMITS",
+    0x84,
+    (
+        ("code_zero", "h"),
+        ("codes_per_MPa", "H"),
+        ("pressure_max", "H"),
+        ("monitor_zero", "H"),
+        ("monitor_per_code", "H"),
+        ("monitor_low", "H"),
+        ("monitor_trip", "H"),
+        ("regulator_band", "H"),
+        ("tension_zero", "H"),
+        ("tension_max", "H"),
+        ("tension_trip", "H"),
+        ("dynamometer_low", "H"),
+        ("position_max", "H"),
+        ("steps_per_1000_counts", "H"),
+    ),
+)
+"""What the firmware was compiled with, in its own units; `limits.py` says what they mean. Its CRC stands in HELLO and ARM."""
 TO_BOARD = (SET, ARM, CLEAR, ESTOP, CONFIG, ASK, DISARM)
-TO_HOST = (STATUS, ACK, HELLO)
+TO_HOST = (STATUS, ACK, HELLO, LIMITS)
 REQUESTS = (ARM, CLEAR, ESTOP, CONFIG, ASK, DISARM)
+
+
+def crc(payload: bytes) -> int:
+    """CRC-16/GENIBUS."""
+    return binascii.crc_hqx(payload, 0xFFFF) ^ 0xFFFF
 
 
 def frame(payload: bytes) -> bytes:
     """A payload as it goes over the line, with the zero that ends it."""
-    return cobs.encode(payload + binascii.crc_hqx(payload, 0).to_bytes(2, "big")) + b"\0"
+    return cobs.encode(payload + crc(payload).to_bytes(2, "big")) + b"\0"
 
 
 class Decoder:
@@ -213,7 +260,7 @@ class Decoder:
             return None
         payload = content[:-2]
         kind = self.by_code.get(payload[0]) if payload else None
-        if kind is None or len(payload) != kind.layout.size or binascii.crc_hqx(content, 0):
+        if kind is None or len(payload) != kind.layout.size or crc(payload) != int.from_bytes(content[-2:], "big"):
             return None
         return kind, kind.unpack(payload)
 

@@ -14,6 +14,7 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
+from tepm_opt.hw.board.limits import Limits
 from tepm_opt.hw.board.linklog import LinkLog
 from tepm_opt.hw.board.ports import BAUD, Clock, Port, SerialPort
 from tepm_opt.hw.board.protocol import DISARM, ESTOP, POSITION_MODE, State
@@ -92,6 +93,7 @@ class SerialRig:
     Attributes:
         robot: as given.
         hello: what the board says about itself.
+        limits: what it was compiled with.
         link: the conversation with it.
 
     Raises:
@@ -123,6 +125,7 @@ class SerialRig:
             self.hello: Hello = self.link.hello(start)
             if self.hello.channels < self._count:
                 raise LinkError(f"the board drives {self.hello.channels} actuators, robot {robot.name} has {self._count}")
+            self.limits = self.link.limits()
             self.link.wait(lambda: self.link.status is not None, 1.0)
         except BaseException:
             self.link.close()
@@ -180,7 +183,7 @@ class SerialRig:
         measured, extra = (None, None), {}
         if (status := self.link.status) is not None and self._clock() - status.time <= STALE:
             measured = (self._calibration.pressures(status.monitors), self._calibration.tensions(status.dynamometers))
-            extra = {"board_time_s": 1e-6 * status.time_us}
+            extra = {"board_time_s": 1e-3 * status.time_ms}
         else:
             told.append("board silent")
         if self._armed and status is not None and status.state is not State.ARMED:
@@ -198,9 +201,9 @@ class SerialRig:
         """
         values = check_command(command, self.robot)
         pressures, tensions, on = np.split(values, 3)
-        codes = self._calibration.to_codes(pressures, self.hello)
+        codes = self._calibration.to_codes(pressures, self.limits.pressure_max)
         by_position = self._tendons == "position"
-        goals = self._calibration.to_steps(tensions) if by_position else self._calibration.to_counts(tensions, self.hello)
+        goals = self._calibration.to_steps(tensions) if by_position else self._calibration.to_counts(tensions, self.limits.tension_max)
         self._ensure_armed()
         bits = sum(1 << k for k in range(self._count) if on[k])
         self.link.set(bits | (POSITION_MODE if by_position else 0), codes, goals)
@@ -266,9 +269,14 @@ class SerialRig:
         if self._armed is None:
             if self.board.state is not State.IDLE:
                 raise LinkError(f"the board is in {self.board.describe()}; see to it, then clear it: tepm hw check PORT --clear")
+            if differences := Limits.of(self.robot).differences(self.limits):
+                raise LinkError(
+                    f"firmware and robot file {self.robot.name} disagree: {'; '.join(differences)}. Write the robot file's numbers into the "
+                    "firmware (tepm hw limits) and flash it, or use the robot file that the firmware was made for"
+                )
             self._armed, self._armed_at = True, math.inf  # from now on stopping disarms, whatever interrupts this
             try:
-                self.link.arm()
+                self.link.arm(self.limits.check)
             except LinkError:
                 self._armed = None
                 raise

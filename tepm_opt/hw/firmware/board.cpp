@@ -5,6 +5,8 @@
 #include "adc.h"
 #include "config.h"
 #include "dac.h"
+#include "frames.h"
+#include "memory.h"
 #include "motors.h"
 
 #ifndef BUILD
@@ -17,30 +19,41 @@ namespace {
 
 static_assert(MOTORS <= CHANNELS && DACS <= CHANNELS, "the messages have no room for so many");
 
-constexpr uint16_t TIMEOUT_PASSES = (uint32_t)TIMEOUT_MS * PASS_HZ / 1000;
-constexpr uint16_t REGULATOR_PASSES = (uint32_t)REGULATOR_TIME_MS * PASS_HZ / 1000;
-constexpr float CODES_PER_MPA = 4096 / PRESSURE_FULL_SCALE_MPA;
-constexpr uint16_t SLEW = (uint16_t)(PRESSURE_SLEW_MPA_S * CODES_PER_MPA / PASS_HZ * 256);  // DAC codes a pass, 8 fractional bits
-constexpr uint16_t RAMP = (uint16_t)(PRESSURE_RAMP_MPA_S * CODES_PER_MPA / PASS_HZ * 256);
-constexpr uint16_t STEPS_PER_COUNT = (uint16_t)(STEPS_PER_N / TENSION_COUNTS_PER_N * 65536);  // 16 fractional bits
-constexpr uint16_t MONITOR_COUNTS = (uint16_t)(MONITOR_COUNTS_PER_DAC_CODE * 256 + 0.5f);  // for a DAC code, 8 fractional bits
+constexpr uint16_t SLEW = (uint16_t)(PRESSURE_SLEW_MPA_S * LIMITS.codes_per_MPa / 1000 * 256);  // DAC codes a ms, 8 fractional bits
+constexpr uint16_t RAMP = (uint16_t)(PRESSURE_RAMP_MPA_S * LIMITS.codes_per_MPa / 1000 * 256);
+constexpr uint16_t STEPS_PER_COUNT = LIMITS.steps_per_1000_counts * 65536UL / 1000;  // 16 fractional bits
 constexpr uint8_t STATUS_MS = BAUD >= 250000L ? 5 : 10;  // the line has no room for more
-constexpr uint8_t TRIPS = 2;         // samples one after the other above TENSION_TRIP
-constexpr uint8_t DEAD_SAMPLES = 5;  // outside of the dynamometer's range
 
-// What survives a reset of the processor, but not of the power: that the robot was armed, and the number of the session.
-struct Memory {
-  uint16_t mark;
-  uint8_t session, not_session, armed;
-} memory __attribute__((section(".noinit")));
-constexpr uint16_t MARK = 0x7E9A;
+// What is wrong now and then is found as well as what is wrong all the time: counters rise while it is, and fall slowly while it is not.
+struct Level {
+  uint16_t value;
+  bool reaches(uint16_t most, bool wrong, uint16_t rise, uint16_t fall) {
+    if (wrong) {
+      value += rise;
+      if (value < most) return false;
+      value = most;
+      return true;
+    }
+    value = value > fall ? value - fall : 0;
+    return false;
+  }
+};
+#if ADC_TENSION == ADC_AD7606  // a sample a ms: 2 ms, 5 ms; or a contact that is lost more than a third of the time
+constexpr uint8_t TRIP_SAMPLES = 2, DEAD_SAMPLES = 10, LOST = 2, JUMPED = 2;
+#else  // a sample is worth 20
+constexpr uint8_t TRIP_SAMPLES = 1, DEAD_SAMPLES = 2, LOST = 2, JUMPED = 1;
+#endif
+constexpr uint16_t JUMP = (LIMITS.tension_max - LIMITS.tension_zero) / 8;  // counts from a sample to the next: no arm moves so fast
 
 State state_;
-Fault fault_;
+uint16_t faults_;
+Fault fault_;  // the gravest
 uint8_t channel_, reset_cause_;
-uint8_t sequence_, refused_;
-uint16_t silence;  // passes since the last set point
-uint8_t turn;      // the regulator whose pass it is
+uint32_t sequence_;
+uint8_t refused_, stale_;
+uint32_t now, heard;  // the clock in ms: at this pass, at the last set point
+uint16_t limits_check;
+uint8_t turn;         // the regulator whose pass it is
 
 uint8_t wanted_enabled;
 bool position_mode;
@@ -49,81 +62,127 @@ int16_t wanted_tendon[CHANNELS];
 
 uint32_t applied[DACS];  // DAC codes, 8 fractional bits
 uint16_t code_[DACS];
-uint16_t smooth[MOTORS], before[MOTORS];  // dynamometers: the mean of the last two samples, and the last one
+uint32_t driven[DACS];                     // the clock when it was written last
+uint16_t smooth[MOTORS], before[MOTORS];   // dynamometers: the mean of the last two good samples; the last sample
+uint16_t good[MOTORS];                     // the last one in which nothing was wrong
+bool lost[MOTORS];                         // something was wrong with the last sample
 int32_t aim[MOTORS];                       // 1/256 steps, where samples are rare
 uint8_t trips[MOTORS], dead[MOTORS];
-uint16_t stuck[DACS];
+Level over[DACS], broken[DACS], stuck[DACS];
 
 uint16_t slew = SLEW, steps_per_count = STEPS_PER_COUNT;
 uint8_t status_passes_;
 
-bool estop_pressed() { return ESTOP_PIN & _BV(ESTOP_BIT); }
-
-// Out of ARMED, or from one fault to another: motors off now, pressure on its way to zero. Where that cannot be trusted, as with a regulator
-// that does not follow, the outputs go off, which vents everything, and the DACs to zero, so that nothing is there again after CLEAR.
-void leave(State to, Fault fault = Fault::NONE, uint8_t channel = 0) {
-  motors::enable(0);
-  if (state_ == State::ARMED) memory.not_session = ~++memory.session;
-  memory.armed = 0;
-  state_ = to;
-  fault_ = fault;
-  channel_ = channel;
-  wanted_enabled = 0;
-  for (uint8_t k = 0; k < CHANNELS; ++k) wanted_pressure[k] = 0;
-  if (to == State::ESTOP || fault == Fault::LOOP_HUNG || fault == Fault::REGULATOR) {
-    CONTROL_PORT &= ~_BV(OUTPUTS_BIT);
-    for (uint8_t k = 0; k < DACS; ++k) dac::write(k, applied[k] = code_[k] = 0);
-  }
+// The number of set points begins anew with the session.
+void new_session() {
+  memory::next_session();
+  sequence_ = 0;
 }
 
+bool estop_pressed() { return ESTOP_PIN & _BV(ESTOP_BIT); }
+
+// Vents everything, and sets the DACs to zero, so that nothing is there again after CLEAR.
+void outputs_off() {
+  CONTROL_PORT &= ~_BV(OUTPUTS_BIT);
+  for (uint8_t k = 0; k < DACS; ++k) dac::write(k, applied[k] = code_[k] = 0);
+}
+
+// Out of ARMED, or from one stop to another: motors off now, pressure on its way to zero.
+void leave(State to) {
+  motors::enable(0);
+  if (state_ == State::ARMED) new_session();
+  memory::armed(false);
+  state_ = to;
+  wanted_enabled = 0;
+  for (uint8_t k = 0; k < CHANNELS; ++k) wanted_pressure[k] = 0;
+}
+
+void stop() {
+  leave(State::ESTOP);
+  outputs_off();
+}
+
+// Every fault is kept, and acts, whatever came before it. From MONITOR on pressure cannot be trusted to follow.
 void fail(Fault fault, uint8_t channel = 0) {
-  if (state_ != State::FAULT && state_ != State::ESTOP) leave(State::FAULT, fault, channel);
+  const uint16_t bit = 1 << (uint8_t)fault >> 1;
+  if (faults_ & bit) return;
+  faults_ |= bit;
+  if (fault > fault_) {
+    fault_ = fault;
+    channel_ = channel;
+  }
+  if (state_ != State::ESTOP) leave(State::FAULT);
+  if (fault >= Fault::MONITOR) outputs_off();
 }
 
 bool dynamometer_dead(uint8_t motor) {
   const uint16_t value = adc::dynamometer(motor);
-  return value < DYNAMOMETER_LOW || value > DYNAMOMETER_HIGH;
+  return value < LIMITS.dynamometer_low || value > DYNAMOMETER_HIGH;
 }
 
-void watch_tendons() {
+// The loop and the trip look at the same: samples in which nothing is wrong. A contact that is lost now and then neither winds the tendon
+// nor hides what it pulls.
+void watch_tendon(uint8_t k) {
+  const uint16_t value = adc::dynamometer(k), change = value > before[k] ? value - before[k] : before[k] - value;
+  const bool out = dynamometer_dead(k);
+  before[k] = value;
+  lost[k] = out || change > JUMP;
+  if (!lost[k]) {
+    smooth[k] = (value + good[k]) / 2;
+    good[k] = value;
+  }
+  if (state_ != State::ARMED) return;
+  if (smooth[k] > LIMITS.tension_trip) {
+    if (++trips[k] >= TRIP_SAMPLES) fail(Fault::TENSION_TOO_HIGH, k);
+  } else if (trips[k]) {
+    --trips[k];
+  }
+  if (lost[k]) {
+    dead[k] += out ? LOST : JUMPED;
+    if (dead[k] >= DEAD_SAMPLES) fail(Fault::DYNAMOMETER, k);
+  } else if (dead[k]) {
+    --dead[k];
+  }
+}
+
+void watch_tendons(uint8_t fresh) {
   for (uint8_t k = 0; k < MOTORS; ++k) {
-    const uint16_t value = adc::dynamometer(k);
-    smooth[k] = (value + before[k]) / 2;
-    before[k] = value;
-    if (value <= TENSION_TRIP) {
-      trips[k] = 0;
-    } else if (value <= DYNAMOMETER_HIGH) {
-      ++trips[k];
-    }
-    dead[k] = dynamometer_dead(k) ? dead[k] + 1 : 0;
-    if (state_ != State::ARMED) {
-      trips[k] = dead[k] = 0;
-    } else if (trips[k] >= TRIPS) {
-      fail(Fault::TENSION_TOO_HIGH, k);
-    } else if (dead[k] >= DEAD_SAMPLES) {
-      fail(Fault::DYNAMOMETER, k);
-    } else if (motors::position(k) > TRAVEL_MAX || motors::position(k) < -TRAVEL_MAX) {
-      fail(Fault::TRAVEL, k);
-    }
+    if (fresh & 1 << k) watch_tendon(k);
+    if (state_ == State::ARMED && (motors::position(k) > TRAVEL_MAX || motors::position(k) < -TRAVEL_MAX)) fail(Fault::TRAVEL, k);
   }
 }
 
-// One regulator a pass. Its monitor follows within a second or so; one that does not is stuck, whatever it was told.
-void watch_regulator(uint8_t k) {
+int16_t off_set_point(uint8_t k) {
+  const int16_t code = (int16_t)code_[k] - LIMITS.code_zero;
+  const uint16_t counts = code > 0 ? (uint32_t)code * LIMITS.monitor_per_code >> 8 : 0;
+  return (int16_t)(adc::monitor(k) - LIMITS.monitor_zero - counts);
+}
+
+bool disagrees(uint8_t k) {
+  const int16_t off = off_set_point(k);
+  return off > (int16_t)LIMITS.regulator_band || off < -(int16_t)LIMITS.regulator_band;
+}
+
+// One regulator a pass, in every state. Its monitor follows within a second or so; one that does not is stuck, whatever it was told.
+void watch_regulator(uint8_t k, uint8_t ms) {
   if (MONITORS == 0) return;
-  const int16_t expected = MONITOR_ZERO + ((uint32_t)code_[k] * MONITOR_COUNTS >> 8);
-  const int16_t off = (int16_t)adc::monitor(k) - expected;
-  stuck[k] = off > (int16_t)REGULATOR_BAND || off < -(int16_t)REGULATOR_BAND ? stuck[k] + DACS : 0;
-  if (stuck[k] >= REGULATOR_PASSES) {
-    stuck[k] = 0;
-    fail(Fault::REGULATOR, k);
-  }
+  const uint16_t value = adc::monitor(k);
+  if (over[k].reaches(4 * MONITOR_MS, value > LIMITS.monitor_trip, 4 * ms, ms)) fail(Fault::PRESSURE_TOO_HIGH, k);
+  if (broken[k].reaches(4 * MONITOR_MS, value < LIMITS.monitor_low, 4 * ms, ms)) fail(Fault::MONITOR, k);
+  if (stuck[k].reaches(REGULATOR_MS, disagrees(k), ms, ms)) fail(Fault::REGULATOR, k);
+}
+
+// The regulator whose monitor shows what no regulator in order shows by now; DACS where there is none.
+uint8_t regulator_in_disorder() {
+  uint8_t k = MONITORS ? 0 : DACS;
+  while (k < DACS && !disagrees(k) && adc::monitor(k) >= LIMITS.monitor_low && adc::monitor(k) <= LIMITS.monitor_trip) ++k;
+  return k;
 }
 
 // One regulator a pass.
-void drive_regulator(uint8_t k) {
+void drive_regulator(uint8_t k, uint8_t ms) {
   const uint32_t goal = (uint32_t)wanted_pressure[k] << 8;
-  const uint32_t most = (uint32_t)DACS * (state_ == State::ARMED ? slew : RAMP);
+  const uint32_t most = (uint32_t)ms * (state_ == State::ARMED ? slew : RAMP);
   uint32_t &now = applied[k];
   if (now < goal) {
     now = goal - now > most ? now + most : goal;
@@ -131,12 +190,11 @@ void drive_regulator(uint8_t k) {
     now = now - goal > most ? now - most : goal;
   }
   code_[k] = now >> 8;
-  if (code_[k] > PRESSURE_MAX) code_[k] = PRESSURE_MAX;
+  if (code_[k] > LIMITS.pressure_max) code_[k] = LIMITS.pressure_max;
   dac::write(k, code_[k]);
 }
 
-void drive_motors() {
-  const uint8_t fresh = adc::fresh();
+void drive_motors(uint8_t fresh) {
   motors::plan();
   if (state_ == State::ARMED) {
     for (uint8_t k = 0; k < MOTORS; ++k) {
@@ -146,9 +204,9 @@ void drive_motors() {
       } else {
         const int16_t missing = wanted_tendon[k] - (int16_t)smooth[k];
         const bool close = missing <= TENSION_DEAD_BAND && missing >= -(int16_t)TENSION_DEAD_BAND;
-        way = close ? 0 : (int32_t)missing * steps_per_count >> 8;
+        way = close || lost[k] ? 0 : (int32_t)missing * steps_per_count >> 8;
         if (ADC_TENSION == ADC_INTERNAL) {  // samples come every 5 to 20 ms: half the way on each, and not again before the next
-          if (fresh & 1 << k) aim[k] = motors::position(k) * 256L + way / 2;
+          if (fresh & 1 << k && !lost[k]) aim[k] = motors::position(k) * 256L + way / 2;
           way = aim[k] - motors::position(k) * 256L;
         }
       }
@@ -166,52 +224,63 @@ namespace board {
 void begin(uint8_t reset_cause) {
   reset_cause_ = reset_cause;
   status_passes_ = STATUS_MS * (PASS_HZ / 1000);
-  const bool known = memory.mark == MARK && memory.not_session == (uint8_t)~memory.session;
-  const bool was_armed = known && memory.armed == 1;
-  if (!known) memory.session = 0;
-  memory = {MARK, (uint8_t)(memory.session + 1), (uint8_t) ~(memory.session + 1), 0};
-  state_ = was_armed ? State::FAULT : State::IDLE;
-  fault_ = was_armed ? Fault::RESET_WHILE_ARMED : Fault::NONE;
+  limits_check = 0xFFFF;
+  for (uint8_t k = 0; k < sizeof LIMITS; ++k) limits_check = crc16(limits_check, ((const uint8_t *)&LIMITS)[k]);
+  limits_check = ~limits_check;
 
   CONTROL_PORT &= ~_BV(OUTPUTS_BIT);
   CONTROL_DDR |= _BV(OUTPUTS_BIT);
   ESTOP_PORT |= _BV(ESTOP_BIT);  // pull-up
-  dac::begin();
+  state_ = State::IDLE;
+  const bool dacs = dac::begin(), was_armed = memory::begin();
   adc::begin();
   motors::begin();
-  CONTROL_PORT |= _BV(OUTPUTS_BIT);
+  if (was_armed) fail(Fault::RESET_WHILE_ARMED);
+  if (dacs) CONTROL_PORT |= _BV(OUTPUTS_BIT);
+  else fail(Fault::BUS);
 }
 
 void pass() {
   adc::convert();
+  now = motors::time();
   turn = turn + 1 < DACS ? turn + 1 : 0;
-  if (estop_pressed() && state_ != State::ESTOP) leave(State::ESTOP);
+  const uint32_t since = now - driven[turn];
+  const uint8_t ms = since < 255 ? since : 255;
+  driven[turn] = now;
+  if (estop_pressed() && state_ != State::ESTOP) stop();
   if (motors::hung()) fail(Fault::LOOP_HUNG);
-  if (state_ == State::ARMED && ++silence > TIMEOUT_PASSES) leave(State::HOST_TIMEOUT);
-  watch_regulator(turn);
-  drive_regulator(turn);
+  dac::turn(now);
+  if (dac::hung()) fail(Fault::BUS);
+  if (state_ == State::ARMED && now - heard > TIMEOUT_MS) leave(State::HOST_TIMEOUT);
+  watch_regulator(turn, ms);
+  drive_regulator(turn, ms);
   motors::alive();
   adc::read();
   motors::alive();
-  watch_tendons();
-  drive_motors();
+  const uint8_t fresh = adc::fresh();
+  watch_tendons(fresh);
+  motors::alive();
+  drive_motors(fresh);
 }
 
 void set(const Set &message) {
-  if ((int8_t)(message.sequence - sequence_) <= 0) return;  // old: neither done nor a sign of life
+  // From before the robot was armed, from another arming, or old: neither done nor a sign of life.
+  if (state_ != State::ARMED || message.session != memory::session() || message.sequence <= sequence_) {
+    ++stale_;
+    return;
+  }
   bool allowed = !(message.enabled & ~(POSITION_MODE | ((1 << MOTORS) - 1)));
   const bool steps = message.enabled & POSITION_MODE;
   for (uint8_t k = 0; k < CHANNELS; ++k) {
-    const int16_t most = k >= MOTORS ? 0 : steps ? POSITION_MAX : (int16_t)TENSION_MAX;
-    allowed &= message.pressures[k] <= (k < DACS ? PRESSURE_MAX : 0) && message.tendons[k] >= 0 && message.tendons[k] <= most;
+    const int16_t most = k >= MOTORS ? 0 : steps ? LIMITS.position_max : LIMITS.tension_max;
+    allowed &= message.pressures[k] <= (k < DACS ? LIMITS.pressure_max : 0) && message.tendons[k] >= 0 && message.tendons[k] <= most;
   }
   if (!allowed) {
     ++refused_;
     return;
   }
   sequence_ = message.sequence;
-  if (state_ != State::ARMED) return;
-  silence = 0;
+  heard = now;
   position_mode = steps;
   for (uint8_t k = 0; k < CHANNELS; ++k) {
     wanted_pressure[k] = message.pressures[k];
@@ -224,36 +293,47 @@ void set(const Set &message) {
   }
 }
 
-Result arm(const Arm &message) {
-  if (message.session != memory.session) return Result::WRONG_SESSION;
+// `channel` becomes the actuator that an answer is about.
+Result arm(const Arm &message, uint8_t &channel) {
+  if (message.session != memory::session()) return Result::WRONG_SESSION;
+  if (message.limits != limits_check) return Result::WRONG_LIMITS;
   if (estop_pressed()) return Result::ESTOP_PRESSED;
   if (state_ != State::IDLE) return Result::WRONG_STATE;
-  for (uint8_t k = 0; k < MOTORS; ++k) {
-    if (dynamometer_dead(k)) {
-      channel_ = k;
-      return Result::DYNAMOMETER;
-    }
+  for (channel = 0; channel < MOTORS; ++channel) {
+    if (dynamometer_dead(channel)) return Result::DYNAMOMETER;
   }
-  sequence_ = message.sequence;
-  silence = 0;
-  memory.armed = 1;
+  if (dac::hung()) return Result::BUS;
+  channel = regulator_in_disorder();
+  if (channel < DACS) return Result::MONITOR;
+  for (uint8_t k = 0; k < MOTORS; ++k) trips[k] = dead[k] = 0;
+  new_session();
+  heard = now;
+  memory::armed(true);
   state_ = State::ARMED;
+  channel = 0;
   return Result::DONE;
 }
 
-Result clear(uint8_t session) {
-  if (session != memory.session) return Result::WRONG_SESSION;
+Result clear(uint32_t session, uint8_t &channel) {
+  if (session != memory::session()) return Result::WRONG_SESSION;
   if (state_ == State::ARMED) return Result::WRONG_STATE;
   if (estop_pressed()) return Result::ESTOP_PRESSED;
+  if (dac::hung()) return Result::BUS;
+  channel = regulator_in_disorder();
+  if (channel < DACS) return Result::MONITOR;
   motors::forgive();
   leave(State::IDLE);
-  memory.not_session = ~++memory.session;
+  new_session();
+  faults_ = 0;
+  fault_ = Fault::NONE;
+  channel = channel_ = 0;
+  for (uint8_t k = 0; k < DACS; ++k) over[k].value = broken[k].value = stuck[k].value = 0;
   CONTROL_PORT |= _BV(OUTPUTS_BIT);
   return Result::DONE;
 }
 
 Result estop() {
-  leave(State::ESTOP);
+  stop();
   return Result::DONE;
 }
 
@@ -262,7 +342,8 @@ Result disarm() {
   return Result::DONE;
 }
 
-Result config(uint8_t key, uint16_t value) {
+Result config(uint32_t session, uint8_t key, uint16_t value) {
+  if (session != memory::session()) return Result::WRONG_SESSION;
   switch ((Key)key) {
     case Key::STATUS_PERIOD_MS:
       if (value < STATUS_MS || value > 100) return Result::OUT_OF_RANGE;
@@ -288,20 +369,20 @@ Result config(uint8_t key, uint16_t value) {
 
 State state() { return state_; }
 
-uint8_t session() { return memory.session; }
-
 uint8_t status_passes() { return status_passes_; }
 
 void report(Status &message) {
   message.sequence = sequence_;
-  message.session = memory.session;
+  message.session = memory::session();
   message.state = (uint8_t)state_;
+  message.faults = faults_;
   message.fault = (uint8_t)fault_;
   message.channel = channel_;
   message.enabled = motors::enabled() | (position_mode ? POSITION_MODE : 0);
   message.refused = refused_;
+  message.stale = stale_;
   message.late = motors::missed();
-  message.time_us = motors::time() * (1000000UL / PASS_HZ);
+  message.time_ms = motors::time() * (1000 / PASS_HZ);
   for (uint8_t k = 0; k < CHANNELS; ++k) {
     message.dynamometers[k] = k < MOTORS ? adc::dynamometer(k) : 0;
     message.monitors[k] = adc::monitor(k);
@@ -312,12 +393,12 @@ void report(Status &message) {
 void report(Hello &message) {
   message.version = VERSION;
   message.channels = MOTORS;
+  message.monitors = MONITORS;
   message.reset_cause = reset_cause_;
   message.state = (uint8_t)state_;
-  message.session = memory.session;
+  message.session = memory::session();
   message.build = BUILD;
-  message.pressure_max = PRESSURE_MAX;
-  message.tension_max = TENSION_MAX;
+  message.limits = limits_check;
   message.timeout_ms = TIMEOUT_MS;
 }
 

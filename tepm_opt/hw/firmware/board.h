@@ -10,14 +10,13 @@ void begin(uint8_t reset_cause);
 void pass();  // every millisecond
 
 void set(const protocol::Set &message);
-protocol::Result arm(const protocol::Arm &message);
-protocol::Result clear(uint8_t session);
+protocol::Result arm(const protocol::Arm &message, uint8_t &channel);  // `channel`: the actuator that the answer is about
+protocol::Result clear(uint32_t session, uint8_t &channel);
 protocol::Result estop();
 protocol::Result disarm();
-protocol::Result config(uint8_t key, uint16_t value);
+protocol::Result config(uint32_t session, uint8_t key, uint16_t value);
 
 protocol::State state();
-uint8_t session();
 uint8_t status_passes();                 // between two STATUS
 void report(protocol::Status &message);  // all but the counters of frames
 void report(protocol::Hello &message);

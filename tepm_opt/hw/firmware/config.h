@@ -2,6 +2,8 @@
 #pragma once
 #include <stdint.h>
 
+#include "limits.h"
+
 // ---------------------------------------------------------------- parts
 
 // Pressure set points: DAC_MCP4922 (SPI, two outputs a chip; recommended: its SHDN pin switches the outputs off in hardware)
@@ -27,22 +29,9 @@
 #define BAUD 250000L  // exact at 16 MHz; 115200 also works, with STATUS at 100 Hz
 #endif
 
-// ---------------------------------------------------------------- limits: nothing that arrives over the line exceeds them
+// ---------------------------------------------------------------- limits that no calibration changes. Those of the robot: limits.h
 
-constexpr float PRESSURE_FULL_SCALE_MPA = 0.9f;  // of the regulator, at the DAC's full scale
-constexpr float PRESSURE_MAX_MPA = 0.5f;
-constexpr float TENSION_COUNTS_ZERO = 3277.0f;   // 0.5 V: a live zero shows a broken wire
-constexpr float TENSION_COUNTS_PER_N = 3276.8f;  // 0.5 V/N
-constexpr float TENSION_MAX_N = 7.0f;
-constexpr float TENSION_TRIP_N = 7.35f;          // measured more than this: FAULT
-constexpr float STEPS_PER_N = 952.38f;           // 1.05 mN a step
-
-constexpr uint16_t PRESSURE_MAX = (uint16_t)(4096.0f * PRESSURE_MAX_MPA / PRESSURE_FULL_SCALE_MPA);         // DAC codes
-constexpr uint16_t TENSION_MAX = (uint16_t)(TENSION_COUNTS_ZERO + TENSION_COUNTS_PER_N * TENSION_MAX_N + 0.5f);    // counts
-constexpr uint16_t TENSION_TRIP = (uint16_t)(TENSION_COUNTS_ZERO + TENSION_COUNTS_PER_N * TENSION_TRIP_N + 0.5f);
-constexpr uint16_t DYNAMOMETER_LOW = 1638;       // 0.25 V: below is a short circuit or a broken wire (pull-down)
 constexpr uint16_t DYNAMOMETER_HIGH = 31130;     // 4.75 V: above is a broken wire of the bridge
-constexpr int16_t POSITION_MAX = (int16_t)(STEPS_PER_N * TENSION_MAX_N + 0.5f);  // steps, in position mode
 constexpr int16_t TRAVEL_MAX = 30000;            // steps; a loop that winds further pulls at nothing: FAULT
 
 // ---------------------------------------------------------------- motion. A pass of the main loop is a millisecond
@@ -58,17 +47,18 @@ constexpr float STEP_START_HZ = 8000.0f;
 constexpr float STEP_ACCELERATION_HZ_S = 1600000.0f;
 constexpr float PRESSURE_SLEW_MPA_S = 2.5f;      // of set points while armed
 constexpr float PRESSURE_RAMP_MPA_S = 1.0f;      // to zero, when the host is silent or something is wrong
-constexpr uint16_t TIMEOUT_MS = 100;
 #if ADC_TENSION == ADC_INTERNAL
 constexpr uint8_t TENSION_DEAD_BAND = 8;         // counts: its noise
 #else
 constexpr uint8_t TENSION_DEAD_BAND = 2;         // counts: a little more than half a step
 #endif
 
-constexpr uint16_t REGULATOR_BAND = 2913;        // counts of the monitor: 0.1 MPa at 4.44 V/MPa
-constexpr uint16_t REGULATOR_TIME_MS = 1500;     // a monitor that is further off for so long: FAULT
-constexpr uint16_t MONITOR_ZERO = 6554;          // counts: 1 V at no pressure
-constexpr float MONITOR_COUNTS_PER_DAC_CODE = 6.4f;  // 4 V over the DAC's range
+// ---------------------------------------------------------------- how long something has to be wrong, in ms by the clock
+
+constexpr uint16_t TIMEOUT_MS = 100;             // no SET
+constexpr uint16_t REGULATOR_MS = 1500;          // a monitor further off its set point than LIMITS.regulator_band
+constexpr uint16_t MONITOR_MS = 50;              // a monitor above LIMITS.monitor_trip, or broken
+constexpr uint16_t BUS_MS = 20;                  // the two-wire bus of the MCP4728
 
 // ---------------------------------------------------------------- pins (port letters, bits). docs/hardware.md has the drawing
 
@@ -128,8 +118,11 @@ constexpr uint8_t MOTORS = 3, DACS = 3, MONITORS = 0;
 #error "no pins for this board: add them here"
 #endif
 
-static_assert(PRESSURE_MAX < 4096, "PRESSURE_MAX_MPA exceeds the regulator's full scale");
-static_assert(TENSION_TRIP < DYNAMOMETER_HIGH, "the dynamometers end before TENSION_TRIP_N");
-static_assert(DYNAMOMETER_LOW < (uint16_t)TENSION_COUNTS_ZERO, "no live zero");
+static_assert(LIMITS.pressure_max < 4096, "the DAC ends before pressure_max");
+static_assert(LIMITS.code_zero < (int16_t)LIMITS.pressure_max, "no pressure between code_zero and pressure_max");
+static_assert(LIMITS.monitor_low < LIMITS.monitor_zero || LIMITS.monitor_low == 0, "no live zero");
+static_assert(LIMITS.monitor_trip < 32736, "the monitors end before monitor_trip");
+static_assert(LIMITS.tension_max < LIMITS.tension_trip && LIMITS.tension_trip < DYNAMOMETER_HIGH, "the dynamometers end before tension_trip");
+static_assert(LIMITS.dynamometer_low < LIMITS.tension_zero, "no live zero");
 static_assert(STEP_RATE_HZ <= (float)PASS_HZ * STEPS_MAX, "more steps than the interrupt can make");
-static_assert(TENSION_MAX_N * STEPS_PER_N < TRAVEL_MAX, "TRAVEL_MAX stops the motor before TENSION_MAX_N");
+static_assert(LIMITS.position_max < TRAVEL_MAX, "TRAVEL_MAX stops the motor before the largest tension");

@@ -9,12 +9,13 @@
 
 namespace dac {
 
-void begin() {
+bool begin() {
   constexpr uint8_t chips = ((1 << (DACS + 1) / 2) - 1) << SELECT_DAC_SHIFT;
   SELECT_PORT |= chips;
   SELECT_DDR |= chips;
   spi::begin();
   for (uint8_t channel = 0; channel < DACS; ++channel) write(channel, 0);
+  return true;
 }
 
 void write(uint8_t channel, uint16_t code) {
@@ -28,62 +29,98 @@ void write(uint8_t channel, uint16_t code) {
   SELECT_PORT |= select;
 }
 
+void turn(uint32_t) {}
+
+bool hung() { return false; }  // nothing on this bus answers
+
 }  // namespace dac
 
-#else  // MCP4728: two chips, each with four outputs, written in the background by the interrupt of the two-wire interface
+#else  // MCP4728: two chips, each with four outputs. The interrupt of the two-wire interface writes one output after the other
 
 #include <util/delay.h>
 #include <util/twi.h>
 
 namespace dac {
 
-static volatile uint16_t codes[8];
-static volatile uint8_t chip, byte_at;
+// The main loop starts a write each pass, round the channels; an output is written again every DACS passes, whether it has changed or not.
+static volatile uint16_t codes[DACS];
+static uint16_t code;  // that is on its way
+static volatile uint8_t channel, byte_at;
+static volatile bool busy;
+static volatile uint8_t arrived;  // bits of the chips
+static uint32_t last[2], started;  // the clock when a write had last arrived at each; when the last one began
+static bool hung_;
 
 static constexpr uint8_t GO = _BV(TWINT) | _BV(TWEN) | _BV(TWIE);
 
-void begin() {
+static constexpr uint8_t CHIPS = (DACS + 2) / 3;
+
+bool begin() {
   TWBR = (F_CPU / 400000L - 16) / 2;
   TWSR = 0;
-  chip = 0;
-  TWCR = GO | _BV(TWSTA);
-  _delay_ms(2);  // both chips have forgotten what their own memory told them at power-on
+  uint8_t missing = DACS;
+  for (channel = 0; channel < DACS; ++channel) {  // the chips' own memory told them something else at power-on
+    arrived = 0;
+    TWCR = GO | _BV(TWSTA);
+    _delay_us(200);
+    if (arrived) --missing;
+  }
+  TWCR = 0;
+  channel = 0;
+  return missing == 0;
 }
 
-void write(uint8_t channel, uint16_t code) {
+void write(uint8_t at, uint16_t code) {
   const uint8_t status = SREG;
   cli();
-  codes[channel < 3 ? channel : channel + 1] = code;  // channels 1-3 on the first chip, 4-6 on the second
+  codes[at] = code;
   SREG = status;
 }
 
+void turn(uint32_t now) {
+  hung_ = false;
+  for (uint8_t chip = 0; chip < CHIPS; ++chip) {
+    if (arrived & 1 << chip) last[chip] = now;
+    hung_ |= now - last[chip] > BUS_MS;
+  }
+  if (busy && now - started <= BUS_MS) return;
+  TWCR = 0;  // lets the lines go
+  arrived = 0;
+  channel = channel + 1 < DACS ? channel + 1 : 0;
+  busy = true;
+  started = now;
+  TWCR = GO | _BV(TWSTA);
+}
+
+bool hung() { return hung_; }
+
 }  // namespace dac
 
-// Fast write: address, then two bytes for each of the outputs A ... D; then the other chip; for ever.
+// Multi-write: address; output; reference (the supply), power (on), gain (1) and the upper bits of the code; the lower ones.
 ISR(TWI_vect) {
   using namespace dac;
   switch (TWSR & 0xF8) {
     case TW_START:
-    case TW_REP_START:
       byte_at = 0;
-      TWDR = (0x60 + chip) << 1;
+      TWDR = (0x60 + channel / 3) << 1;  // channels 1-3 on the first chip, 4-6 on the second
       TWCR = GO;
       return;
     case TW_MT_SLA_ACK:
     case TW_MT_DATA_ACK:
-      if (byte_at < 8) {
-        const uint16_t code = codes[4 * chip + byte_at / 2];
-        TWDR = byte_at & 1 ? code : code >> 8;  // power-down bits are 0: output on
+      if (byte_at < 3) {
+        if (byte_at == 0) code = codes[channel];
+        TWDR = byte_at == 0 ? 0x40 | (channel % 3) << 1 : byte_at == 1 ? code >> 8 : code;
         ++byte_at;
         TWCR = GO;
         return;
       }
+      arrived |= 1 << channel / 3;
       break;
-    default:  // nobody answers, or the bus was lost: try the other chip
+    default:  // nobody answers, or the bus was lost
       break;
   }
-  chip ^= 1;
-  TWCR = GO | _BV(TWSTO) | _BV(TWSTA);
+  busy = false;
+  TWCR = _BV(TWINT) | _BV(TWEN) | _BV(TWSTO);
 }
 
 #endif

@@ -4,7 +4,9 @@
 
 namespace dac {
 
-void begin();                                // all channels at 0
+bool begin();                                // all channels at 0; whether all took that
 void write(uint8_t channel, uint16_t code);  // 0 ... 4095
+void turn(uint32_t now);                     // every pass; now: the clock in ms
+bool hung();                                 // what was written does not arrive, for BUS_MS by now
 
 }  // namespace dac

@@ -11,15 +11,17 @@ uint16_t crc16(uint16_t crc, uint8_t byte) {
 }
 #endif
 
+static constexpr uint16_t RIGHT = 0x1D0F;  // what the sum is after payload and inverted CRC
+
 void Decoder::begin() {
   left_ = 0;
-  crc_ = 0;
+  crc_ = 0xFFFF;
   zero_ = broken_ = false;
   empty_ = true;
 }
 
 bool Decoder::finish() {
-  const bool whole = !empty_ && !broken_ && left_ == 0 && length_ > 2 && crc_ == 0;
+  const bool whole = !empty_ && !broken_ && left_ == 0 && length_ > 2 && crc_ == RIGHT;
   if (!whole && !empty_) ++bad;
   if (whole) length_ -= 2;
   begin();

@@ -1,4 +1,4 @@
-// Frames on the line: COBS(payload + CRC-16/XMODEM), zero. No Arduino in here: the tests also compile it for a PC.
+// Frames on the line: COBS(payload + CRC-16/GENIBUS), zero. No Arduino in here: the tests also compile it for a PC.
 #pragma once
 #include <stdint.h>
 
@@ -25,7 +25,7 @@ class Decoder {
   bool zero_ = false;     // whether a zero stands at that place
   bool empty_ = true;     // nothing since the last zero
   bool broken_ = false;
-  uint16_t crc_ = 0;
+  uint16_t crc_ = 0xFFFF;
 };
 
 // Writes the frame of at most 250 bytes (payload and CRC); returns its length with the zero at its end.

@@ -1,27 +1,28 @@
 #include "link.h"
 
-#include <Arduino.h>
 #include <string.h>
 
 #include "board.h"
 #include "config.h"
 #include "frames.h"
+#include "memory.h"
 #include "motors.h"
 #include "protocol.h"
+#include "uart.h"
 
 using namespace protocol;
 
 namespace {
 
 // What a pass takes in, sums up and sends at most, so that none is late. STATUS needs four passes of the five that it has.
-constexpr uint8_t RECEIVED = 12, SUMMED = 32, SENT = 16;
+constexpr uint8_t RECEIVED = 13, SUMMED = 32, SENT = 18;
 
 Decoder decoder;
 uint16_t good;
 uint8_t count;
 
 // The last request and its answer: one that comes again is answered again, not done again.
-uint8_t last[sizeof(Config)], last_result;
+uint8_t last[sizeof(Config)], last_result, last_channel;
 static_assert(sizeof(Config) >= sizeof(Arm), "the longest request");
 
 // What goes out: a payload with its CRC so far, then a frame that trickles into the serial port.
@@ -29,12 +30,13 @@ union {
   Status status;
   Ack ack;
   Hello hello;
+  Limits limits;
   uint8_t bytes[sizeof(Status) + 2];
 } payload;
 uint8_t out[sizeof payload + 2];
 uint8_t summed, length, sent, out_length;
 uint16_t crc;
-bool ack_due, hello_due = true;
+bool ack_due, hello_due = true, limits_due;
 uint16_t since_status, since_hello;
 bool heard;
 
@@ -48,6 +50,7 @@ bool again(const Message &message) {
   ack_due = true;
   if (!memcmp(last, &message, sizeof message)) return true;
   memcpy(last, &message, sizeof message);
+  last_channel = 0;
   return false;
 }
 
@@ -55,9 +58,9 @@ void take() {
   if (const Set *message = as<Set>()) {
     board::set(*message);
   } else if (const Arm *message = as<Arm>()) {
-    if (!again(*message)) last_result = (uint8_t)board::arm(*message);
+    if (!again(*message)) last_result = (uint8_t)board::arm(*message, last_channel);
   } else if (const Clear *message = as<Clear>()) {
-    if (!again(*message)) last_result = (uint8_t)board::clear(message->session);
+    if (!again(*message)) last_result = (uint8_t)board::clear(message->session, last_channel);
   } else if (const Estop *message = as<Estop>()) {
     again(*message);
     last_result = (uint8_t)board::estop();
@@ -65,9 +68,9 @@ void take() {
     again(*message);
     last_result = (uint8_t)board::disarm();
   } else if (const Config *message = as<Config>()) {
-    if (!again(*message)) last_result = (uint8_t)board::config(message->key, message->value);
+    if (!again(*message)) last_result = (uint8_t)board::config(message->session, message->key, message->value);
   } else if (as<Ask>()) {
-    hello_due = true;
+    hello_due = limits_due = true;
   } else {
     ++decoder.bad;
     return;
@@ -79,19 +82,23 @@ void take() {
 void begin_payload(uint8_t size) {
   length = size;
   summed = 0;
-  crc = 0;
+  crc = 0xFFFF;
 }
 
 void choose() {
   if (ack_due) {
     ack_due = false;
-    payload.ack = {Ack::CODE, last[1], last[0], last_result, (uint8_t)board::state(), board::session()};
+    payload.ack = {Ack::CODE, last[1], last[0], last_result, last_channel, (uint8_t)board::state(), memory::session()};
     begin_payload(sizeof payload.ack);
   } else if (hello_due) {
     hello_due = false;
     payload.hello.code = Hello::CODE;
     board::report(payload.hello);
     begin_payload(sizeof payload.hello);
+  } else if (limits_due) {
+    limits_due = false;
+    payload.limits = LIMITS;
+    begin_payload(sizeof payload.limits);
   } else if (since_status >= board::status_passes()) {
     since_status -= board::status_passes();  // one that waits for an answer to go out does not delay those after it
     if (since_status >= board::status_passes()) since_status = 0;
@@ -110,13 +117,14 @@ void choose() {
 namespace link {
 
 void begin() {
-  Serial.begin(BAUD);
-  Serial.write((uint8_t)0);  // ends the frame in whose middle a reset came
+  uart::begin();
+  uart::put(0);  // ends the frame in whose middle a reset came
 }
 
 void receive() {
-  for (uint8_t k = 0; k < RECEIVED && Serial.available(); ++k) {
-    if (decoder.take(Serial.read())) take();
+  uint8_t byte;
+  for (uint8_t k = 0; k < RECEIVED && uart::take(byte); ++k) {
+    if (decoder.take(byte)) take();
     motors::alive();
   }
 }
@@ -134,6 +142,7 @@ void send() {
   } else if (summed < length) {
     for (uint8_t k = 0; k < SUMMED && summed < length; ++k) crc = crc16(crc, payload.bytes[summed++]);
   } else if (sent == out_length) {
+    crc = ~crc;
     payload.bytes[length] = crc >> 8;
     payload.bytes[length + 1] = crc;
     out_length = encode(payload.bytes, length + 2, out);
@@ -143,11 +152,9 @@ void send() {
   if (sent < out_length) {
     uint8_t portion = out_length - sent;
     if (portion > SENT) portion = SENT;
-    if (Serial.availableForWrite() < portion) return;
-    while (portion--) {
-      Serial.write(out[sent++]);
-      motors::alive();
-    }
+    if (uart::room() < portion) return;
+    while (portion--) uart::put(out[sent++]);
+    motors::alive();
   }
 }
 

@@ -1,4 +1,4 @@
-// Frames to and from the host, over the Arduino core's serial port.
+// Frames to and from the host.
 #pragma once
 
 namespace link {

@@ -4,7 +4,7 @@
 
 namespace protocol {
 
-constexpr uint8_t VERSION = 1;
+constexpr uint8_t VERSION = 2;
 constexpr uint8_t CHANNELS = 6;
 constexpr uint8_t POSITION_MODE = 0x80;
 
@@ -19,11 +19,14 @@ enum class State : uint8_t {
 enum class Fault : uint8_t {
   NONE = 0,
   RESET_WHILE_ARMED = 1,
-  LOOP_HUNG = 2,
-  TENSION_TOO_HIGH = 3,
-  DYNAMOMETER = 4,
-  REGULATOR = 5,
-  TRAVEL = 6,
+  TRAVEL = 2,
+  DYNAMOMETER = 3,
+  TENSION_TOO_HIGH = 4,
+  MONITOR = 5,
+  REGULATOR = 6,
+  PRESSURE_TOO_HIGH = 7,
+  BUS = 8,
+  LOOP_HUNG = 9,
 };
 
 enum class Result : uint8_t {
@@ -34,6 +37,9 @@ enum class Result : uint8_t {
   DYNAMOMETER = 4,
   UNKNOWN_KEY = 5,
   OUT_OF_RANGE = 6,
+  MONITOR = 7,
+  WRONG_LIMITS = 8,
+  BUS = 9,
 };
 
 enum class Key : uint8_t {
@@ -53,29 +59,30 @@ enum class ResetCause : uint8_t {
 struct Set {
   static constexpr uint8_t CODE = 0x01;
   uint8_t code;
-  uint8_t sequence;
+  uint32_t session;
+  uint32_t sequence;
   uint8_t enabled;
   uint16_t pressures[6];
   int16_t tendons[6];
 } __attribute__((packed));
-static_assert(sizeof(Set) == 27, "");
+static_assert(sizeof(Set) == 34, "");
 
 struct Arm {
   static constexpr uint8_t CODE = 0x02;
   uint8_t code;
   uint8_t id;
-  uint8_t session;
-  uint8_t sequence;
+  uint32_t session;
+  uint16_t limits;
 } __attribute__((packed));
-static_assert(sizeof(Arm) == 4, "");
+static_assert(sizeof(Arm) == 8, "");
 
 struct Clear {
   static constexpr uint8_t CODE = 0x03;
   uint8_t code;
   uint8_t id;
-  uint8_t session;
+  uint32_t session;
 } __attribute__((packed));
-static_assert(sizeof(Clear) == 3, "");
+static_assert(sizeof(Clear) == 6, "");
 
 struct Estop {
   static constexpr uint8_t CODE = 0x04;
@@ -88,10 +95,11 @@ struct Config {
   static constexpr uint8_t CODE = 0x05;
   uint8_t code;
   uint8_t id;
+  uint32_t session;
   uint8_t key;
   uint16_t value;
 } __attribute__((packed));
-static_assert(sizeof(Config) == 5, "");
+static_assert(sizeof(Config) == 9, "");
 
 struct Ask {
   static constexpr uint8_t CODE = 0x06;
@@ -110,23 +118,25 @@ static_assert(sizeof(Disarm) == 2, "");
 struct Status {
   static constexpr uint8_t CODE = 0x81;
   uint8_t code;
-  uint8_t sequence;
+  uint16_t sequence;
   uint8_t count;
-  uint8_t session;
+  uint32_t session;
   uint8_t state;
+  uint16_t faults;
   uint8_t fault;
   uint8_t channel;
   uint8_t enabled;
   uint16_t good;
   uint16_t bad;
   uint8_t refused;
+  uint8_t stale;
   uint8_t late;
-  uint32_t time_us;
+  uint32_t time_ms;
   uint16_t dynamometers[6];
   uint16_t monitors[6];
   int16_t positions[6];
 } __attribute__((packed));
-static_assert(sizeof(Status) == 54, "");
+static_assert(sizeof(Status) == 61, "");
 
 struct Ack {
   static constexpr uint8_t CODE = 0x82;
@@ -134,24 +144,45 @@ struct Ack {
   uint8_t id;
   uint8_t request;
   uint8_t result;
+  uint8_t channel;
   uint8_t state;
-  uint8_t session;
+  uint32_t session;
 } __attribute__((packed));
-static_assert(sizeof(Ack) == 6, "");
+static_assert(sizeof(Ack) == 10, "");
 
 struct Hello {
   static constexpr uint8_t CODE = 0x83;
   uint8_t code;
   uint8_t version;
   uint8_t channels;
+  uint8_t monitors;
   uint8_t reset_cause;
   uint8_t state;
-  uint8_t session;
+  uint32_t session;
   uint32_t build;
-  uint16_t pressure_max;
-  uint16_t tension_max;
+  uint16_t limits;
   uint8_t timeout_ms;
 } __attribute__((packed));
-static_assert(sizeof(Hello) == 15, "");
+static_assert(sizeof(Hello) == 17, "");
+
+struct Limits {
+  static constexpr uint8_t CODE = 0x84;
+  uint8_t code;
+  int16_t code_zero;
+  uint16_t codes_per_MPa;
+  uint16_t pressure_max;
+  uint16_t monitor_zero;
+  uint16_t monitor_per_code;
+  uint16_t monitor_low;
+  uint16_t monitor_trip;
+  uint16_t regulator_band;
+  uint16_t tension_zero;
+  uint16_t tension_max;
+  uint16_t tension_trip;
+  uint16_t dynamometer_low;
+  uint16_t position_max;
+  uint16_t steps_per_1000_counts;
+} __attribute__((packed));
+static_assert(sizeof(Limits) == 29, "");
 
 }  // namespace protocol

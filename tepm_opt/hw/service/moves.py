@@ -73,8 +73,8 @@ class Single:
             InputError: naming the limit.
         """
         calibration, command = Calibration.of(self.robot), self.command(value)
-        calibration.to_codes(command.pressures, rig.hello)
-        calibration.to_counts(command.tensions, rig.hello)
+        calibration.to_codes(command.pressures, rig.limits.pressure_max)
+        calibration.to_counts(command.tensions, rig.limits.tension_max)
 
 
 def refuse_outside(value: float, most: float, name: str, unit: str) -> None:

@@ -91,6 +91,7 @@ def _load(path: Path) -> ctypes.CDLL:
         "watch": (None, [handle, u16, u32]),
         "worst_gap": (u64, [handle]),
         "idle_cycles": (u64, [handle]),
+        "twi": (None, [handle, i32, u8]),
         "longest_loop": (u64, [handle]),
     }
     for name, (result, arguments) in signatures.items():
@@ -266,6 +267,10 @@ class Board:
     def dac_memory(self, code: int) -> None:
         """What DACs with a memory of their own (MCP4728) give from power-on until they are told something."""
         self._call("dac_memory", code)
+
+    def two_wire(self, hung: bool = False, absent: int = 0) -> None:
+        """What is wrong with the two-wire bus: a line that is held low; bits of the chips that do not answer."""
+        self._call("twi", int(hung), absent)
 
     def byte(self, name: str) -> int:
         """First byte of a variable now."""

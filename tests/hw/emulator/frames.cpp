@@ -16,9 +16,10 @@ static uint32_t draw(uint32_t below) {  // splitmix64
 
 static uint32_t write_frame(const uint8_t *payload, uint8_t length, uint8_t *out) {
   uint8_t content[WIDTH + 2];
-  uint16_t crc = 0;
+  uint16_t crc = 0xFFFF;
   memcpy(content, payload, length);
   for (uint8_t k = 0; k < length; ++k) crc = crc16(crc, payload[k]);
+  crc = ~crc;
   content[length] = crc >> 8;
   content[length + 1] = crc;
   return encode(content, length + 2, out);
@@ -34,8 +35,8 @@ static uint8_t write_payload(const uint8_t *sizes, uint8_t *payload) {
   const bool sparse = draw(2), allowed = draw(4);
   for (uint8_t k = 1; k < sizes[code]; ++k) payload[k] = sparse && draw(2) ? 0 : draw(256);
   if (code == 1 && allowed) {
-    payload[2] &= 0xBF;
-    for (uint8_t k = 4; k < sizes[code]; k += 2) payload[k] &= 7;
+    payload[9] &= 0xBF;
+    for (uint8_t k = 11; k < sizes[code]; k += 2) payload[k] &= 7;
   }
   return sizes[code];
 }

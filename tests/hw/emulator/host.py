@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.limits import Limits
 from tepm_opt.hw.board.protocol import ACK, ARM, CLEAR, CONFIG, DISARM, ESTOP, HELLO, SET, STATUS, Key, Message
+from tepm_opt.models.robot import load_robot
 from tests.hw.emulator import Board
 
 ALL = 0x3F
 ZERO = 3277
 """Counts of a dynamometer without tension."""
+LIMITS_CHECK = Limits.of(load_robot("kang2017")).check
 
 
 class Host:
@@ -44,10 +47,10 @@ class Host:
     def set(
         self, pressures: Sequence[int] = (0,) * 6, tendons: Sequence[int] = (ZERO,) * 6, enabled: int = ALL, steps: bool = False
     ) -> bytes:
-        """A set point with the next sequence number."""
-        self.sequence = (self.sequence + 1) % 256
+        """A set point of the session that the board told last, with the next sequence number."""
+        self.sequence += 1
         bits = enabled | (protocol.POSITION_MODE if steps else 0)
-        return self.send(SET, sequence=self.sequence, enabled=bits, pressures=list(pressures), tendons=list(tendons))
+        return self.send(SET, session=self.session, sequence=self.sequence, enabled=bits, pressures=list(pressures), tendons=list(tendons))
 
     def hold(self, duration: float, period: float = 0.005, **setpoints: Any) -> None:
         """Send the same set point again and again."""
@@ -67,7 +70,7 @@ class Host:
 
     def arm(self) -> dict[str, Any]:
         """ARM with the session that the board told last."""
-        return self.request(ARM, session=self.session, sequence=self.sequence)
+        return self.request(ARM, session=self.session, limits=LIMITS_CHECK)
 
     def clear(self) -> dict[str, Any]:
         """CLEAR with the session that the board told last."""
@@ -82,8 +85,8 @@ class Host:
         return self.request(ESTOP)
 
     def config(self, key: Key, value: int) -> dict[str, Any]:
-        """CONFIG."""
-        return self.request(CONFIG, key=int(key), value=value)
+        """CONFIG in the session that the board told last."""
+        return self.request(CONFIG, session=self.session, key=int(key), value=value)
 
     def ready(self) -> None:
         """From power-on to ARMED."""
@@ -111,6 +114,11 @@ class Host:
         return protocol.Fault(self.status["fault"])
 
     @property
+    def faults(self) -> set[protocol.Fault]:
+        """All that the last STATUS told."""
+        return {fault for fault in protocol.Fault if self.status["faults"] & fault.bit}
+
+    @property
     def session(self) -> int:
         """As the last message told it that has it."""
-        return next(values["session"] for _, kind, values in reversed(self.heard) if kind in (STATUS, ACK, HELLO))
+        return next((values["session"] for _, kind, values in reversed(self.heard) if kind in (STATUS, ACK, HELLO)), 0)
