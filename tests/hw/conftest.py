@@ -13,6 +13,7 @@ import pytest
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tests.hw import emulator
 from tests.hw.emulator import Board
+from tests.hw.emulator.frames import Frames, build_frames
 from tests.hw.emulator.host import Host
 from tests.hw.emulator.world import World
 
@@ -57,6 +58,12 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The emulator as a program with a pseudo-terminal."""
     return emulated(tmp_path_factory, "program", lambda folder: emulator.build_emulator(folder, program=True))
+
+
+@pytest.fixture(scope="session")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> Frames:
+    """The firmware's frames, compiled for this machine."""
+    return Frames(once(tmp_path_factory, "frames", build_frames))
 
 
 @pytest.fixture

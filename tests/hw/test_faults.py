@@ -420,30 +420,6 @@ def test_truncated_at_each_byte(armed: Host) -> None:
     assert host.status["good"] >= len(good) + 1  # after none of a frame both are understood
 
 
-def test_replayed_set_point(armed: Host) -> None:
-    """An old set point neither moves anything nor is a sign of life; old are the last 128 that the board saw."""
-    board = armed.board
-    board.counts_per_step(0)
-    old = [armed.set(tendons=[5000] * 6, pressures=PRESSURES, steps=True)]
-    for _ in range(80):
-        armed.run(0.005)
-        old.append(armed.set(steps=True, tendons=[0] * 6))
-    armed.hold(0.2, tendons=[0] * 6, steps=True)
-    at, begin = board.positions, board.time
-    assert not board.dac.any()
-    board.dac_changes()
-    while board.enabled:
-        board.send(old[0])
-        board.send(old[-1])
-        armed.run(0.005)
-        assert board.time - begin < 0.11
-    assert board.time - begin >= 0.085
-    assert np.array_equal(board.positions, at)
-    assert not board.dac_changes()[:, 2].any()
-    armed.run(0.01)
-    assert armed.state is State.HOST_TIMEOUT
-
-
 def test_replayed_requests(host: Host) -> None:
     """ARM and CLEAR of an earlier session are refused, also when they are the last request that the board saw."""
     host.run(0.05)

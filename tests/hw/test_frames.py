@@ -12,20 +12,13 @@ from hypothesis import strategies as st
 
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.protocol import ASK, CONFIG, DISARM, ESTOP, SET, TO_BOARD, TO_HOST, Message
-from tests.hw.conftest import once
 from tests.hw.emulator import FIRMWARE
-from tests.hw.emulator.frames import Decoded, Frames, Stream, build_frames
+from tests.hw.emulator.frames import Decoded, Frames, Stream
 from tests.hw.emulator.host import Host
 
 LIMITS = {"B": (0, 255), "H": (0, 65535), "h": (-32768, 32767), "I": (0, 2**32 - 1)}
 ALL_KINDS = (*TO_BOARD, *TO_HOST)
 GROUPS = 50_000
-
-
-@pytest.fixture(scope="session")
-def frames(tmp_path_factory: pytest.TempPathFactory) -> Frames:
-    """The firmware's frames, compiled for this machine."""
-    return Frames(once(tmp_path_factory, "frames", build_frames))
 
 
 @st.composite

@@ -13,8 +13,8 @@ import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
 from tepm_opt.hw.board.limits import Limits
+from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
 from tepm_opt.hw.board.linklog import LinkLog
 from tepm_opt.hw.board.ports import BAUD, Clock, Port, SerialPort
 from tepm_opt.hw.board.protocol import DISARM, ESTOP, POSITION_MODE, State

@@ -43,7 +43,7 @@ constexpr uint8_t TRIP_SAMPLES = 2, DEAD_SAMPLES = 10, LOST = 2, JUMPED = 2;
 #else  // a sample is worth 20
 constexpr uint8_t TRIP_SAMPLES = 1, DEAD_SAMPLES = 2, LOST = 2, JUMPED = 1;
 #endif
-constexpr uint16_t JUMP = (LIMITS.tension_max - LIMITS.tension_zero) / 8;  // counts from a sample to the next: no arm moves so fast
+constexpr uint16_t JUMP = (LIMITS.tension_max - LIMITS.tension_zero) / 4;  // counts from a sample to the next: no arm moves so fast
 
 State state_;
 uint16_t faults_;
@@ -63,7 +63,7 @@ int16_t wanted_tendon[CHANNELS];
 uint32_t applied[DACS];  // DAC codes, 8 fractional bits
 uint16_t code_[DACS];
 uint32_t driven[DACS];                     // the clock when it was written last
-uint16_t smooth[MOTORS], before[MOTORS];   // dynamometers: the mean of the last two good samples; the last sample
+uint16_t smooth[MOTORS], before[MOTORS];   // dynamometers: the mean of the last two good samples; the last within its range
 uint16_t good[MOTORS];                     // the last one in which nothing was wrong
 bool lost[MOTORS];                         // something was wrong with the last sample
 int32_t aim[MOTORS];                       // 1/256 steps, where samples are rare
@@ -125,7 +125,7 @@ bool dynamometer_dead(uint8_t motor) {
 void watch_tendon(uint8_t k) {
   const uint16_t value = adc::dynamometer(k), change = value > before[k] ? value - before[k] : before[k] - value;
   const bool out = dynamometer_dead(k);
-  before[k] = value;
+  if (!out) before[k] = value;
   lost[k] = out || change > JUMP;
   if (!lost[k]) {
     smooth[k] = (value + good[k]) / 2;

@@ -83,7 +83,7 @@ void turn(uint32_t now) {
     if (arrived & 1 << chip) last[chip] = now;
     hung_ |= now - last[chip] > BUS_MS;
   }
-  if (busy && now - started <= BUS_MS) return;
+  if (busy && now - started <= BUS_MS / 4) return;
   TWCR = 0;  // lets the lines go
   arrived = 0;
   channel = channel + 1 < DACS ? channel + 1 : 0;

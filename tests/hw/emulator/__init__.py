@@ -85,6 +85,7 @@ def _load(path: Path) -> ctypes.CDLL:
         "reset": (None, [handle, u8]),
         "patch": (u16, [handle, u32, u16]),
         "byte": (u8, [handle, u16]),
+        "write": (None, [handle, u16, u8]),
         "pc": (u32, [handle]),
         "stop_at": (None, [handle, u32]),
         "dac_memory": (None, [handle, u16]),
@@ -275,6 +276,11 @@ class Board:
     def byte(self, name: str) -> int:
         """First byte of a variable now."""
         return self._call("byte", self.symbol(name) & 0xFFFF)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Change the processor's memory."""
+        for k, byte in enumerate(data):
+            self._call("write", address + k, byte)
 
     def watch(self) -> None:
         """Begin to note signs of life of the main loop and how often it has nothing to do."""

@@ -568,6 +568,8 @@ uint64_t board_idle_cycles(Board *board) { return board->idle; }
 
 uint8_t board_byte(Board *board, uint16_t address) { return board->avr->data[address]; }
 
+void board_write(Board *board, uint16_t address, uint8_t byte) { board->avr->data[address] = byte; }
+
 #ifdef PROGRAM
 #include <errno.h>
 #include <pty.h>
