@@ -112,7 +112,7 @@ class Limits:
         """
         meanings = _meanings()
         lines = [
-            f"// Limits and calibration of robot {robot}. Written by `tepm hw limits`; do not edit: host and board compare them before they arm.",
+            f"// Limits and calibration of robot {robot}, which host and board compare. Written by `tepm hw limits`; do not edit.",
             "#pragma once",
             '#include "protocol.h"',
             "",

@@ -271,8 +271,8 @@ class SerialRig:
                 raise LinkError(f"the board is in {self.board.describe()}; see to it, then clear it: tepm hw check PORT --clear")
             if differences := Limits.of(self.robot).differences(self.limits):
                 raise LinkError(
-                    f"firmware and robot file {self.robot.name} disagree: {'; '.join(differences)}. Write the robot file's numbers into the "
-                    "firmware (tepm hw limits) and flash it, or use the robot file that the firmware was made for"
+                    f"firmware and robot file {self.robot.name} disagree: {'; '.join(differences)}. Write the robot file's numbers into "
+                    "the firmware (tepm hw limits) and flash it, or use the robot file that the firmware was made for"
                 )
             self._armed, self._armed_at = True, math.inf  # from now on stopping disarms, whatever interrupts this
             try:

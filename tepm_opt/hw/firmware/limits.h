@@ -1,4 +1,4 @@
-// Limits and calibration of robot kang2017. Written by `tepm hw limits`; do not edit: host and board compare them before they arm.
+// Limits and calibration of robot kang2017, which host and board compare. Written by `tepm hw limits`; do not edit.
 #pragma once
 #include "protocol.h"
 
