@@ -1,4 +1,4 @@
-"""What the board measures itself, on the emulated board: pressures and tensions that are too high, contacts that come and go, fault on fault."""
+"""What the board measures itself, on the emulated board: pressures, tensions that are too high, loose contacts, fault on fault."""
 
 from __future__ import annotations
 
