@@ -93,6 +93,7 @@ def _load(path: Path) -> ctypes.CDLL:
         "worst_gap": (u64, [handle]),
         "idle_cycles": (u64, [handle]),
         "twi": (None, [handle, i32, u8]),
+        "slow": (None, [handle, ctypes.c_double]),
         "longest_loop": (u64, [handle]),
     }
     for name, (result, arguments) in signatures.items():
@@ -264,6 +265,10 @@ class Board:
     def mend(self) -> None:
         """Undo `hang`: what the next reset starts is the firmware as it was built."""
         self._call("patch", self.symbol("loop"), self._first_word)
+
+    def slow(self, share: float) -> None:
+        """Take a share of the processor's time away, every 100 us, as interrupts that nobody thought of might."""
+        self._call("slow", share)
 
     def dac_memory(self, code: int) -> None:
         """What DACs with a memory of their own (MCP4728) give from power-on until they are told something."""

@@ -25,6 +25,7 @@
 #define TWDR 0xBB
 #define TWCR 0xBC
 #define HZ 16000000ull
+#define SLOW_EVERY 1600
 #define LOG_LENGTH (1 << 16)
 #define SENT_LENGTH (1 << 18)
 
@@ -105,6 +106,8 @@ typedef struct Board {
   uint16_t dac_peak[CHANNELS];
 
   // what the program does
+  uint32_t slow;               // cycles of each SLOW_EVERY that are taken from it
+  uint64_t next_slow;
   uint32_t stop_pc;            // `board_run` ends there
   uint16_t sign;               // address of the variable to which the main loop writes its signs of life; 0: none is watched
   uint32_t loop_pc;
@@ -455,6 +458,10 @@ int board_run(Board *board, uint64_t until) {
       if (board->next_byte < stop) stop = board->next_byte;
     }
     while (avr->cycle < stop) {
+      if (board->slow && avr->cycle >= board->next_slow) {
+        avr->cycle += board->slow;
+        board->next_slow = avr->cycle + SLOW_EVERY - board->slow;
+      }
       const uint32_t pc = avr->pc;
       const int state = avr_run(avr);
       if (board->sign) watch(board, pc);
@@ -543,6 +550,8 @@ uint16_t board_patch(Board *board, uint32_t address, uint16_t word) {
   flash[0] = word, flash[1] = word >> 8;
   return before;
 }
+
+void board_slow(Board *board, double share) { board->slow = share * SLOW_EVERY; }
 
 uint32_t board_pc(Board *board) { return board->avr->pc; }
 
