@@ -1,31 +1,30 @@
-"""The line to an OpenIGTLink server.
+"""The line to an OpenIGTLink server, which may be broken: lengths are not believed, memory is bounded, and one that stalls is left.
 
-pyigtl packs and unpacks the messages. Its client keeps only the newest message of a device, takes a closed connection for a quiet one (and
-then burns a core), forgets the first half of a header that comes in two pieces, and cannot be stopped while messages come faster than every
-10 ms. So only its receiving and unpacking are used here: the connection, its end and the queue are this file's.
+pyigtl unpacks the bodies of poses. The connection, its end, headers and the queue are this file's.
 """
 
 from __future__ import annotations
 
 import socket
+import struct
 import threading
-import time
 from collections.abc import Callable
 
-from pyigtl import MessageBase, OpenIGTLinkClient, TransformMessage
+from pyigtl import TransformMessage
 
 from tepm_opt.hw.tracker import WAIT_PERIODS, FrameAssembler
 
 WATCHDOG_S, CONNECT_S, RETRY_S = 1.0, 1.0, 0.05
 """Without a usable pose for so long the connection is made anew; for how long that is tried; pause between two attempts."""
-LARGEST_BODY = 1 << 27
-"""Bytes of a message beyond which what comes is not OpenIGTLink."""
+LARGEST_POSE, LARGEST_BODY = 1 << 16, 1 << 27
+"""Bytes of a pose with all its metadata, and of a message beyond which what comes is not OpenIGTLink."""
+VERSIONS = (1, 2, 3)
+_HEADER = struct.Struct(">H12s20sIIQQ")  # version, type, device, stamp in s and its fraction, bytes of the body, checksum
+_CHUNK = 1 << 16
 
 
-class Client(OpenIGTLinkClient):
+class Client:
     """A receiving connection in a thread of its own: what comes goes to `frames` at once; a connection that ends is made anew.
-
-    It is itself what pyigtl's receiver takes for socket and inbox: pieces come whole, the end is an error.
 
     Args:
         host, port: of the server.
@@ -35,70 +34,113 @@ class Client(OpenIGTLinkClient):
 
     Attributes:
         connections: made so far.
+        trouble: why the last connection ended, or could not be made; empty once a pose has come.
     """
 
     def __init__(self, host: str, port: int, frames: FrameAssembler, arrived: threading.Condition, clock: Callable[[], float]) -> None:
-        super().__init__(host, port, start_now=False)
-        self.frames, self.arrived, self.clock, self.connections = frames, arrived, clock, 0
-        self.incoming_messages = self  # in place of a dictionary with the newest message of each device
-        self._bytes, self._received = bytearray(), 0.0
-        self.start()
+        self.frames, self.arrived, self.clock, self.connections, self.trouble = frames, arrived, clock, 0, ""
+        self._address, self._bytes, self._received, self._stopping = (host, port), bytearray(), 0.0, threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tracker", daemon=True)
+        self._thread.start()
 
-    def _client_thread_function(self) -> None:
-        try:
-            while not self.communication_thread_stop_requested:
-                try:
-                    with socket.create_connection((self.host, self.port), CONNECT_S) as self.socket:
-                        self._listen()
-                except (OSError, UnicodeError):  # refused, closed, silent, or not OpenIGTLink
-                    self._connected = False
-                    time.sleep(RETRY_S)
-        finally:
-            self.communication_thread_stopped = True
+    def stop(self) -> None:
+        """Close the connection; a second time does nothing."""
+        self._stopping.set()
+        self._thread.join(2 * CONNECT_S)  # a name server may take longer; the thread ends then
 
-    def _listen(self) -> None:
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                with socket.create_connection(self._address, CONNECT_S) as line:
+                    self._listen(line)
+            except (OSError, UnicodeError) as error:  # refused, closed, stalled, or not OpenIGTLink; a host's name that is none
+                self.trouble = getattr(error, "strerror", None) or str(error)
+                self._stopping.wait(RETRY_S)
+
+    def _listen(self, line: socket.socket) -> None:
         self._bytes.clear()
         with self.arrived:
             self.frames.restart(self.clock())
             self.connections += 1
-        self._connected = True
-        while not self.communication_thread_stop_requested:
-            try:
-                self._receive_message_from_socket(self)
-            except (OSError, UnicodeError):
-                raise
-            except Exception:  # a body that pyigtl cannot unpack; the next header is where it should be
-                with self.arrived:
-                    self.frames.counts["malformed"] += 1
-            if self.clock() - self.frames.progress > WATCHDOG_S:
-                raise ConnectionError("silent, or only old poses")
+        while not self._stopping.is_set():
+            version, kind, name, seconds, fraction, size, _ = _HEADER.unpack(self._take(line, _HEADER.size))
+            if version not in VERSIONS or size > LARGEST_BODY:
+                raise ConnectionError(f"what comes is not OpenIGTLink (a message of version {version} with {size} bytes)")
+            if _text(kind) != "TRANSFORM":
+                self._skip(line, size)
+            elif size > LARGEST_POSE:
+                self._skip(line, size)
+                self._count_malformed()
+            else:
+                fields = {"header_version": version, "message_type": "TRANSFORM", "device_name": _text(name)}
+                self._unpack({**fields, "timestamp": seconds + fraction / 2**32}, self._take(line, size))
 
-    def recv(self, count: int) -> bytes:
-        """`count` bytes; TimeoutError, with nothing lost, if they are not there yet; ConnectionError if they will never be."""
-        if count > LARGEST_BODY or self.socket is None:
-            raise ConnectionError(f"a message of {count} bytes")
+    def _unpack(self, header: dict[str, object], body: bytes) -> None:
+        message = TransformMessage()
+        try:
+            message.unpack(header, body)
+            valid = message.metadata.get("Status", "OK") == "OK"
+        except Exception:  # whatever pyigtl makes of bytes that are no pose; the next header is where it should be
+            self._count_malformed()
+            return
+        if not message.device_name.isprintable():
+            self._count_malformed()
+            return
+        with self.arrived:
+            self.frames.take(message.device_name, message.timestamp, message.matrix if valid else None, self._received)
+            if self.frames.ready:
+                self.arrived.notify_all()
+                self.trouble = ""
+
+    def _count_malformed(self) -> None:
+        with self.arrived:
+            self.frames.counts["malformed"] += 1
+
+    def _take(self, line: socket.socket, count: int) -> bytes:
+        """`count` bytes, at most `LARGEST_POSE`."""
         while len(self._bytes) < count:
-            self.socket.settimeout(WAIT_PERIODS * self.frames.period if self.frames.pending else RETRY_S)
-            try:
-                chunk = self.socket.recv(1 << 16)
-            except TimeoutError:
-                with self.arrived:
-                    self.frames.flush(self.clock())
-                    self.arrived.notify_all()
-                raise
-            if not chunk or self.communication_thread_stop_requested:
-                raise ConnectionError("closed")
-            self._received = self.clock()
-            self._bytes += chunk
+            self._wait(line)
         piece = bytes(self._bytes[:count])
         del self._bytes[:count]
         return piece
 
-    def __setitem__(self, name: str, message: MessageBase) -> None:
-        """What pyigtl does with a message: it goes on to the frames at once."""
-        if isinstance(message, TransformMessage):
-            valid = message.metadata.get("Status", "OK") == "OK"
+    def _skip(self, line: socket.socket, count: int) -> None:
+        """Let `count` bytes go by, of which no more than a chunk is kept at a time."""
+        while len(self._bytes) < count:
+            count -= len(self._bytes)
+            self._bytes.clear()
+            self._wait(line)
+        del self._bytes[:count]
+
+    def _wait(self, line: socket.socket) -> None:
+        """Wait a moment for bytes; meanwhile a frame that waited too long for its missing sensors is made without them.
+
+        Raises:
+            ConnectionError: there will be none, or what came for a second, however much, held no usable pose.
+        """
+        self._flush(self._received)  # bytes that came since, but have no end yet, are not what it waits for
+        line.settimeout(WAIT_PERIODS * self.frames.period if self.frames.pending else RETRY_S)
+        try:
+            chunk = line.recv(_CHUNK)
+        except TimeoutError:
+            self._flush(self.clock())
+        else:
+            if not chunk:
+                raise ConnectionError("closed by the server")
+            self._received = self.clock()
+            self._bytes += chunk
+        if self._stopping.is_set():
+            raise ConnectionError("stopped")
+        if self.clock() - self.frames.progress > WATCHDOG_S:
+            raise ConnectionError(f"no usable pose came for {WATCHDOG_S:g} s")
+
+    def _flush(self, now: float) -> None:
+        if self.frames.pending:
             with self.arrived:
-                self.frames.take(name, message.timestamp, message.matrix if valid else None, self._received)
-                if self.frames.ready:
-                    self.arrived.notify_all()
+                self.frames.flush(now)
+                self.arrived.notify_all()
+
+
+def _text(field: bytes) -> str:
+    """The text of a field that ends with zeros."""
+    return field.partition(b"\0")[0].decode(errors="replace").rstrip()

@@ -20,6 +20,8 @@ WAIT_PERIODS, STALE_PERIODS = 1.5, 5.0
 """Sample periods that a frame waits for its missing sensors, and after which a pose is too old to be given."""
 SERVER_STEP_S, OFFSET_RISE, SETTLING_FRAMES = 0.5, 5e-4, 5
 """A server's clock that jumps by more than the first begins anew; the clocks drift apart slower than the second (s/s)."""
+LARGEST_CROWD = 100
+"""Names of devices that are remembered besides the link's own."""
 JUMP_FRAMES, MISSED_FRAMES = 5, 10
 """Frames after which a new place is believed; most missed frames for which a sensor may have moved on."""
 ORTHONORMAL, IDENTITY, LOST = 1e-3, np.eye(4), np.full((4, 4), np.nan)
@@ -62,7 +64,7 @@ class TrackerStatistics:
     dropped_old: int = 0  # messages whose stamp was not newer than the last one's, frames whose time was not
     dropped_stale: int = 0  # frames that were too old when they arrived or when they were to be read
     settling: int = 0  # frames used only to align the clocks, after each connection
-    malformed: int = 0  # messages that could not be unpacked
+    malformed: int = 0  # messages that could not be unpacked, or whose stamp no other message agrees with
     reconnects: int = 0  # connections after the first
     clock_offset: float = np.nan  # host's clock − server's clock in s, with the least network delay; NaN before the first message
 
@@ -92,11 +94,20 @@ class ServerClock:
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance, self.offset, self._at, self._first, self._frames = tolerance, np.nan, np.nan, np.nan, 0
+        self._doubted = np.nan
 
     @property
     def settled(self) -> bool:
         """Whether the offset can be used."""
         return self._frames >= SETTLING_FRAMES
+
+    def believes(self, stamp: float, received: float) -> bool:
+        """Whether a stamp fits the offset, or the last message's stamp if that did not either: a single wild one sets no clock."""
+        seen = received - stamp
+        if not seen <= self.offset - SERVER_STEP_S:
+            return True
+        doubted, self._doubted = self._doubted, seen
+        return abs(seen - doubted) < SERVER_STEP_S
 
     def update(self, stamp: float, received: float) -> None:
         """A new frame's stamp on the server's clock and its arrival on the host's, in s."""
@@ -142,7 +153,7 @@ class FrameAssembler:
     Attributes:
         pending: poses of the frame that still waits for some of its sensors, by device.
         ready: frames to be returned, oldest first.
-        seen: names of all devices that sent a pose.
+        seen: names of the devices that sent a pose; of others than the link's the first ones only.
         progress: arrival of the last message that was neither late nor old, in s; a connection without progress is worth nothing.
         arrival: of the newest frame's first message in s; −∞ before there is one.
         counts: of what `TrackerStatistics` names.
@@ -174,16 +185,21 @@ class FrameAssembler:
             pose: (4, 4) in the server's units; None where the server says that it is not valid.
             received: when it arrived, on the host's clock in s.
         """
-        self.seen.add(device)
         if device not in self.link.devices:
             self.progress = received
+            if len(self.seen) < LARGEST_CROWD:
+                self.seen.add(device)
             return
+        self.seen.add(device)
         self.counts["received"] += 1
         stamp = stamp if stamp > 0 else received
         near = abs(stamp - self._stamp) < self.period / 2
         joins = bool(self.pending) and device not in self.pending and near
         if not joins and stamp <= self._stamp + self.period / 10:
             self.counts["dropped_old"] += 1
+            return
+        if not joins and not self.clock.believes(stamp, received):
+            self.counts["malformed"] += 1
             return
         if not joins:
             self._close()
@@ -300,7 +316,9 @@ class IgtlTracker:
         if not self._client.connections:
             raise InputError(f"{where}: nothing listens there; valid: host and port of a running OpenIGTLink server (PlusServer)")
         if missing := [name for name in self.link.devices if name not in seen]:
-            raise InputError(f"{where}: no poses of {', '.join(missing)} within {timeout:g} s; valid: {', '.join(seen) or 'none is sent'}")
+            ended = f"; the connection ended: {self._client.trouble}" if self._client.trouble else ""
+            heard = ", ".join(seen) or "none is sent"
+            raise InputError(f"{where}: no poses of {', '.join(missing)} within {timeout:g} s; valid: {heard}{ended}")
         raise InputError(f"{where}: poses come, but none with a new time stamp within {timeout:g} s; valid: stamps that go on")
 
     @property
@@ -310,9 +328,9 @@ class IgtlTracker:
 
     @property
     def status(self) -> str:
-        """ "ok", or "tracker silent for 0.52 s": what to say where `read` gives None."""
-        silent = self.silent_for
-        return "ok" if silent <= self._frames.stale else f"tracker silent for {silent:.2f} s"
+        """ "ok", or "tracker silent for 0.52 s (closed by the server)": what to say where `read` gives None."""
+        silent, trouble = self.silent_for, self._client.trouble
+        return "ok" if silent <= self._frames.stale else f"tracker silent for {silent:.2f} s" + (f" ({trouble})" if trouble else "")
 
     @property
     def statistics(self) -> TrackerStatistics:
