@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,6 +13,8 @@ from tepm_opt.errors import InputError
 Clock = Callable[[], float]
 """Tells the time in s; `time.monotonic`, or that of a simulation."""
 BAUD = 250000
+_SLICE = 0.005
+"""Seconds that pyserial waits at a time. This stays as it is: a new timeout would set the baud rate anew, with every read."""
 
 
 class PortBusyError(InputError):
@@ -50,7 +53,7 @@ class SerialPort:
         import serial
 
         try:
-            self._serial = serial.serial_for_url(device, baudrate=baud, timeout=0, write_timeout=0.5, exclusive=True)
+            self._serial = serial.serial_for_url(device, baudrate=baud, timeout=_SLICE, write_timeout=0.5, exclusive=True)
         except (serial.SerialException, ValueError) as error:
             text = str(error)
             if "exclusively lock" in text or "busy" in text.lower() or (sys.platform == "win32" and "Permission" in text):
@@ -59,13 +62,26 @@ class SerialPort:
 
     def read(self, timeout: float) -> bytes:
         """Read as `Port.read` does."""
-        self._serial.timeout = timeout
-        first = self._serial.read(1)
-        return first + self._serial.read(self._serial.in_waiting) if first else b""
+        end = time.monotonic() + timeout
+        try:
+            while not (waiting := self._serial.in_waiting):
+                left = end - time.monotonic()
+                if left <= 0:
+                    return b""
+                if left < _SLICE:
+                    time.sleep(left)
+                elif first := self._serial.read(1):
+                    return first + self._serial.read(self._serial.in_waiting)
+            return self._serial.read(waiting)
+        except TypeError as error:  # pyserial asks the system about None if another thread closes the port meanwhile
+            raise OSError("the port was closed") from error
 
     def write(self, data: bytes) -> None:
         """Write as `Port.write` does."""
-        self._serial.write(data)
+        try:
+            self._serial.write(data)
+        except TypeError as error:
+            raise OSError("the port was closed") from error
 
     def close(self) -> None:
         """Close as `Port.close` does."""
