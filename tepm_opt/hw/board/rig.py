@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from datetime import UTC, datetime
 from types import TracebackType
 from typing import Literal
 
@@ -15,7 +14,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.board.limits import Limits
 from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
-from tepm_opt.hw.board.linklog import LinkLog
+from tepm_opt.hw.board.linklog import LinkLog, new_log
 from tepm_opt.hw.board.ports import BAUD, Clock, Port, SerialPort
 from tepm_opt.hw.board.protocol import DISARM, ESTOP, POSITION_MODE, State
 from tepm_opt.hw.commands import check_command
@@ -28,9 +27,6 @@ STALE = 0.05
 """Seconds after which what the board measured is no longer given."""
 SILENT_PERIODS = 3
 """Sample periods after which `read` gives a sample without points rather than wait on for the tracker."""
-
-KEPT_LOGS = 50
-"""How many logs of the line stay in the user's log folder."""
 
 Tendons = Literal["tension", "position"]
 
@@ -47,10 +43,7 @@ def open_port(target: str, clock: Clock = time.monotonic) -> tuple[SerialPort, L
     if at and not baud.isdigit():
         raise InputError(f"serial port {target!r}: baud rate {baud!r}; valid: a number, such as {BAUD}")
     port = SerialPort(device, int(baud)) if at else SerialPort(target)
-    folder, stamp = user_log_path("tepm_opt"), datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")
-    for old in sorted(folder.glob("link-*.log"))[: -KEPT_LOGS + 1]:
-        old.unlink(missing_ok=True)
-    return port, LinkLog(folder / f"link-{stamp}.log", clock)
+    return port, new_log(user_log_path("tepm_opt"), clock)
 
 
 def open_serial(target: str, robot: Robot) -> SerialRig:
