@@ -90,6 +90,8 @@ def _load(path: Path) -> ctypes.CDLL:
         "stop_at": (None, [handle, u32]),
         "dac_memory": (None, [handle, u16]),
         "watch": (None, [handle, u16, u32]),
+        "share": (None, [handle, u16, u16]),
+        "unguarded": (u64, [handle]),
         "worst_gap": (u64, [handle]),
         "idle_cycles": (u64, [handle]),
         "twi": (None, [handle, i32, u8]),
@@ -292,6 +294,19 @@ class Board:
         self._watched_from = self.cycle
         self._call("watch", self.symbol("patience") & 0xFFFF, self.symbol("loop"))
 
+    def poke(self, name: str, value: int, size: int = 2, index: int = 0) -> None:
+        """Write a number of `size` bytes into an element of a variable, as a fault of the memory would."""
+        self.write(self.symbol(name) + index * size & 0xFFFF, (value % 256**size).to_bytes(size, "little"))
+
+    def share(self, place: str | int, length: int) -> None:
+        """Begin to count how often a variable or register that an interrupt changes is read with interrupts on."""
+        self._call("share", (self.symbol(place) if isinstance(place, str) else place) & 0xFFFF, length)
+
+    @property
+    def unguarded(self) -> int:
+        """How often since `share`."""
+        return self._call("unguarded")
+
     @property
     def worst_gap(self) -> float:
         """Longest time in s between two signs of life since `watch`."""
@@ -310,7 +325,7 @@ class Board:
     def symbol(self, name: str) -> int:
         """Address of a function in the flash memory, or of a variable (behind 0x800000), by its name without namespaces."""
         lines = subprocess.run(["avr-nm", str(self.firmware)], capture_output=True, text=True, check=True).stdout.splitlines()
-        mangled = re.compile(rf"{name}|_ZN.*{len(name)}{name}E(\.lto_priv\.\d+)?v?")
+        mangled = re.compile(rf"{name}|_Z[NL].*{len(name)}{name}E?(\.lto_priv\.\d+)?v?")
         found = [int(line.split()[0], 16) for line in lines if mangled.fullmatch(line.split()[-1])]
         if len(found) != 1:
             raise KeyError(f"{len(found)} symbols are called {name}")

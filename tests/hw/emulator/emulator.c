@@ -111,6 +111,8 @@ typedef struct Board {
   uint32_t stop_pc;            // `board_run` ends there
   uint16_t sign;               // address of the variable to which the main loop writes its signs of life; 0: none is watched
   uint32_t loop_pc;
+  uint16_t shared, shared_length;  // what an interrupt changes, and how often it was read with interrupts on
+  uint64_t unguarded;
   uint64_t last_sign, worst_gap, last_loop, longest_loop, idle, loops;
 } Board;
 
@@ -284,7 +286,9 @@ static uint8_t adc_read(avr_t *avr, avr_io_addr_t address, void *parameter) {
 
 static uint8_t estop_read(avr_t *avr, avr_io_addr_t address, void *parameter) {
   Board *board = parameter;
-  return board->estop_pressed << board->wiring->estop_bit;
+  const uint16_t pin = board->wiring->estop_pin;
+  const uint8_t pull_up = avr->data[pin + 2] & ~avr->data[pin + 1];  // without it an open contact may read as anything: here as closed
+  return (board->estop_pressed << board->wiring->estop_bit) & pull_up;
 }
 
 // The two-wire interface as a master, and two MCP4728 on its bus.
@@ -442,6 +446,24 @@ static void watch(Board *board, uint32_t pc) {
   if (duration > board->longest_loop && board->loops > 1) board->longest_loop = duration;
 }
 
+// Whether the instruction reads what is shared, in a way that an interrupt can come between.
+static int reads_shared(Board *board, uint32_t pc) {
+  const avr_t *avr = board->avr;
+  const uint8_t *flash = avr->flash + pc, *r = avr->data;
+  const uint16_t word = flash[0] | flash[1] << 8, low = word & 0xFE0F;
+  const uint16_t x = r[26] | r[27] << 8, y = r[28] | r[29] << 8, z = r[30] | r[31] << 8;
+  uint16_t address = -1;
+  if (low == 0x9000) address = flash[2] | flash[3] << 8;
+  else if (low == 0x9001) address = z;
+  else if (low == 0x9002) address = z - 1;
+  else if (low == 0x9009) address = y;
+  else if (low == 0x900A) address = y - 1;
+  else if (low == 0x900C || low == 0x900D) address = x;
+  else if (low == 0x900E) address = x - 1;
+  else if ((word & 0xD200) == 0x8000) address = (word & 8 ? y : z) + ((word & 7) | (word >> 7 & 0x18) | (word >> 8 & 0x20));
+  return avr->sreg[S_I] && address >= board->shared && address < board->shared + board->shared_length;
+}
+
 // Runs until that cycle, or until the program counter stands at `stop_pc` (then 1); 0, or -1 where the program crashed.
 int board_run(Board *board, uint64_t until) {
   avr_t *avr = board->avr;
@@ -463,6 +485,7 @@ int board_run(Board *board, uint64_t until) {
         board->next_slow = avr->cycle + SLOW_EVERY - board->slow;
       }
       const uint32_t pc = avr->pc;
+      if (board->shared_length) board->unguarded += reads_shared(board, pc);
       const int state = avr_run(avr);
       if (board->sign) watch(board, pc);
       if (avr->pc == board->stop_pc) return 1;
@@ -568,6 +591,14 @@ void board_watch(Board *board, uint16_t sign, uint32_t loop) {
   board->last_sign = board->last_loop = board->avr->cycle;
   board->worst_gap = board->loops = board->longest_loop = board->idle = 0;
 }
+
+// Begins to count how often what is shared with an interrupt is read with interrupts on.
+void board_share(Board *board, uint16_t address, uint16_t length) {
+  board->shared = address, board->shared_length = length;
+  board->unguarded = 0;
+}
+
+uint64_t board_unguarded(Board *board) { return board->unguarded; }
 
 uint64_t board_worst_gap(Board *board) { return board->worst_gap; }
 

@@ -1,0 +1,64 @@
+"""What no other part of the firmware may be trusted with: the last instruction before a pin, and what interrupts and main loop share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tepm_opt.hw.board.protocol import Fault, State
+from tests.hw.conftest import PRESSURE_MAX
+from tests.hw.emulator.host import ALL, ZERO, Host
+
+ENA_PORT = 0x10B
+
+
+def test_dacs_are_clamped_last(armed: Host) -> None:
+    """A set point in memory that is beyond the limit, however it came there, does not reach the DACs."""
+    board = armed.board
+    armed.hold(0.25, pressures=[PRESSURE_MAX] * 6)
+    assert np.all(board.dac == PRESSURE_MAX)
+    for channel in range(6):
+        board.poke("wanted_pressure", 4095, index=channel)
+    armed.run(0.05)
+    assert armed.state is State.ARMED
+    assert board.dac.tolist() == [PRESSURE_MAX] * 6
+    assert board.dac_peak.max() == PRESSURE_MAX
+
+
+@pytest.mark.parametrize("direction", [1, -1], ids=["forwards", "backwards"])
+@pytest.mark.parametrize("motor", [0, 5])
+def test_travel(armed: Host, motor: int, direction: int) -> None:
+    """A motor that has wound 30,000 steps to either side pulls at nothing: everything off on the next one."""
+    board = armed.board
+    board.counts_per_step(0)
+    tendons = [ZERO] * 6
+    tendons[motor] += 1000 * direction
+    armed.hold(0.02, tendons=tendons)
+    board.poke("position_", 29_980 * direction, index=motor)
+    armed.run(0.001, 0.001)
+    before, begin = board.step_counts[motor], board.time
+    while board.enabled:
+        armed.hold(0.001, 0.001, tendons=tendons)
+        assert board.time - begin < 0.02
+    assert board.step_counts[motor] - before in range(1, 31)
+    armed.run(0.02)
+    assert (armed.state, armed.fault, armed.status["channel"]) == (State.FAULT, Fault.TRAVEL, motor)
+    assert 30_000 < abs(armed.status["positions"][motor]) <= 30_010
+
+
+@pytest.mark.parametrize(("place", "length"), [("passed", 4), ("sums", 12), (ENA_PORT, 1)], ids=["time", "monitors", "ENA"])
+def test_interrupts_cannot_come_between(armed: Host, place: str | int, length: int) -> None:
+    """What an interrupt changes is read in one go: with interrupts off where that takes more than one instruction."""
+    armed.hold(0.02)
+    armed.board.share(place, length)
+    for enabled in (ALL, 0x15, ALL):
+        armed.hold(0.03, enabled=enabled, tendons=[ZERO + 2000] * 6)
+    assert armed.state is State.ARMED
+    assert armed.board.unguarded == 0
+
+
+def test_reads_with_interrupts_on_are_counted(armed: Host) -> None:
+    """What the test above counts: signs of the interrupt that are one byte are read with interrupts on."""
+    armed.board.share("written", 1)
+    armed.run(0.01)
+    assert armed.board.unguarded >= 10
