@@ -141,6 +141,19 @@ def test_documents_name_what_exists() -> None:
     assert not missing
 
 
+def test_documents_name_tests_that_exist() -> None:
+    """Every `test_…` in docs/ is a test or a file of tests."""
+    there = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        there |= set(re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.M))
+    named = {
+        (path.name, name)
+        for path in sorted((ROOT / "docs").glob("*.md"))
+        for name in re.findall(r"\b(test_\w+(?:\.py)?)", path.read_text(encoding="utf-8"))
+    }
+    assert {(path, name) for path, name in named if name not in there} == set()
+
+
 def test_benchmarks_can_be_imported() -> None:
     for path in sorted((ROOT / "benchmarks").glob("*.py")):
         import_module(f"benchmarks.{path.stem}")
