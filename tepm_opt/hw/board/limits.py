@@ -91,7 +91,7 @@ class Limits:
         return Limits(**values)
 
     def payload(self) -> bytes:
-        """As the board tells them."""
+        """Payload of the message with which the board tells them."""
         return protocol.LIMITS.pack(**asdict(self))
 
     @property
