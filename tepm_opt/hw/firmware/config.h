@@ -2,7 +2,11 @@
 #pragma once
 #include <stdint.h>
 
+#ifdef LIMITS_H  // make LIMITS=FILE
+#include LIMITS_H
+#else
 #include "limits.h"
+#endif
 
 // ---------------------------------------------------------------- parts
 
