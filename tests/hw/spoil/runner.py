@@ -25,9 +25,11 @@ LIMIT = 300.0
 COPIED = ("tepm_opt", "tests", "pyproject.toml")
 FIRST = {
     "frames.cpp": ("test_frames", "test_faults"),
-    "link.cpp": ("test_faults", "test_firmware"),
+    "memory.cpp": ("test_sessions",),
+    "motors.cpp": ("test_pins", "test_faults", "test_firmware"),
+    "board.cpp": ("test_pins", "test_measured", "test_faults", "test_sessions", "test_firmware"),
     "protocol.py": ("test_frames", "test_serial_rig"),
-    ".cpp": ("test_faults", "test_firmware"),
+    ".cpp": ("test_faults", "test_firmware", "test_pins"),
     ".h": ("test_faults", "test_firmware"),
     ".py": ("test_serial_rig",),
 }
