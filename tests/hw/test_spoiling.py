@@ -28,7 +28,7 @@ def test_slips_by_hand_are_caught(name: str, tmp_path: Path) -> None:
         pytest.skip(lacking)
     outcome = try_out(BY_HAND[name].find(), tmp_path / "run")
     print(outcome)
-    assert outcome.caught
+    assert outcome.caught not in (None, "compiler")
 
 
 @pytest.mark.slow
@@ -39,7 +39,7 @@ def test_drawn_slips_are_caught(file: str, number: int, tmp_path: Path) -> None:
     spoiling = Drawing(file, tmp_path / "draw").draw(number)
     outcome = try_out(spoiling, tmp_path / "run")
     print(spoiling.name, *spoiling.lines(source(file)), outcome, sep="\n")
-    assert outcome.caught, (spoiling.name, *spoiling.lines(source(file)))
+    assert outcome.caught not in (None, "compiler"), (spoiling.name, *spoiling.lines(source(file)))
 
 
 def test_there_are_enough() -> None:

@@ -77,14 +77,17 @@ def main() -> int:
     todo, rows, begin = [Job(NOTHING.name), *jobs(options)], {}, time.monotonic()
     with ThreadPoolExecutor(options.jobs) as pool:
         waiting = {pool.submit(work, job): job for job in todo}
-        for done in as_completed(waiting):
-            rows[waiting[done]] = row = done.result()
-            print(told(row, f"{len(rows)}/{len(todo)}"), file=sys.stderr, flush=True)
+        try:
+            for done in as_completed(waiting):
+                rows[waiting[done]] = row = done.result()
+                print(told(row, f"{len(rows)}/{len(todo)}"), file=sys.stderr, flush=True)
+        finally:
+            pool.shutdown(cancel_futures=True)
     if rows.pop(todo.pop(0)).outcome.caught:
         parser.error("the tests fail on a copy in which nothing is wrong: what they catch proves nothing")
     if options.table:
         print(table([rows[job] for job in todo], time.monotonic() - begin, options.seed), end="")
-    return int(any(row.outcome.caught is None for row in rows.values()))
+    return int(any(row.outcome.caught in (None, "compiler") for row in rows.values()))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from tests.hw.spoil.table import Outcome, caught_last_time
 SEED = 2017
 LIMIT = 300.0
 """Seconds after which tests that still run count as hung."""
-COPIED = ("tepm_opt", "tests", "pyproject.toml")
+COPIED = ("tepm_opt", "tests", "docs", "README.md", "pyproject.toml")
 FIRST = {
     "frames.cpp": ("test_frames", "test_faults"),
     "memory.cpp": ("test_sessions",),
@@ -82,7 +82,7 @@ def try_out(spoiling: Spoiling, folder: Path, tests: list[str] | None = None, li
         f"--basetemp={folder / 'pytest'}",
     ]
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "COV_"))}
-    environment |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "300"}
     environment |= {first.VARIABLE: ",".join(f"tests/hw/{test}" for test in caught_last_time(spoiling))}
     environment |= {"TMPDIR": str(folder), "XDG_STATE_HOME": str(folder / "state")}
     process = subprocess.Popen(
@@ -119,10 +119,12 @@ def _copy(folder: Path) -> Path:
 
 
 def _caught(code: int, said: str) -> str | None:
-    """The first test that failed, by what pytest said."""
+    """The first test that failed, by what pytest said; "compiler" where no firmware could be built."""
     if code <= 0:
         return "crash" if code else None
     found = re.search(r"^(?:FAILED|ERROR) ([\w/.-]+(?:::\w+)*)", said, re.M)
+    if re.search(r"^ERROR .* - RuntimeError: \S+\.(?:cpp|h|o|elf)\b", said, re.M):
+        return "compiler"
     if found is None:
         raise RuntimeError(f"the tests cannot be run (pytest ended with {code}):\n{said[-2000:]}")
     return found[1].removeprefix("tests/hw/")

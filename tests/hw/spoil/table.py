@@ -16,7 +16,8 @@ class Outcome:
     """What became of a spoiling.
 
     Attributes:
-        caught: the test that failed; "time-out" where the tests hung, "crash" where Python did not survive them; None: it has survived.
+        caught: the test that failed; "time-out" where the tests hung, "crash" where Python did not survive them, "compiler" where there is
+            nothing to test; None: it has survived.
         seconds: how long that took.
     """
 
