@@ -40,5 +40,6 @@ def test_the_guide_has_the_numbers_of_the_firmware() -> None:
         f"no sign of life for {constant('PATIENCE') * 0.05:g} ms",
     ):
         assert number in text, number
-    robot = load_robot("kang2017").actuation
-    assert f"{robot.pressure_max_Pa / 1e6:g} MPa, {robot.tension_max_N:.1f} N, {Limits.of(load_robot('kang2017')).position_max} steps" in text
+    robot = load_robot("kang2017")
+    most, steps = robot.actuation, Limits.of(robot).position_max
+    assert f"{most.pressure_max_Pa / 1e6:g} MPa, {most.tension_max_N:.1f} N, {steps} steps" in text
