@@ -179,7 +179,7 @@ class TestBoard:
         world.board.estop(True)
         world.advance(0.2)
         found = walk(clear=True)
-        assert "the board refuses CLEAR: estop pressed" in found["state"].says
+        assert "the board refuses CLEAR: the emergency stop is pressed, or its wire is broken" in found["state"].says
         assert found["emergency stop"].mark is Mark.WRONG
 
     def test_button(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
@@ -217,8 +217,12 @@ class TestBoard:
         strong = tmp_path / "strong.toml"
         strong.write_text(robot_text("kang2017").replace("pressure_max_Pa = 0.5e6", "pressure_max_Pa = 0.7e6"), encoding="utf-8")
         found = walk(robot=str(strong))["limits"]
-        assert "0.7 MPa exceeds" in found.says
-        assert "config.h" in found.next
+        assert found.mark is Mark.WRONG
+        assert "pressure_max is 2275 (499.9 kPa) in the firmware, 3185 (699.8 kPa) by the robot file" in found.says
+        assert "monitor_trip is 22573 (550 kPa) in the firmware, " in found.says
+        assert f"tepm hw limits --robot {strong} --out " in found.next
+        assert "make -C" in found.next
+        assert "or use the robot file that the firmware was made for" in found.next
 
     def test_silent_board(self, world: World, device: str) -> None:
         world.board.take()

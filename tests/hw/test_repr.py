@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.hw.board.link import LinkStatistics
+from tepm_opt.hw.board.status import LinkStatistics
 from tepm_opt.hw.replay import ReplayRig
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.service.calibrate import Counts, fit_line

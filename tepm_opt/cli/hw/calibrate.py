@@ -57,7 +57,7 @@ def tension(
         link = line.link()
         lines: dict[int, CalibrationFit] = {}
         try:
-            hello = link.hello()
+            link.hello()
             for k in which:
                 counts = []
                 for mass in masses:
@@ -74,7 +74,7 @@ def tension(
             link.close()
         part = calibrate.tension_part(found, lines)
         notes = [_words(f"dynamometer {names[k]}", fit, "counts", "N", 1.0, "N") for k, fit in lines.items()]
-        return _give({"hardware.tension": part}, notes + calibrate.firmware_notes(found, hello, lines, {}), "tension", out)
+        return _give({"hardware.tension": part}, notes, "tension", out, _firmware(robot, port))
 
     return safely(work, "nothing was moved", "nothing was moved")
 
@@ -114,12 +114,11 @@ def pressure(
                 if gauge:
                     commands[k] = calibrate.fit_line(true, volts)
             rig.stop()
-            hello = rig.hello
         part = calibrate.pressure_part(found, monitors, commands)
         notes = [_words(f"monitor {names[k]}", fit, "V", "MPa", 1e3, "kPa") for k, fit in monitors.items()]
         notes += [_words(f"command {names[k]}", fit, "V", "MPa", 1e3, "kPa") for k, fit in commands.items()]
         notes += [] if gauge else ["without --gauge what was commanded is taken as true"]
-        return _give({"hardware.pressure": part}, notes + calibrate.firmware_notes(found, hello, {}, commands), "pressure", out)
+        return _give({"hardware.pressure": part}, notes, "pressure", out, _firmware(robot, port))
 
     return safely(work, STOPPED, STOPPED)
 
@@ -273,14 +272,29 @@ def _short(value: float) -> str:
     return f"{round(value, 6):.2g}"
 
 
-def _give(parts: dict[str, dict[str, list]], notes: list[str], kind: str, out: Path | None) -> int:
-    """Print or write what goes into the robot file."""
+def _firmware(robot: str | None, port: str) -> str:
+    """What has to be done once the robot file has another calibration."""
+    from tepm_opt.hw.service.checks import flashing, write_limits
+
+    return f"; then into the firmware, which does not arm otherwise: {write_limits(robot or 'ROBOT.toml')}, {flashing(port)}"
+
+
+def _give(parts: dict[str, dict[str, list]], notes: list[str], kind: str, out: Path | None, then: str = "") -> int:
+    """Print or write what goes into the robot file.
+
+    Args:
+        parts: of the robot file.
+        notes: lines for people.
+        kind: of the calibration.
+        out: file for the parts; None prints them.
+        then: what has to be done then.
+    """
     from tepm_opt.hw.service.calibrate import snippet
 
     for note in notes:
         say(note)
     text = snippet(parts, [f"tepm hw calibrate {kind}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC", *notes])
-    say(f"Put these lines into the robot file, in place of those of the same names{f': {out}' if out else ':'}")
+    say(f"Put these lines{f' ({out})' if out else ''} into the robot file, in place of those of the same names{then}")
     if out is None:
         print(text, end="")
     else:

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -121,6 +122,31 @@ def _print_end(made: list[Check], steps: list[str]) -> None:
 
 
 @app.command()
+def limits(
+    robot: RobotOption = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Header of the firmware to write, its limits.h; printed without it.")] = None,
+) -> int:
+    """Write the limits and calibration of a robot file as the firmware's limits.h. Both have to agree, or the robot cannot be armed."""
+    from tepm_opt.data.files import write_atomically
+    from tepm_opt.hw.board.limits import TITLE, Limits
+    from tepm_opt.hw.service.checks import flash
+    from tepm_opt.models.robot import load_robot
+
+    found = load_robot(robot or "kang2017")
+    text = Limits.of(found).header(found.name)
+    if out is None:
+        print(text, end="")
+        return SOLVED
+    if out.exists() and not (out.is_file() and out.read_bytes().startswith(TITLE.encode())):
+        raise InputError(f"--out {out}: it exists and was not written by this command; name the firmware's limits.h, or a new file")
+    write_atomically(out, text)
+    actuation = found.actuation
+    say(f"{out}: {actuation.pressure_max_Pa / 1e3:g} kPa, {actuation.tension_max_N:g} N and the calibration of robot {found.name}")
+    say(f"Now {flash(None)}")
+    return SOLVED
+
+
+@app.command()
 def jog(
     port: PortArgument,
     actuator: Annotated[str, typer.Argument(metavar="ACTUATOR", help="Name such as 11 or 23.")],
@@ -224,7 +250,7 @@ def estop(port: PortArgument) -> int:
         try:
             tries = _send_estop(link, line.clock)
             link.wait(lambda: link.status is not None and link.status.state is State.ESTOP, 1.0)
-            young = link.status is not None and 1e-3 * link.status.time_ms < RESTARTED_S + ESTOP_S
+            young = link.status is not None and 1e-3 * link.status.uptime_ms < RESTARTED_S + ESTOP_S
         finally:
             link.close()
         say(f"ESTOP acknowledged {time.monotonic() - begin:.1f} s after the start: motors off, pressure outputs off.", "bold green")

@@ -79,9 +79,13 @@ class Calibration:
         """
         return self._whole(self.counts_zero + self.counts * tensions, most, "tension", tensions, "N")
 
-    def to_steps(self, tensions: np.ndarray) -> list[int]:
-        """Steps of the motors from where the tendons are slack, for all channels of a board."""
-        return self._all(np.round(self.steps * tensions))
+    def to_steps(self, tensions: np.ndarray, most: int) -> list[int]:
+        """Steps of the motors from where the tendons are slack, for all channels of a board whose largest number of them is `most`.
+
+        Raises:
+            InputError: the board's compiled limit is lower.
+        """
+        return self._whole(self.steps * tensions, most, "tension", tensions, "N")
 
     def pressures(self, monitors: tuple[int, ...]) -> np.ndarray:
         """Pressures in Pa from the monitors' counts, (actuators of all modules,)."""
@@ -96,8 +100,5 @@ class Calibration:
         if (whole > most + 1).any():  # the limit itself may be rounded down
             first = int(np.argmax(whole > most + 1))
             value = f"{kind} of the board's actuator {first + 1} = {wanted[first]:g} {unit}"
-            raise InputError(f"command: {value} exceeds the limit that is compiled into the firmware")
-        return self._all(np.clip(whole, 0, most))
-
-    def _all(self, values: np.ndarray) -> list[int]:
-        return [*(int(value) for value in values), *[0] * (CHANNELS - len(values))]
+            raise InputError(f"command: {value} exceeds the limit that is compiled into the firmware, which is one for all actuators")
+        return [*(int(value) for value in np.clip(whole, 0, most)), *[0] * (CHANNELS - len(values))]

@@ -2,174 +2,61 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from statistics import median
-from typing import Any
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, TypeVar
 
+from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.limits import Limits, told
 from tepm_opt.hw.board.linklog import RECEIVED, SENT, LinkLog
 from tepm_opt.hw.board.ports import Clock, Port
-from tepm_opt.hw.board.protocol import ACK, ASK, HELLO, LIMITS, REQUESTS, SET, STATUS, Fault, Message, ResetCause, Result, State
+from tepm_opt.hw.board.protocol import ACK, ARM, ASK, CLEAR, CONFIG, HELLO, LIMITS, SET, STATUS, Fault, Message, Result, State
+from tepm_opt.hw.board.status import REASONS, BoardStatus, Hello, LinkStatistics
 
 TRIES, PATIENCE = 5, 0.05
 """How often a request is sent, and seconds until it is sent again."""
+SILENT = 0.2
+"""Seconds without STATUS, or without one that acknowledges set points, after which none is sent any more."""
+VENTING, AGAIN = 2.0, 0.1
+"""Seconds for which CLEAR is tried while monitors still show pressure, and between two tries."""
+FLASH = "flash the firmware that comes with this program"
 
 
 class LinkError(RuntimeError):
     """The board does not answer, refuses, or the line to it is gone."""
 
 
-@dataclass(frozen=True)
-class Hello:
-    """What a board says about itself.
+class RefusedError(LinkError):
+    """The board refuses a request.
 
     Attributes:
-        version: of the protocol that it speaks.
-        channels: actuators that it drives.
-        monitors: pressure monitors that it has inputs for.
-        reset_cause: why it started last; a boot loader may hide that.
-        state, session: when it said so.
-        build: identifies the firmware.
-        limits: CRC of the limits and calibration that it was compiled with.
-        timeout_ms: of a silent host.
+        result: why.
     """
 
-    version: int
-    channels: int
-    monitors: int
-    reset_cause: int
-    state: State
-    session: int
-    build: int
-    limits: int
-    timeout_ms: int
-
-    def __repr__(self) -> str:
-        return f"Hello({self.describe()})"
-
-    def describe(self) -> str:
-        """One line for people."""
-        causes = ", ".join(cause.name.lower().replace("_", " ") for cause in ResetCause if self.reset_cause & cause) or "unknown"
-        return f"firmware {self.build:08x}, protocol {self.version}, {self.channels} actuators, last reset: {causes}"
+    def __init__(self, message: str, result: int) -> None:
+        super().__init__(message)
+        self.result = result
 
 
 @dataclass(frozen=True)
-class BoardStatus:
-    """What a board told with one STATUS.
-
-    Attributes:
-        time: on the host's clock, when it came, in s.
-        state: of the board.
-        faults: bits of all faults since CLEAR.
-        fault, channel: the gravest of them, and the actuator (from 0) that it is about.
-        session: another one after each start, ARM, stop and CLEAR.
-        sequence: of the set point that it acts on, modulo 65,536.
-        count: of STATUS messages.
-        enabled: bits of the motors that are on.
-        good, bad: frames that it understood and not.
-        refused: set points beyond its limits.
-        stale: set points that were old, of another session, or came while it was not armed.
-        late: passes of its main loop that took too long.
-        time_ms: the board's own clock.
-        dynamometers, monitors: counts, (6,).
-        positions: of the motors in steps, (6,).
-    """
+class _Arming:
+    """Since when the board is armed, in which session, and what it had counted before."""
 
     time: float
-    sequence: int
-    count: int
     session: int
-    state: State
-    faults: int
-    fault: Fault
-    channel: int
-    enabled: int
-    good: int
-    bad: int
     refused: int
     stale: int
-    late: int
-    time_ms: int
-    dynamometers: tuple[int, ...]
-    monitors: tuple[int, ...]
-    positions: tuple[int, ...]
-
-    def __repr__(self) -> str:
-        return f"BoardStatus({self.time:.3f} s, {self.describe()}, set point {self.sequence})"
-
-    def describe(self) -> str:
-        """The state in words."""
-        if self.state is State.FAULT:
-            return f"FAULT: {FAULTS[self.fault].format(actuator=self.channel + 1)}"
-        return STATES[self.state]
-
-
-STATES = {
-    State.IDLE: "IDLE",
-    State.ARMED: "ARMED",
-    State.HOST_TIMEOUT: "HOST_TIMEOUT: the host was silent; motors are off and pressure went to zero",
-    State.ESTOP: "ESTOP: the emergency stop was used; release the button",
-    State.FAULT: "FAULT",
-}
-FAULTS = {
-    Fault.NONE: "none",
-    Fault.RESET_WHILE_ARMED: "the board was reset while the robot was armed",
-    Fault.TRAVEL: "motor {actuator} winds without end: is its tendon fixed?",
-    Fault.DYNAMOMETER: "dynamometer {actuator} is open or shorted, or has a loose contact",
-    Fault.TENSION_TOO_HIGH: "tendon {actuator} was pulled harder than allowed",
-    Fault.MONITOR: "the pressure monitor of regulator {actuator} is open or shorted",
-    Fault.REGULATOR: "regulator {actuator} does not follow its set point",
-    Fault.PRESSURE_TOO_HIGH: "regulator {actuator} gives more pressure than allowed",
-    Fault.BUS: "a DAC does not answer on the two-wire bus",
-    Fault.LOOP_HUNG: "the firmware's main loop hung",
-}
-
-
-REASONS = {
-    Result.WRONG_STATE: "not in this state",
-    Result.WRONG_SESSION: "something happened since it told its state last; try again",
-    Result.ESTOP_PRESSED: "the emergency stop is pressed, or its wire is broken",
-    Result.DYNAMOMETER: "dynamometer {actuator} is open or shorted",
-    Result.UNKNOWN_KEY: "it does not know this setting",
-    Result.OUT_OF_RANGE: "the value is out of its range",
-    Result.MONITOR: "the pressure monitor of regulator {actuator} does not show what the regulator was told",
-    Result.WRONG_LIMITS: "its limits or calibration are not those of the robot file",
-    Result.BUS: "a DAC does not answer on the two-wire bus",
-}
-
-
-@dataclass
-class LinkStatistics:
-    """What went over the line so far.
-
-    Attributes:
-        sent, received: frames.
-        bad: frames that came damaged.
-        lost: STATUS messages that never came.
-        latencies: of the last set points in s, from sending to the STATUS that acknowledges them.
-    """
-
-    sent: int = 0
-    received: int = 0
-    bad: int = 0
-    lost: int = 0
-    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
-
-    def __repr__(self) -> str:
-        return f"LinkStatistics({self.describe()})"
-
-    def describe(self) -> str:
-        """One line for people."""
-        latency = f"{1e3 * median(self.latencies):.1f} ms" if self.latencies else "unknown"
-        return f"{self.sent} sent, {self.received} received, {self.bad} damaged, {self.lost} lost, latency {latency}"
 
 
 class Link:
     """A line to a board, listened to by a thread, or — where time is virtual — whenever something is waited for.
+
+    Several threads may send.
 
     Args:
         port: the line.
@@ -189,11 +76,13 @@ class Link:
         self._decoder = protocol.Decoder(protocol.TO_HOST)
         self._hello: Hello | None = None
         self._limits: Limits | None = None
-        self._acks: dict[int, dict[str, Any]] = {}
-        self._sent_at: dict[int, float] = {}
-        self._sequence = self._id = self._session = self._armed_session = 0
-        self._failure: Exception | None = None
+        self._answers: dict[tuple[int, int], protocol.Values | None] = {}  # of the requests that wait for one, by id and code
+        self._unconfirmed: deque[tuple[int, float]] = deque(maxlen=4096)  # set points and when they were sent, oldest first
+        self._sequence = self._id = self._session = 0
+        self._arming: _Arming | None = None
+        self._failure: LinkError | None = None
         self._news = threading.Condition(threading.RLock())
+        self._sending = threading.RLock()  # taken before that of the news, never while holding it
         self._closed = False
         self._thread = threading.Thread(target=self._listen, name="board", daemon=True) if threaded else None
         if self._thread:
@@ -209,13 +98,15 @@ class Link:
         end = self._clock() + timeout
         while self._hello is None:
             if self._clock() >= end:
-                raise LinkError(f"no answer from the board within {timeout:g} s: is the firmware on it, and is the baud rate its own?")
+                hint = "is the firmware on it, and is the baud rate its own?"
+                if self.statistics.bad > TRIES:
+                    hint = f"{self.statistics.bad} frames came that are none: is the baud rate its own? If so, {FLASH}"
+                raise LinkError(f"no answer from the board within {timeout:g} s: {hint}")
             self.send(ASK, id=self._next_id())
             self.wait(lambda: self._hello is not None, 0.25)
         if self._hello.version != protocol.VERSION:
             raise LinkError(
-                f"the board speaks version {self._hello.version} of the protocol, this program version {protocol.VERSION}; "
-                "flash the firmware that comes with this program"
+                f"the board speaks version {self._hello.version} of the protocol, this program version {protocol.VERSION}; {FLASH}"
             )
         return self._hello
 
@@ -223,101 +114,174 @@ class Link:
         """What the board was compiled with.
 
         Raises:
-            LinkError: it does not say so in time.
+            LinkError: it does not say so in time, or not what its CRC in HELLO is of.
         """
         end = self._clock() + timeout
-        while self._limits is None:
+        while self._limits is None or self._hello is None:
             if self._clock() >= end:
                 raise LinkError(f"the board does not tell its limits within {timeout:g} s")
             self.send(ASK, id=self._next_id())
-            self.wait(lambda: self._limits is not None, 0.25)
+            self.wait(lambda: self._limits is not None and self._hello is not None, 0.25)
+        if self._limits.check != self._hello.limits:
+            raise LinkError(f"the board's limits have the CRC {self._limits.check:04x}, it tells {self._hello.limits:04x}; {FLASH}")
         return self._limits
 
-    def request(self, kind: Message, **values: int) -> protocol.Values:
+    def request(self, kind: Message, tries: int = TRIES, **values: int) -> protocol.Values:
         """Ask for something, wait until it is done, and give the answer.
 
+        Args:
+            kind: of the request.
+            tries: how often it is sent while no answer comes.
+            values: of its fields, but for `id`.
+
         Raises:
-            LinkError: it was refused, or there is no answer.
+            LinkError: it was refused (`RefusedError`), or there is no answer.
         """
         number = self._next_id()
-        for _ in range(TRIES):
-            self.send(kind, id=number, **values)
-            if self.wait(lambda: number in self._acks, PATIENCE):
-                break
-        else:
+        key = number, kind.code
+        self._answers[key] = None
+        try:
+            for _ in range(tries):
+                self.send(kind, id=number, **values)
+                if self.wait(lambda: self._answers[key] is not None, PATIENCE):
+                    break
+            answer = self._answers[key]
+        finally:
+            del self._answers[key]
+        if answer is None:
             raise LinkError(f"the board does not answer {kind.name}; it stops by itself when nothing comes")
-        answer = self._acks.pop(number)
+        state = _known(State, answer["state"])
         if answer["result"] != Result.DONE:
-            reason = REASONS.get(answer["result"], "it says why in a way that this program does not know").format(
-                actuator=answer["channel"] + 1
-            )
-            raise LinkError(f"the board refuses {kind.name}: {reason} (it is {State(answer['state']).name})")
+            reason = REASONS.get(answer["result"], "it says why in a way that this program does not know")
+            why = reason.format(actuator=answer["channel"] + 1)
+            raise RefusedError(f"the board refuses {kind.name}: {why} (it is {state.name})", answer["result"])
         return answer
 
     def arm(self, limits: int) -> None:
-        """Arm the board, which has to be IDLE.
+        """Arm the board, which has to be IDLE and to have told its state.
 
         Args:
             limits: CRC of the limits and calibration that the robot file asks for.
 
         Raises:
-            LinkError: as for `request`.
+            LinkError: as for `request`; or it acknowledges, but is not armed.
         """
-        self._sequence = 0
-        self._sent_at.clear()
-        self._armed_session = self.request(protocol.ARM, session=self._session, limits=limits)["session"]
+        self._arming = None
+        before = self.status
+        if before is None:
+            raise LinkError("the board has not told its state yet")
+        answer = self.request(ARM, session=self._session, limits=limits)
+        if answer["state"] != State.ARMED:
+            raise LinkError(f"the board was armed and left that at once: it is {_known(State, answer['state']).name}")
+        with self._news:
+            self._sequence = 0
+            self._unconfirmed.clear()
+            self._arming = _Arming(self._clock(), answer["session"], before.refused, before.stale)
+
+    def confirm(self) -> None:
+        """Raise unless the board is heard, is armed, and acts on the set points that it is sent.
+
+        Raises:
+            LinkError: it says nothing, has stopped the robot, or ignores set points; or the line is gone.
+        """
+        self.listen()
+        with self._news:
+            now, status, arming = self._clock(), self.status, self._arming
+            if self._failure is not None:
+                raise self._failure
+            if status is None or arming is None:
+                raise LinkError("the board is not armed")
+            if now - max(status.time, arming.time) > SILENT:
+                raise LinkError(f"the board has said nothing for {now - status.time:.2f} s; no set points are sent any more")
+            if status.time > arming.time:
+                if status.state is not State.ARMED:
+                    raise LinkError(f"the board stopped the robot: {status.describe()}")
+                if status.session != arming.session:
+                    raise LinkError("the board was armed by somebody else")
+                if status.refused != arming.refused:
+                    raise LinkError("the board refuses set points: they are beyond its limits")
+                if status.stale != arming.stale:
+                    raise LinkError("the board ignores set points: they are old, or of another session. Does another program send?")
+            if self._unconfirmed and now - self._unconfirmed[0][1] > SILENT:
+                waited = now - self._unconfirmed[0][1]
+                raise LinkError(f"the board tells its state, but has acted on no set point for {waited:.2f} s; none is sent any more")
 
     def clear(self) -> None:
-        """Lead the board from a stop or fault to IDLE.
+        """Lead the board from a stop or fault to IDLE. Where pressure has not gone yet that may take some time.
 
         Raises:
             LinkError: as for `request`.
         """
-        self.request(protocol.CLEAR, session=self._session)
-        asked = self._clock()
-        self.wait(lambda: self.status is not None and self.status.time > asked, 0.5)
+        end = self._clock() + VENTING
+        while True:
+            try:
+                session = self.request(CLEAR, session=self._session)["session"]
+                break
+            except RefusedError as error:
+                if error.result != Result.MONITOR or self._clock() >= end:
+                    raise
+            self.wait(lambda: False, AGAIN)
+        self._arming = None
+        self.wait(lambda: self.status is not None and self.status.session == session, 0.5)
 
     def configure(self, key: protocol.Key, value: int) -> None:
         """Change a setting of the board until it is reset.
 
         Raises:
+            InputError: a value that the message cannot hold.
             LinkError: as for `request`.
         """
-        self.request(protocol.CONFIG, session=self._session, key=int(key), value=value)
+        self.request(CONFIG, session=self._session, key=int(key), value=value)
 
     def set(self, enabled: int, pressures: list[int], tendons: list[int]) -> None:
-        """Send a set point; the newest wins."""
-        self._sequence += 1
-        self._sent_at[self._sequence % 65536] = self._clock()
-        self.send(SET, session=self._armed_session, sequence=self._sequence, enabled=enabled, pressures=pressures, tendons=tendons)
+        """Send a set point; the newest wins.
+
+        Raises:
+            InputError: a value that the message cannot hold.
+            LinkError: the board was not armed, or the line is gone.
+        """
+        with self._sending:
+            arming = self._arming
+            if arming is None:
+                raise LinkError("the board is not armed")
+            with self._news:
+                self._sequence += 1
+                self._unconfirmed.append((self._sequence, self._clock()))
+            self.send(SET, session=arming.session, sequence=self._sequence, enabled=enabled, pressures=pressures, tendons=tendons)
 
     def send(self, kind: Message, **values: int | list[int]) -> None:
         """Send a message.
 
         Raises:
+            InputError: a value that the message cannot hold.
             LinkError: the line is gone.
         """
-        data = protocol.frame(kind.pack(**values))
-        if self._log:
-            self._log(SENT, data)
         try:
-            self._port.write(data)
-        except OSError as error:
-            raise self._gone(error) from error
-        self.statistics.sent += 1
+            data = protocol.frame(kind.pack(**values))
+        except struct.error as error:
+            told = ", ".join(f"{name} = {value}" for name, value in values.items())
+            raise InputError(f"message {kind.name} to the board with {told}: {error}") from error
+        with self._sending:
+            if self._log:
+                self._log(SENT, data)
+            try:
+                self._port.write(data)
+            except OSError as error:
+                raise _gone(error) from error
+            self.statistics.sent += 1
 
     def wait(self, until: Callable[[], bool], timeout: float) -> bool:
         """Wait for news until something is true, at most `timeout` s; whether it is.
 
         Raises:
-            LinkError: the line is gone.
+            LinkError: the line is gone, or something came that nobody knows.
         """
         end = self._clock() + timeout
         with self._news:
             while not until():
                 left = end - self._clock()
                 if self._failure is not None:
-                    raise self._gone(self._failure)
+                    raise self._failure
                 if left <= 1e-9:
                     return False
                 if self._thread:
@@ -330,16 +294,19 @@ class Link:
         """Take what has come; where no thread does that, and waiting at most so long for it.
 
         Raises:
-            LinkError: the line is gone.
+            LinkError: the line is gone, or something came that nobody knows.
         """
         if self._failure is not None:
-            raise self._gone(self._failure)
+            raise self._failure
         if self._thread:
             return
         try:
             self._take(self._port.read(timeout))
         except OSError as error:
-            raise self._gone(error) from error
+            raise _gone(error) from error
+        except LinkError as error:
+            self._failure = error
+            raise
 
     def close(self) -> None:
         """Stop listening and give the line free."""
@@ -351,12 +318,9 @@ class Link:
             self._log.close()
 
     def _next_id(self) -> int:
-        self._id = (self._id + 1) % 256
-        self._acks.pop(self._id, None)
-        return self._id
-
-    def _gone(self, error: Exception) -> LinkError:
-        return LinkError(f"the line to the board is gone: {error}")
+        with self._sending:
+            self._id = (self._id + 1) % 256
+            return self._id
 
     def _listen(self) -> None:
         while not self._closed:
@@ -365,9 +329,9 @@ class Link:
                 with self._news:
                     self._take(data)
                     self._news.notify_all()
-            except (OSError, TypeError, AttributeError, EOFError, ValueError) as error:  # the port was closed; or a state nobody knows
+            except Exception as error:  # whatever ends this thread: those who wait, or want to send set points, have to hear of it
                 with self._news:
-                    self._failure = error
+                    self._failure = error if isinstance(error, LinkError) else _gone(error)
                     self._news.notify_all()
                 return
 
@@ -384,16 +348,45 @@ class Link:
             if kind is STATUS:
                 self._take_status(now, values)
             elif kind is HELLO:
-                self._hello = Hello(**{**values, "state": State(values["state"])})
-            elif kind is ACK and values["request"] in {request.code for request in REQUESTS}:
-                self._acks[values["id"]] = values
+                self._hello = Hello(**{**values, "state": _known(State, values["state"])})
+            elif kind is ACK and (key := (values["id"], values["request"])) in self._answers:
+                self._answers[key] = values
         self.statistics.bad = self._decoder.bad
 
     def _take_status(self, now: float, values: dict[str, Any]) -> None:
-        last = self.status
-        self.status = BoardStatus(now, **{**values, "state": State(values["state"]), "fault": Fault(values["fault"])})
-        if last is not None and self.status.time_ms > last.time_ms:
-            self.statistics.lost += (self.status.count - last.count - 1) % 256
-        sent = self._sent_at.pop(self.status.sequence, None)
-        if sent is not None:
-            self.statistics.latencies.append(now - sent)
+        last, up = self.status, values["time_ms"]
+        if last is not None and last.start == values["session"] >> 16:
+            up = last.uptime_ms + (up - last.time_ms) % 2**32
+            self.statistics.lost += (values["count"] - last.count - 1) % 256
+        known = {"state": _known(State, values["state"]), "fault": _known(Fault, values["fault"])}
+        self.status = BoardStatus(now, up, **{**values, **known})
+        if self._arming is not None and self.status.session == self._arming.session:
+            self._acknowledge(now, self.status.sequence)
+
+    def _acknowledge(self, now: float, low: int) -> None:
+        """Strike off the set points up to the one whose number has these lower 16 bits."""
+        while self._unconfirmed and (low - self._unconfirmed[0][0]) % 0x10000 < 0x8000:
+            sequence, sent = self._unconfirmed.popleft()
+            if sequence % 0x10000 == low:
+                self.statistics.latencies.append(now - sent)
+
+
+Known = TypeVar("Known", bound=IntEnum)
+
+
+def _known(kind: type[Known], value: int) -> Known:
+    """A value that a board told.
+
+    Raises:
+        LinkError: this program does not know it.
+    """
+    try:
+        return kind(value)
+    except ValueError as error:
+        raise LinkError(f"the board tells {kind.__name__.lower()} {value}, which this program does not know; {FLASH}") from error
+
+
+def _gone(error: Exception) -> LinkError:
+    if isinstance(error, OSError | TypeError | AttributeError | EOFError):  # the second and third come from a port that was closed
+        return LinkError(f"the line to the board is gone: {error}")
+    return LinkError(f"what came from the board cannot be understood: {error!r}")

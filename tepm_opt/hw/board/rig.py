@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from types import TracebackType
 from typing import Literal
@@ -12,11 +11,12 @@ import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.limits import Limits
-from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
+from tepm_opt.hw.board.limits import Limits, differences
+from tepm_opt.hw.board.link import Link, LinkError, RefusedError
 from tepm_opt.hw.board.linklog import LinkLog, new_log
 from tepm_opt.hw.board.ports import BAUD, Clock, Port, SerialPort
 from tepm_opt.hw.board.protocol import DISARM, ESTOP, POSITION_MODE, State
+from tepm_opt.hw.board.status import BoardStatus, Hello
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.tracker import IgtlTracker, Tracker
@@ -25,8 +25,11 @@ from tepm_opt.models.robot import Robot
 
 STALE = 0.05
 """Seconds after which what the board measured is no longer given."""
-SILENT_PERIODS = 3
-"""Sample periods after which `read` gives a sample without points rather than wait on for the tracker."""
+SILENT_PERIODS, LEAST_PERIODS, SHARE = 3, 1.2, 0.6
+"""Sample periods after which `read` gives a sample without points rather than wait on for the tracker, at most and at least; and the part
+of the time for which the board bears a silent host that it takes at most."""
+PERIOD = 0.01
+"""Seconds between samples where there is no tracker."""
 
 Tendons = Literal["tension", "position"]
 
@@ -110,15 +113,14 @@ class SerialRig:
         self._count = self.layout.inputs // 2
         self._tracker, self._clock, self._tendons = tracker, clock, tendons
         self._armed: bool | None = None  # None: not yet, False: not again
-        self._armed_at = math.inf
-        rate = robot.hardware.tracker.rate_hz if robot.hardware and robot.hardware.tracker else 100.0
-        self._period = 1 / rate
+        self._asked = Limits.of(robot)
         self.link = Link(port, clock, log, threaded)
         try:
             self.hello: Hello = self.link.hello(start)
             if self.hello.channels < self._count:
                 raise LinkError(f"the board drives {self.hello.channels} actuators, robot {robot.name} has {self._count}")
             self.limits = self.link.limits()
+            self._patience = self._waits()
             self.link.wait(lambda: self.link.status is not None, 1.0)
         except BaseException:
             self.link.close()
@@ -154,17 +156,17 @@ class SerialRig:
     def read(self) -> Sample:
         """Wait for the tracker's next frame and give it with what the board measured last.
 
-        Where the tracker is silent for three periods there is a sample without points, so that a controller can react; without a tracker
-        that is every sample, one a period.
+        Where the tracker is silent for three periods, or for so long that the board would take the host for silent, there is a sample
+        without points, so that a controller can react; without a tracker that is every sample.
 
         Raises:
             LinkError: the line to the board is gone.
         """
         if self._tracker is None:
-            self.link.wait(lambda: self._clock() >= self._last + self._period, self._last + self._period - self._clock())
+            self.link.wait(lambda: self._clock() >= self._last + self._patience, self._last + self._patience - self._clock())
             frame = None
         else:
-            frame = self._tracker.read(SILENT_PERIODS * self._period)
+            frame = self._tracker.read(self._patience)
         self._last = self._clock()
         self.link.listen()
         points = np.full((self.layout.points, 3), np.nan) if frame is None else frame.points
@@ -175,8 +177,9 @@ class SerialRig:
             told.append("no tracker" if self._tracker is None else "tracker silent")
         measured, extra = (None, None), {}
         if (status := self.link.status) is not None and self._clock() - status.time <= STALE:
-            measured = (self._calibration.pressures(status.monitors), self._calibration.tensions(status.dynamometers))
-            extra = {"board_time_s": 1e-3 * status.time_ms}
+            pressures = self._calibration.pressures(status.monitors) if self.hello.monitors >= self._count else None
+            measured = (pressures, self._calibration.tensions(status.dynamometers))
+            extra = {"board_time_s": 1e-3 * status.uptime_ms}
         else:
             told.append("board silent")
         if self._armed and status is not None and status.state is not State.ARMED:
@@ -190,13 +193,16 @@ class SerialRig:
 
         Raises:
             InputError: a value is NaN or outside the robot's limits or the firmware's; nothing is sent then.
-            LinkError: the board has stopped by itself, or the line is gone.
+            LinkError: the board has stopped by itself, says nothing or ignores set points, or the line is gone.
         """
         values = check_command(command, self.robot)
         pressures, tensions, on = np.split(values, 3)
-        codes = self._calibration.to_codes(pressures, self.limits.pressure_max)
+        codes = self._calibration.to_codes(pressures, self._asked.pressure_max)
         by_position = self._tendons == "position"
-        goals = self._calibration.to_steps(tensions) if by_position else self._calibration.to_counts(tensions, self.limits.tension_max)
+        if by_position:
+            goals = self._calibration.to_steps(tensions, self._asked.position_max)
+        else:
+            goals = self._calibration.to_counts(tensions, self._asked.tension_max)
         self._ensure_armed()
         bits = sum(1 << k for k in range(self._count) if on[k])
         self.link.set(bits | (POSITION_MODE if by_position else 0), codes, goals)
@@ -262,18 +268,48 @@ class SerialRig:
         if self._armed is None:
             if self.board.state is not State.IDLE:
                 raise LinkError(f"the board is in {self.board.describe()}; see to it, then clear it: tepm hw check PORT --clear")
-            if differences := Limits.of(self.robot).differences(self.limits):
+            if different := differences(self.robot, self.limits):
                 raise LinkError(
-                    f"firmware and robot file {self.robot.name} disagree: {'; '.join(differences)}. Write the robot file's numbers into "
-                    "the firmware (tepm hw limits) and flash it, or use the robot file that the firmware was made for"
+                    f"firmware and robot file {self.robot.name} disagree: {'; '.join(different)}. Write the robot file's numbers into the "
+                    "firmware (tepm hw limits) and flash it, or use the robot file that the firmware was made for"
                 )
-            self._armed, self._armed_at = True, math.inf  # from now on stopping disarms, whatever interrupts this
+            self._armed = True  # from now on stopping disarms, whatever interrupts this
             try:
-                self.link.arm(self.limits.check)
-            except LinkError:
+                self.link.arm(self._asked.check)
+            except RefusedError:
                 self._armed = None
                 raise
-            self._armed_at = self._clock()
-        elif (status := self.board).time > self._armed_at and status.state is not State.ARMED:
-            self._armed = False
-            raise LinkError(f"the board stopped the robot: {status.describe()}")
+            except LinkError:
+                self._let_go()
+                raise
+        else:
+            try:
+                self.link.confirm()
+            except LinkError:
+                self._let_go()
+                raise
+
+    def _let_go(self) -> None:
+        """Disarm a board that cannot be relied on any more, or have it stop at once: one try each, and no more set points."""
+        self._armed = False
+        for kind in (DISARM, ESTOP):
+            with contextlib.suppress(LinkError):
+                self.link.request(kind, tries=1)
+                return
+
+    def _waits(self) -> float:
+        """Seconds for which `read` waits for the tracker: the board has to hear of the host meanwhile.
+
+        Raises:
+            InputError: the tracker is too slow for that.
+        """
+        if self._tracker is None:
+            return PERIOD
+        link = None if self.robot.hardware is None else self.robot.hardware.tracker
+        period, most = 1 / link.rate_hz if link else PERIOD, SHARE * 1e-3 * self.hello.timeout_ms
+        if LEAST_PERIODS * period > most * (1 + 1e-9):
+            why = f"the board stops the robot when it hears nothing for {self.hello.timeout_ms} ms"
+            raise InputError(
+                f"robot {self.robot.name}: hardware.tracker.rate_hz = {1 / period:g}; valid: at least {LEAST_PERIODS / most:g} Hz ({why})"
+            )
+        return min(SILENT_PERIODS * period, most)

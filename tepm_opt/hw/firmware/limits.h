@@ -11,7 +11,7 @@ constexpr protocol::Limits LIMITS = {
     1638,  // monitor_per_code: 1/256 counts of a monitor a DAC code
     3276,  // monitor_low: counts of a monitor below which it is broken; 0 where it has no live zero
     22573,  // monitor_trip: counts of a monitor that no pressure may exceed
-    2912,  // regulator_band: counts by which a monitor may be off its set point
+    2900,  // regulator_band: counts by which a monitor may be off its set point
     3277,  // tension_zero: counts of a dynamometer without tension
     26215,  // tension_max: counts of a dynamometer at the largest tension
     27361,  // tension_trip: counts of a dynamometer that no tension may exceed

@@ -12,8 +12,9 @@ from pydantic import ValidationError
 
 from tepm_opt.data.documents import explain
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
+from tepm_opt.hw.board.link import Link, LinkError
 from tepm_opt.hw.board.protocol import COUNTS_PER_V, DAC_CODES
+from tepm_opt.hw.board.status import BoardStatus
 from tepm_opt.models.hardware import Hardware, PressureLines, TensionLines
 from tepm_opt.models.robot import Robot
 
@@ -216,32 +217,6 @@ def snippet(parts: dict[str, dict[str, list]], notes: Sequence[str]) -> str:
     for name, part in parts.items():
         lines += ["", f"[{name}]", *(f"{key} = {value!r}" for key, value in part.items())]
     return "\n".join([*lines, ""])
-
-
-def firmware_notes(robot: Robot, hello: Hello, tension: dict[int, CalibrationFit], command: dict[int, CalibrationFit]) -> list[str]:
-    """Where the limits compiled into the firmware are more than 5 % off by measured lines; a sentence each.
-
-    Args:
-        robot: with its limits.
-        hello: of the board.
-        tension: counts over N by actuator.
-        command: volts over MPa by actuator.
-    """
-    notes, actuation = [], robot.actuation
-    for k, line in tension.items():
-        limit = (hello.tension_max - line.zero) / line.slope
-        if abs(limit / actuation.tension_max_N - 1) > 0.05:
-            notes.append(
-                f"by this line the firmware limits actuator {k + 1} of the board at {limit:.2f} N: change TENSION_COUNTS_… in config.h"
-            )
-    full = Hardware.of_each(_hardware(robot).pressure.dac_full_scale_V, robot.modules * robot.actuators)
-    for k, line in command.items():
-        limit = 1e6 * (hello.pressure_max / DAC_CODES * full[k] - line.zero) / line.slope
-        if abs(limit / actuation.pressure_max_Pa - 1) > 0.05:
-            notes.append(
-                f"by this line the firmware limits actuator {k + 1} of the board at {limit / 1e3:.0f} kPa: change PRESSURE_… in config.h"
-            )
-    return notes
 
 
 def command_volts(robot: Robot, actuator: int, code: int) -> float:

@@ -14,8 +14,9 @@ import numpy as np
 
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.link import BoardStatus, Hello, Link, LinkError
+from tepm_opt.hw.board.link import Link, LinkError
 from tepm_opt.hw.board.protocol import COUNTS_PER_V, ResetCause
+from tepm_opt.hw.board.status import BoardStatus, Hello
 from tepm_opt.hw.tracker import Tracker
 
 FIRMWARE = Path(protocol.__file__).parent.parent / "firmware"
@@ -28,8 +29,6 @@ SLACK_N, NO_PRESSURE_PA = 0.2, 20e3
 """What a dynamometer without tension and a monitor without pressure show at the most."""
 LISTEN_S, FEWEST_HZ, WORST_SHARE = 2.0, 50.0, 0.01
 """How long the line is listened to; STATUS a second, and share of them lost or damaged, from which on it is good."""
-UNO = 3
-"""Channels of a board that has no pins for monitors."""
 
 
 class Mark(Enum):
@@ -100,7 +99,17 @@ def device_of(port: str) -> str:
 
 def flash(port: str | None) -> str:
     """How to put the firmware on a board."""
-    return f"flash the firmware: make -C {FIRMWARE} flash PORT={device_of(port or 'PORT')} (BOARD=uno for an Uno)"
+    return f"flash the firmware: {flashing(port)} (BOARD=uno for an Uno)"
+
+
+def flashing(port: str | None) -> str:
+    """The command that puts the firmware on a board."""
+    return f"make -C {FIRMWARE} flash PORT={device_of(port or 'PORT')}"
+
+
+def write_limits(robot: str) -> str:
+    """The command that writes a robot file's limits into the firmware."""
+    return f"tepm hw limits --robot {robot} --out {FIRMWARE / 'limits.h'}"
 
 
 def packages() -> Check:
@@ -162,7 +171,7 @@ def monitors(names: tuple[str, ...], counts: tuple[int, ...], calibration: Calib
         hello: of the board; an Uno has no pins for monitors.
     """
     name = "pressure monitors"
-    if hello.channels <= UNO and not any(counts):
+    if hello.monitors == 0:
         return not_yet(name, "this board has no inputs for them.")
     pressures = calibration.pressures(counts)
     volts = np.array(counts[: len(names)]) / COUNTS_PER_V

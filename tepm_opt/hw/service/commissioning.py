@@ -7,15 +7,29 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.link import BoardStatus, Link, LinkError
+from tepm_opt.hw.board.limits import Limits, differences
+from tepm_opt.hw.board.link import Link, LinkError, RefusedError
 from tepm_opt.hw.board.ports import FoundPort, PortBusyError, find_ports
-from tepm_opt.hw.board.protocol import CHANNELS, POSITION_MODE, State
+from tepm_opt.hw.board.protocol import CHANNELS, POSITION_MODE, Result, State
+from tepm_opt.hw.board.status import BoardStatus
 from tepm_opt.hw.service import checks
-from tepm_opt.hw.service.checks import BUSY, DIALOUT, FIRMWARE, NO_PORT, Check, device_of, flash, judged, last, not_yet, right, wrong
+from tepm_opt.hw.service.checks import (
+    BUSY,
+    DIALOUT,
+    NO_PORT,
+    Check,
+    device_of,
+    flash,
+    flashing,
+    judged,
+    last,
+    not_yet,
+    right,
+    write_limits,
+    wrong,
+)
 from tepm_opt.hw.service.line import OpenLine, open_line, open_tracker, tracker_link
 from tepm_opt.hw.tracker import IgtlTracker
 from tepm_opt.models.layout import Layout
@@ -23,6 +37,12 @@ from tepm_opt.models.robot import Robot, load_robot
 
 BUTTON_S = 30.0
 """How long the emergency stop button is waited for."""
+MENDS: dict[int, str] = {
+    Result.ESTOP_PRESSED: "release the emergency stop button; is its wire (closed contact to ground) whole?",
+    Result.MONITOR: "is the regulator fed, is its monitor wired, has the air gone? `tepm hw monitor` shows what it measures",
+    Result.BUS: "see to the DACs' supply and wires",
+}
+"""What to do where CLEAR is refused, by the reason."""
 
 
 def by_hand(port: str, robot: str, actuator: str) -> list[str]:
@@ -90,7 +110,7 @@ class Commissioning:
         name = "robot file"
         try:
             robot = load_robot(self.robot)
-            Calibration.of(robot)
+            Limits.of(robot)
         except InputError as error:
             return wrong(name, str(error), "compare with `tepm robot show kang2017`; `tepm robot new FILE` writes a file with all parts")
         self._found = robot
@@ -154,7 +174,7 @@ class Commissioning:
             if link.status is None:
                 yield wrong("state", "the board answers but never tells its state.", flash(self.port))
                 return
-            yield self._limits()
+            yield self._limits(link)
             yield self._state(link)
             yield self._button(link)
             link.wait(lambda: False, 0.05)
@@ -163,7 +183,7 @@ class Commissioning:
         except LinkError as error:
             yield wrong("line", f"{error}.", "see to cable and plug, then run this again")
 
-    def _limits(self) -> Check:
+    def _limits(self, link: Link) -> Check:
         name = "limits"
         if self._found is None:
             return not_yet(name, "needs a robot file with [hardware].")
@@ -172,14 +192,10 @@ class Commissioning:
             return wrong(
                 name, f"the board drives {self._hello.channels} actuators, the robot has {count}.", "use another board or robot file"
             )
-        calibration = Calibration.of(self._found)
-        try:
-            calibration.to_codes(np.full(count, actuation.pressure_max_Pa), self._hello)
-            calibration.to_counts(np.full(count, actuation.tension_max_N), self._hello)
-        except InputError as error:
-            return wrong(name, f"{error}.", f"change the limits in {FIRMWARE / 'config.h'} and flash, or those of the robot file")
-        most = f"{actuation.pressure_max_Pa / 1e3:g} kPa and {actuation.tension_max_N:g} N"
-        return right(name, f"{most} of the robot file are within what the firmware allows.")
+        different = differences(self._found, link.limits())
+        hint = f"either {write_limits(self.robot)} and {flashing(self.port)}, or use the robot file that the firmware was made for"
+        most = f"{actuation.pressure_max_Pa / 1e3:g} kPa, {actuation.tension_max_N:g} N and the calibration are those of the firmware."
+        return judged(name, not different, f"{'; '.join(different)}." if different else most, hint)
 
     def _state(self, link: Link) -> Check:
         name, status = "state", last(link)
@@ -191,8 +207,8 @@ class Commissioning:
             return wrong(name, f"{says}.", hint)
         try:
             link.clear()
-        except LinkError as error:
-            return wrong(name, f"{says}; {error}.", "release the emergency stop button; is its wire (closed contact to ground) whole?")
+        except RefusedError as error:
+            return wrong(name, f"{says}; {error}.", MENDS.get(error.result, "see to it, then run this again"))
         return right(name, f"it was {says}; cleared, it is IDLE now.")
 
     def _button(self, link: Link) -> Check:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.link import BoardStatus, Link, LinkError
+from tepm_opt.hw.board.link import Link, LinkError
+from tepm_opt.hw.board.status import BoardStatus
 from tepm_opt.hw.service.line import Line
 from tepm_opt.hw.tracker import Frame, Tracker
 
