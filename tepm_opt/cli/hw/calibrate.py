@@ -274,9 +274,9 @@ def _short(value: float) -> str:
 
 def _firmware(robot: str | None, port: str) -> str:
     """What has to be done once the robot file has another calibration."""
-    from tepm_opt.hw.service.checks import flashing, write_limits
+    from tepm_opt.hw.service.checks import flash_limits
 
-    return f"; then into the firmware, which does not arm otherwise: {write_limits(robot or 'ROBOT.toml')}, {flashing(port)}"
+    return f"; then into the firmware, which does not arm otherwise: {flash_limits(port, robot or 'ROBOT.toml')}"
 
 
 def _give(parts: dict[str, dict[str, list]], notes: list[str], kind: str, out: Path | None, then: str = "") -> int:

@@ -124,12 +124,12 @@ def _print_end(made: list[Check], steps: list[str]) -> None:
 @app.command()
 def limits(
     robot: RobotOption = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Header of the firmware to write, its limits.h; printed without it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Header to write, for make LIMITS=FILE; printed without it.")] = None,
 ) -> int:
-    """Write the limits and calibration of a robot file as the firmware's limits.h. Both have to agree, or the robot cannot be armed."""
+    """Write the limits and calibration of a robot file as a header of the firmware. Both have to agree, or the robot cannot be armed."""
     from tepm_opt.data.files import write_atomically
     from tepm_opt.hw.board.limits import TITLE, Limits
-    from tepm_opt.hw.service.checks import flash
+    from tepm_opt.hw.service.checks import flashing
     from tepm_opt.models.robot import load_robot
 
     found = load_robot(robot or "kang2017")
@@ -138,11 +138,11 @@ def limits(
         print(text, end="")
         return SOLVED
     if out.exists() and not (out.is_file() and out.read_bytes().startswith(TITLE.encode())):
-        raise InputError(f"--out {out}: it exists and was not written by this command; name the firmware's limits.h, or a new file")
+        raise InputError(f"--out {out}: it exists and was not written by this command; name a new file, or one that was")
     write_atomically(out, text)
     actuation = found.actuation
     say(f"{out}: {actuation.pressure_max_Pa / 1e3:g} kPa, {actuation.tension_max_N:g} N and the calibration of robot {found.name}")
-    say(f"Now {flash(None)}")
+    say(f"Now flash the firmware: {flashing(None)} LIMITS={out.resolve()}")
     return SOLVED
 
 

@@ -107,9 +107,9 @@ def flashing(port: str | None) -> str:
     return f"make -C {FIRMWARE} flash PORT={device_of(port or 'PORT')}"
 
 
-def write_limits(robot: str) -> str:
-    """The command that writes a robot file's limits into the firmware."""
-    return f"tepm hw limits --robot {robot} --out {FIRMWARE / 'limits.h'}"
+def flash_limits(port: str | None, robot: str) -> str:
+    """The commands that put firmware with the limits and calibration of a robot file on a board."""
+    return f"tepm hw limits --robot {robot} --out limits.h && {flashing(port)} LIMITS=$PWD/limits.h"
 
 
 def packages() -> Check:

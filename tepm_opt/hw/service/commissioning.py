@@ -22,12 +22,11 @@ from tepm_opt.hw.service.checks import (
     Check,
     device_of,
     flash,
-    flashing,
+    flash_limits,
     judged,
     last,
     not_yet,
     right,
-    write_limits,
     wrong,
 )
 from tepm_opt.hw.service.line import OpenLine, open_line, open_tracker, tracker_link
@@ -193,7 +192,7 @@ class Commissioning:
                 name, f"the board drives {self._hello.channels} actuators, the robot has {count}.", "use another board or robot file"
             )
         different = differences(self._found, link.limits())
-        hint = f"either {write_limits(self.robot)} and {flashing(self.port)}, or use the robot file that the firmware was made for"
+        hint = f"{flash_limits(self.port, self.robot)}; or use the robot file that the firmware was made for"
         most = f"{actuation.pressure_max_Pa / 1e3:g} kPa, {actuation.tension_max_N:g} N and the calibration are those of the firmware."
         return judged(name, not different, f"{'; '.join(different)}." if different else most, hint)
 

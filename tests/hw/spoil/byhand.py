@@ -180,14 +180,31 @@ HOST_SLIPS = (
     Slip(
         "a board that stopped is armed again",
         f"{BOARD}/rig.py",
-        '            self._armed = False\n            raise LinkError(f"the board stopped',
-        '            self._armed = None\n            raise LinkError(f"the board stopped',
+        "        self._armed = False\n        for kind in",
+        "        self._armed = None\n        for kind in",
     ),
     Slip(
         "nobody notices that the board stopped",
+        f"{BOARD}/link.py",
+        "                if status.state is not State.ARMED:\n",
+        "                if status.state is State.IDLE:\n",
+    ),
+    Slip(
+        "a board that says nothing is sent set points", f"{BOARD}/link.py", "if now - max(status.time, arming.time) > SILENT:", "if False:"
+    ),
+    Slip(
+        "a board that acts on no set point is sent more",
+        f"{BOARD}/link.py",
+        "if self._unconfirmed and now - self._unconfirmed[0][1] > SILENT:",
+        "if False:",
+    ),
+    Slip("nobody notices that set points are refused", f"{BOARD}/link.py", "if status.refused != arming.refused:", "if False:"),
+    Slip("nobody notices that set points are ignored", f"{BOARD}/link.py", "if status.stale != arming.stale:", "if False:"),
+    Slip(
+        "a board that cannot be relied on is not disarmed",
         f"{BOARD}/rig.py",
-        " and status.state is not State.ARMED:\n            self._armed = False",
-        " and status.state is State.IDLE:\n            self._armed = False",
+        "        for kind in (DISARM, ESTOP):\n",
+        "        for kind in ():\n",
     ),
     Slip(
         "the emergency stop only disarms",
@@ -204,8 +221,8 @@ HOST_SLIPS = (
     Slip(
         "an interrupted ARM is not taken back",
         f"{BOARD}/rig.py",
-        "            self._armed, self._armed_at = True, math.inf  #",
-        "            self._armed_at = math.inf  #",
+        "            self._armed = True  #",
+        "            pass  #",
     ),
     Slip(
         "commands are not checked",
@@ -225,13 +242,13 @@ HOST_SLIPS = (
     Slip(
         "firmware and robot file may disagree",
         f"{BOARD}/rig.py",
-        "if differences := Limits.of(self.robot).differences(self.limits):",
+        "if different := differences(self.robot, self.limits):",
         "if False:",
     ),
     Slip(
         "set points bear the newest session",
         f"{BOARD}/link.py",
-        "self.send(SET, session=self._armed_session,",
+        "self.send(SET, session=arming.session,",
         "self.send(SET, session=self._session,",
     ),
     Slip("the board's refusal is not told", f"{BOARD}/link.py", 'if answer["result"] != Result.DONE:', "if False:"),
@@ -240,8 +257,8 @@ HOST_SLIPS = (
     Slip(
         "a line that is gone looks silent",
         f"{BOARD}/link.py",
-        "        except OSError as error:\n            raise self._gone(error) from error\n\n    def close",
-        "        except OSError:\n            pass\n\n    def close",
+        "        except OSError as error:\n            raise _gone(error) from error\n        except LinkError",
+        "        except OSError:\n            pass\n        except LinkError",
     ),
 )
 

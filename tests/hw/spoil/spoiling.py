@@ -29,8 +29,8 @@ DRAWS = {
 }
 """Files that the robot's safety hangs on, and how many spoilings are drawn from each."""
 
-OTHER = {f"{BOARD}/{name}.py" for name in ("__init__", "linklog", "ports")}
-"""Files of the same folders that are left alone: what they do wrong is a line that is silent, or a log that is wrong."""
+OTHER = {f"{BOARD}/{name}.py" for name in ("__init__", "linklog", "ports", "status")}
+"""Files of the same folders that are left alone: what they do wrong is a line that is silent, a log or words that are wrong."""
 
 
 class StaleError(Exception):
