@@ -105,12 +105,12 @@ def armed(host: Host) -> Host:
 
 
 @pytest.fixture(scope="session")
-def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
-    """Builds other firmware: for a board, with options."""
+def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Builds other firmware: for a board, with options, with the flags of make or of another builder."""
 
-    def make(board: str, options: str) -> Path:
-        name = f"firmware-{board}-{crc32(options.encode()):08x}"
-        return emulated(tmp_path_factory, name, lambda folder: emulator.build_firmware(folder, board, options))
+    def make(board: str, options: str, flavour: str = "make") -> Path:
+        name = f"firmware-{board}-{flavour}-{crc32(options.encode()):08x}"
+        return emulated(tmp_path_factory, name, lambda folder: emulator.build_firmware(folder, board, options, flavour))
 
     return make
 

@@ -1,3 +1,5 @@
+#include "fast.h"
+
 #include "adc.h"
 
 #include <avr/interrupt.h>

@@ -1,3 +1,5 @@
+#include "fast.h"
+
 #include "board.h"
 
 #include <avr/io.h>

@@ -1,3 +1,5 @@
+#include "fast.h"
+
 #include "dac.h"
 
 #include <avr/interrupt.h>

@@ -1,3 +1,5 @@
+#include "fast.h"
+
 #include "frames.h"
 
 #ifdef __AVR__

@@ -1,3 +1,5 @@
+#include "fast.h"
+
 #include "link.h"
 
 #include <string.h>
@@ -118,7 +120,8 @@ namespace link {
 
 void begin() {
   uart::begin();
-  uart::put(0);  // ends the frame in whose middle a reset came
+  const uint8_t zero = 0;
+  uart::put(&zero, 1);  // ends the frame in whose middle a reset came
 }
 
 void receive() {
@@ -153,7 +156,8 @@ void send() {
     uint8_t portion = out_length - sent;
     if (portion > SENT) portion = SENT;
     if (uart::room() < portion) return;
-    while (portion--) uart::put(out[sent++]);
+    uart::put(out + sent, portion);
+    sent += portion;
     motors::alive();
   }
 }

@@ -1,3 +1,5 @@
+#include "fast.h"
+
 #include "memory.h"
 
 #include <avr/eeprom.h>

@@ -1,4 +1,6 @@
 // Firmware of the control board: six pressures out, six tendons held, and a hand on the plug.
+#include "fast.h"
+
 #include <Arduino.h>
 #include <avr/wdt.h>
 

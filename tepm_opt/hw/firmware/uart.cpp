@@ -1,3 +1,5 @@
+#include "fast.h"
+
 #include "uart.h"
 
 #include <avr/interrupt.h>
@@ -51,12 +53,15 @@ bool take(uint8_t &byte) {
 
 uint8_t room() { return (out_tail - out_head - 1) & MASK; }
 
-void put(uint8_t byte) {
-  const uint8_t head = out_head;
-  out[head] = byte;
+void put(const uint8_t *bytes, uint8_t count) {
+  uint8_t head = out_head;
+  for (; count; --count) {
+    out[head] = *bytes++;
+    head = (head + 1) & MASK;
+  }
   const uint8_t status = SREG;
   cli();
-  out_head = (head + 1) & MASK;
+  out_head = head;
   UCSR0B |= _BV(UDRIE0);
   SREG = status;
 }

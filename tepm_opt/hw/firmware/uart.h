@@ -7,6 +7,6 @@ namespace uart {
 void begin();
 bool take(uint8_t &byte);  // false: nothing has come
 uint8_t room();            // for so many bytes
-void put(uint8_t byte);    // only where there is room
+void put(const uint8_t *bytes, uint8_t count);  // only where there is room, and one at least
 
 }  // namespace uart

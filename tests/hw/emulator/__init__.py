@@ -32,9 +32,9 @@ def missing() -> str:
     return f"the emulated board needs Debian's {', '.join(lacking)}" if lacking else ""
 
 
-def build_firmware(folder: Path, board: str = "mega", options: str = "") -> Path:
-    """The ELF file of the firmware."""
-    command = ["make", "-s", "-C", str(FIRMWARE), f"BOARD={board}", f"OUT={folder}", f"OPTIONS={options}"]
+def build_firmware(folder: Path, board: str = "mega", options: str = "", flavour: str = "make") -> Path:
+    """The ELF file of the firmware; `flavour` says whose flags: make's, the Arduino IDE's, or PlatformIO's."""
+    command = ["make", "-s", "-C", str(FIRMWARE), f"BOARD={board}", f"OUT={folder}", f"OPTIONS={options}", f"FLAVOUR={flavour}"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(done.stderr)
