@@ -34,7 +34,7 @@ from tepm_opt.solvers.statics import solve_statics
 from tests.cli.conftest import Command, script
 from tests.data.made import ACTUATORS
 from tests.hw.conftest import *  # noqa: F403  its fixtures
-from tests.hw.emulator import Board
+from tests.hw.emulator import FIRMWARE, Board
 from tests.hw.emulator.world import World
 from tests.hw.lines import EventfulPort, line_of
 
@@ -130,6 +130,35 @@ class TestCheck:
         assert (done.status, bench.opened) == (1, [])
         assert "3. ✗ serial port: /dev/nope does not exist" in done.out
         assert "begin with: serial port." in done.out
+
+
+class TestLimits:
+    def test_printed(self, tepm: Command) -> None:
+        done = tepm("hw", "limits")
+        assert (done.status, done.err) == (0, "")
+        assert done.out == (FIRMWARE / "limits.h").read_text(encoding="utf-8")
+
+    def test_written(self, tepm: Command, here: Path) -> None:
+        (here / "weak.toml").write_text(robot_text("kang2017").replace("tension_max_N = 7.0", "tension_max_N = 6.0"), encoding="utf-8")
+        for _ in range(2):  # what this command wrote it may write again
+            done = tepm("hw", "limits", "--robot", "weak.toml", "--out", "limits.h")
+            assert (done.status, done.err) == (0, "")
+            assert done.out.startswith("limits.h: 500 kPa, 6 N and the calibration of robot kang2017\n")
+            assert f"flash PORT=PORT LIMITS={here / 'limits.h'}" in done.out
+        assert "22938,  // tension_max: counts" in (here / "limits.h").read_text(encoding="utf-8")
+
+    def test_wrong(self, tepm: Command, here: Path) -> None:
+        (here / "mine.h").write_text("// mine\n", encoding="utf-8")
+        for out in ("mine.h", "."):
+            done = tepm("hw", "limits", "--out", out)
+            assert (done.status, done.out) == (2, "")
+            assert "was not written by this command" in done.err
+        assert (here / "mine.h").read_text(encoding="utf-8") == "// mine\n"
+        text = robot_text("kang2017").replace("\nV_per_MPa = 5.5555555555555556", "\nV_per_MPa = 20")
+        (here / "loud.toml").write_text(text, encoding="utf-8")
+        done = tepm("hw", "limits", "--robot", "loud.toml")
+        assert (done.status, done.out) == (2, "")
+        assert "pressure_max of the board = 8192; valid: 1 … 4095" in done.err
 
 
 class TestJog:
@@ -270,6 +299,7 @@ class TestCalibrate:
         assert part["zero_counts"] == pytest.approx([3277, 3290, 3277, 3277, 3277, 3277], abs=0.5)
         assert part["counts_per_N"] == pytest.approx([3276.8, 3200, 3276.8, 3276.8, 3276.8, 3276.8], rel=1e-4)
         assert "residual" in done.out
+        assert "then into the firmware, which does not arm otherwise: tepm hw limits --robot ROBOT.toml --out limits.h && make" in done.out
         assert "100 g: 6428.0 counts, standard deviation 0.0" in done.err
         assert board.safe
         assert tepm("hw", "calibrate", "tension", "x", "--actuator", "12", "--out", "new.toml").status == 2

@@ -177,7 +177,7 @@ def _common_band(robot: Robot, lines: Calibration, limits: Limits) -> int:
     codes = np.arange(limits.pressure_max + 1)[:, None]
     own = lines.monitor_zero + lines.monitor / lines.codes * np.maximum(codes - lines.codes_zero, 0)
     zero, slope, first = (_middle(values) for values in (lines.monitor_zero, lines.monitor / lines.codes, lines.codes_zero))
-    off = np.abs(zero + slope * np.maximum(codes - first, 0) - own).max(axis=0)
+    off = np.abs(max(zero, 0) + slope * np.maximum(codes - first, 0) - own).max(axis=0)
     rounding = 0.5 * limits.monitor_per_code / 256 + 0.5 * protocol.DAC_CODES / 256 + 1.5  # of code_zero, monitor_per_code, the rest
     room = (limits.monitor_trip - own[-1]) / lines.monitor / robot.actuation.pressure_max_Pa
     names, mend = Layout.of(robot).actuator_names, "adjust zero and span at the regulators, or calibrate anew"

@@ -32,9 +32,18 @@ def missing() -> str:
     return f"the emulated board needs Debian's {', '.join(lacking)}" if lacking else ""
 
 
-def build_firmware(folder: Path, board: str = "mega", options: str = "", flavour: str = "make") -> Path:
-    """The ELF file of the firmware; `flavour` says whose flags: make's, the Arduino IDE's, or PlatformIO's."""
-    command = ["make", "-s", "-C", str(FIRMWARE), f"BOARD={board}", f"OUT={folder}", f"OPTIONS={options}", f"FLAVOUR={flavour}"]
+def build_firmware(folder: Path, board: str = "mega", options: str = "", flavour: str = "make", limits: str | Path = "limits.h") -> Path:
+    """The ELF file of the firmware.
+
+    Args:
+        folder: for all that is built.
+        board: mega or uno.
+        options: for the compiler.
+        flavour: whose flags: make's, the Arduino IDE's, or PlatformIO's.
+        limits: header of a robot.
+    """
+    settings = {"BOARD": board, "OUT": folder, "OPTIONS": options, "FLAVOUR": flavour, "LIMITS": limits}
+    command = ["make", "-s", "-C", str(FIRMWARE), *(f"{name}={value}" for name, value in settings.items())]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(done.stderr)
