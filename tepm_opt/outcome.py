@@ -31,6 +31,7 @@ class Ending(StrEnum):
     BLIND = "the tracker saw nothing"
     DISAGREED = "the rig and the reference disagree"
     LIMIT = "a measured tension or pressure is beyond its limit"
+    UNMEASURED = "a tension or pressure is not measured any more"
     OVER = "the rig has no more samples"
     RIG_FAILED = "the rig failed"
 

@@ -14,6 +14,7 @@ from tepm_opt.control.controllers.base import Controller, Telemetry
 from tepm_opt.control.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
+from tepm_opt.hw.guard import BLIND_S, MARGIN, Stopped, Watch
 from tepm_opt.hw.ramp import smooth_ramp, smooth_step
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.models.layout import Layout
@@ -38,7 +39,7 @@ class Guard:
         start_tolerance: largest distance in m, in the median, of the tracked points at the start from the model's.
         largest_error: distance in m of the tip from its target beyond which the loop stops after `error_timeout`.
         error_timeout: time in s.
-        tracking_timeout: time in s without any tracked point after which it stops.
+        tracking_timeout: time in s without any tracked point, or without the tip, after which it stops.
         limit_margin: part of its limit by which a measured tension or pressure may exceed it.
     """
 
@@ -47,8 +48,8 @@ class Guard:
     start_tolerance: float = 0.06
     largest_error: float = 0.20
     error_timeout: float = 0.5
-    tracking_timeout: float = 1.0
-    limit_margin: float = 0.05
+    tracking_timeout: float = BLIND_S
+    limit_margin: float = MARGIN
 
 
 @dataclass(eq=False)
@@ -165,27 +166,14 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
-class Stopped(Exception):  # noqa: N818  it says what happened
-    """Stop of a closed loop by its guard; the message says why.
-
-    Attributes:
-        outcome: why.
-    """
-
-    def __init__(self, ending: Ending, message: str) -> None:
-        super().__init__(message)
-        self.outcome = Outcome(ending, message)
-
-
 class _Supervisor:
-    """Looks at every sample and stops what must not go on."""
+    """Looks at every sample and stops what must not go on: what any rig is watched for, and a tip that is not where it shall be."""
 
     def __init__(self, guard: Guard, robot: Robot) -> None:
-        self._guard, self._limits = guard, robot.input_max
+        self._guard = guard
         names = Layout.of(robot).actuator_names
-        self._names = [f"{kind}_{name}" for kind in ("pressure", "tension") for name in names]
-        self._seen: float | None = None
-        self._near: float | None = None
+        self._watch = Watch(names, robot.input_max, guard.limit_margin, guard.tracking_timeout, tracked=True)
+        self._far, self._near, self._seen = False, np.inf, np.inf
 
     def check(self, sample: Sample, target: np.ndarray | None = None) -> None:
         """A sample, and where the tip shall be (3,) in m while the loop is closed.
@@ -193,18 +181,14 @@ class _Supervisor:
         Raises:
             Stopped: it must not go on.
         """
+        self._watch.check(sample)
         guard, now = self._guard, sample.time
-        if self._seen is None or np.isfinite(sample.points).all(axis=1).any():
-            self._seen = now
         off = 0.0 if target is None else float(np.linalg.norm(sample.points[-1] - target))
-        if self._near is None or not off > guard.largest_error:  # a lost tip is not far
-            self._near = now
-        part = _measured(sample, len(self._limits)) / self._limits
-        if (part > 1 + guard.limit_margin).any():
-            at = int(np.nanargmax(part))
-            raise Stopped(Ending.LIMIT, f"measured {self._names[at]} is {100 * part[at]:.0f} % of its limit")
+        self._seen = now if np.isfinite(off) else min(self._seen, now)
+        self._far = off > guard.largest_error if np.isfinite(off) else self._far  # a lost tip is where it was
+        self._near = min(self._near, now) if self._far else now
         if now - self._seen > guard.tracking_timeout:
-            raise Stopped(Ending.BLIND, f"no tracked point for {guard.tracking_timeout:g} s")
+            raise Stopped(Ending.BLIND, f"the tip was not tracked for {guard.tracking_timeout:g} s")
         if now - self._near > guard.error_timeout:
             raise Stopped(Ending.DISAGREED, f"the tip was more than {1e3 * guard.largest_error:.0f} mm off for {guard.error_timeout:g} s")
 

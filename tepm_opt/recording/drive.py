@@ -14,6 +14,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.findings import noise_level, spread
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
+from tepm_opt.hw.guard import Watch
 from tepm_opt.hw.ramp import smooth_ramp
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.progress import Progress, silent
@@ -47,7 +48,7 @@ class Row:
 
 
 class Driver:
-    """A rig that is being driven. What it sends changes smoothly, apart from the set points themselves.
+    """A rig that is being driven, and watched. What it sends changes smoothly, apart from the set points themselves.
 
     Args:
         rig: started and stopped by the caller.
@@ -64,6 +65,7 @@ class Driver:
         self._sample: Sample | None = None
         self._times: deque[float] = deque(maxlen=21)
         self._stalled = 0
+        self._watch = Watch(channels.actuators, channels.limits)
 
     def __repr__(self) -> str:
         return f"Driver({self.rig!r})"
@@ -73,6 +75,7 @@ class Driver:
 
         Raises:
             InputError: it has not the robot's points, or is a recording that ended.
+            Stopped: a measured value is beyond its limit, or measurements stopped coming.
             RuntimeError: the rig's time stands still.
         """
         try:
@@ -87,6 +90,7 @@ class Driver:
         if not self._stalled:
             self._times.append(sample.time)
         self._sample = sample
+        self._watch.check(sample)
         return sample
 
     def apply(self, inputs: np.ndarray) -> None:

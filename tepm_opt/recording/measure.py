@@ -68,7 +68,7 @@ def measure(
 
     Raises:
         InputError: the rig has another robot, cannot push as the set points want, or a file cannot be written.
-        RuntimeError: the rig gave no sample.
+        RuntimeError: the rig gave no sample, or was stopped because of what it measured (`hw.guard.Stopped`).
     """
     channels, force = channels_of(robot), setpoints.tip_force
     at_once = at_once and rig.simulated is not None

@@ -111,6 +111,37 @@ def strained(now: float, sample: Sample) -> Sample:
     return replace(sample, tensions=tensions)
 
 
+def burst(now: float, sample: Sample) -> Sample:
+    """A pressure beyond its limit from 1 s on, on a board that measures no tensions."""
+    return replace(sample, pressures=np.full(6, 6e5 if now > 1.0 else 5e5), tensions=None)
+
+
+def torn(now: float, sample: Sample) -> Sample:
+    """One pressure is no number from 1 s on."""
+    pressures = np.full(6, 1e5)
+    pressures[3] = np.nan if now > 1.0 else 1e5
+    return replace(sample, pressures=pressures)
+
+
+def silent(now: float, sample: Sample) -> Sample:
+    """Nothing is measured from 1 s on, but for the points."""
+    return replace(sample, pressures=None, tensions=None) if now > 1.0 else sample
+
+
+def tipless(now: float, sample: Sample) -> Sample:
+    """The tip is lost for good after 1 s, the other points are not."""
+    points = sample.points.copy()
+    points[-1] = np.nan if now > 1.0 else points[-1]
+    return replace(sample, points=points)
+
+
+def flickering(now: float, sample: Sample) -> Sample:
+    """All points half a metre off from 1 s on, and the tip lost in every second sample."""
+    points = sample.points + 0.5 * (now > 1.0)
+    points[-1] = np.nan if round(now / 0.01) % 2 else points[-1]
+    return replace(sample, points=points)
+
+
 def over(now: float, sample: Sample) -> Sample:
     """The recording ends after 1 s."""
     if now > 1.0:
@@ -173,6 +204,11 @@ def test_rig_that_rests_at_the_start_is_not_taken_there(short):
         (blind, Ending.BLIND, 2.0, "no tracked point for 1 s"),
         (astray, Ending.DISAGREED, 1.5, "more than 200 mm off"),
         (strained, Ending.LIMIT, 1.0, "tension_22"),
+        (burst, Ending.LIMIT, 1.0, "measured pressure_11 is 120 % of its limit"),
+        (torn, Ending.UNMEASURED, 1.2, "pressure_21 was not measured for 0.2 s"),
+        (silent, Ending.UNMEASURED, 1.2, "pressure_11 was not measured for 0.2 s"),
+        (tipless, Ending.BLIND, 2.0, "the tip was not tracked for 1 s"),
+        (flickering, Ending.DISAGREED, 1.5, "more than 200 mm off"),
         (over, Ending.OVER, 1.0, "no more samples"),
         (interrupted, Ending.INTERRUPTED, 1.0, "by the user"),
     ],

@@ -41,6 +41,8 @@ class FakeRig:
         self.lose: dict[int, int] = {}  # tick: point that the tracker loses
         self.fail_at: dict[int, BaseException] = {}
         self.gaps: dict[int, int] = {}  # tick: how many more pass unseen
+        self.wrong_from: float = np.inf  # tick from which on pressures are measured as ...
+        self.wrong: np.ndarray | None = None
 
     @property
     def time(self) -> float:
@@ -61,6 +63,7 @@ class FakeRig:
             status = f"lost s{self.lose[self.ticks] + 1}, see log"
         self.ticks += ticks
         pressures = self.state[:6] + 100 * self.random.normal(size=6) if self.measures else None
+        pressures = self.wrong if self.ticks > self.wrong_from else pressures
         return Sample(self.ticks * PERIOD, points, pressures, status=status, extra={"supply_Pa": 6e5 + self.ticks} if self.measures else {})
 
     def apply(self, command: Command) -> None:

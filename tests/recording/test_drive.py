@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tepm_opt.data.run import read_run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
+from tepm_opt.hw.guard import Stopped
+from tepm_opt.jobs.play import play
 from tepm_opt.models.channels import channels_of
 from tepm_opt.recording.drive import FULL_RANGE, Driver, Row, at_rest
 from tests.recording.fake_rig import PERIOD, ROBOT, FakeRig, FakeSimulation
@@ -180,3 +184,25 @@ class TestRest:
 
     def test_too_few(self) -> None:
         assert not at_rest(self.seen(0.0, 0.0, rows=8))
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        (np.full(6, 5.4e5), "measured pressure_11 is 108 % of its limit"),
+        (np.full(6, np.nan), "pressure_11 was not measured for 0.2 s"),
+        (None, "pressure_11 was not measured for 0.2 s"),
+    ],
+)
+def test_a_run_that_is_stopped_keeps_what_it_has(tmp_path: Path, values: np.ndarray | None, says: str) -> None:
+    """Pressures that are too high, or not there any more, in the middle of a run: the rig is stopped, its rows stay."""
+    rig = FakeRig()
+    rig.wrong_from, rig.wrong = 900, values
+    setpoints = SetPoints(np.array([0.0, 20.0]), np.repeat([[1e5] * 6 + [0.5] * 6], 2, axis=0), np.zeros((2, 3)))
+    with pytest.raises(Stopped, match=says):
+        play(rig, setpoints, ROBOT, tmp_path / "out.csv")
+    assert rig.stops == 1
+    assert 900 <= rig.ticks <= 925
+    rows = read_run(tmp_path / "out-1.unfinished.csv").rows
+    assert rows > 100
+    assert not (tmp_path / "out.csv").exists()

@@ -14,6 +14,7 @@ from tepm_opt.cli.common import UNSOLVED, stderr, stdout
 from tepm_opt.cli.rigs import stopped_by_signals
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.guard import Stopped
 
 if TYPE_CHECKING:
     from tepm_opt.hw.service.line import Line
@@ -78,6 +79,9 @@ def safely(work: Callable[[], int], interrupted: str, left: str) -> int:
     except KeyboardInterrupt:
         stderr.print(f"interrupted: {interrupted}", style="yellow", soft_wrap=True, highlight=False)
         return INTERRUPTED
+    except Stopped as stop:
+        stderr.print(f"[bold red]stopped:[/] {escape(str(stop))}; {escape(left)}", soft_wrap=True, highlight=False)
+        return UNSOLVED
     except (LinkError, OSError) as error:
         stderr.print(f"[bold red]the board:[/] {escape(' '.join(str(error).split()))}; {escape(left)}", soft_wrap=True, highlight=False)
         return UNSOLVED

@@ -1,0 +1,76 @@
+"""What stops a rig that is driven: measured values beyond their limits, and measurements that stop coming."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tepm_opt.hw.rig import Sample
+from tepm_opt.outcome import Ending, Outcome
+
+MARGIN = 0.05
+"""Part of its limit by which a measured pressure or tension may exceed it."""
+BLIND_S, UNMEASURED_S = 1.0, 0.2
+"""Seconds without any tracked point, and without a pressure or tension that was measured before, after which a rig is stopped."""
+
+
+class Stopped(RuntimeError):  # noqa: N818  it says what happened
+    """Stop of a rig by its guard; the message says why.
+
+    Attributes:
+        outcome: why.
+    """
+
+    def __init__(self, ending: Ending, message: str) -> None:
+        super().__init__(message)
+        self.outcome = Outcome(ending, message)
+
+
+class Watch:
+    """Looks at every sample of a rig and stops what must not go on. What is not a number is not within a limit.
+
+    Args:
+        actuators: names of the actuators.
+        limits: largest pressures in Pa and tensions in N, (2 · actuators,).
+        margin: part of its limit by which a measured value may exceed it.
+        blind: seconds without any tracked point after which it stops.
+        tracked: whether a rig that never had a tracked point is stopped for that, too.
+    """
+
+    def __init__(
+        self, actuators: tuple[str, ...], limits: np.ndarray, margin: float = MARGIN, blind: float = BLIND_S, tracked: bool = False
+    ) -> None:
+        pressures, tensions = np.split(np.asarray(limits, dtype=float), 2)
+        self._limits = {"pressure": pressures, "tension": tensions}
+        self._actuators, self._margin, self._blind, self._tracked = actuators, margin, blind, tracked
+        self._measured: dict[str, np.ndarray] = {}  # when each was last
+        self._seen: float | None = None
+
+    def check(self, sample: Sample) -> None:
+        """Look at a sample.
+
+        Raises:
+            Stopped: the rig must not go on.
+        """
+        self._check_measured("pressure", sample.pressures, sample.time)
+        self._check_measured("tension", sample.tensions, sample.time)
+        if np.isfinite(sample.points).all(axis=1).any() or (self._seen is None and self._tracked):
+            self._seen = sample.time
+        if self._seen is not None and sample.time - self._seen > self._blind:
+            raise Stopped(Ending.BLIND, f"no tracked point for {self._blind:g} s")
+
+    def _check_measured(self, kind: str, values: np.ndarray | None, now: float) -> None:
+        """The pressures or tensions of a sample, (actuators,); None where there are none."""
+        limits = self._limits[kind]
+        if values is None:
+            if kind not in self._measured:  # a rig that does not measure them
+                return
+            values = np.full(len(limits), np.nan)
+        over = values > (1 + self._margin) * limits
+        if over.any():
+            at = int(np.argmax(over))
+            raise Stopped(Ending.LIMIT, f"measured {kind}_{self._actuators[at]} is {100 * values[at] / limits[at]:.0f} % of its limit")
+        last = self._measured.setdefault(kind, np.full(len(limits), now))
+        last[np.isfinite(values)] = now
+        if (now - last > UNMEASURED_S).any():
+            at = int(np.argmin(last))
+            raise Stopped(Ending.UNMEASURED, f"{kind}_{self._actuators[at]} was not measured for {UNMEASURED_S:g} s")
