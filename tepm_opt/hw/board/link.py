@@ -191,8 +191,9 @@ class Link:
                 raise self._failure
             if status is None or arming is None:
                 raise LinkError("the board is not armed")
-            if now - max(status.time, arming.time) > SILENT:
-                raise LinkError(f"the board has said nothing for {now - status.time:.2f} s; no set points are sent any more")
+            silent = now - max(status.time, arming.time)
+            if silent > SILENT:
+                raise LinkError(f"the board has said nothing for {silent:.2f} s; no set points are sent any more")
             if status.time > arming.time:
                 if status.state is not State.ARMED:
                     raise LinkError(f"the board stopped the robot: {status.describe()}")
@@ -202,8 +203,8 @@ class Link:
                     raise LinkError("the board refuses set points: they are beyond its limits")
                 if status.stale != arming.stale:
                     raise LinkError("the board ignores set points: they are old, or of another session. Does another program send?")
-            if self._unconfirmed and now - self._unconfirmed[0][1] > SILENT:
-                waited = now - self._unconfirmed[0][1]
+            waited = now - self._unconfirmed[0][1] if self._unconfirmed else 0.0
+            if waited > SILENT and silent < SILENT / 2:
                 raise LinkError(f"the board tells its state, but has acted on no set point for {waited:.2f} s; none is sent any more")
 
     def clear(self) -> None:
