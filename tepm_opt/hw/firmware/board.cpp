@@ -254,6 +254,7 @@ void pass() {
   dac::turn(now);
   if (dac::hung()) fail(Fault::BUS);
   if (state_ == State::ARMED && now - heard > TIMEOUT_MS) leave(State::HOST_TIMEOUT);
+  motors::alive();
   watch_regulator(turn, ms);
   drive_regulator(turn, ms);
   motors::alive();
