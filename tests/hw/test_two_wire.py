@@ -105,3 +105,17 @@ def test_a_bus_that_stutters(two_wire: Host) -> None:
         host.hold(0.1, pressures=[800] * 6)
     assert host.state is State.ARMED
     assert host.board.dac.tolist() == [800] * 6
+
+
+def test_a_main_loop_that_hung_says_nothing_about_the_bus(two_wire: Host) -> None:
+    """Nobody wrote meanwhile: LOOP_HUNG alone, and CLEAR leads back."""
+    host, board = two_wire, two_wire.board
+    host.ready()
+    host.hold(0.1, pressures=[800] * 6)
+    board.run_to("loop")
+    board.hang()
+    host.run(0.06)
+    board.mend()
+    host.run(0.05)
+    assert host.faults == {Fault.LOOP_HUNG}
+    assert host.clear()["result"] == Result.DONE

@@ -302,10 +302,10 @@ Result arm(const Arm &message, uint8_t &channel) {
   if (message.limits != limits_check) return Result::WRONG_LIMITS;
   if (estop_pressed()) return Result::ESTOP_PRESSED;
   if (state_ != State::IDLE) return Result::WRONG_STATE;
+  if (dac::hung()) return Result::BUS;
   for (channel = 0; channel < MOTORS; ++channel) {
     if (dynamometer_dead(channel)) return Result::DYNAMOMETER;
   }
-  if (dac::hung()) return Result::BUS;
   channel = regulator_in_disorder();
   if (channel < DACS) return Result::MONITOR;
   for (uint8_t k = 0; k < MOTORS; ++k) trips[k] = dead[k] = 0;

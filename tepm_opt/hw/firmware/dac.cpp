@@ -50,12 +50,13 @@ static uint16_t code;  // that is on its way
 static volatile uint8_t channel, byte_at;
 static volatile bool busy;
 static volatile uint8_t arrived;  // bits of the chips
-static uint32_t last[2], started;  // the clock when a write had last arrived at each; when the last one began
+static uint32_t turned, started;  // the clock at the last turn; when the last write began
+static uint8_t waited[2];         // ms since a write arrived at each, as far as somebody was there to write
 static bool hung_;
 
 static constexpr uint8_t GO = _BV(TWINT) | _BV(TWEN) | _BV(TWIE);
 
-static constexpr uint8_t CHIPS = (DACS + 2) / 3;
+static constexpr uint8_t CHIPS = (DACS + 2) / 3, RETRY_MS = BUS_MS / 4;
 
 bool begin() {
   TWBR = (F_CPU / 400000L - 16) / 2;
@@ -80,12 +81,15 @@ void write(uint8_t at, uint16_t code) {
 }
 
 void turn(uint32_t now) {
+  const uint8_t gap = now - turned < RETRY_MS ? now - turned : RETRY_MS;
+  turned = now;
   hung_ = false;
   for (uint8_t chip = 0; chip < CHIPS; ++chip) {
-    if (arrived & 1 << chip) last[chip] = now;
-    hung_ |= now - last[chip] > BUS_MS;
+    if (arrived & 1 << chip) waited[chip] = 0;
+    else if (waited[chip] <= BUS_MS) waited[chip] += gap;
+    hung_ |= waited[chip] > BUS_MS;
   }
-  if (busy && now - started <= BUS_MS / 4) return;
+  if (busy && now - started <= RETRY_MS) return;
   TWCR = 0;  // lets the lines go
   arrived = 0;
   channel = channel + 1 < DACS ? channel + 1 : 0;
