@@ -17,6 +17,7 @@ from tepm_opt.hw.board.linklog import RECEIVED, SENT, LinkLog, PlaybackPort, rea
 from tepm_opt.hw.board.protocol import DISARM, HELLO, SET, State
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command
+from tepm_opt.hw.tracker import Frame
 from tepm_opt.models.robot import Robot, load_robot
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import LockstepPort, World
@@ -185,6 +186,70 @@ def test_tracker_lost(robot_world: World) -> None:
         assert np.isnan(sample.points).all()
         assert sample.status == "tracker silent"
         assert sample.tensions is not None
+
+
+class SlowTracker:
+    """A tracker in a world's time that gives its frames at a rate, but for some of them.
+
+    Attributes:
+        lost: numbers of frames that do not come.
+    """
+
+    status = "ok"
+
+    def __init__(self, world: World, rate: float, lost: Callable[[int], bool]) -> None:
+        self.world, self.rate, self.lost = world, rate, lost
+        self._next = 0
+
+    def read(self, timeout: float) -> Frame | None:
+        end = self.world.time + timeout
+        self._next = max(self._next, int(self.world.time * self.rate) + 1)
+        while (due := self._next / self.rate) <= end:
+            self._next += 1
+            if not self.lost(self._next - 1):
+                self.world.advance(max(due - self.world.time, 0.0))
+                return Frame(due, np.zeros((4, 3)), np.full((4, 4, 4), np.nan), "ok")
+        self.world.advance(end - self.world.time)
+        return None
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def tracked_robot(rate: float) -> Robot:
+    content = ROBOT.model_dump()
+    content["hardware"]["tracker"] = {"devices": ("A", "B", "C", "D"), "rate_hz": rate}
+    return Robot.model_validate(content)
+
+
+@pytest.mark.parametrize("rate", [20, 25, 30, 100])
+def test_slow_trackers_keep_the_board_alive(world: World, rate: float) -> None:
+    """Frames that come, that are lost now and then, and that do not come any more; the controller takes 20 ms for each step."""
+    tracker = SlowTracker(world, rate, lambda number: (number > rate and number % 3 == 0) or number > 2 * rate)
+    with SerialRig(world.port, tracked_robot(rate), tracker, clock=world.clock, threaded=False) as rig:
+        samples = []
+        while world.time < 3.0:
+            rig.apply(Command(np.full(6, 1e5), np.full(6, 1.0), ON))
+            samples.append(rig.read())
+            world.advance(0.02)
+        assert rig.board.state is State.ARMED
+        statuses = np.array([sample.status for sample in samples])
+        times = np.array([sample.time for sample in samples])
+        assert set(statuses) == {"ok", "tracker silent"}
+        assert all(status == "ok" for status in statuses[times < 0.95])
+        assert all(status == "tracker silent" for status in statuses[times > 2.1])
+        assert all(sample.tensions is not None for sample in samples)
+
+
+@pytest.mark.parametrize("rate", [10, 15, 19.5])
+def test_trackers_that_are_too_slow(world: World, rate: float) -> None:
+    """They are refused before anything moves; where there is no tracker its rate does not count."""
+    robot, tracker = tracked_robot(rate), SlowTracker(world, rate, lambda number: False)
+    with pytest.raises(InputError, match=rf"hardware.tracker.rate_hz = {rate}; valid: at least 20 Hz \(the board stops the robot"):
+        SerialRig(world.port, robot, tracker, clock=world.clock, threaded=False)
+    with SerialRig(world.port, robot, clock=world.clock, threaded=False) as rig:
+        hold(rig, np.zeros(12), 50)
+        assert rig.board.state is State.ARMED
 
 
 class Tripwire(LockstepPort):
