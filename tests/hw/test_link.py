@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tepm_opt.cli.hw.monitor import _View
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
@@ -20,6 +21,8 @@ from tepm_opt.hw.board.link import Link, LinkError, RefusedError
 from tepm_opt.hw.board.protocol import ACK, ARM, CLEAR, CONFIG, DISARM, ESTOP, HELLO, SET, STATUS, Fault, Key, Message, Result, State
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command
+from tepm_opt.hw.service.line import Line
+from tepm_opt.hw.service.monitor import Monitor
 from tepm_opt.jobs.play import play
 from tepm_opt.jobs.record import record
 from tepm_opt.models.robot import load_robot
@@ -421,3 +424,8 @@ def test_boards_without_monitors(fake: FakeBoard) -> None:
     sample = opened(fake).read()
     assert sample.pressures is None
     assert sample.tensions is not None
+    reading = next(iter(Monitor(lambda: Line(fake, fake.clock, threaded=False))))
+    assert "kPa 11:– 12:– 13:– 21:– 22:– 23:–; N 11:0.00 " in _View(ROBOT).line(reading)
+    fake.hello["monitors"] = 6
+    reading = next(iter(Monitor(lambda: Line(fake, fake.clock, threaded=False))))
+    assert "kPa 11:-225.0 " in _View(ROBOT).line(reading)

@@ -105,6 +105,8 @@ def pressure(
         monitors: dict[int, CalibrationFit] = {}
         commands: dict[int, CalibrationFit] = {}
         with line.rig(found) as rig:
+            if not rig.link.monitored:
+                raise InputError("this board has no inputs for pressure monitors; valid: a board that has, such as a Mega 2560")
             for k in which:
                 single = moves.Single(found, k)
                 single.refuse(1e3 * levels[-1], rig)

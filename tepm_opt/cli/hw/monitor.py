@@ -92,19 +92,19 @@ class _View:
         self.calibration = Calibration.of(robot)
 
     def values(self, reading: MonitorReading) -> tuple[Sequence[float], Sequence[float]]:
-        """Pressures in kPa and tensions in N of all actuators; NaN without a status."""
+        """Pressures in kPa and tensions in N of all actuators; NaN without a status, or where there are no monitors."""
+        nothing = [math.nan] * len(self.names)
         if reading.status is None:
-            nothing = [math.nan] * len(self.names)
             return nothing, nothing
         pressures, tensions = self.calibration.pressures(reading.status.monitors), self.calibration.tensions(reading.status.dynamometers)
-        return [float(value) / 1e3 for value in pressures], [float(value) for value in tensions]
+        return [float(value) / 1e3 for value in pressures] if reading.monitored else nothing, [float(value) for value in tensions]
 
     def line(self, reading: MonitorReading) -> str:
         """One line."""
         parts = [f"{reading.time:7.1f} s", reading.words]
         if reading.status is not None:
             pressures, tensions = self.values(reading)
-            parts.append("kPa " + " ".join(f"{name}:{value:.1f}" for name, value in zip(self.names, pressures, strict=True)))
+            parts.append("kPa " + " ".join(f"{name}:{_number(value, 1)}" for name, value in zip(self.names, pressures, strict=True)))
             parts.append("N " + " ".join(f"{name}:{value:.2f}" for name, value in zip(self.names, tensions, strict=True)))
             parts.append("steps " + " ".join(f"{value}" for value in reading.status.positions[: len(self.names)]))
         parts += [reading.tracker] if reading.tracker else []

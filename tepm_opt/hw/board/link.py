@@ -110,6 +110,11 @@ class Link:
             )
         return self._hello
 
+    @property
+    def monitored(self) -> bool:
+        """Whether the board has inputs for pressure monitors; taken for granted until it says so."""
+        return self._hello is None or self._hello.monitors > 0
+
     def limits(self, timeout: float = 1.0) -> Limits:
         """What the board was compiled with.
 

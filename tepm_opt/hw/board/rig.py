@@ -177,7 +177,7 @@ class SerialRig:
             told.append("no tracker" if self._tracker is None else "tracker silent")
         measured, extra = (None, None), {}
         if (status := self.link.status) is not None and self._clock() - status.time <= STALE:
-            pressures = self._calibration.pressures(status.monitors) if self.hello.monitors >= self._count else None
+            pressures = self._calibration.pressures(status.monitors) if self.link.monitored else None
             measured = (pressures, self._calibration.tensions(status.dynamometers))
             extra = {"board_time_s": 1e-3 * status.uptime_ms}
         else:

@@ -30,6 +30,7 @@ class MonitorReading:
         lost, bad: STATUS that never came and damaged frames since the line was opened.
         frame: the tracker's last, None before the first.
         tracker: the tracker in words; empty where there is none.
+        monitored: whether the board has inputs for pressure monitors, as far as it said.
     """
 
     time: float
@@ -40,6 +41,7 @@ class MonitorReading:
     bad: int
     frame: Frame | None
     tracker: str
+    monitored: bool = True
 
     def __repr__(self) -> str:
         return f"MonitorReading({self.time:.1f} s, {self.words}, {self.rate:.0f} STATUS a second)"
@@ -127,7 +129,9 @@ class Monitor:
         if statistics is not None and status is not None and self._torn is None:
             self._torn = statistics.bad
         lost, bad = (statistics.lost, statistics.bad - (self._torn or 0)) if statistics else (0, 0)
-        return MonitorReading(self._time, self._words(status), status, self._rate(), lost, bad, self._frame, self._tracker_words())
+        monitored = self._link is None or self._link.monitored
+        words = self._words(status), self._tracker_words()
+        return MonitorReading(self._time, words[0], status, self._rate(), lost, bad, self._frame, words[1], monitored)
 
     def _rate(self) -> float:
         if self._link is None:
