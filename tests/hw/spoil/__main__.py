@@ -83,10 +83,11 @@ def main() -> int:
                 print(told(row, f"{len(rows)}/{len(todo)}"), file=sys.stderr, flush=True)
         finally:
             pool.shutdown(cancel_futures=True)
+    print(f"{(time.monotonic() - begin) / 60:.1f} minutes", file=sys.stderr)
     if rows.pop(todo.pop(0)).outcome.caught:
         parser.error("the tests fail on a copy in which nothing is wrong: what they catch proves nothing")
     if options.table:
-        print(table([rows[job] for job in todo], time.monotonic() - begin, options.seed), end="")
+        print(table([rows[job] for job in todo], options.seed), end="")
     return int(any(row.outcome.caught in (None, "compiler") for row in rows.values()))
 
 

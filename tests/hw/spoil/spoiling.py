@@ -9,23 +9,23 @@ ROOT = Path(__file__).resolve().parents[3]
 FIRMWARE, BOARD = "tepm_opt/hw/firmware", "tepm_opt/hw/board"
 
 DRAWS = {
-    f"{FIRMWARE}/board.cpp": 9,
-    f"{FIRMWARE}/motors.cpp": 6,
-    f"{FIRMWARE}/link.cpp": 6,
-    f"{FIRMWARE}/adc.cpp": 4,
-    f"{FIRMWARE}/config.h": 4,
-    f"{FIRMWARE}/frames.cpp": 4,
-    f"{FIRMWARE}/memory.cpp": 3,
-    f"{FIRMWARE}/uart.cpp": 3,
+    f"{FIRMWARE}/board.cpp": 18,
+    f"{FIRMWARE}/motors.cpp": 10,
+    f"{FIRMWARE}/link.cpp": 8,
+    f"{FIRMWARE}/adc.cpp": 5,
+    f"{FIRMWARE}/config.h": 5,
+    f"{FIRMWARE}/frames.cpp": 6,
+    f"{FIRMWARE}/memory.cpp": 5,
+    f"{FIRMWARE}/uart.cpp": 5,
     f"{FIRMWARE}/dac.cpp": 2,
     f"{FIRMWARE}/spi.h": 1,
-    f"{FIRMWARE}/tepm.cpp": 2,
-    f"{BOARD}/link.py": 5,
-    f"{BOARD}/rig.py": 5,
-    f"{BOARD}/limits.py": 3,
-    f"{BOARD}/calibration.py": 2,
-    f"{BOARD}/protocol.py": 2,
-    "tepm_opt/hw/commands.py": 2,
+    f"{FIRMWARE}/tepm.cpp": 3,
+    f"{BOARD}/link.py": 9,
+    f"{BOARD}/rig.py": 8,
+    f"{BOARD}/limits.py": 5,
+    f"{BOARD}/calibration.py": 3,
+    f"{BOARD}/protocol.py": 3,
+    "tepm_opt/hw/commands.py": 3,
 }
 """Files that the robot's safety hangs on, and how many spoilings are drawn from each."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -55,7 +54,7 @@ def _page() -> list[str]:
     return PAGE.read_text(encoding="utf-8").splitlines() if PAGE.exists() else []
 
 
-def table(rows: list[Row], seconds: float, seed: int) -> str:
+def table(rows: list[Row], seed: int) -> str:
     """The rows as a page of the documentation."""
     drawn = [row for row in rows if row.drawn]
     survived = sum(row.outcome.caught is None for row in rows)
@@ -66,8 +65,7 @@ def table(rows: list[Row], seconds: float, seed: int) -> str:
         "Written by `python -m tests.hw.spoil --table`; `pytest -m slow tests/hw/test_spoiling.py` tries the same.",
         "",
         "The safety side is made wrong on purpose, in one place at a time, in a copy, and the tests run until one fails. "
-        f"{len(rows)} spoilings, {len(drawn)} of them drawn with the seed {seed}: {len(rows) - survived} caught, {survived} survived. "
-        f"{seconds / 60:.0f} minutes on {os.cpu_count()} cores.",
+        f"{len(rows)} spoilings, {len(drawn)} of them drawn with the seed {seed}: {len(rows) - survived} caught, {survived} survived.",
         "",
         "## By hand",
         "",
