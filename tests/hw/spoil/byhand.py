@@ -6,6 +6,7 @@ from tests.hw.spoil.spoiling import BOARD, FIRMWARE, Slip
 
 _BOARD, _MOTORS, _LINK = f"{FIRMWARE}/board.cpp", f"{FIRMWARE}/motors.cpp", f"{FIRMWARE}/link.cpp"
 _FRAMES, _MEMORY = f"{FIRMWARE}/frames.cpp", f"{FIRMWARE}/memory.cpp"
+_GUARD = "tepm_opt/hw/guard.py"
 
 FIRMWARE_SLIPS = (
     # faults and stops
@@ -234,6 +235,16 @@ HOST_SLIPS = (
         "~((values >= -_ROUNDING * limits) & (values <= limits * (1 + _ROUNDING)))",
         "(values < -_ROUNDING * limits) | (values > limits * (1 + _ROUNDING))",
     ),
+    Slip("a measurement that is NaN counts as one", _GUARD, "        last[np.isfinite(values)] = now\n", "        last[:] = now\n"),
+    Slip("measurements that stop are not missed", _GUARD, "if (now - last > UNMEASURED_S).any():", "if False:"),
+    Slip("measured tensions are not guarded", _GUARD, '        self._check_measured("tension", sample.tensions, sample.time)\n', ""),
+    Slip(
+        "measured pressures may be half as much again",
+        _GUARD,
+        "over = values > (1 + self._margin) * limits",
+        "over = values > 1.5 * limits",
+    ),
+    Slip("a rig may go on blind", _GUARD, "sample.time - self._seen > self._blind:", "sample.time < self._seen:"),
     Slip("commands below zero pass", "tepm_opt/hw/commands.py", "(values >= -_ROUNDING * limits) & ", "~np.isnan(values) & "),
     Slip("what exceeds the firmware's limit is cut off in silence", f"{BOARD}/calibration.py", "if (whole > most + 1).any():", "if False:"),
     Slip("frames with a wrong CRC are believed", f"{BOARD}/protocol.py", ' or crc(payload) != int.from_bytes(content[-2:], "big"):', ":"),

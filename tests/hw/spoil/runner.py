@@ -31,7 +31,9 @@ FIRST = {
     "protocol.py": ("test_frames", "test_serial_rig"),
     ".cpp": ("test_faults", "test_firmware", "test_pins"),
     ".h": ("test_faults", "test_firmware"),
-    ".py": ("test_serial_rig",),
+    "guard.py": ("test_guard",),
+    "commands.py": ("test_serial_rig", "test_simulated"),
+    ".py": ("test_host_guards", "test_serial_rig"),
 }
 """Test files that notice most of what is wrong in a file, by the end of its name."""
 LEFT_OUT = ("test_spoiling", "test_loop")
@@ -46,7 +48,9 @@ def files_for(file: str) -> list[str]:
     first = next(names for end, names in FIRST.items() if file.endswith(end))
     every = sorted(path for path in folder.glob("test_*.py") if path.stem not in LEFT_OUT)
     about = [
-        path for path in every if re.search(r"hw\.(board|emulator|lines|conftest)|hw import emulator", path.read_text(encoding="utf-8"))
+        path
+        for path in every
+        if re.search(r"hw\.(board|guard|emulator|lines|conftest)|hw import emulator", path.read_text(encoding="utf-8"))
     ]
     return [f"tests/hw/{name}.py" for name in (*first, *(path.stem for path in about if path.stem not in first))]
 

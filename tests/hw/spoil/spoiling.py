@@ -26,6 +26,7 @@ DRAWS = {
     f"{BOARD}/calibration.py": 3,
     f"{BOARD}/protocol.py": 3,
     "tepm_opt/hw/commands.py": 3,
+    "tepm_opt/hw/guard.py": 4,
 }
 """Files that the robot's safety hangs on, and how many spoilings are drawn from each."""
 
