@@ -113,7 +113,7 @@ FIRMWARE_SLIPS = (
         "eeprom_write_block(&last, &starts[at + 1 < PLACES ? at + 1 : 0], sizeof last);",
         "(void)at;",
     ),
-    Slip("a torn write of the EEPROM counts", _MEMORY, "(start.number ^ start.inverse) != 0xFFFF || ", ""),
+    Slip("a start has the number of the one before", _MEMORY, "number = last.number + 1;", "number = last.number;"),
     # motors and interrupts
     Slip("the time is read with interrupts on", _MOTORS, "  cli();\n  const uint32_t value = passed;", "  const uint32_t value = passed;"),
     Slip("motors are switched with interrupts on", _MOTORS, "  cli();\n  ENA_PORT =", "  ENA_PORT ="),

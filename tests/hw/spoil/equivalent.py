@@ -3,9 +3,25 @@
 from __future__ import annotations
 
 from tests.hw.spoil.operators import changes
-from tests.hw.spoil.spoiling import StaleError, source
+from tests.hw.spoil.spoiling import FIRMWARE, StaleError, source
 
-EQUIVALENT: dict[tuple[str, str, str], str] = {}
+EQUIVALENT = {
+    (
+        f"{FIRMWARE}/board.cpp",
+        "for (uint8_t k = 0; k < DACS; ++k) over[k].value = broken[k].value = stuck[k].value = 0;",
+        "for (uint8_t k = 0; k < DACS; ++k) over[k].value = broken[k].value = stuck[k].value = 1;",
+    ): "A counter rises by 24 every 6 ms, to 200, or by 6, to 1500: from 1 on it gets there in the same pass as from 0.",
+    (
+        f"{FIRMWARE}/config.h",
+        "constexpr uint8_t STEPS_MAX = TICKS / 2; // in a pass: every second tick",
+        "constexpr uint8_t STEPS_MAX = TICKS * 2; // in a pass: every second tick",
+    ): "The largest rate, 9.524 steps a pass and a fraction that is left over, never asks for more than 10.",
+    (
+        f"{FIRMWARE}/link.cpp",
+        "board::report(payload.hello); begin_payload(sizeof payload.hello);",
+        "begin_payload(sizeof payload.hello); board::report(payload.hello);",
+    ): "The one writes the payload, the other how long it is and where its sum begins.",
+}
 """By file, line before and line after."""
 
 
