@@ -119,3 +119,19 @@ def test_a_main_loop_that_hung_says_nothing_about_the_bus(two_wire: Host) -> Non
     host.run(0.05)
     assert host.faults == {Fault.LOOP_HUNG}
     assert host.clear()["result"] == Result.DONE
+
+
+@pytest.mark.parametrize("stuck", [1, 9])
+def test_a_chip_that_a_reset_caught_in_its_answer(two_wire: Host, stuck: int) -> None:
+    """It holds SDA low until it has been clocked through: the firmware does that at the start, and where it happens later."""
+    host, board = two_wire, two_wire.board
+    board.two_wire(stuck=stuck)
+    board.reset(PIN)
+    host.run(0.1)
+    assert (host.state, host.faults) == (State.IDLE, set())
+    assert host.arm()["result"] == Result.DONE
+    host.hold(0.1, pressures=[300] * 6)
+    board.two_wire(stuck=stuck)
+    host.hold(0.1, pressures=[800] * 6)
+    assert host.state is State.ARMED
+    assert board.dac.tolist() == [800] * 6

@@ -57,8 +57,21 @@ static bool hung_;
 static constexpr uint8_t GO = _BV(TWINT) | _BV(TWEN) | _BV(TWIE);
 
 static constexpr uint8_t CHIPS = (DACS + 2) / 3, RETRY_MS = BUS_MS / 4;
+static constexpr uint8_t SCL_BIT = 0, SDA_BIT = 1;  // of port D: 21, 20
+
+// A chip that a reset caught in the middle of its answer holds SDA low until it has been clocked through; nobody else can be heard then.
+static void release() {
+  TWCR = 0;
+  for (uint8_t k = 0; k < 9 && !(PIND & _BV(SDA_BIT)); ++k) {
+    DDRD |= _BV(SCL_BIT);  // low; the resistor pulls it up again
+    _delay_us(2);
+    DDRD &= ~_BV(SCL_BIT);
+    _delay_us(2);
+  }
+}
 
 bool begin() {
+  release();
   TWBR = (F_CPU / 400000L - 16) / 2;
   TWSR = 0;
   uint8_t missing = DACS;
@@ -90,7 +103,7 @@ void turn(uint32_t now) {
     hung_ |= waited[chip] > BUS_MS;
   }
   if (busy && now - started <= RETRY_MS) return;
-  TWCR = 0;  // lets the lines go
+  release();
   arrived = 0;
   channel = channel + 1 < DACS ? channel + 1 : 0;
   busy = true;

@@ -103,7 +103,7 @@ def _load(path: Path) -> ctypes.CDLL:
         "unguarded": (u64, [handle]),
         "worst_gap": (u64, [handle]),
         "idle_cycles": (u64, [handle]),
-        "twi": (None, [handle, i32, u8]),
+        "twi": (None, [handle, i32, u8, u8]),
         "slow": (None, [handle, ctypes.c_double]),
         "longest_loop": (u64, [handle]),
     }
@@ -285,9 +285,9 @@ class Board:
         """What DACs with a memory of their own (MCP4728) give from power-on until they are told something."""
         self._call("dac_memory", code)
 
-    def two_wire(self, hung: bool = False, absent: int = 0) -> None:
-        """What is wrong with the two-wire bus: a line that is held low; bits of the chips that do not answer."""
-        self._call("twi", int(hung), absent)
+    def two_wire(self, hung: bool = False, absent: int = 0, stuck: int = 0) -> None:
+        """What is wrong with the two-wire bus: a line that is held low; bits of the chips that do not answer; clocks that one waits for."""
+        self._call("twi", int(hung), absent, stuck)
 
     def byte(self, name: str) -> int:
         """First byte of a variable now."""

@@ -20,6 +20,8 @@
 #include <sim_io.h>
 
 #define CHANNELS 6
+#define PIND 0x29
+#define DDRD 0x2A
 #define TWBR 0xB8
 #define TWSR 0xB9
 #define TWDR 0xBB
@@ -89,7 +91,7 @@ typedef struct Board {
   uint64_t adc_ready;
   double noise;
   avr_twi_t *twi;
-  uint8_t twi_address, twi_bytes, twi_command, twi_word, twi_byte, twi_absent;
+  uint8_t twi_address, twi_bytes, twi_command, twi_word, twi_byte, twi_absent, twi_stuck;
   int twi_hung, twi_sends, twi_bit;  // whether a byte is on its way; whether the next byte is an address
 
   // what is measured
@@ -336,14 +338,28 @@ static void twi_write(avr_t *avr, avr_io_addr_t address, uint8_t value, void *pa
     avr_cycle_timer_cancel(avr, twi_done, board);
   }
   if (!(value & 0x04) || (value & 0x90) == 0x90) board->twi_bit = board->twi_address = 0;
-  if ((value & 0x84) != 0x84 || ((value & 0x30) == 0x10) || board->twi_hung) return;
+  if ((value & 0x84) != 0x84 || ((value & 0x30) == 0x10) || board->twi_hung || board->twi_stuck) return;
   board->twi_sends = !(value & 0x20);
   board->twi_byte = avr->data[TWDR];
   const uint64_t bit = 16 + 2 * avr->data[TWBR] * (1 << 2 * (avr->data[TWSR] & 3));
   avr_cycle_timer_register(avr, (board->twi_sends ? 9 : 1) * bit, twi_done, board);
 }
 
-void board_twi(Board *board, int hung, uint8_t absent) {  // a line that is held low; bits of chips that do not answer
+// SDA is low as long as a chip waits to be clocked through.
+static uint8_t twi_lines(avr_t *avr, avr_io_addr_t address, void *parameter) {
+  const Board *board = parameter;
+  return 1 | !(board->twi_hung || board->twi_stuck) << 1;
+}
+
+static void twi_clocked(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+  Board *board = parameter;
+  if (avr->data[DDRD] & 1 && !(value & 1) && board->twi_stuck) --board->twi_stuck;
+  avr->data[DDRD] = value;
+}
+
+// A line that is held low; bits of chips that do not answer; clocks that a chip still waits for, with SDA low.
+void board_twi(Board *board, int hung, uint8_t absent, uint8_t stuck) {
+  board->twi_stuck = stuck;
   board->twi_hung = hung;
   board->twi_absent = absent;
 }
@@ -406,6 +422,10 @@ Board *board_new(const char *elf, const char *mcu, uint32_t seed) {
   avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), byte_received, board);
   for (avr_io_t *io = avr->io_port; io; io = io->next)
     if (!strcmp(io->kind, "twi")) board->twi = (avr_twi_t *)io;
+  if (wiring->channels == 6) {
+    avr->io[AVR_DATA_TO_IO(PIND)].r.c = twi_lines, avr->io[AVR_DATA_TO_IO(PIND)].r.param = board;
+    avr->io[AVR_DATA_TO_IO(DDRD)].w.c = twi_clocked, avr->io[AVR_DATA_TO_IO(DDRD)].w.param = board;
+  }
   avr->io[AVR_DATA_TO_IO(TWCR)].w.c = twi_write, avr->io[AVR_DATA_TO_IO(TWCR)].w.param = board;
   avr->io[AVR_DATA_TO_IO(wiring->estop_pin)].r.c = estop_read;
   avr->io[AVR_DATA_TO_IO(wiring->estop_pin)].r.param = board;
