@@ -6,6 +6,7 @@ import ctypes
 import re
 import shutil
 import subprocess
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ FIRMWARE = Path(protocol.__file__).parent.parent / "firmware"
 HZ = 16_000_000
 CHANNELS = protocol.CHANNELS
 POWER_ON, PIN, BROWN_OUT = 1, 2, 4
+RESET, CLOCK = 1, 2
 
 
 def missing() -> str:
@@ -32,7 +34,9 @@ def missing() -> str:
     return f"the emulated board needs Debian's {', '.join(lacking)}" if lacking else ""
 
 
-def build_firmware(folder: Path, board: str = "mega", options: str = "", flavour: str = "make", limits: str | Path = "limits.h") -> Path:
+def build_firmware(
+    folder: Path, board: str = "mega", options: str = "", flavour: str = "make", limits: str | Path = "limits.h", source: Path = FIRMWARE
+) -> Path:
     """The ELF file of the firmware.
 
     Args:
@@ -41,9 +45,10 @@ def build_firmware(folder: Path, board: str = "mega", options: str = "", flavour
         options: for the compiler.
         flavour: whose flags: make's, the Arduino IDE's, or PlatformIO's.
         limits: header of a robot.
+        source: the firmware's own folder, or another one.
     """
     settings = {"BOARD": board, "OUT": folder, "OPTIONS": options, "FLAVOUR": flavour, "LIMITS": limits}
-    command = ["make", "-s", "-C", str(FIRMWARE), *(f"{name}={value}" for name, value in settings.items())]
+    command = ["make", "-s", "-C", str(source), *(f"{name}={value}" for name, value in settings.items())]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(done.stderr)
@@ -59,8 +64,30 @@ def build_emulator(folder: Path, program: bool = False) -> Path:
     return target
 
 
+PASS = np.dtype(
+    [
+        ("cycle", "<u8"),
+        ("delivered", "<u4"),
+        *((name, "u1") for name in ("kind", "enabled", "outputs", "pressed")),
+        ("dynamometers", "<i2", CHANNELS),
+        *((name, "<u2", CHANNELS) for name in ("monitors", "dac")),
+    ],
+    align=True,
+)
+"""What is on the pins in a pass of the main loop; see `Board.passes`."""
+
+
+_PASSES = np.zeros(1 << 13, dtype=PASS)
+
+
 class _Event(ctypes.Structure):
     _fields_ = (("cycle", ctypes.c_uint64), ("channel", ctypes.c_int32), ("value", ctypes.c_int32))
+
+
+@lru_cache
+def _symbols(firmware: Path, changed: int) -> list[str]:
+    """Lines of `avr-nm`; `changed` is when the file was."""
+    return subprocess.run(["avr-nm", str(firmware)], capture_output=True, text=True, check=True).stdout.splitlines()
 
 
 def _load(path: Path) -> ctypes.CDLL:
@@ -87,6 +114,10 @@ def _load(path: Path) -> ctypes.CDLL:
         "enabled": (u8, [handle]),
         "outputs": (i32, [handle]),
         "follow": (None, [handle, i32]),
+        "tendons": (None, [handle, i32]),
+        "hold": (None, [handle, u16]),
+        "take_passes": (u32, [handle, ctypes.c_void_p, u32]),
+        "delivered": (u32, [handle]),
         "monitor": (None, [handle, i32, ctypes.c_double]),
         "dynamometer": (None, [handle, i32, i32]),
         "counts_per_step": (None, [handle, ctypes.c_double]),
@@ -203,6 +234,20 @@ class Board:
         """What the regulators were told since the last call: (changes, 3) with time in s, channel, code."""
         return self._events("take_dac")
 
+    def passes(self) -> np.ndarray:
+        """What was on the pins in each pass of the main loop since the last call (the last 8,192), as `PASS`.
+
+        It is noted at the edge that starts the AD7606, when the pass has done what the host asked for and begins to look at its inputs. The
+        dynamometers are what the AD7606 holds then, monitors are in counts; `delivered` counts bytes that had reached the UART. Resets of
+        whatever cause are noted, too (`kind` is `RESET`), and when the firmware's clock begins (`CLOCK`).
+        """
+        return _PASSES[: self._call("take_passes", _PASSES.ctypes.data, len(_PASSES))].copy()
+
+    @property
+    def delivered(self) -> int:
+        """Bytes that have reached the UART since power-on."""
+        return self._call("delivered")
+
     @property
     def dac(self) -> np.ndarray:
         """Codes that the regulators see now, (6,): 0 while the outputs are switched off."""
@@ -248,6 +293,14 @@ class Board:
     def follow(self, follows: bool) -> None:
         """Whether monitors and dynamometers follow the board (True at first); if not they show just what they are set to."""
         self._call("follow", int(follows))
+
+    def tendons(self) -> None:
+        """From now on dynamometers that follow show tendons: they run free while their motor is off, and nothing pushes them."""
+        self._call("tendons", 1)
+
+    def hold(self, dynamometers: int = 0, monitors: int = 0) -> None:
+        """Bits of the sensors that show just what they are set to although the others follow the board."""
+        self._call("hold", dynamometers | monitors << 8)
 
     def monitor(self, channel: int, volts: float) -> None:
         """Voltage of a pressure monitor; where it follows, at no pressure."""
@@ -333,7 +386,7 @@ class Board:
 
     def symbol(self, name: str) -> int:
         """Address of a function in the flash memory, or of a variable (behind 0x800000), by its name without namespaces."""
-        lines = subprocess.run(["avr-nm", str(self.firmware)], capture_output=True, text=True, check=True).stdout.splitlines()
+        lines = _symbols(self.firmware, self.firmware.stat().st_mtime_ns)
         mangled = re.compile(rf"{name}|_Z[NL].*{len(name)}{name}E?(\.lto_priv\.\d+)?v?")
         found = [int(line.split()[0], 16) for line in lines if mangled.fullmatch(line.split()[-1])]
         if len(found) != 1:

@@ -22,6 +22,7 @@
 #define CHANNELS 6
 #define PIND 0x29
 #define DDRD 0x2A
+#define TIMSK1 0x6F
 #define TWBR 0xB8
 #define TWSR 0xB9
 #define TWDR 0xBB
@@ -65,6 +66,18 @@ typedef struct {
   uint32_t begin, end;  // end - begin of them; the oldest are overwritten
 } Log;
 
+// What is on the pins when a pass of the main loop has read what came and begins to look at its inputs; or that the processor was reset;
+// or that the clock of its main loop is about to begin.
+enum { PASS, RESET, CLOCK };
+typedef struct {
+  uint64_t cycle;
+  uint32_t delivered;                       // bytes that had reached the UART
+  uint8_t kind, enabled, outputs, pressed;
+  int16_t dynamometers[CHANNELS];           // what the AD7606 holds
+  uint16_t monitors[CHANNELS], dac[CHANNELS];
+} Pass;
+#define PASSES_LENGTH (1 << 13)
+
 typedef struct Board {
   avr_t *avr;
   avr_uart_t *uart;
@@ -97,6 +110,9 @@ typedef struct Board {
   // what is measured
   int estop_pressed;
   int follows;  // monitors and dynamometers follow what the board does
+  int tendons;    // they run free while their motor is off, and cannot be pushed
+  int64_t unwound[CHANNELS];  // where each motor stood when its tendon last ran free
+  uint16_t held;  // bits of dynamometers (0 ... 5) and monitors (8 ... 13) that do not
   double monitor_V[CHANNELS];
   int32_t dynamometer[CHANNELS];  // counts of 15 bits over 5 V
   double counts_per_step;
@@ -106,6 +122,10 @@ typedef struct Board {
   uint64_t idle_steps;         // while not enabled
   Log step_log, dir_log, dac_log;
   uint16_t dac_peak[CHANNELS];
+  Pass *passes;
+  uint32_t passes_begin, passes_end;
+  uint32_t delivered;
+  void (*core_reset)(avr_t *);
 
   // what the program does
   uint32_t slow;               // cycles of each SLOW_EVERY that are taken from it
@@ -195,13 +215,26 @@ static void selects_changed(Board *board) {
 }
 
 static int32_t dynamometer_counts(Board *board, int k) {
-  if (!board->follows) return board->dynamometer[k];
+  if (!board->follows || board->held >> k & 1) return board->dynamometer[k];
   const int on = board_enabled(board) >> k & 1;
-  return board->dynamometer[k] + (on ? (int32_t)(board->position[k] * board->counts_per_step) : 0);
+  if (!on && board->tendons) board->unwound[k] = board->position[k];
+  const int64_t wound = board->position[k] - board->unwound[k];
+  return board->dynamometer[k] + (on && (wound > 0 || !board->tendons) ? (int32_t)(wound * board->counts_per_step) : 0);
 }
 
 static double monitor_volts(Board *board, int k) {
-  return board->follows ? board->monitor_V[k] + 4.0 * board_dac(board, k) / 4096 : board->monitor_V[k];
+  return board->follows && !(board->held >> (8 + k) & 1) ? board->monitor_V[k] + 4.0 * board_dac(board, k) / 4096 : board->monitor_V[k];
+}
+
+static void log_pass(Board *board, int kind) {
+  Pass *pass = &board->passes[board->passes_end % PASSES_LENGTH];
+  if (++board->passes_end - board->passes_begin > PASSES_LENGTH) board->passes_begin = board->passes_end - PASSES_LENGTH;
+  *pass = (Pass){board->avr->cycle, board->delivered, kind, board_enabled(board), outputs_on(board), board->estop_pressed};
+  for (int k = 0; k < CHANNELS; ++k) {
+    pass->dynamometers[k] = board->adc_latched[k];
+    pass->monitors[k] = monitor_volts(board, k) * 32768 / 5;
+    pass->dac[k] = board_dac(board, k);
+  }
 }
 
 static void controls_changed(Board *board) {
@@ -213,6 +246,7 @@ static void controls_changed(Board *board) {
       const int32_t counts = dynamometer_counts(board, k);
       board->adc_latched[k] = counts > 32767 ? 32767 : counts < -32768 ? -32768 : counts;
     }
+    log_pass(board, board->avr->data[TIMSK1] & 2 ? PASS : CLOCK);  // the first edge is when its pin becomes an output
   }
   board->levels_convert = convert;
   const uint8_t outputs = outputs_on(board);
@@ -369,6 +403,14 @@ static void byte_received(avr_irq_t *irq, uint32_t value, void *parameter) {
   log_event(&board->received, board->avr->cycle + board->uart->cycles_per_byte, 0, value & 0xFF);
 }
 
+static void core_reset(avr_t *avr) {  // whatever its cause
+  Board *board = avr->custom.data;
+  board->core_reset(avr);
+  board->levels_convert = 0;
+  board->twi_bit = board->twi_address = board->twi_bytes = 0;
+  log_pass(board, RESET);
+}
+
 static void silent(avr_t *avr, const int level, const char *format, va_list arguments) {}
 
 static void no_sleep(avr_t *avr, avr_cycle_count_t cycles) {}
@@ -398,6 +440,10 @@ Board *board_new(const char *elf, const char *mcu, uint32_t seed) {
   board->step_log.events = calloc(LOG_LENGTH, sizeof(Event));
   board->dir_log.events = calloc(LOG_LENGTH, sizeof(Event));
   board->dac_log.events = calloc(LOG_LENGTH, sizeof(Event));
+  board->passes = calloc(PASSES_LENGTH, sizeof(Pass));
+  avr->custom.data = board;
+  board->core_reset = avr->reset;
+  avr->reset = core_reset;
   board->line_bits_per_s = 250000;
   board->levels_select = 0xFF;
   board->stop_pc = -1;
@@ -438,6 +484,7 @@ void board_free(Board *board) {
   free(board->step_log.events);
   free(board->dir_log.events);
   free(board->dac_log.events);
+  free(board->passes);
   free(board);
 }
 
@@ -495,6 +542,7 @@ int board_run(Board *board, uint64_t until) {
       if (board->next_byte <= avr->cycle) {
         avr_raise_irq(input, board->sent[board->sent_begin++ % SENT_LENGTH]);
         board->next_byte += 10 * HZ / board->line_bits_per_s;
+        ++board->delivered;
         continue;
       }
       if (board->next_byte < stop) stop = board->next_byte;
@@ -551,6 +599,14 @@ uint32_t board_take_directions(Board *board, Event *events, uint32_t most) { ret
 
 uint32_t board_take_dac(Board *board, Event *events, uint32_t most) { return take_events(&board->dac_log, events, most); }
 
+uint32_t board_take_passes(Board *board, Pass *passes, uint32_t most) {
+  uint32_t count = 0;
+  while (count < most && board->passes_begin != board->passes_end) passes[count++] = board->passes[board->passes_begin++ % PASSES_LENGTH];
+  return count;
+}
+
+uint32_t board_delivered(Board *board) { return board->delivered; }
+
 void board_peaks(Board *board, uint16_t *codes) { memcpy(codes, board->dac_peak, sizeof board->dac_peak); }
 
 int64_t board_position(Board *board, int channel) { return board->position[channel]; }
@@ -562,6 +618,10 @@ uint64_t board_idle_steps(Board *board) { return board->idle_steps; }
 int board_outputs(Board *board) { return outputs_on(board); }
 
 void board_follow(Board *board, int follows) { board->follows = follows; }
+
+void board_tendons(Board *board, int tendons) { board->tendons = tendons; }
+
+void board_hold(Board *board, uint16_t bits) { board->held = bits; }
 
 void board_monitor(Board *board, int channel, double volts) { board->monitor_V[channel] = volts; }
 
