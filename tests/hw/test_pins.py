@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.hw.board.protocol import State
+from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.protocol import SET, Fault, State
 from tests.hw.conftest import PRESSURE_MAX
 from tests.hw.emulator.host import ALL, ZERO, Host
 
@@ -41,3 +42,41 @@ def test_reads_with_interrupts_on_are_counted(armed: Host) -> None:
     armed.board.share("written", 1)
     armed.run(0.01)
     assert armed.board.unguarded >= 10
+
+
+@pytest.mark.parametrize("pause", [0.0006, 0.002, 0.05])
+def test_no_motor_comes_on_after_a_hang(armed: Host, pause: float) -> None:
+    """A set point whose last byte is read right after the main loop hung, before the loop has noticed: its motors stay off."""
+    board = armed.board
+    armed.hold(0.05, tendons=[ZERO + 2000] * 6, enabled=0x15)
+    values = {"pressures": [0] * 6, "tendons": [ZERO + 2000] * 6, "enabled": ALL}
+    data = protocol.frame(SET.pack(session=armed.session, sequence=armed.sequence + 1, **values))
+    board.send(data[:-1])
+    armed.run(0.005)
+    board.run_to("loop")
+    board.hang()
+    board.send(data[-1:])
+    board.run(pause)
+    assert board.safe
+    board.mend()
+    for _ in range(1000):
+        board.run(2e-6)
+        assert board.enabled == 0
+    armed.run(0.02)
+    assert (armed.state, armed.fault) == (State.FAULT, Fault.LOOP_HUNG)
+
+
+def test_steps_of_a_late_loop(armed: Host) -> None:
+    """A pass that the main loop did not write in time has no steps: the motors are where the board thinks that they are."""
+    board = armed.board
+    board.counts_per_step(0)
+    late = armed.status["late"]
+    board.slow(0.4)
+    for goal in (1500, 200, 1700, 0):
+        armed.hold(0.25, period=0.01, tendons=[goal] * 6, steps=True)
+    board.slow(0)
+    armed.hold(0.3, tendons=[1000] * 6, steps=True)
+    print((armed.status["late"] - late) % 256, board.positions)
+    assert armed.state is State.ARMED
+    assert (armed.status["late"] - late) % 256 >= 20
+    assert board.positions.tolist() == [1000] * 6
