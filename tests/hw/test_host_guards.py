@@ -7,6 +7,7 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.board.link import LinkError
 from tepm_opt.hw.board.protocol import ARM, CLEAR, DISARM, ESTOP, Message, State
 from tepm_opt.hw.board.rig import SerialRig
@@ -24,7 +25,8 @@ class Lossy(LockstepPort):
     Attributes:
         lost: how many frames of each kind are still to be lost.
         mute: whether nothing comes from the board.
-        sent: kinds of the messages that were sent, lost or not.
+        sent: kinds of the messages that were sent, lost or not; `last` is the content of the last one.
+        foreign: bytes that come with the board's.
     """
 
     def __init__(self, world: World) -> None:
@@ -32,13 +34,16 @@ class Lossy(LockstepPort):
         self.lost: dict[Message, int] = {}
         self.mute = False
         self.sent: list[Message] = []
+        self.last: protocol.Values = {}
+        self.foreign = b""
 
     def read(self, timeout: float) -> bytes:
         data = super().read(timeout)
-        return b"" if self.mute else data
+        foreign, self.foreign = self.foreign, b""
+        return b"" if self.mute else data + foreign
 
     def write(self, data: bytes) -> None:
-        kind = protocol.Decoder(protocol.TO_BOARD).feed(data)[0][0]
+        kind, self.last = protocol.Decoder(protocol.TO_BOARD).feed(data)[0]
         self.sent.append(kind)
         if self.lost.get(kind, 0):
             self.lost[kind] -= 1
@@ -152,3 +157,28 @@ def test_no_number_is_sent_that_is_none(rig: SerialRig, line: Lossy, index: int,
     with pytest.raises(InputError, match="command: "):
         rig.apply(Command(*np.split(inputs, 2), ON))
     assert len(line.sent) == sent
+
+
+def test_set_points_are_for_one_arming(rig: SerialRig, line: Lossy) -> None:
+    """They bear the session in which this rig armed, also once the board has told another one in an answer to somebody else."""
+    session = line.last["session"]
+    values = {"id": 200, "request": ARM.code, "result": 0, "channel": 0, "state": State.ARMED, "session": session + 1}
+    line.foreign = b"\0" + protocol.frame(protocol.ACK.pack(**values))  # the zero ends a frame that has come only in part
+    rig.link.listen()
+    assert not line.foreign
+    rig.link.set(0x3F, [0] * 6, [3277] * 6)
+    assert (line.sent[-1], line.last["session"]) == (protocol.SET, session)
+
+
+@pytest.mark.parametrize(
+    ("kind", "per_unit", "zero"), [("to_codes", 4096 / 0.9e6, 0), ("to_counts", 3276.8, 3277), ("to_steps", 952.38, 0)]
+)
+def test_beyond_the_limit_of_the_board(kind: str, per_unit: float, zero: int) -> None:
+    """Set points that exceed it by more than rounding are refused, not cut off in silence; the actuator is named."""
+    convert, most = getattr(Calibration.of(ROBOT), kind), 2000 + zero
+    values = np.full(6, 1000 / per_unit)
+    values[4] = (2000 + 0.9) / per_unit
+    assert convert(values, most) == [1000 + zero] * 4 + [most, 1000 + zero]
+    values[4] = (2000 + 2.1) / per_unit
+    with pytest.raises(InputError, match=r"actuator 5 = .* exceeds the limit that is compiled into the firmware"):
+        convert(values, most)
