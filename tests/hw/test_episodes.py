@@ -26,6 +26,7 @@ from tests.hw.emulator.episode import ALL, Episode, Sensor, Setpoint
 DURATIONS = st.sampled_from([0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 100, 104, 150])
 STEPS = 10
 ARMED = st.sampled_from([True, True, False])
+LONG = st.sampled_from([0, 3, 9, 15, 40, 60, 88, 125])
 CHANNEL = st.integers(0, 5)
 ENABLES = st.sampled_from([ALL, ALL, ALL, 0, 1, 0x15, 0x2A, 0x20])
 NEAR = st.sampled_from([0, 0, 0, 0, 0, 0, -1, 1, -2, 2, 0x10000, -0x10000])
@@ -42,6 +43,7 @@ POSITIONS = six(st.one_of(st.sampled_from([0, 500, LIMITS.position_max]), st.int
 SETPOINTS = st.one_of(
     st.builds(Setpoint, PRESSURES, TENSIONS, ENABLES), st.builds(lambda p, t, e: Setpoint(p, t, e, True), PRESSURES, POSITIONS, ENABLES)
 )
+FLOODS = st.builds(lambda byte, count: bytes([byte]) * count, st.sampled_from([0, 1, 0x55, 0xFF]), st.sampled_from([130, 400, 700]))
 BEYOND = st.sampled_from(
     [
         Setpoint(pressures=[LIMITS.pressure_max + 1] + [0] * 5),
@@ -109,18 +111,20 @@ class Machine(RuleBasedStateMachine):
             episode.arm()
             episode.advance(12)
 
-    @rule(ms=DURATIONS)
-    def time_passes(self, ms: int) -> None:
+    @rule(what=st.sampled_from(["nothing", "silence", "cut", "restart"]), ms=DURATIONS)
+    def time_passes(self, what: str, ms: int) -> None:
+        """With a host that goes on or is silent, a line that loses what is on it, a host that starts anew."""
+        if what == "silence":
+            self.episode.setpoint = None
+        elif what == "cut":
+            self.episode.trace.cut()
+        elif what == "restart":
+            self.episode.restart_host()
         self.episode.advance(ms)
 
     @rule(setpoint=SETPOINTS, period=st.sampled_from([3, 5, 5, 10, 50, 99, 130]), ms=DURATIONS)
     def talk(self, setpoint: Setpoint, period: int, ms: int) -> None:
         self.episode.setpoint, self.episode.period = setpoint, period
-        self.episode.advance(ms)
-
-    @rule(ms=DURATIONS)
-    def fall_silent(self, ms: int) -> None:
-        self.episode.setpoint = None
         self.episode.advance(ms)
 
     @rule(setpoint=SETPOINTS, ms=DURATIONS)
@@ -210,14 +214,9 @@ class Machine(RuleBasedStateMachine):
             episode.set(Setpoint(pressures=[800] * 6), session=session + 1)
         episode.advance(ms)
 
-    @rule(data=st.binary(min_size=1, max_size=90), ms=DURATIONS)
+    @rule(data=st.one_of(st.binary(min_size=1, max_size=90), FLOODS), ms=DURATIONS)
     def garbage(self, data: bytes, ms: int) -> None:
         self.episode.send(data, record=False)
-        self.episode.advance(ms)
-
-    @rule(byte=st.sampled_from([0, 1, 0x55, 0xFF]), count=st.sampled_from([130, 400, 700]), ms=DURATIONS)
-    def flood(self, byte: int, count: int, ms: int) -> None:
-        self.episode.send(bytes([byte]) * count, record=False)
         self.episode.advance(ms)
 
     @precondition(lambda self: self.episode.recorded)
@@ -229,16 +228,6 @@ class Machine(RuleBasedStateMachine):
         cut = data.draw(st.booleans())
         mask = 1 << data.draw(st.integers(0, 7))
         self.episode.send(frame[:at] if cut else frame[:at] + bytes([frame[at] ^ mask]) + frame[at + 1 :], record=False)
-        self.episode.advance(ms)
-
-    @rule(ms=DURATIONS)
-    def cut_line(self, ms: int) -> None:
-        self.episode.trace.cut()
-        self.episode.advance(ms)
-
-    @rule(ms=DURATIONS)
-    def restart_host(self, ms: int) -> None:
-        self.episode.restart_host()
         self.episode.advance(ms)
 
     @rule(pressed=st.booleans(), ms=DURATIONS, armed=ARMED)
@@ -268,13 +257,13 @@ class Machine(RuleBasedStateMachine):
         self.episode.mend()
         self.episode.advance(ms)
 
-    @rule(channel=CHANNEL, sensor=DYNAMOMETERS, ms=DURATIONS, armed=ARMED)
+    @rule(channel=CHANNEL, sensor=DYNAMOMETERS, ms=LONG, armed=ARMED)
     def dynamometer(self, channel: int, sensor: Sensor, ms: int, armed: bool) -> None:
         self.begin(armed)
         self.episode.dynamometers[channel] = sensor
         self.episode.advance(ms)
 
-    @rule(channel=CHANNEL, sensor=MONITORS, ms=DURATIONS, armed=ARMED)
+    @rule(channel=CHANNEL, sensor=MONITORS, ms=LONG, armed=ARMED)
     def monitor(self, channel: int, sensor: Sensor, ms: int, armed: bool) -> None:
         self.begin(armed)
         self.episode.monitors[channel] = sensor

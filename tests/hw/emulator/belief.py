@@ -289,7 +289,8 @@ class Belief:
         if not self.trace.hangs or not at:
             return self.minds
         cycles = self.trace.records["cycle"]
-        may, must = self._hung(int(cycles[at - 1]), int(cycles[at]))
+        begin = max(int(cycles[at - 1]), self.trace.boots[self.trace.boot[at]].zero)  # nothing hangs before the clock begins
+        may, must = self._hung(begin, int(cycles[at]))
         if not may:
             return self.minds
         return {mind._replace(hung=True) for mind in self.minds} | (set() if must else self.minds)
