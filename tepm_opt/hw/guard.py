@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from tepm_opt.hw.rig import Sample
 from tepm_opt.outcome import Ending, Outcome
+
+if TYPE_CHECKING:
+    from tepm_opt.hw.rig import Sample
 
 MARGIN = 0.05
 """Part of its limit by which a measured pressure or tension may exceed it."""

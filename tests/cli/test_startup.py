@@ -57,7 +57,19 @@ def test_wrong_use(arguments: list[str]) -> None:
 def test_help_of_every_command() -> None:
     """All in one process: each imports no more than the ones before."""
     code = IMPORTED.replace("status = run(sys.argv[1:])", "status = max(run([*name.split(), '--help']) for name in sys.argv[1:])")
-    groups = ["robot", "robot new", "data check", "hw", "hw check", "hw jog", "hw monitor", "hw estop", "hw ports", "hw calibrate base"]
+    groups = [
+        "robot",
+        "robot new",
+        "data check",
+        "hw",
+        "hw check",
+        "hw jog",
+        "hw monitor",
+        "hw estop",
+        "hw limits",
+        "hw ports",
+        "hw calibrate base",
+    ]
     done = subprocess.run(
         [sys.executable, "-c", code.format(heavy=sorted(HEAVY)), *COMMANDS, *groups], capture_output=True, text=True, check=False
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 import tomllib
 from collections.abc import Callable
@@ -129,6 +130,7 @@ class TestWithoutBoard:
             "--button",
             "--no-tendon",
             "calibrate tension",
+            "tepm hw limits --robot mine.toml",
             "Hook",
             "--pressure-kPa 50",
             "calibrate pressure",
@@ -181,6 +183,24 @@ class TestBoard:
         found = walk(clear=True)
         assert "the board refuses CLEAR: the emergency stop is pressed, or its wire is broken" in found["state"].says
         assert found["emergency stop"].mark is Mark.WRONG
+
+    def test_mega_alone(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
+        """Without regulators their monitors are pulled to 0 V: the board says so, and CLEAR is refused until they are there."""
+        world.board.follow(False)
+        for k in range(6):
+            world.board.monitor(k, 0.0)
+            world.board.dynamometer(k, 3277)
+        world.advance(0.3)
+        assert re.fullmatch(r"FAULT: the pressure monitor of regulator \d is open or shorted\.", walk()["state"].says)
+        found = walk(clear=True)["state"]
+        assert "the board refuses CLEAR: the pressure monitor of regulator 1 does not show what the regulator was told" in found.says
+        assert found.next.startswith("is the regulator fed, is its monitor wired, has the air gone?")
+        world.advance(2.0)
+        assert re.fullmatch(r"FAULT: regulator \d does not follow its set point; also MONITOR\.", walk()["state"].says)
+        for k in range(6):
+            world.board.monitor(k, 1.0)
+        world.advance(0.1)
+        assert walk(clear=True)["state"].says.endswith("cleared, it is IDLE now.")
 
     def test_button(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
         asked: list[bool] = []

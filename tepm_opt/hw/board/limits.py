@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
-from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.board.protocol import COUNTS_PER_V
-from tepm_opt.models.layout import Layout
-from tepm_opt.models.robot import Robot
+
+if TYPE_CHECKING:
+    from tepm_opt.hw.board.calibration import Calibration
+    from tepm_opt.models.robot import Robot
 
 PRESSURE_TRIP, TENSION_TRIP = 1.10, 1.05
 """Measured pressures and tensions beyond the largest set point times this are a fault."""
@@ -89,6 +90,8 @@ class Limits:
         Raises:
             InputError: as for `Calibration.of`; a number that the board cannot hold; or actuators that differ too much for one of them.
         """
+        from tepm_opt.hw.board.calibration import Calibration
+
         lines, pressure, tension = Calibration.of(robot), robot.actuation.pressure_max_Pa, robot.actuation.tension_max_N
         values = {
             "code_zero": round(_middle(lines.codes_zero)),
@@ -152,6 +155,8 @@ def differences(robot: Robot, firmware: Limits) -> list[str]:
     Raises:
         InputError: as for `Limits.of`.
     """
+    from tepm_opt.hw.board.calibration import Calibration
+
     units, mine, other = _units(Calibration.of(robot)), asdict(Limits.of(robot)), asdict(firmware)
 
     def shown(name: str, value: int) -> str:
@@ -174,6 +179,8 @@ def _common_band(robot: Robot, lines: Calibration, limits: Limits) -> int:
     Raises:
         InputError: an actuator's own lines are too far from the common ones.
     """
+    from tepm_opt.models.layout import Layout
+
     codes = np.arange(limits.pressure_max + 1)[:, None]
     own = lines.monitor_zero + lines.monitor / lines.codes * np.maximum(codes - lines.codes_zero, 0)
     zero, slope, first = (_middle(values) for values in (lines.monitor_zero, lines.monitor / lines.codes, lines.codes_zero))
