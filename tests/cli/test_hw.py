@@ -22,6 +22,7 @@ from tepm_opt.cli.hw import commands as hw
 from tepm_opt.cli.hw import shared as hw_shared
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
 from tepm_opt.errors import InputError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.linklog import LinkLog
 from tepm_opt.hw.board.ports import FoundPort, PortBusyError
 from tepm_opt.hw.rig import Command as RigCommand
@@ -225,6 +226,17 @@ class TestJog:
         assert "open or shorted" in done.err
         assert bench.world.board.safe
 
+    def test_firmware_of_another_robot(self, tepm: Command, bench: Bench, here: Path) -> None:
+        (here / "weak.toml").write_text(robot_text("kang2017").replace("tension_max_N = 7.0", "tension_max_N = 6.0"), encoding="utf-8")
+        done = tepm("hw", "jog", "x", "11", "--tension", "1", "--robot", "weak.toml", "--yes")
+        assert (done.status, done.out) == (1, "")
+        assert (
+            "firmware and robot file kang2017 disagree: tension_max is 26215 (7 N) in the firmware, 22938 (6 N) by the robot file"
+            in done.err
+        )
+        assert done.err.count("\n") == 1
+        assert not bench.world.board.step_counts.any()
+
     def test_asks(self, tepm: Command, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
         bench.answers = ["n", "y"]
@@ -321,6 +333,13 @@ class TestCalibrate:
         bench.world.advance(0.3)
         assert bench.world.board.safe
         assert not bench.world.board.step_counts.any()
+
+    def test_no_monitors(self, tepm: Command, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(Link, "monitored", False)
+        done = tepm("hw", "calibrate", "pressure", "x", "--actuator", "13", "--at-kPa", "0,100", "--yes")
+        assert (done.status, done.out) == (2, "")
+        assert "this board has no inputs for pressure monitors" in done.err
+        assert not bench.world.board.dac_peak.any()
 
     def test_pressure_with_gauge(self, tepm: Command, bench: Bench) -> None:
         bench.answers = ["2", "much", "104"]
