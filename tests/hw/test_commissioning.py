@@ -230,6 +230,7 @@ class TestBoard:
         assert "not at zero: 12 (1.00 N)" in walk()["dynamometers"].says
 
     def test_reset_cause(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
+        world.advance(0.01)
         world.board.reset(BROWN_OUT)
         assert walk()["last reset"].says == "the supply dipped."
 

@@ -634,8 +634,9 @@ void board_estop(Board *board, int pressed) { board->estop_pressed = pressed; }
 // A reset with a bit of MCUSR: 1 power-on (memory is lost), 2 pin, 4 brown-out.
 void board_reset(Board *board, uint8_t cause) {
   avr_t *avr = board->avr;
+  const uint8_t flags = cause == 1 ? 0 : avr->data[board->wiring->mcusr];  // stay until the program clears them
   avr_reset(avr);
-  avr->data[board->wiring->mcusr] |= cause;
+  avr->data[board->wiring->mcusr] |= cause | flags;
   if (cause == 1) {
     for (int k = avr->ioend + 1; k <= avr->ramend; ++k) avr->data[k] = rand_r(&board->seed);
     for (int k = 0; k < CHANNELS; ++k) board->dac_register[k] = board->dac_memory;
