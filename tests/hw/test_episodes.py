@@ -172,7 +172,7 @@ class Machine(RuleBasedStateMachine):
             self.episode.send(frame, record=False)
         self.episode.advance(ms)
 
-    @rule(session=NEAR, limits=st.sampled_from([CHECK, CHECK, CHECK, CHECK ^ 1, 0]), ms=DURATIONS, idle=ARMED)
+    @rule(session=NEAR, limits=st.sampled_from([CHECK, CHECK, CHECK ^ 1, 0]), ms=DURATIONS, idle=ARMED)
     def arm(self, session: int, limits: int, ms: int, idle: bool) -> None:
         if idle and self.episode.state != State.IDLE:
             self.episode.request(DISARM)

@@ -268,6 +268,7 @@ class Episode:
         self.advance(8)
         self._until(State.ARMED, self.arm)
         goal = Setpoint([100] * CHANNELS, [LIMITS.tension_zero + 200] * CHANNELS)
+        tensions = np.zeros(CHANNELS)
         self.setpoint = goal
         for _ in range(25):
             self.advance(15)

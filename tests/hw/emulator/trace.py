@@ -17,6 +17,7 @@ from tests.hw.emulator import CLOCK, HZ, PASS, RESET, Board
 
 MS = HZ // 1000
 BYTE = HZ * 10 // 250_000
+JITTER, LATE = MS // 50, MS * 2 // 5
 READ, BUFFER, LONGEST = 13, 127, 64
 LATENESS = 330
 """Cycles from when the clock is about to begin to a millisecond before the edge in a pass that has nothing to read, and fewer."""
@@ -81,6 +82,7 @@ class Trace:
         records: what `Board.passes` gave.
         clock: of each record, what the firmware's clock shows in ms.
         boot: of each record, index of its boot.
+        late: records of passes that began in the middle of a millisecond, and may end in the next.
         frames: that have reached the board.
         hangs: when the main loop hung, in cycles: from, to (None: still).
         bus: when the two-wire bus was in disorder, in cycles.
@@ -91,6 +93,7 @@ class Trace:
     records: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=PASS))
     clock: list[int] = field(default_factory=list)
     boot: list[int] = field(default_factory=list)
+    late: set[int] = field(default_factory=set)
     boots: list[Boot] = field(default_factory=lambda: [Boot(-1, ResetCause.POWER_ON, 0)])
     frames: list[Arrival] = field(default_factory=list)
     heard: list[Heard] = field(default_factory=list)
@@ -154,12 +157,11 @@ class Trace:
             self.boot.append(len(self.boots) - 1)
             return
         boot = self.boots[-1]
-        clock = (cycle - boot.zero) // MS
-        if self.clock and clock <= self.clock[-1] + 1:  # not after a hang
-            clock = (cycle - boot.zero + MS // 4) // MS
+        clock, behind = divmod(cycle - boot.zero + JITTER, MS)
         self.clock.append(clock)
         self.boot.append(len(self.boots) - 1)
-        behind = max(0, cycle - boot.zero - clock * MS)
+        if behind > LATE:  # the first after a hang
+            self.late.add(at)
         sure = max(self._sure, delivered - math.ceil(behind / BYTE) - 2)
         self._sure = delivered
         if self._torn_from is None and delivered - self._slow >= BUFFER - 2:
