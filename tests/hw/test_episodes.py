@@ -369,7 +369,7 @@ SABOTAGES = {
 
 @pytest.mark.parametrize("number", range(2))
 def test_some_episodes(firmware: Path, library: Path, number: int) -> None:
-    run_episodes(lambda **options: Board(library, firmware, **options), number, 30, steps=6)
+    run_episodes(lambda **options: Board(library, firmware, **options), number, 30, steps=4)
 
 
 @pytest.mark.slow
