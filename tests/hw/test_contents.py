@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.hw.board import protocol
-from tepm_opt.hw.board.protocol import ACK, ARM, CLEAR, CONFIG, DISARM, ESTOP, SET, Fault, Key, State
+from tepm_opt.hw.board.protocol import ACK, ARM, ASK, CLEAR, CONFIG, DISARM, ESTOP, HELLO, SET, Fault, Key, State
 from tests.hw.emulator.host import ALL, LIMITS_CHECK, ZERO, Host
 
 
@@ -84,3 +84,14 @@ def test_a_lost_dynamometer_winds_nothing(armed: Host) -> None:
     armed.run(0.01)
     assert board.step_counts[2] - before[2] == made[2]
     assert (armed.state, armed.fault, armed.status["channel"]) == (State.FAULT, Fault.DYNAMOMETER, 2)
+
+
+def test_hello_until_somebody_answers(host: Host) -> None:
+    """Five times a second; one more answers the question, and none comes after it."""
+    host.run(1.1)
+    told = [time for time, kind, _ in host.heard if kind is HELLO]
+    assert np.diff(told) == pytest.approx(0.2, abs=0.011)
+    assert len(told) in (5, 6)
+    host.send(ASK, id=1)
+    host.run(1.0)
+    assert sum(kind is HELLO for _, kind, _ in host.heard) == len(told) + 1

@@ -8,6 +8,16 @@ from tests.hw.spoil.spoiling import FIRMWARE, StaleError, source
 EQUIVALENT = {
     (
         f"{FIRMWARE}/board.cpp",
+        "motors::begin(); if (was_armed) fail(Fault::RESET_WHILE_ARMED);",
+        "if (was_armed) fail(Fault::RESET_WHILE_ARMED); motors::begin();",
+    ): "The fault switches off motors that are off: until they are told otherwise their pins are inputs, pulled up outside.",
+    (
+        f"{FIRMWARE}/motors.cpp",
+        "if (bits == 0) continue; for (uint8_t left = count; left; --left) steps[pgm_read_byte(when++)] |= bits;",
+        "for (uint8_t left = count; left; --left) steps[pgm_read_byte(when++)] |= bits; if (bits == 0) continue;",
+    ): "Without bits the loop changes nothing; leaving it out saves some of a pass that has time left.",
+    (
+        f"{FIRMWARE}/board.cpp",
         "for (uint8_t k = 0; k < DACS; ++k) over[k].value = broken[k].value = stuck[k].value = 0;",
         "for (uint8_t k = 0; k < DACS; ++k) over[k].value = broken[k].value = stuck[k].value = 1;",
     ): "A counter rises by 24 every 6 ms, to 200, or by 6, to 1500: from 1 on it gets there in the same pass as from 0.",
