@@ -385,7 +385,7 @@ def test_many_episodes_with_a_two_wire_bus(build: Callable[[str, str], Path], li
     run_episodes(lambda **options: Board(library, firmware, **options), number, 50, two_wire=True)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", SABOTAGES)
 def test_sabotage_is_noticed(library: Path, tmp_path: Path, name: str) -> None:
     """Whatever is taken from the firmware, episodes miss it."""

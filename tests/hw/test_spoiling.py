@@ -17,6 +17,13 @@ from tests.hw.spoil.table import caught_last_time
 CRASHES = ("the decoder writes behind its buffer",)
 """What stops the tests themselves."""
 NUMBERED = [(file, number) for file, count in DRAWS.items() for number in range(count)]
+EACH = 3
+"""One of so many is slow, the others are a study."""
+
+
+def often(number: int) -> pytest.MarkDecorator:
+    """How often a slip is tried out, by its number."""
+    return pytest.mark.study if number % EACH else pytest.mark.slow
 
 
 @pytest.mark.slow
@@ -24,8 +31,7 @@ def test_nothing_is_caught_where_nothing_is_wrong(tmp_path: Path) -> None:
     assert try_out(NOTHING, tmp_path / "run").caught is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", BY_HAND)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=often(k)) for k, name in enumerate(BY_HAND)])
 def test_slips_by_hand_are_caught(name: str, tmp_path: Path) -> None:
     if lacking := emulator.missing():
         pytest.skip(lacking)
@@ -34,8 +40,10 @@ def test_slips_by_hand_are_caught(name: str, tmp_path: Path) -> None:
     assert outcome.caught not in (None, "compiler")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("file", "number"), NUMBERED, ids=[f"{Path(file).name}-{number}" for file, number in NUMBERED])
+@pytest.mark.parametrize(
+    ("file", "number"),
+    [pytest.param(file, number, marks=often(k), id=f"{Path(file).name}-{number}") for k, (file, number) in enumerate(NUMBERED)],
+)
 def test_drawn_slips_are_caught(file: str, number: int, tmp_path: Path) -> None:
     if lacking := emulator.missing():
         pytest.skip(lacking)
@@ -48,6 +56,7 @@ def test_drawn_slips_are_caught(file: str, number: int, tmp_path: Path) -> None:
 def test_there_are_enough() -> None:
     """Of every file of the firmware and of the host's side of the line, or it says why not."""
     assert len(NUMBERED) >= len(BY_HAND) >= 60
+    assert len([*BY_HAND][::EACH]) + len(NUMBERED[::EACH]) >= 60
     assert all(count >= 1 for count in DRAWS.values())
     there = [*(ROOT / FIRMWARE).glob("*.cpp"), *(ROOT / BOARD).glob("*.py")]
     assert {path.relative_to(ROOT).as_posix() for path in there} <= {*DRAWS, *OTHER}
