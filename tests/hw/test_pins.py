@@ -80,3 +80,17 @@ def test_steps_of_a_late_loop(armed: Host) -> None:
     assert armed.state is State.ARMED
     assert (armed.status["late"] - late) % 256 >= 20
     assert board.positions.tolist() == [1000] * 6
+
+
+def test_motors_brake_no_earlier_than_they_have_to(armed: Host) -> None:
+    """1000 steps at 9524 steps a second take 105 ms; getting there from 8000 and back costs little more than a millisecond."""
+    board = armed.board
+    board.counts_per_step(0)
+    armed.hold(0.05, tendons=[0] * 6, steps=True)
+    board.steps()
+    armed.hold(0.15, tendons=[1000] * 6, steps=True)
+    steps = board.steps()
+    took = [np.ptp(steps[steps[:, 1] == motor, 0]) for motor in range(6)]
+    print(took)
+    assert board.positions.tolist() == [1000] * 6
+    assert max(took) <= 0.1066

@@ -12,6 +12,11 @@ EQUIVALENT = {
         "if (was_armed) fail(Fault::RESET_WHILE_ARMED); motors::begin();",
     ): "The fault switches off motors that are off: until they are told otherwise their pins are inputs, pulled up outside.",
     (
+        f"{FIRMWARE}/board.cpp",
+        "if (state_ != State::IDLE) return Result::WRONG_STATE; if (dac::hung()) return Result::BUS;",
+        "if (dac::hung()) return Result::BUS; if (state_ != State::IDLE) return Result::WRONG_STATE;",
+    ): "With MCP4922 nothing ever hangs; with MCP4728 ARM is refused in either order.",
+    (
         f"{FIRMWARE}/motors.cpp",
         "if (bits == 0) continue; for (uint8_t left = count; left; --left) steps[pgm_read_byte(when++)] |= bits;",
         "for (uint8_t left = count; left; --left) steps[pgm_read_byte(when++)] |= bits; if (bits == 0) continue;",
@@ -21,6 +26,11 @@ EQUIVALENT = {
         "for (uint8_t k = 0; k < DACS; ++k) over[k].value = broken[k].value = stuck[k].value = 0;",
         "for (uint8_t k = 0; k < DACS; ++k) over[k].value = broken[k].value = stuck[k].value = 1;",
     ): "A counter rises by 24 every 6 ms, to 200, or by 6, to 1500: from 1 on it gets there in the same pass as from 0.",
+    (
+        f"{FIRMWARE}/motors.cpp",
+        "const bool ahead = distance > 0, forwards = speed[motor] > 0;",
+        "const bool ahead = distance > 0, forwards = speed[motor] >= 0;",
+    ): "A motor that stands is in either case started anew: its direction counts from STEP_START_HZ on.",
     (
         f"{FIRMWARE}/config.h",
         "constexpr uint8_t STEPS_MAX = TICKS / 2; // in a pass: every second tick",

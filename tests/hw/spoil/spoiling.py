@@ -13,7 +13,7 @@ DRAWS = {
     f"{FIRMWARE}/motors.cpp": 10,
     f"{FIRMWARE}/link.cpp": 8,
     f"{FIRMWARE}/adc.cpp": 5,
-    f"{FIRMWARE}/config.h": 5,
+    f"{FIRMWARE}/config.h": 3,
     f"{FIRMWARE}/frames.cpp": 6,
     f"{FIRMWARE}/memory.cpp": 5,
     f"{FIRMWARE}/uart.cpp": 5,
