@@ -8,6 +8,26 @@ from tests.hw.spoil.spoiling import FIRMWARE, StaleError, source
 EQUIVALENT = {
     (
         f"{FIRMWARE}/board.cpp",
+        "const uint8_t ms = since < 255 ? since : 255;",
+        "const uint8_t ms = since < 510 ? since : 255;",
+    ): "A pass that is later than 120 ms never comes: the watchdog bites.",
+    (
+        f"{FIRMWARE}/board.cpp",
+        "while (k < DACS && !disagrees(k) && adc::monitor(k) >= LIMITS.monitor_low && adc::monitor(k) <= LIMITS.monitor_trip) ++k;",
+        "while (k < DACS && !disagrees(k) && adc::monitor(k) >= LIMITS.monitor_low && adc::monitor(k) < LIMITS.monitor_trip) ++k;",
+    ): "One count, 0.03 kPa, at the trip itself; half a second after ARMED, with all set points at zero, it disagrees anyway.",
+    (
+        f"{FIRMWARE}/motors.cpp",
+        "if (rising & 1 << motor) position_[motor] = 0; if (!(bits & 1 << motor)) speed[motor] = fraction[motor] = 0;",
+        "if (!(bits & 1 << motor)) speed[motor] = fraction[motor] = 0; if (rising & 1 << motor) position_[motor] = 0;",
+    ): "They set different variables, and neither reads what the other sets.",
+    (
+        f"{FIRMWARE}/memory.cpp",
+        "if ((start.number ^ start.inverse) != 0xFFFF || (found && (int16_t)(start.number - last.number) < 0)) continue;",
+        "if ((start.number ^ start.inverse) != 0xFFFF || (found && (int16_t)(start.number - last.number) <= 0)) continue;",
+    ): "No two places hold the same number: each start writes one more than the largest.",
+    (
+        f"{FIRMWARE}/board.cpp",
         "motors::begin(); if (was_armed) fail(Fault::RESET_WHILE_ARMED);",
         "if (was_armed) fail(Fault::RESET_WHILE_ARMED); motors::begin();",
     ): "The fault switches off motors that are off: until they are told otherwise their pins are inputs, pulled up outside.",

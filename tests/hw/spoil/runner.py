@@ -123,12 +123,14 @@ def _copy(folder: Path) -> Path:
 
 
 def _caught(code: int, said: str) -> str | None:
-    """The first test that failed, by what pytest said; "compiler" where no firmware could be built."""
+    """The first test that failed, by what pytest said, or what else went wrong."""
     if code <= 0:
         return "crash" if code else None
     found = re.search(r"^(?:FAILED|ERROR) ([\w/.-]+(?:::\w+)*)", said, re.M)
     if re.search(r"^ERROR .* - RuntimeError: \S+\.(?:cpp|h|o|elf)\b", said, re.M):
         return "compiler"
+    if "ImportError while loading conftest" in said:
+        return "conftest.py"
     if found is None:
         raise RuntimeError(f"the tests cannot be run (pytest ended with {code}):\n{said[-2000:]}")
     return found[1].removeprefix("tests/hw/")

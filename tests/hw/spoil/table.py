@@ -16,7 +16,7 @@ class Outcome:
 
     Attributes:
         caught: the test that failed; "time-out" where the tests hung, "crash" where Python did not survive them, "compiler" where there is
-            nothing to test; None: it has survived.
+            nothing to test, "conftest.py" where none could begin; None: it has survived.
         seconds: how long that took.
     """
 
