@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 from tests.hw.spoil.operators import changes
-from tests.hw.spoil.spoiling import FIRMWARE, StaleError, source
+from tests.hw.spoil.spoiling import BOARD, FIRMWARE, StaleError, source
 
 EQUIVALENT = {
+    (
+        f"{FIRMWARE}/tepm.cpp",
+        "link::receive(); motors::alive();",
+        "motors::alive(); link::receive();",
+    ): "Receiving gives a sign of life after each byte itself.",
+    (
+        f"{BOARD}/rig.py",
+        "self.link.wait(lambda: self._clock() >= self._last + self._patience, self._last + self._patience - self._clock())",
+        "self.link.wait(lambda: self._clock() > self._last + self._patience, self._last + self._patience - self._clock())",
+    ): "At that very moment the wait's own time is over, too.",
     (
         f"{FIRMWARE}/board.cpp",
         "const uint8_t ms = since < 255 ? since : 255;",
