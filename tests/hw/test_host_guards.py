@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.board.link import Link, LinkError
 from tepm_opt.hw.board.protocol import ARM, CLEAR, DISARM, ESTOP, Message, State
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command
@@ -182,3 +184,9 @@ def test_beyond_the_limit_of_the_board(kind: str, per_unit: float, zero: int) ->
     values[4] = (2000 + 2.1) / per_unit
     with pytest.raises(InputError, match=r"actuator 5 = .* exceeds the limit that is compiled into the firmware"):
         convert(values, most)
+
+
+def test_the_real_line_is_listened_to_by_a_thread() -> None:
+    """Where nothing else is said: measurements and stops come in also while the caller is busy."""
+    for kind in (SerialRig, Link):
+        assert inspect.signature(kind).parameters["threaded"].default is True
