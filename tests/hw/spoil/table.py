@@ -62,7 +62,8 @@ def table(rows: list[Row], seed: int) -> str:
     lines = [
         "# Spoiling",
         "",
-        "Written by `python -m tests.hw.spoil --table`; `pytest -m slow tests/hw/test_spoiling.py` tries the same.",
+        "Written by `python -m tests.hw.spoil --table`; "
+        '`pytest -m "slow or study" tests/hw/test_spoiling.py` tries the same, `-m slow` a third of it.',
         "",
         "The safety side is made wrong on purpose, in one place at a time, in a copy, and the tests run until one fails. "
         f"{len(rows)} spoilings, {len(drawn)} of them drawn with the seed {seed}: {len(rows) - survived} caught, {survived} survived.",
