@@ -196,6 +196,8 @@ class Trace:
             if end > self._begin or (torn and self.frames and self.frames[-1].end == end and self.frames[-1].torn):
                 begins = [self._begin, *(range(max(self._begin, end - LONGEST), end) if torn else ())]
                 found = next((found for begin in begins if (found := decoded(bytes(self.stream[begin : end + 1])))), None)
+                if end == self._begin and (last := self.frames[-1]).kind is not None:  # the zero at its end was lost: this one ends it
+                    found = last.kind, last.values
                 kind, values = found or (None, {})
                 self.frames.append(Arrival(end + 1, kind.pack(**values) if kind else b"", kind, values, torn=torn))
             self._parsed = self._begin = end + 1
