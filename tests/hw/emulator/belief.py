@@ -77,10 +77,7 @@ class Belief:
                 while at >= 0 and trace.boot[at] == trace.boot[heard.record] and trace.clock[at] > told:
                     at -= 1
                 if told - trace.clock[at] not in (0, int(at in trace.late)) or heard.record - at > 2 * ANSWER_WINDOW:
-                    self._fail(
-                        at,
-                        f"its clock says {told}, {[int(self.trace.clock[k]) for k in range(max(at - 2, 0), min(at + 4, len(self.trace.clock)))]} were due around it, late {[k for k in range(at - 3, at + 4) if k in trace.late]}, heard in {heard.record}",
-                    )
+                    self._fail(at, f"STATUS of record {heard.record} told the clock {told}, which was {trace.clock[at]}")
                 self._statuses[at] = heard
             else:
                 self._others.setdefault(heard.record, []).append(heard)

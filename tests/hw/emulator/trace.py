@@ -140,8 +140,8 @@ class Trace:
             if heard.record >= 0:
                 break
             heard.record = int(np.searchsorted(cycles, heard.cycle, "right")) - 1
-            if self.records[heard.record]["kind"] == RESET and heard.cycle - int(cycles[heard.record]) < 2 * MS:
-                heard.record -= 1  # its last byte was on the line already
+            if self.records[heard.record]["kind"] == RESET:
+                heard.record -= 1  # its last byte was on the line already: before its first pass a board says nothing
 
     def _add(self, at: int, record: np.void) -> None:
         cycle, delivered = int(record["cycle"]), int(record["delivered"])
