@@ -41,6 +41,7 @@ def stops_at(watch: Watch, *, bad: dict[str, Any], good: int = 10, until: float 
         ({"tensions": (1.0, 1.0, 7.4)}, 0.0, Ending.LIMIT, "measured tension_13 is 106 % of its limit"),
         ({"tensions": (np.inf, 1.0, 1.0)}, 0.0, Ending.LIMIT, "tension_11"),
         ({"pressures": (np.nan, 5.3e5, np.nan)}, 0.0, Ending.LIMIT, "pressure_12"),
+        ({"pressures": (1e5, 5.3e5, 1e5), "tensions": (9.0, 1.0, 1.0)}, 0.0, Ending.LIMIT, "pressure_12"),
         ({"pressures": None, "tensions": (8.0, 1.0, 1.0)}, 0.0, Ending.LIMIT, "tension_11"),
         ({"pressures": (1e5, 1e5, np.nan)}, 0.2, Ending.UNMEASURED, "pressure_13 was not measured for 0.2 s"),
         ({"tensions": (1.0, -np.inf, 1.0)}, 0.2, Ending.UNMEASURED, "tension_12"),
