@@ -33,7 +33,7 @@ FIRST = {
     ".h": ("test_faults", "test_firmware"),
     "guard.py": ("test_guard",),
     "commands.py": ("test_serial_rig", "test_simulated"),
-    ".py": ("test_host_guards", "test_serial_rig"),
+    ".py": ("test_host_guards", "test_opening", "test_serial_rig"),
 }
 """Test files that notice most of what is wrong in a file, by the end of its name."""
 LEFT_OUT = ("test_spoiling", "test_loop")
