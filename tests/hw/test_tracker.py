@@ -221,7 +221,8 @@ def test_every_sample_arrives_in_order():
     assert len(frames) == last - first + 1 > 300
     assert (np.diff(times) > 0).all()
     assert np.median(np.abs(times - stamps[first : last + 1])) < 1e-3
-    assert {frame.status for frame in frames} == {"ok"}
+    for frame, gap in zip(frames, np.diff(times, prepend=times[0]), strict=True):  # where the machine stood still, the server was silent
+        assert frame.status == "ok" or (gap > 5 / RATE and frame.status == f"tracker was silent for {gap:.2f} s")
     assert frames[-1].transforms[:, :3, :3] == pytest.approx(still(0)[:, :3, :3], abs=1e-6)
     assert frames[-1].transforms[:, :3, 3] == pytest.approx(still(0)[:, :3, 3] / 1000, abs=1e-6)
     assert tracker.statistics.clock_offset == pytest.approx(-1000, abs=2e-3)
