@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tepm_opt.errors import InputError
-from tepm_opt.models.backends.ccode import find_compiler
+from tepm_opt.models.backends.compiler import find_compiler
 
 FLAGS = ("-O3", "-march=native")
 

@@ -11,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
-from tepm_opt.models.backends.ccode import find_compiler
+from tepm_opt.models.backends.compiler import find_compiler
 from tepm_opt.models.compile import CompiledModel, compile_model
 
 settings.register_profile("suite", deadline=None, derandomize=True, max_examples=50)

@@ -24,7 +24,7 @@ from tepm_opt.jobs.course import Course
 from tepm_opt.solvers.gain import WorkspaceMap, workspace_map
 from tepm_opt.solvers.trajectories import circle
 
-NO_COMPILER = "no C compiler"  # a warning that is no fault, see ccode
+NO_COMPILER = "no C compiler"  # a warning that is no fault, see models.backends.compiler
 PNG = b"\x89PNG\r\n\x1a\n"
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.errors import InputError
-from tepm_opt.models.backends import ccode, store
+from tepm_opt.models.backends import compiler as c_compiler
+from tepm_opt.models.backends import store
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tests.tools import variant
@@ -17,7 +18,7 @@ SMALL = variant(geometry={"modules": 1, "segments_per_module": 1, "bracing": "si
 
 
 def test_without_a_compiler_python_runs_and_says_so_once(empty_cache, monkeypatch, recwarn):
-    monkeypatch.setattr(ccode, "find_compiler", lambda: None)
+    monkeypatch.setattr(c_compiler, "find_compiler", lambda: None)
     models = [compile_model(SMALL) for _ in range(2)]
     assert not any(model.is_c for model in models)
     assert [str(warning.message)[:20] for warning in recwarn] == ["no C compiler found:"]
@@ -26,8 +27,8 @@ def test_without_a_compiler_python_runs_and_says_so_once(empty_cache, monkeypatc
 
 
 def test_a_compiler_that_fails_is_no_obstacle(empty_cache, monkeypatch):
-    monkeypatch.setattr(ccode, "find_compiler", lambda: (shutil.which("false") or "/bin/false",))
-    with pytest.warns(RuntimeWarning, match="compiling the network failed, CasADi's virtual machine is used"):
+    monkeypatch.setattr(c_compiler, "find_compiler", lambda: (shutil.which("false") or "/bin/false",))
+    with pytest.warns(RuntimeWarning, match="compiling failed: CasADi's virtual machine is used"):
         model = compile_model(SMALL)
     assert not model.is_c
     assert list(empty_cache.iterdir()) == []
@@ -45,13 +46,13 @@ def test_the_cache_is_keyed_by_the_network_not_by_its_parameters(empty_cache, mo
     assert compile_model(model, backend="c").is_c
     libraries = list(empty_cache.iterdir())
     assert [library.suffix for library in libraries] == [".so"]
-    monkeypatch.setattr(ccode.subprocess, "run", None)  # a second compilation would fail
+    monkeypatch.setattr(c_compiler.subprocess, "run", None)  # a second compilation would fail
     assert compile_model(model.with_parameters(K_a=300.0), backend="c").is_c
     assert list(empty_cache.iterdir()) == libraries
 
 
 def test_who_comes_while_it_is_compiled_waits_for_it(empty_cache, monkeypatch, compiler):
-    compiled, compile_text, together = [], ccode._compile, Barrier(2)
+    compiled, compile_text, together = [], c_compiler._compile, Barrier(2)
 
     def counted(*arguments):
         compiled.append(arguments)
@@ -62,7 +63,7 @@ def test_who_comes_while_it_is_compiled_waits_for_it(empty_cache, monkeypatch, c
         return compile_model(SMALL, backend="c").is_c
 
     pytest.importorskip("fcntl")
-    monkeypatch.setattr(ccode, "_compile", counted)
+    monkeypatch.setattr(c_compiler, "_compile", counted)
     with ThreadPoolExecutor(2) as pool:
         assert all(pool.map(load, range(2)))
     assert len(compiled) == 1

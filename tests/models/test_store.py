@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tepm_opt.models.backends import ccode, store
-from tepm_opt.models.backends.ccode import find_compiler
+from tepm_opt.models.backends import compiler as c_compiler
+from tepm_opt.models.backends import store
+from tepm_opt.models.backends.compiler import find_compiler
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tests.models.test_compile import SMALL
 
@@ -29,7 +30,7 @@ def content(compiler, tmp_path_factory) -> bytes:
 def compilations(content, monkeypatch) -> list[str]:
     """A list that gets the text of each compilation; they take no time."""
     texts = []
-    monkeypatch.setattr(ccode, "_compile", lambda compiler, text: texts.append(text) or content)
+    monkeypatch.setattr(c_compiler, "_compile", lambda compiler, text, flags: texts.append(text) or content)
     return texts
 
 

@@ -3,44 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import os
-import platform
 import re
-import shutil
-import subprocess
-import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
-from importlib import resources, util
+from functools import cached_property
+from importlib import resources
 from pathlib import Path
 
 import casadi as ca
 
-from tepm_opt.models.backends import store
+from tepm_opt.models.backends import compiler
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
-
-
-@cache
-def find_compiler() -> tuple[str, ...] | None:
-    """Command of a C compiler: $CC, cc, gcc, clang, or the PyPI package ziglang where that is installed; None without one."""
-    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
-        if name and (path := shutil.which(name)):
-            return (path,)
-    return (sys.executable, "-P", "-m", "ziglang", "cc") if util.find_spec("ziglang") else None
-
-
-@cache
-def _machine(compiler: tuple[str, ...]) -> str:
-    version = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=False).stdout
-    try:
-        flags = next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Features")))
-    except (OSError, StopIteration):
-        flags = platform.processor()
-    return "\n".join((*compiler, version, platform.platform(), flags))
 
 
 @dataclass(frozen=True)
@@ -130,36 +104,5 @@ def _in_lanes(text: str, name: str, function: ca.Function) -> str:
 
 def build(unit: Unit) -> ctypes.CDLL | None:
     """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
-    compiler = find_compiler()
-    if compiler is None:
-        store.warn_once("no C compiler found: CasADi's virtual machine is used, with the same results, some 50 times slower")
-        return None
-    text = unit.source
-    key = hashlib.sha256("\n".join((text, *FLAGS, _machine(compiler))).encode()).hexdigest()[:24]
-    name = f"{Path(unit.loops).stem}-{key}"
-    try:
-        with store.opened_folder() as folder:
-            if library := store.load(folder, name, unit.symbols):
-                return library
-            with store.turn(folder, name):
-                if library := store.load(folder, name, unit.symbols):
-                    return library
-                return store.open_library(store.keep(folder, name, _compile(compiler, text)), unit.symbols)
-    except (OSError, subprocess.CalledProcessError, ValueError, AttributeError) as error:
-        detail = getattr(error, "stderr", None) or str(error)
-        store.warn_once(f"compiling the network failed, CasADi's virtual machine is used: {detail.strip().splitlines()[0]}")
-        return None
-
-
-def _compile(compiler: tuple[str, ...], text: str) -> bytes:
-    """The library of a C text.
-
-    Raises:
-        subprocess.CalledProcessError: the compiler refuses.
-    """
-    with tempfile.TemporaryDirectory(prefix="tepm_opt-") as folder:  # closed to others
-        code, library = Path(folder) / "network.c", Path(folder) / "network.so"
-        code.write_text(text, encoding="utf-8")
-        command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(library), str(code), "-lm"]
-        subprocess.run(command, check=True, capture_output=True, text=True)
-        return library.read_bytes()
+    instead = "CasADi's virtual machine is used, with the same results, some 50 times slower"
+    return compiler.build(unit.source, Path(unit.loops).stem, unit.symbols, FLAGS, instead)
