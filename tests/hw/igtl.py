@@ -23,6 +23,7 @@ RATE = 240.0
 PERIOD = 1 / RATE
 AHEAD = 1000.0  # the server's clock is ahead of the host's by so many s
 DELAY = 2e-4
+PATIENCE = 60.0  # s until a test gives up on another thread
 SIZE, STAMP = 58 + 48, 34
 """Bytes of a TRANSFORM message, and where in it the time stamp is: seconds and 2⁻³² seconds."""
 
@@ -58,19 +59,11 @@ class PlusServer:
     Attributes:
         sent: stamps of all samples that were handed to the socket.
         shift: server's clock − `time.monotonic` in s.
-        lost: indices of sensors of which nothing is sent.
-        frozen: nothing is sent (but the connection stays).
-        held: samples are stamped in time, but sent only when this is False again.
-        jump: added to the positions, (4, 3) in mm.
     """
 
     def __init__(self, rate: float = 240.0, poses: Callable[[float], np.ndarray] = still, port: int = 0, shift: float = 1000.0) -> None:
         self.rate, self.poses, self.port, self.shift = rate, poses, port, shift
         self.sent: list[float] = []
-        self.lost: Sequence[int] = ()
-        self.frozen = self.held = False
-        self.jump = np.zeros((4, 3))
-        self.connections = 0
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -94,10 +87,7 @@ class PlusServer:
 
     def packed(self, elapsed: float) -> bytearray:
         """A sample as one piece of bytes, with a time stamp to be written over."""
-        poses = self.poses(elapsed).copy()
-        poses[:, :3, 3] += self.jump
-        sensors = [i for i in range(4) if i not in self.lost]
-        return bytearray(b"".join(TransformMessage(poses[i], timestamp=0.0, device_name=DEVICES[i]).pack() for i in sensors))
+        return packed(np.zeros((4, 3)), range(4), self.poses(elapsed))
 
     def _run(self, listener: socket.socket) -> None:
         with listener:
@@ -105,27 +95,20 @@ class PlusServer:
                 if not select.select([listener], [], [], 0.02)[0]:
                     continue
                 client, _ = listener.accept()
-                self.connections += 1
                 with client, contextlib.suppress(OSError):
                     client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                     self._send(client)
 
     def _send(self, client: socket.socket) -> None:
         start = due = time.monotonic()
-        backlog: list[tuple[float, bytes]] = []
         while not self._stop.is_set():
             due = max(due + 1 / self.rate, time.monotonic())  # a sample that is late is not caught up with
             time.sleep(max(due - 0.3 / self.rate - time.monotonic(), 0))  # the client's threads have the interpreter meanwhile
             data = self.packed(due - start)
             time.sleep(max(due - time.monotonic(), 0))
-            if self.frozen:
-                continue
             stamp = time.monotonic() + self.shift
-            backlog.append((stamp, stamped(data, stamp)))
-            if not self.held:
-                client.sendall(b"".join(data for _, data in backlog))
-                self.sent += [stamp for stamp, _ in backlog]
-                backlog.clear()
+            client.sendall(stamped(data, stamp))
+            self.sent.append(stamp)
             if select.select([client], [], [], 0)[0] and not client.recv(1 << 12):
                 return
 
@@ -169,6 +152,111 @@ class Feed:
         return self
 
 
+class SteppedServer:
+    """A server over a socket on a clock of the test's own: a sample goes out, and time passes, when the test says so, however slow it runs.
+
+    Attributes:
+        port: where it listens.
+        now: the host's time in s.
+        shift: server's clock − host's.
+        sent: host's times of all samples.
+        lost: indices of sensors of which nothing is sent.
+        jump: added to the positions, (4, 3) in mm.
+        held: samples are stamped, but sent only with the first one when this is False again.
+        connections: accepted so far.
+    """
+
+    def __init__(self, rate: float = RATE, shift: float = AHEAD) -> None:
+        self.period, self.shift, self.now, self.connections = 1 / rate, shift, 100.0, 0
+        self.lost: Sequence[int] = ()
+        self.jump, self.held = np.zeros((4, 3)), False
+        self.sent: list[float] = []
+        self._backlog = b""
+        self.port = 0
+        self.start()
+
+    def start(self) -> None:
+        """Listen; on the same port as before if it was stopped."""
+        self._listener = socket.create_server(("127.0.0.1", self.port))
+        self._listener.settimeout(PATIENCE)
+        self.port = self._listener.getsockname()[1]
+
+    def stop(self) -> None:
+        """Close everything."""
+        self._listener.close()
+        self.client.close()
+
+    def clock(self) -> float:
+        """The host's time in s."""
+        return self.now
+
+    def tracker(self, **settings: object) -> IgtlTracker:
+        """A tracker that is connected."""
+        tracker = IgtlTracker(link(port=self.port, rate_hz=1 / self.period, **settings), self.clock)
+        self.accept()
+        return tracker
+
+    def accept(self) -> None:
+        """Wait for the next connection."""
+        self.client, _ = self._listener.accept()
+        self.client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.connections += 1
+
+    def sample(self, tracker: IgtlTracker, pieces: Sequence[int] = (), garbage: bytes = b"") -> list[Frame]:
+        """Let a period pass, send a sample and return the frames that are ready then.
+
+        Args:
+            tracker: that has to take it.
+            pieces: places at which the bytes are cut; a moment passes after each.
+            garbage: sent behind the poses: messages that count as malformed, one or none.
+        """
+        self.now += self.period
+        self.sent.append(self.now)
+        sensors = [i for i in range(4) if i not in self.lost]
+        self._backlog += stamped(packed(self.jump, sensors), self.now + self.shift) + garbage
+        if self.held:
+            return list(iter(lambda: tracker.read(0), None))
+        messages = len(self._backlog) // SIZE if not garbage else len(sensors)
+        before, data, self._backlog = tracker.statistics, self._backlog, b""
+        for start, end in zip((0, *pieces), (*pieces, len(data)), strict=True):
+            self.client.sendall(data[start:end])
+            time.sleep(0.002 if pieces else 0)
+        wait_until(
+            lambda: (
+                tracker.statistics.received == before.received + messages
+                and tracker.statistics.malformed == before.malformed + bool(garbage)
+            )
+        )
+        return list(iter(lambda: tracker.read(0), None))
+
+    def samples(self, tracker: IgtlTracker, count: int) -> list[Frame]:
+        """The frames of so many samples."""
+        return [frame for _ in range(count) for frame in self.sample(tracker)]
+
+    def __enter__(self) -> SteppedServer:
+        """The server itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Stopped."""
+        self.stop()
+
+
+def packed(jump: np.ndarray, sensors: Sequence[int], poses: np.ndarray | None = None) -> bytearray:
+    """A sample as one piece of bytes, with a time stamp to be written over."""
+    poses = still(0) if poses is None else poses.copy()
+    poses[:, :3, 3] += jump
+    return bytearray(b"".join(TransformMessage(poses[i], timestamp=0.0, device_name=DEVICES[i]).pack() for i in sensors))
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    """Wait for what another thread is about to do."""
+    end = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < end, "nothing happens"
+        time.sleep(1e-4)
+
+
 def read_for(tracker: IgtlTracker, seconds: float) -> list[Frame]:
     """All frames of some time."""
     end, frames = time.monotonic() + seconds, []
@@ -176,9 +264,3 @@ def read_for(tracker: IgtlTracker, seconds: float) -> list[Frame]:
         if frame := tracker.read(left):
             frames.append(frame)
     return frames
-
-
-def true_ages(server: PlusServer, frames: list[Frame]) -> np.ndarray:
-    """Each frame's error of time against the nearest stamp the server sent, in s."""
-    stamps = np.array(server.sent) - server.shift
-    return np.array([np.abs(stamps - frame.time).min() for frame in frames])
