@@ -237,6 +237,15 @@ class RealTime:
         pass
 
 
+def test_a_board_that_tells_its_state_but_was_never_armed(fake: FakeBoard) -> None:
+    """It is heard, and acts on no set points: that is said."""
+    link = Link(RealTime(fake), time.monotonic)
+    link.hello()
+    link.wait(lambda: link.status is not None, 60.0)
+    with pytest.raises(LinkError, match="the board is not armed"):
+        link.confirm()
+
+
 @pytest.mark.parametrize("trouble", [{"state": 77}, None])
 def test_the_listener_never_dies_in_silence(fake: FakeBoard, trouble: dict[str, int] | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever goes wrong in its thread: those who wait, and those who send set points, hear of it at once."""
