@@ -65,6 +65,7 @@ typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
 static inline vector lanes_sq(vector x) { return x * x; }
 static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }
 static inline vector lanes_fabs(vector x) { for (int i = 0; i < LANES; i++) x[i] = fabs(x[i]); return x; }
+static inline vector lanes_sign(vector x) { for (int i = 0; i < LANES; i++) x[i] = x[i] < 0 ? -1 : x[i] > 0 ? 1 : x[i]; return x; }
 """
 
 
@@ -94,7 +95,7 @@ def _in_lanes(text: str, name: str, function: ca.Function) -> str:
     if body:
         code = body[1].replace("casadi_real", "vector").replace("return 0;", "")
         code = re.sub(r"=(-?[\d.]+(?:e[-+]?\d+)?);", r"=(vector){0}+\1;", code)
-        code = re.sub(r"\b(?:casadi_)?(sq|sqrt|fabs)\(", r"lanes_\1(", code)
+        code = re.sub(r"\b(?:casadi_)?(sq|sqrt|fabs|sign)\(", r"lanes_\1(", code)
         if not re.search(r"[?<>!&|]|\b(?!lanes_)[A-Za-z_]\w*\(", code):
             return f"static void {name}_lanes(const vector *const *arg, vector *const *res) {{\n{code}\n}}"
     sizes = [function.nnz_in(k) for k in range(function.n_in())], [function.nnz_out(k) for k in range(function.n_out())]

@@ -13,6 +13,7 @@
 #define NINPUT (NU + NEXT)
 #define BATCHES ((NLEV + LANES - 1) / LANES)      /* of segments that go through a kernel together */
 #define AT_LEAST_1(n) ((n) ? (n) : 1)
+#define BY_ROWS (2 * NB + NEDGE)
 
 typedef double levels[NLEV + 1][NB];
 typedef vector lanes[NLEV + 2][NB];
@@ -35,18 +36,24 @@ typedef struct { /* levels and edge states of a stage, or their rates */
   vector y[NLEV][AT_LEAST_1(NEDGE)];
 } lane_rates;
 
+typedef struct { /* entries of segment_by that the directions need, row by row, those of velocities behind the others of their row */
+  int start[BY_ROWS + 1], moving[BY_ROWS], entry[segment_by_nnz], column[segment_by_nnz];
+} selection;
+
 typedef struct {
   levels x, v, force;
   double y[NLEV][AT_LEAST_1(NEDGE)], rate[NLEV][AT_LEAST_1(NEDGE)]; /* edge states before a stage, their rates at its end */
   double P[NLEV][NPROP], level_0[NB], a[NU], external[NEXT];
   panel diagonal[NLEV + 1], below[NLEV + 1], above[NLEV + 1]; /* blocks of rows l by columns l, l - 1; rows l - 1 by columns l */
   double step[NLEV + 2][NB];
-  vector packed_P[BATCHES][NPROP], packed_theta[NTHETA], by_state[BATCHES][segment_by_nnz]; /* a segment is a lane of a batch */
+  vector packed_P[BATCHES][NPROP], packed_theta[NTHETA]; /* a segment is a lane of a batch */
+  double by[NLEV][segment_by_nnz]; /* segment_by of every segment, as the selection orders it */
+  selection chosen;
   double block[4 * NB * NB], by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
   double kernel_work[SZ_W + 1];
   casadi_int kernel_iwork[SZ_IW + 1];
   const double *theta;
-  int factored, velocities[2]; /* entries of segment_by that belong to velocities */
+  int factored;
 } work;
 
 typedef struct { /* inputs over time */
@@ -326,26 +333,59 @@ static void properties_along(stepper *m, work *w, double t, const vector *a, int
   for (int k = 0; k < properties_by_nnz; k++) P_level_0[properties_by_row[k]] += w->by_properties[k] * in[properties_by_col[k]];
 }
 
-static inline double entry(const work *w, int s, int k) { return w->by_state[s / LANES][k][s % LANES]; }
+/* Columns of parameters that no direction changes are left out. */
+static void choose(work *w, int groups, const vector *d_theta) {
+  char changes[NTHETA] = {0};
+  for (int k = 0; k < groups * NTHETA; k++) for (int lane = 0; lane < LANES; lane++) changes[k % NTHETA] |= d_theta[k][lane] != 0;
+  selection *c = &w->chosen;
+  int count = 0;
+  for (int row = 0; row < BY_ROWS; row++) {
+    c->start[row] = count;
+    for (int of_velocities = 0; of_velocities < 2; of_velocities++) {
+      if (of_velocities) c->moving[row] = count;
+      for (int k = 0; k < segment_by_nnz; k++) {
+        int column = segment_by_col[k];
+        if (segment_by_row[k] != row || (column >= AT_V && column < AT_Y) != of_velocities) continue;
+        if (column >= AT_THETA && !changes[column - AT_THETA]) continue;
+        c->entry[count] = k;
+        c->column[count++] = column;
+      }
+    }
+  }
+  c->start[BY_ROWS] = count;
+}
+
+/* Some of the chosen entries of a segment times a direction; sums of their own that do not wait for each other. */
+static inline vector product(const work *w, int s, int from, int until, const vector *in) {
+  const double *by = w->by[s];
+  const int *column = w->chosen.column;
+  vector sum[4] = {{0}};
+  int k = from;
+  for (; k + 4 <= until; k += 4) for (int i = 0; i < 4; i++) sum[i] += by[k + i] * in[column[k + i]];
+  for (; k < until; k++) sum[0] += by[k] * in[column[k]];
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
 
 /* Jacobians of a stage: segments (and, if `resting`, the factored stiffness of the network at rest), properties. */
 static int linearise(work *w, double step, const double *a, int resting) {
   const double *arg_P[] = {a, w->external, w->theta};
   double *res_P[] = {w->by_properties};
   run(properties_by, w, arg_P, res_P);
-  vector time = (vector){0} + step;
+  vector time = (vector){0} + step, by[segment_by_nnz];
   for (int first = 0; first < NLEV; first += LANES) {
     batch b;
-    gather(w, first, &b);
+    int count = gather(w, first, &b);
     const vector *arg[] = {b.x[0], b.x[1], b.v[0], b.v[1], b.y, &time, w->packed_P[first / LANES], w->packed_theta};
-    vector *res[] = {w->by_state[first / LANES]};
+    vector *res[] = {by};
     segment_by_lanes(arg, res);
-  }
-  for (int s = 0; s < NLEV && resting; s++) {
-    memset(w->block, 0, sizeof w->block);
-    for (int k = 0; k < segment_by_nnz; k++)
-      if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) w->block[segment_by_col[k] * 2 * NB + segment_by_row[k]] = entry(w, s, k);
-    scatter(w, s, w->block);
+    for (int k = 0; k < w->chosen.start[BY_ROWS]; k++)
+      for (int lane = 0; lane < count; lane++) w->by[first + lane][k] = by[w->chosen.entry[k]][lane];
+    for (int lane = 0; lane < count && resting; lane++) {
+      memset(w->block, 0, sizeof w->block);
+      for (int k = 0; k < segment_by_nnz; k++)
+        if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) w->block[segment_by_col[k] * 2 * NB + segment_by_row[k]] = by[k][lane];
+      scatter(w, first + lane, w->block);
+    }
   }
   return resting ? factor(w) : 0;
 }
@@ -353,20 +393,17 @@ static int linearise(work *w, double step, const double *a, int resting) {
 /* One group of directions through a stage: from *d at its start (x_0, v_0, y_0) to the rates at its end, with the matrix at hand.
    Without `step` the network rests and d->x becomes how its equilibrium moves. */
 static void differentiate(stepper *m, work *w, int group, double t, double step, const vector *a, lane_rates *d, levels v_0) {
-  vector P[NLEV * NPROP + NB], rhs[NLEV + 2][NB] = {{{0}}}, in[NLEV][SEGMENT];
+  vector P[NLEV * NPROP + NB], rhs[NLEV + 2][NB] = {{{0}}}, in[SEGMENT];
+  const selection *c = &w->chosen;
   properties_along(m, w, t, a, group, P);
   memcpy(d->x[0], P + NLEV * NPROP, sizeof d->x[0]);
   memset(d->v[0], 0, sizeof d->v[0]);
+  memcpy(in + AT_THETA, m->inputs->d_theta + group * NTHETA, NTHETA * sizeof(vector));
   for (int s = 0; s < NLEV; s++) {
-    vector out[2 * NB + NEDGE];
-    memset(out, 0, sizeof out);
-    memcpy(in[s], d->x[s], 2 * NB * sizeof(vector));
-    memcpy(in[s] + AT_Y, d->y[s], NEDGE * sizeof(vector));
-    memcpy(in[s] + AT_P, P + s * NPROP, NPROP * sizeof(vector));
-    memcpy(in[s] + AT_THETA, m->inputs->d_theta + group * NTHETA, NTHETA * sizeof(vector));
-    for (int k = 0; k < w->velocities[0]; k++) out[segment_by_row[k]] += entry(w, s, k) * in[s][segment_by_col[k]];
-    for (int k = w->velocities[1]; k < segment_by_nnz; k++) out[segment_by_row[k]] += entry(w, s, k) * in[s][segment_by_col[k]];
-    for (int i = 0; i < NB; i++) { rhs[s][i] -= out[i]; rhs[s + 1][i] -= out[NB + i]; }
+    memcpy(in, d->x[s], 2 * NB * sizeof(vector));
+    memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
+    memcpy(in + AT_P, P + s * NPROP, NPROP * sizeof(vector));
+    for (int i = 0; i < 2 * NB; i++) rhs[s + i / NB][i % NB] -= product(w, s, c->start[i], c->moving[i], in);
     if (step > 0)
       for (int i = 0; i < NB; i++)
         rhs[s + 1][i] += (w->P[s][MASS] * d->v[s + 1][i] - P[s * NPROP + MASS] * (w->v[s + 1][i] - v_0[s + 1][i])) / step;
@@ -380,13 +417,11 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
     }
   if (!(step > 0)) return;
   for (int s = 0; s < NLEV && NEDGE; s++) {
-    vector out[2 * NB + NEDGE];
-    memset(out, 0, sizeof out);
-    memcpy(in[s], d->x[s], 2 * NB * sizeof(vector));
-    memcpy(in[s] + AT_V, rhs[s], 2 * NB * sizeof(vector));
-    for (int k = 0; k < segment_by_nnz; k++)
-      if (segment_by_row[k] >= 2 * NB) out[segment_by_row[k]] += entry(w, s, k) * in[s][segment_by_col[k]];
-    memcpy(d->y[s], out + 2 * NB, NEDGE * sizeof(vector));
+    memcpy(in, d->x[s], 2 * NB * sizeof(vector));
+    memcpy(in + AT_V, rhs[s], 2 * NB * sizeof(vector));
+    memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
+    memcpy(in + AT_P, P + s * NPROP, NPROP * sizeof(vector));
+    for (int i = 0; i < NEDGE; i++) d->y[s][i] = product(w, s, c->start[2 * NB + i], c->start[2 * NB + i + 1], in);
   }
   memcpy(d->x[1], rhs[1], NLEV * sizeof rhs[0]); /* rates: velocity, acceleration, dy/dt */
 }
@@ -573,13 +608,11 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
   if (!w) return STUCK;
   memset(w, 0, sizeof *w);
   w->theta = theta;
-  while (w->velocities[0] < segment_by_nnz && segment_by_col[w->velocities[0]] < AT_V) w->velocities[0]++;
-  w->velocities[1] = w->velocities[0];
-  while (w->velocities[1] < segment_by_nnz && segment_by_col[w->velocities[1]] < AT_Y) w->velocities[1]++;
   for (int k = 0; k < NTHETA; k++) w->packed_theta[k] = (vector){0} + theta[k];
   state *s = (state *)carried;
   history inputs = {.time = time, .rows = rows, .d_rows = (const vector *)d_rows, .samples = samples, .hold = hold, .groups = groups,
                     .d_theta = (const vector *)d_theta};
+  if (groups) choose(w, groups, inputs.d_theta);
   const double *arg[] = {theta};
   double *res[] = {&inputs.delay}, *res_by[] = {inputs.by_delay};
   run(delay, w, arg, res);
