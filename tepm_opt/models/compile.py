@@ -15,7 +15,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.backends import ccode
 from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
 from tepm_opt.models.backends.interface import StaticsBackend, TimeStepper
-from tepm_opt.models.backends.statics import PythonStatics
+from tepm_opt.models.backends.kinematics import PythonKinematics
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
 from tepm_opt.models.dynamics import write_dynamics
 from tepm_opt.models.effect import ActiveEffect, Effect
@@ -42,7 +42,7 @@ class CompiledModel:
     network: Network
     theta: np.ndarray
     statics: StaticsBackend
-    reference: PythonStatics
+    reference: PythonKinematics
 
     def __repr__(self) -> str:
         size = f"{self.layout.levels} levels, {self.layout.inputs} inputs, {len(self.theta)} parameters"
@@ -191,7 +191,7 @@ def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c
     """
     model = model if isinstance(model, Model) else Model.of(model)
     network = write_network(model)
-    reference = PythonStatics(network)
+    reference = PythonKinematics(network)
     library = None if backend == "python" else ccode.build(statics_unit(network))
     if backend == "c" and library is None:
         raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")

@@ -114,12 +114,11 @@ class Actuation(Section):
         return self
 
 
-def on_grid(values: np.ndarray, step: float, limit: float | np.ndarray) -> np.ndarray:
+def on_grid(values: np.ndarray, step: float | np.ndarray, limit: float | np.ndarray) -> np.ndarray:
     """Values rounded to whole steps, from 0 to the largest step within `limit`; as they are where the step is 0 (continuous)."""
-    if not step:
-        return np.asarray(values)
-    steps = np.rint(np.divide(values, step))
-    return np.minimum(np.maximum(steps, 0.0), np.floor(limit / step * (1 + 1e-12))) * step
+    whole = np.where(np.equal(step, 0), 1.0, step)
+    steps = np.minimum(np.maximum(np.rint(np.divide(values, whole)), 0.0), np.floor(limit / whole * (1 + 1e-12)))
+    return np.where(np.equal(step, 0), values, steps * whole)
 
 
 class Mount(Section):

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tepm_opt.models.backends.interface import Allotment
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.choices import ActuationMode
-
-PRECISION = 1e-10  # N
-ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +47,17 @@ def force_range(model: CompiledModel, mode: ActuationMode) -> tuple[np.ndarray, 
     return axial_forces(model, full_tension), axial_forces(model, model.robot.actuation.on_grid(full_pressure))
 
 
-def allocate(model: CompiledModel, forces: np.ndarray, mode: ActuationMode, mid_tension: float | None = None) -> Allocation:
-    """Set points that make the axial forces.
+def allotment(model: CompiledModel, mode: ActuationMode, mid_tension: float | None = None) -> Allotment:
+    """How a mode makes axial forces; see `allocate`."""
+    start, half = np.zeros(model.layout.inputs), model.layout.inputs // 2
+    hybrid = mode is ActuationMode.HYBRID
+    if hybrid:
+        start[half:] = model.input_max[half:] / 2 if mid_tension is None else mid_tension
+    return Allotment(model.values["A"], start, model.input_max, model.input_step, hybrid)
 
-    Effects bend the way from set points to forces, so it is inverted by iterating with the nominal one, F_a = p A - lambda;
-    that contracts as long as effects change forces by less than their own size.
+
+def allocate(model: CompiledModel, forces: np.ndarray, mode: ActuationMode, mid_tension: float | None = None) -> Allocation:
+    """Set points that make the axial forces, through the effects' input maps.
 
     Args:
         model: compiled model.
@@ -61,33 +65,4 @@ def allocate(model: CompiledModel, forces: np.ndarray, mode: ActuationMode, mid_
         mode: pressure or hybrid.
         mid_tension: tension about which the hybrid mode keeps its authority, N; the middle of the range where absent.
     """
-    area, limit, half = model.values["A"], model.input_max, len(forces)
-    inputs = np.zeros(2 * half)
-    if mode is ActuationMode.HYBRID:
-        inputs[half:] = limit[half:] / 2 if mid_tension is None else mid_tension
-    _correct(model, inputs, forces, slice(0, half), 1 / area)
-    if mode is ActuationMode.HYBRID:
-        inputs[:half] = model.robot.actuation.pressures_on_grid(inputs[:half])
-        _correct(model, inputs, forces, slice(half, None), -1.0)
-    error = float(np.abs(forces - axial_forces(model, inputs)).max())
-    return Allocation(inputs, model.robot.actuation.on_grid(inputs), error)
-
-
-def _correct(model: CompiledModel, inputs: np.ndarray, forces: np.ndarray, part: slice, gain: float) -> None:
-    """Change one part of the inputs in place, within limits, until the forces are met or nothing moves.
-
-    Where an input does not answer (a dead zone), its steps double until it does.
-    """
-    boost, before = np.ones(len(forces)), np.full(len(forces), np.inf)
-    for _ in range(ITERATIONS):
-        missing = forces - axial_forces(model, inputs)
-        if np.abs(missing).max() < PRECISION:
-            return
-        unanswered = (np.abs(missing) > 0.9 * np.abs(before)) & (np.sign(missing) == np.sign(before))  # what was overshot did answer
-        boost = np.where(unanswered, 2 * boost, 1.0)
-        before = missing
-        changed = np.clip(inputs[part] + gain * boost * missing, 0.0, model.input_max[part])
-        moved = np.abs(changed - inputs[part]).max() / abs(gain)
-        inputs[part] = changed
-        if moved < PRECISION:
-            return
+    return Allocation(*model.statics.allocate(forces, allotment(model, mode, mid_tension), model.theta))

@@ -25,7 +25,7 @@ class Unit:
         kernels: CasADi functions; of one with a sparse result the C text also gets `<name>_nnz`, `<name>_row` and `<name>_col`.
         sizes: macros by name; LANES, the doubles in a vector, is one of them.
         arrays: static arrays of integers by name.
-        loops: name of the C file in this package.
+        loops: names of the C files in this package, one after the other.
         symbols: functions that are called from outside.
         lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments at once.
     """
@@ -33,7 +33,7 @@ class Unit:
     kernels: Mapping[str, ca.Function]
     sizes: Mapping[str, float]
     arrays: Mapping[str, Sequence[int]]
-    loops: str
+    loops: tuple[str, ...]
     symbols: tuple[str, ...]
     lanes: tuple[str, ...] = ()
 
@@ -53,9 +53,9 @@ class Unit:
                 arrays |= {f"{name}_row": pattern.row(), f"{name}_col": pattern.get_col()}
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
         lines += [f"static const int {name}[] = {{{', '.join(map(str, values)) or '0'}}};" for name, values in arrays.items()]
-        loops = (resources.files("tepm_opt.models.backends") / self.loops).read_text(encoding="utf-8")
+        loops = [(resources.files("tepm_opt.models.backends") / name).read_text(encoding="utf-8") for name in self.loops]
         kernels = _WRITTEN.sub("", _READ.sub(r"arg[\1][\2]", generator.dump()))  # no argument and no result is ever left out
-        return "\n".join((kernels, *lines, _VECTORS, *(_in_lanes(kernels, name, self.kernels[name]) for name in self.lanes), loops))
+        return "\n".join((kernels, *lines, _VECTORS, *(_in_lanes(kernels, name, self.kernels[name]) for name in self.lanes), *loops))
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
@@ -106,4 +106,4 @@ def _in_lanes(text: str, name: str, function: ca.Function) -> str:
 def build(unit: Unit) -> ctypes.CDLL | None:
     """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
     instead = "CasADi's virtual machine is used, with the same results, some 50 times slower"
-    return compiler.build(unit.source, Path(unit.loops).stem, unit.symbols, FLAGS, instead)
+    return compiler.build(unit.source, Path(unit.loops[0]).stem, unit.symbols, FLAGS, instead)

@@ -1,4 +1,4 @@
-"""Compiled backends: the loops of statics.c and time_stepping.c called through ctypes."""
+"""Compiled backends: the loops of statics.c, kinematics.c and time_stepping.c called through ctypes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from tepm_opt.models.backends.interface import (
     MAX_CORRECTION,
     SHARED,
     STATUSES,
+    Allotment,
     Drive,
     Effort,
+    InverseProblem,
+    Pose,
     Record,
     Scheme,
     Solution,
@@ -22,6 +25,9 @@ from tepm_opt.models.backends.interface import (
 )
 from tepm_opt.models.dynamics import Dynamics
 from tepm_opt.models.network import ROWS, Network
+
+AT_ONCE = 32
+"""Configurations that one call makes: some milliseconds, so that Ctrl-C and progress come through."""
 
 
 def statics_unit(network: Network) -> Unit:
@@ -40,9 +46,8 @@ def statics_unit(network: Network) -> Unit:
         "NPOINT": 3 * layout.points,
         "NLEN": layout.inputs // 2,
     }
-    return Unit(
-        network.functions, sizes, {"DRIVEN": network.driven}, "statics.c", ("actuation", "statics", "sensitivity", "inverse", "matrices")
-    )
+    symbols = ("actuation", "statics", "sensitivity", "matrices", "inverse", "allocate", "configurations")
+    return Unit(network.functions, sizes, {"DRIVEN": network.driven}, ("statics.c", "kinematics.c"), symbols)
 
 
 class _Arrays(threading.local):
@@ -66,6 +71,16 @@ class _Arrays(threading.local):
             "by_theta": (observations, parameters),
             "stiffness": (layout.levels * layout.block, 2 * layout.block),
             "damping": (layout.levels * layout.block, 2 * layout.block),
+            "forces": (layout.inputs // 2,),
+            **dict.fromkeys(("start", "limit", "grid", "inputs", "rounded"), (layout.inputs,)),
+            **dict.fromkeys(("low", "high"), (layout.inputs // 2,)),
+            "all_targets": (AT_ONCE, 3),
+            "all_x": (AT_ONCE, layout.levels + 1, layout.block),
+            "all_a": (AT_ONCE, layout.inputs),
+            "all_observed": (AT_ONCE, observations),
+            "all_inputs": (AT_ONCE, layout.inputs),
+            "all_rounded": (AT_ONCE, layout.inputs),
+            "all_info": (AT_ONCE, 4),
         }
         self.array = {name: np.zeros(shape) for name, shape in shapes.items()}
         self.address = {name: array.ctypes.data for name, array in self.array.items()}
@@ -85,6 +100,10 @@ class CompiledStatics:
         self._sensitivity.argtypes = [p, p, i, p, p, i, p, p, p, p]
         self._matrices = library.matrices
         self._matrices.argtypes = [p, p, i, p, p, p, p]
+        self._allocate = library.allocate
+        self._allocate.argtypes, self._allocate.restype = [p, p, p, p, p, d, i, p, p], d
+        self._configurations = library.configurations
+        self._configurations.argtypes = [i, p, i, *[p] * 7, d, d, d, d, i, p, p, p, d, i, *[p] * 7]
         self._arrays = _Arrays(network)
 
     def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -140,6 +159,41 @@ class CompiledStatics:
         )  # fmt: skip
         return STATUSES[status], array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
 
+    def allocate(self, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """See `StaticsBackend.allocate`."""
+        array, at = self._arrays.array, self._arrays.address
+        array["forces"][:], array["theta"][:] = forces, theta
+        array["start"][:], array["limit"][:], array["grid"][:] = allotment.start, allotment.limit, allotment.grid
+        missed = self._allocate(
+            at["forces"], at["theta"], at["start"], at["limit"], at["grid"], allotment.area, allotment.fine, at["inputs"], at["rounded"]
+        )
+        return array["inputs"].copy(), array["rounded"].copy(), missed
+
+    def configurations(
+        self, problem: InverseProblem, targets: np.ndarray, x: np.ndarray, actuation: np.ndarray, cold: bool
+    ) -> tuple[list[Pose], Status]:
+        """See `StaticsBackend.configurations`."""
+        array, at, count, by = self._arrays.array, self._arrays.address, min(len(targets), AT_ONCE), problem.allotment
+        array["x"][:], array["a"][:], array["all_targets"][:count] = x, actuation, targets[:count]
+        array["external"][:], array["theta"][:], array["low"][:], array["high"][:] = (
+            problem.external,
+            problem.theta,
+            problem.low,
+            problem.high,
+        )
+        array["weights"][: len(problem.weights)] = problem.weights
+        array["start"][:], array["limit"][:], array["grid"][:] = by.start, by.limit, by.grid
+        solved = ctypes.c_int()
+        status = self._configurations(
+            count, at["all_targets"], cold, at["x"], at["a"], at["external"], at["theta"], at["weights"], at["low"], at["high"],
+            problem.max_step / by.area, problem.tolerance, problem.force_tolerance, problem.shortest, problem.max_iterations,
+            at["start"], at["limit"], at["grid"], by.area, by.fine,
+            at["all_x"], at["all_a"], at["all_observed"], at["all_inputs"], at["all_rounded"], at["all_info"], ctypes.byref(solved),
+        )  # fmt: skip
+        done = solved.value
+        columns = [array[f"all_{name}"][:done].copy() for name in ("x", "a", "observed", "inputs", "rounded")]
+        return list(map(Pose, *columns, *array["all_info"][:done].T.tolist())), STATUSES[status]
+
 
 def stepping_unit(dynamics: Dynamics) -> Unit:
     """The C of `CompiledTimeStepper`."""
@@ -159,7 +213,7 @@ def stepping_unit(dynamics: Dynamics) -> Unit:
         "NEDGE": dynamics.edge_states,
     }
     symbols, lanes = ("integrate", "state_size", "tangent_size"), ("segment_motion", "segment_tangent", "segment_by")
-    return Unit(dynamics.functions, sizes, {}, "time_stepping.c", symbols, lanes)
+    return Unit(dynamics.functions, sizes, {}, ("time_stepping.c",), symbols, lanes)
 
 
 class CompiledTimeStepper:

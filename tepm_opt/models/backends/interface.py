@@ -20,6 +20,16 @@ PLAIN_NEWTON = 1e-6
 """N: residual below which statics take plain Newton steps."""
 ENERGY_NOISE = 1e-14
 """Relative rounding noise of the energy."""
+ALLOCATION_STEPS = 200
+"""Steps after which an allocation ends, whatever it misses."""
+ALLOCATION_PRECISION = 1e-10
+"""N: missing or moved force below which an allocation ends."""
+SEED_STEPS = 100
+"""Newton steps of the statics that precede a cold inverse."""
+SEED_TOLERANCE = 1e-3
+"""N: residual to which they go; the inverse's own steps go further."""
+LIMIT_SLACK = 1e-9
+"""Parts of its range by which a force may be beyond its limits."""
 JUMP_TIME = 1e-9
 """s: time that a jump of the inputs takes."""
 STAGE_ITERATIONS = 25
@@ -47,6 +57,8 @@ class Status(IntEnum):
     """A motion beyond all bounds."""
     STUCK = 6
     """A stage without a solution nearby, however short the step."""
+    BEYOND = 7
+    """A configuration whose forces are beyond their limits."""
 
     @property
     def ending(self) -> Ending:
@@ -65,10 +77,13 @@ _ENDINGS: Mapping[Status, Ending] = {
     Status.INDEFINITE: Ending.UNSTABLE,
     Status.DIVERGED: Ending.FAILED,
     Status.STUCK: Ending.FAILED,
+    Status.BEYOND: Ending.OUT_OF_REACH,
 }
 
 SHARED: Mapping[str, float] = {
     "LANES": LANES, "PLAIN_NEWTON": PLAIN_NEWTON, "ENERGY_NOISE": ENERGY_NOISE, "JUMP_TIME": JUMP_TIME,
+    "ALLOCATION_STEPS": ALLOCATION_STEPS, "ALLOCATION_PRECISION": ALLOCATION_PRECISION,
+    "SEED_STEPS": SEED_STEPS, "SEED_TOLERANCE": SEED_TOLERANCE, "LIMIT_SLACK": LIMIT_SLACK,
     "STAGE_ITERATIONS": STAGE_ITERATIONS, "MAX_HALVINGS": MAX_HALVINGS, "IMPLICIT": IMPLICIT, "EXPLICIT": EXPLICIT,
     **{status.name: status.value for status in Status},
 }  # fmt: skip
@@ -85,6 +100,72 @@ class Solution(NamedTuple):
     iterations: float
     residual: float
     energy: float
+
+
+@dataclass(frozen=True, eq=False)
+class Allotment:
+    """How axial forces become inputs, F_a = p A − λ (Eq. (3)), through the effects' input maps.
+
+    Attributes:
+        area: A in m².
+        start: inputs to begin with, (inputs,) in Pa and N.
+        limit: largest inputs, (inputs,); the smallest are 0.
+        grid: resolutions of the inputs, (inputs,); 0 where continuous.
+        fine: whether pressures go on their grid and tensions make up for it.
+    """
+
+    area: float
+    start: np.ndarray
+    limit: np.ndarray
+    grid: np.ndarray
+    fine: bool
+
+
+@dataclass(frozen=True, eq=False)
+class InverseProblem:
+    """What the inverse kinematics of many targets have in common; one that has as many weighted sums as actuators.
+
+    Attributes:
+        external: forces on the points in G, (3 · points,) in N.
+        theta: parameters, (parameters,) in SI.
+        weights: of the observations (points in G, then lengths) in the sums, (actuators, observations); all but the first three
+            sums have the target 0.
+        low, high: limits of the axial forces, (actuators,) in N.
+        shortest: length in m below which the network counts as collapsed.
+        allotment: from axial forces to inputs.
+        max_step: largest change of an axial force in a step in N.
+        tolerance: of the sums in m.
+        force_tolerance: of the equilibrium in N.
+        max_iterations: of Newton's method on levels and forces together.
+    """
+
+    external: np.ndarray
+    theta: np.ndarray
+    weights: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    shortest: float
+    allotment: Allotment
+    max_step: float
+    tolerance: float
+    force_tolerance: float
+    max_iterations: int
+
+
+class Pose(NamedTuple):
+    """A configuration of `StaticsBackend.configurations`: levels (n + 1, block), effective actuation (inputs,), observations, inputs
+    that hold it, those on the grids, steps, largest residual in N, largest axial force missed in N, and the room: smallest distance
+    of a force to its limits over its range."""
+
+    x: np.ndarray
+    actuation: np.ndarray
+    observed: np.ndarray
+    inputs: np.ndarray
+    rounded: np.ndarray
+    steps: float
+    residual: float
+    missed: float
+    room: float
 
 
 class StaticsBackend(Protocol):
@@ -159,6 +240,31 @@ class StaticsBackend(Protocol):
             target_tolerance: of the sums in m.
             tolerance: of the forces in N.
             max_iterations: of Newton's method.
+        """
+        ...
+
+    def allocate(self, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Inputs that make axial forces, the same on their grids, (inputs,) in Pa and N, and the largest force missed in N.
+
+        Effects bend the way from inputs to forces, so it is inverted by iterating with the nominal one, F_a = p A − λ;
+        that contracts as long as effects change forces by less than their own size. Where an input does not answer (a dead
+        zone), its steps double until it does.
+        """
+        ...
+
+    def configurations(
+        self, problem: InverseProblem, targets: np.ndarray, x: np.ndarray, actuation: np.ndarray, cold: bool
+    ) -> tuple[list[Pose], Status]:
+        """Configurations at the first of the targets, and how what came after them ended: SOLVED where only the call was full.
+
+        Each starts from the one before; a call takes as many as keep it short, and ends at the first without a configuration.
+
+        Args:
+            problem: what the targets have in common.
+            targets: of the first three sums, (targets, 3) in m, at least one.
+            x: levels to start from, (n + 1, block) in m.
+            actuation: effective actuation to start from, (inputs,); its tensions are 0.
+            cold: whether to bring levels into equilibrium under the actuation before.
         """
         ...
 

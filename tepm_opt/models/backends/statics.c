@@ -277,14 +277,9 @@ void actuation(const double *u, const double *theta, double *a) {
   input_map(arg, res, kernel_iwork, kernel_work, 0);
 }
 
-/* Equilibrium from the start x, levels 0 … NLEV, in place; `mapped`: u is the effective actuation.
-   observed: points in G, lengths. info: iterations, residual in N, energy in J. Returns a status. */
-int statics(double *x, const double *u, int mapped, const double *external, const double *theta, double tolerance, int max_iterations,
-            double *observed, double *info) {
-  work *w = prepare(u, mapped, external, theta);
-  if (!w) return STALLED;
+/* Equilibrium from the start w->x, in place. info: iterations, residual in N, energy in J. Returns a status. */
+static int settle(work *w, double tolerance, int max_iterations, double *info) {
   int status = EXHAUSTED, iteration;
-  memcpy(w->x, x, sizeof w->x);
   memcpy(w->x[0], w->level_0, sizeof w->level_0);
   for (iteration = 0; iteration <= max_iterations; iteration++) {
     double here = assemble(w, 0), away = residual(w), slope = 0, t = 1;
@@ -312,10 +307,26 @@ int statics(double *x, const double *u, int mapped, const double *external, cons
     memcpy(w->x, w->trial, sizeof w->x);
   }
   info[0] = iteration > max_iterations ? max_iterations : iteration;
-  memcpy(x, w->x, sizeof w->x);
-  const double *arg[] = {x, theta};
+  return status;
+}
+
+/* Points in G, then lengths, at w->x. */
+static void look(work *w, double *observed) {
+  const double *arg[] = {w->x[0], w->theta};
   double *res[] = {observed, observed + NPOINT};
   run(observe, w, arg, res);
+}
+
+/* Equilibrium from the start x, levels 0 … NLEV, in place; `mapped`: u is the effective actuation.
+   observed: points in G, lengths. info: iterations, residual in N, energy in J. Returns a status. */
+int statics(double *x, const double *u, int mapped, const double *external, const double *theta, double tolerance, int max_iterations,
+            double *observed, double *info) {
+  work *w = prepare(u, mapped, external, theta);
+  if (!w) return STALLED;
+  memcpy(w->x, x, sizeof w->x);
+  int status = settle(w, tolerance, max_iterations, info);
+  memcpy(x, w->x, sizeof w->x);
+  look(w, observed);
   free(w);
   return status;
 }
@@ -416,70 +427,4 @@ int matrices(const double *x, const double *u, int mapped, const double *externa
   store_band(w, damping);
   free(w);
   return SOLVED;
-}
-
-/* Solve the square system of n equations, matrix[row][column] row by row, in place of the right-hand side b. Returns 1 if singular. */
-static int solve_dense(int n, double *matrix, double *b) {
-  for (int k = 0; k < n; k++) {
-    int pivot = k;
-    for (int r = k + 1; r < n; r++) if (fabs(matrix[r * n + k]) > fabs(matrix[pivot * n + k])) pivot = r;
-    if (!(fabs(matrix[pivot * n + k]) > 0)) return 1;
-    for (int c = 0; c < n; c++) { double t = matrix[k * n + c]; matrix[k * n + c] = matrix[pivot * n + c]; matrix[pivot * n + c] = t; }
-    double t = b[k]; b[k] = b[pivot]; b[pivot] = t;
-    for (int r = k + 1; r < n; r++) {
-      double scale = matrix[r * n + k] / matrix[k * n + k];
-      for (int c = k; c < n; c++) matrix[r * n + c] -= scale * matrix[k * n + c];
-      b[r] -= scale * b[k];
-    }
-  }
-  for (int k = n - 1; k >= 0; k--) {
-    for (int c = k + 1; c < n; c++) b[k] -= matrix[k * n + c] * b[c];
-    b[k] /= matrix[k * n + k];
-  }
-  return 0;
-}
-
-/* Effective pressures a[0 … NU/2) and levels x, in place, at which NU/2 weighted sums of the observations have their targets in
-   equilibrium: Newton on both together. `max_step`: largest change of a pressure in a step.
-   Meant for starts nearby; returns SOLVED, or another status and leaves the rest to a safeguarded method. */
-int inverse(double *x, double *a, const double *external, const double *theta, const double *weights, const double *targets,
-            double max_step, double target_tolerance, double tolerance, int max_iterations, double *info) {
-  enum { N = NU / 2, NOBS = NPOINT + NLEN };
-  work *w = prepare(a, 1, external, theta);
-  if (!w) return STALLED;
-  int status = EXHAUSTED, iteration;
-  memcpy(w->x, x, sizeof w->x);
-  memcpy(w->x[0], w->level_0, sizeof w->level_0);
-  for (iteration = 0; iteration < max_iterations; iteration++) {
-    double observed[NOBS], by_a[N][NU], by_external[ROWS * NEXT], shift[N][NLEV + 1][NB], matrix[N * N], change[N], step = 0, away = 0;
-    assemble(w, 0);
-    if (factor(w)) { status = INDEFINITE; break; }
-    const double *arg[] = {w->x[0], theta};
-    double *res[] = {observed, observed + NPOINT};
-    run(observe, w, arg, res);
-    for (int row = 0; row < N; row += ROWS)
-      adjoint(w, w->a, 1, external, N - row < ROWS ? N - row : ROWS, weights + row * NOBS, by_a[row], by_external, 0, shift[row][0]);
-    for (int row = 0; row < N; row++) {
-      double error = -targets[row], settling = 0;
-      for (int k = 0; k < NOBS; k++) error += weights[row * NOBS + k] * observed[k];
-      for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) settling += shift[row][l][i] * w->force[l][i];
-      for (int k = 0; k < N; k++) matrix[row * N + k] = by_a[row][k];
-      change[row] = -error - settling;
-      if (!(fabs(error) <= away)) away = fabs(error);
-    }
-    if (away < target_tolerance && residual(w) < tolerance) { status = SOLVED; break; }
-    if (!(away < 1e3) || solve_dense(N, matrix, change)) { status = STALLED; break; }
-    for (int k = 0; k < N; k++) if (fabs(change[k]) > step) step = fabs(change[k]);
-    for (int k = 0; k < N; k++) w->a[k] += change[k] * (step > max_step ? max_step / step : 1);
-    set_properties(w, external);
-    gradient(w);
-    newton_step(w);
-    move(w, 1);
-    memcpy(w->x, w->trial, sizeof w->x);
-  }
-  memcpy(x, w->x, sizeof w->x);
-  memcpy(a, w->a, N * sizeof(double));
-  info[0] = iteration;
-  free(w);
-  return status;
 }

@@ -1,0 +1,123 @@
+"""The loops of kinematics.c in Python: the reference for the C ones, and what runs without a compiler."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sla
+
+from tepm_opt.models.backends.interface import (
+    ALLOCATION_PRECISION,
+    ALLOCATION_STEPS,
+    LIMIT_SLACK,
+    SEED_STEPS,
+    SEED_TOLERANCE,
+    Allotment,
+    InverseProblem,
+    Pose,
+    Status,
+)
+from tepm_opt.models.backends.statics import PythonStatics, move
+from tepm_opt.models.robot import on_grid
+
+
+class PythonKinematics(PythonStatics):
+    """Reference backend, statics and inverse kinematics."""
+
+    def inverse(
+        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
+        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
+        """See `StaticsBackend.inverse`."""
+        layout, a = self.network.layout, np.concatenate([pressures, np.zeros(len(pressures))])
+        for iteration in range(max_iterations):
+            _, P, level_0 = self.prepare(a, True, external, theta)
+            x = np.concatenate([level_0[None], x[1:]])
+            at = self.assemble(x, P, theta)
+            try:
+                factor = sla.cholesky_banded(at.band, lower=True)
+            except np.linalg.LinAlgError:
+                return Status.INDEFINITE, x, a[: len(pressures)], iteration
+            errors = weights @ self.observe(x, theta) - targets
+            if np.abs(errors).max() < target_tolerance and np.abs(at.force).max() < tolerance:
+                return Status.SOLVED, x, a[: len(pressures)], iteration
+            if not np.abs(errors).max() < 1e3:
+                return Status.STALLED, x, a[: len(pressures)], iteration
+            by_a = self.sensitivity(x, a, True, external, theta, weights, False)[1]
+            settled = np.zeros_like(x)
+            settled[1:] = sla.cho_solve_banded((factor, True), at.force.ravel()).reshape(at.force.shape)
+            settling = np.array([self._directional(x, theta, weight, settled) for weight in weights])
+            try:
+                change = np.linalg.solve(by_a[:, : len(pressures)], settling - errors)
+            except np.linalg.LinAlgError:
+                return Status.STALLED, x, a[: len(pressures)], iteration
+            a[: len(pressures)] += change * min(1.0, max_step / np.abs(change).max())
+            force = self.assemble(x, self.prepare(a, True, external, theta)[1], theta).force
+            step = np.zeros((layout.levels + 1, layout.block))
+            step[1:] = -sla.cho_solve_banded((factor, True), force.ravel()).reshape(force.shape)
+            x = move(x, step)
+        return Status.EXHAUSTED, x, a[: len(pressures)], max_iterations
+
+    def _directional(self, x: np.ndarray, theta: np.ndarray, weight: np.ndarray, direction: np.ndarray) -> float:
+        """Change of a weighted sum of the observations when the levels move in a direction."""
+        points = 3 * self.network.layout.points
+        by_x = self._call("observe_adjoint", x.ravel(), theta, weight[:points], weight[points:])[0]
+        return float(by_x.ravel() @ direction.ravel())
+
+    def allocate(self, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """See `StaticsBackend.allocate`."""
+        inputs, half = allotment.start.copy(), len(forces)
+        self._correct(inputs, forces, allotment, theta, slice(0, half), 1 / allotment.area)
+        if allotment.fine:
+            inputs[:half] = on_grid(inputs, allotment.grid, allotment.limit)[:half]
+            self._correct(inputs, forces, allotment, theta, slice(half, None), -1.0)
+        rounded = on_grid(inputs, allotment.grid, allotment.limit)
+        return inputs, rounded, float(np.abs(self._missing(inputs, forces, allotment, theta)).max())
+
+    def _missing(self, inputs: np.ndarray, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> np.ndarray:
+        """Axial forces that the inputs miss in N."""
+        effective, half = self.actuation(inputs, theta), len(forces)
+        return forces - (allotment.area * effective[:half] - effective[half:])
+
+    def _correct(self, inputs: np.ndarray, forces: np.ndarray, allotment: Allotment, theta: np.ndarray, part: slice, gain: float) -> None:
+        """Change one part of the inputs in place, within limits, until the forces are met or nothing moves."""
+        boost, before = np.ones(len(forces)), np.full(len(forces), np.inf)
+        for _ in range(ALLOCATION_STEPS):
+            missing = self._missing(inputs, forces, allotment, theta)
+            if np.abs(missing).max() < ALLOCATION_PRECISION:
+                return
+            unanswered = (np.abs(missing) > 0.9 * np.abs(before)) & (np.sign(missing) == np.sign(before))  # what was overshot did answer
+            boost = np.where(unanswered, 2 * boost, 1.0)
+            before = missing
+            changed = np.clip(inputs[part] + gain * boost * missing, 0.0, allotment.limit[part])
+            moved = np.abs(changed - inputs[part]).max() / abs(gain)
+            inputs[part] = changed
+            if moved < ALLOCATION_PRECISION:
+                return
+
+    def configurations(
+        self, problem: InverseProblem, targets: np.ndarray, x: np.ndarray, actuation: np.ndarray, cold: bool
+    ) -> tuple[list[Pose], Status]:
+        """See `StaticsBackend.configurations`; takes one a call."""
+        half, area, fixed = len(problem.weights), problem.allotment.area, (problem.external, problem.theta)
+        if cold:
+            seed = self.statics(x, actuation, True, *fixed, SEED_TOLERANCE, SEED_STEPS)
+            if seed.status != Status.SOLVED:
+                return [], seed.status
+            x = seed.x
+        sums = np.concatenate([targets[0], np.zeros(half - 3)])
+        status, x, pressures, steps = self.inverse(
+            x, actuation[:half], *fixed, problem.weights, sums,
+            problem.max_step / area, problem.tolerance, problem.force_tolerance, problem.max_iterations,
+        )  # fmt: skip
+        if status != Status.SOLVED:
+            return [], status
+        observed, forces = self.observe(x, problem.theta), area * pressures
+        if observed[-half:].min() < problem.shortest:
+            return [], Status.STALLED
+        room = float((np.minimum(forces - problem.low, problem.high - forces) / (problem.high - problem.low)).min())
+        if room < -LIMIT_SLACK:
+            return [], Status.BEYOND
+        effective = np.concatenate([pressures, actuation[half:]])
+        force = self.assemble(x, self.prepare(effective, True, *fixed)[1], problem.theta).force
+        inputs, rounded, missed = self.allocate(forces, problem.allotment, problem.theta)
+        return [Pose(x, effective, observed, inputs, rounded, steps, float(np.abs(force).max()), missed, room)], Status.SOLVED
