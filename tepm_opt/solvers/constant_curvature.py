@@ -6,6 +6,7 @@ gravity and no elasticity: a seed, a check, and a way to see what the network ad
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -68,12 +69,11 @@ def lengths_from_tip(tip: Sequence[float] | np.ndarray, modules: int, radius: fl
     Raises:
         ValueError: the tip is not above the base plane's origin in any arc of less than a full turn (tip at the base).
     """
-    x, y, z = (float(value) for value in tip)
-    across, distance = np.hypot(x, y), float(np.linalg.norm(tip))
+    x, y, z = map(float, tip)
+    across, distance = math.hypot(x, y), math.hypot(x, y, z)
     if distance == 0 or (across == 0 and z < 0):
         raise ValueError(f"no arc from the base ends at {tip}")
-    half_bend = np.arctan2(across, z)  # the chord leaves the tangent by half the arc's angle
-    length = distance / np.sinc(half_bend / np.pi)
-    s = length / modules
-    arc = (s, 2 * half_bend / length, float(np.arctan2(y, x)))
-    return np.tile(lengths_from_arc(arc, radius, angles), (modules, 1))
+    half_bend = math.atan2(across, z)  # the chord leaves the tangent by half the arc's angle
+    length = distance * half_bend / math.sin(half_bend) if half_bend else distance
+    arc = (length / modules, 2 * half_bend / length, math.atan2(y, x))
+    return lengths_from_arc(arc, radius, angles)[None].repeat(modules, axis=0)

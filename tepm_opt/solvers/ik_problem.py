@@ -110,6 +110,11 @@ class IkProblem:
         """Equilibrium of axial forces."""
         return equilibrium(self.model, self.actuation(forces), self.loads, start, mapped=True, explain=False)
 
+    @cached_property
+    def idle(self) -> Equilibrium:
+        """Equilibrium without inputs."""
+        return self.at(np.zeros(self.half), None)
+
     def errors(self, at: Equilibrium, target: np.ndarray) -> np.ndarray:
         """Tip error, then length differences to the first module, in m."""
         return np.concatenate([at.tip - target, (at.lengths[1:] - at.lengths[:1]).ravel()])

@@ -24,7 +24,6 @@ from tepm_opt.solvers.statics import Equilibrium
 from tepm_opt.solvers.text import millimetres
 
 FORCE_TOLERANCE = 1e-6  # N of change below which forces of redundant actuators are of minimum norm; set points are coarser
-HOMOTOPY_STEPS = 12  # from rest to a target that no first guess solves, each some centimetres
 MAX_OVERSHOOT = 0.5  # parts of the forces' range by which the search may leave it; beyond, the nearest point within them is sought
 MISSED = 1e-6  # N of axial force: set points that miss more do not hold the configuration
 BINDING = 1e-6  # parts of its range within which a force is at its limit
@@ -105,8 +104,9 @@ def solve_ik(
         InputError: target or loads of a wrong shape or not finite.
     """
     problem, target = _problem(model, loads, mode, mid_tension, settings), finite_array(target, (3,), "target")
-    found, status = _quick(problem, target[None], start)
-    return found[0] if found else _thorough(problem, target, start, status)
+    near = None if start is None else start.equilibrium
+    found, status = _quick(problem, target[None], near)
+    return found[0] if found else _thorough(problem, target, near, status)
 
 
 def each_configuration(
@@ -131,8 +131,8 @@ def each_configuration(
     while len(left):
         found, status = _quick(problem, left, last)
         if status != Status.SOLVED:
-            found.append(_thorough(problem, left[len(found)], found[-1] if found else last, status))
-        last = next((each for each in reversed(found) if each.solved), last)
+            found.append(_thorough(problem, left[len(found)], found[-1].equilibrium if found else last, status))
+        last = next((each.equilibrium for each in reversed(found) if each.solved), last)
         yield from found
         left = left[len(found) :]
 
@@ -153,14 +153,11 @@ def solve_trajectory(
     return list(each_configuration(model, targets, mode, loads, mid_tension, settings))
 
 
-def _quick(problem: IkProblem, targets: np.ndarray, start: Configuration | None) -> tuple[list[Configuration], Status]:
+def _quick(problem: IkProblem, targets: np.ndarray, start: Equilibrium | None) -> tuple[list[Configuration], Status]:
     """What one call of the backend finds at the first of the targets, and how what came after that ended."""
     if problem.redundant:
         return [], Status.EXHAUSTED
-    if start is None:
-        x, actuation = problem.model.rest, problem.actuation(problem.seed(targets[0]))
-    else:
-        x, actuation = start.equilibrium.x, start.equilibrium.inputs
+    x, actuation = (problem.model.rest, problem.actuation(problem.seed(targets[0]))) if start is None else (start.x, start.inputs)
     poses, status = problem.model.statics.configurations(problem.shared, targets, x, actuation, start is None)
     return [_posed(problem, target, pose) for target, pose in zip(targets, poses, strict=False)], status
 
@@ -183,13 +180,19 @@ def _judged(made: Allocation) -> Outcome:
     return Outcome(Ending.OUT_OF_REACH, message)
 
 
-def _thorough(problem: IkProblem, target: np.ndarray, start: Configuration | None, status: Status) -> Configuration:
-    """A target that the quick way has left with this status: by all starts there are, or the nearest point."""
-    free = None if status == Status.BEYOND else _free(problem, target, start)
-    if free and problem.within(free.forces):
-        found, outcome = free, SOLVED
-    else:
+def _thorough(problem: IkProblem, target: np.ndarray, start: Equilibrium | None, status: Status) -> Configuration:
+    """A target that the quick way has left with this status: from another start, or the nearest point within the limits."""
+    if start is not None and status != Status.BEYOND:
+        again, status = _quick(problem, target[None], None)
+        if again:
+            return again[0]
+    found = _least_forces(problem, target, start) if problem.redundant else None
+    outcome = SOLVED
+    if found is None:
         found, outcome = nearest(problem, target)
+        exact = _quick(problem, target[None], found.equilibrium)[0] if outcome.solved else ()
+        if exact:
+            return replace(exact[0], steps=exact[0].steps + found.steps)
     made = allocate(problem.model, found.forces, problem.mode, problem.mid_tension)
     limits, miss = _limits(problem, found.forces), math.dist(found.equilibrium.tip, target)
     if outcome.solved:
@@ -200,20 +203,12 @@ def _thorough(problem: IkProblem, target: np.ndarray, start: Configuration | Non
     return Configuration(target, found.equilibrium, found.forces, made, outcome, miss, limits, found.steps)
 
 
-def _free(problem: IkProblem, target: np.ndarray, start: Configuration | None) -> Balance | None:
-    """The configuration at the target without limits on the forces, or None."""
-    if start is not None and (found := _gauss_newton(problem, target, start.forces, start.equilibrium)):
-        return found
-    if found := _gauss_newton(problem, target, problem.seed(target), None):
-        return found
-    at, forces, found = problem.at(np.zeros(problem.half), None), np.zeros(problem.half), None
-    origin = at.tip
-    for part in np.linspace(0, 1, HOMOTOPY_STEPS + 1)[1:]:
-        found = _gauss_newton(problem, origin + part * (target - origin), forces, at)
-        if found is None:
-            return None
-        forces, at = found.forces, found.equilibrium
-    return found
+def _least_forces(problem: IkProblem, target: np.ndarray, start: Equilibrium | None) -> Balance | None:
+    """The configuration of redundant actuators with the smallest forces where that is within the limits."""
+    if start is not None and (found := _gauss_newton(problem, target, problem.area * start.inputs[: problem.half], start)):
+        return found if problem.within(found.forces) else None
+    found = _gauss_newton(problem, target, problem.seed(target), None)
+    return found if found and problem.within(found.forces) else None
 
 
 def _gauss_newton(problem: IkProblem, target: np.ndarray, forces: np.ndarray, start: Equilibrium | None) -> Balance | None:
@@ -221,14 +216,12 @@ def _gauss_newton(problem: IkProblem, target: np.ndarray, forces: np.ndarray, st
     at, settings = problem.at(forces, start), problem.settings
     if not at.solved:
         return None
-    if not problem.redundant and (found := _together(problem, target, forces, at)):
-        return found
     errors, change = problem.errors(at, target), np.inf
     for step in range(settings.max_iterations):
-        if np.abs(errors).max() < settings.tolerance and (change < FORCE_TOLERANCE or not problem.redundant):
+        if np.abs(errors).max() < settings.tolerance and change < FORCE_TOLERANCE:
             return Balance(forces, at, step)
         jacobian = problem.jacobian(at)
-        full = _minimum_norm(jacobian, jacobian @ forces - errors) - forces
+        full = np.linalg.lstsq(jacobian, jacobian @ forces - errors, rcond=1e-10)[0] - forces
         part = min(1.0, settings.max_step / np.abs(full).max())
         for _ in range(8):
             trial = problem.at(forces + part * full, at)
@@ -242,31 +235,6 @@ def _gauss_newton(problem: IkProblem, target: np.ndarray, forces: np.ndarray, st
         if (np.maximum(problem.low - forces, forces - problem.high) > MAX_OVERSHOOT * (problem.high - problem.low)).any():
             return None
     return None
-
-
-def _together(problem: IkProblem, target: np.ndarray, forces: np.ndarray, start: Equilibrium) -> Balance | None:
-    """Newton on levels and forces together: quick, without safeguards; None where it does not converge to a stable equilibrium."""
-    shared, settings = problem.shared, problem.settings
-    status, x, pressures, steps = problem.model.statics.inverse(
-        start.x, forces / problem.area, shared.external, shared.theta, shared.weights, np.append(target, np.zeros(problem.half - 3)),
-        shared.max_step / problem.area, shared.tolerance, shared.force_tolerance, shared.max_iterations,
-    )  # fmt: skip
-    if status != Status.SOLVED:
-        return None
-    at = problem.at(pressures * problem.area, replace(start, x=x))
-    if not at.solved or np.abs(problem.errors(at, target)).max() > settings.tolerance:
-        return None
-    return Balance(pressures * problem.area, at, steps)
-
-
-def _minimum_norm(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution of least norm; the only one where the matrix is square and regular."""
-    if matrix.shape[0] == matrix.shape[1]:
-        try:
-            return np.linalg.solve(matrix, right)
-        except np.linalg.LinAlgError:
-            pass
-    return np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
 
 
 def _limits(problem: IkProblem, forces: np.ndarray) -> tuple[str, ...]:

@@ -1,78 +1,169 @@
-"""The point within the limits that is nearest to a target out of reach."""
+"""The configuration within the limits whose tip is nearest to a target out of reach.
+
+Sequential quadratic programming on the axial forces (Nocedal and Wright, Numerical Optimization, 2006, ch. 18): exact derivatives of
+statics, the Gauss-Newton matrix of all errors as the first Hessian, damped BFGS updates of it, an l1 penalty, programs solved by DAQP.
+Gauss-Newton alone would crawl: what is left of the distance at the nearest point bends the objective as much as the tip's motion does.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Sequence
+from ctypes import c_int
+from dataclasses import dataclass, replace
 
+import daqp
 import numpy as np
-from scipy.optimize import minimize
 
+from tepm_opt.models.backends.interface import SEED_STEPS, Status
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.ik_problem import Balance, IkProblem
-from tepm_opt.solvers.statics import Equilibrium
+
+UNIT = 1e-2  # m, of errors; forces are in parts of their range: both programs and penalties are then of order 1
+STEPS = 60  # of a search
+HALVINGS = 12  # of a step, in which a shorter one has to lower the penalised objective
+RADIUS = 0.5  # largest change of a force in a step
+STILL = 1e-8  # largest change of a force in a step at which a search ends
+SAME = 0.02  # difference of forces below which a search ends where another has ended
+EQUAL = 1e-7  # m, largest difference of lengths of an end
+EXACT = 5  # DAQP's mark of a row that is an equality
 
 
 def nearest(problem: IkProblem, target: np.ndarray) -> tuple[Balance, Outcome]:
-    """The configuration within the limits whose tip is nearest to the target.
+    """The configuration within the limits whose tip is nearest to the target, SOLVED where it is there, OUT_OF_REACH or FAILED.
 
     The distance has local minima (a target below the base seen by the straight robot), so the search starts from the middle of
     the forces and from bends towards the target and to its sides, and the best end counts.
     """
-    robot = problem.model.robot
-    local = problem.local(target)
-    middle, half_range = (problem.low + problem.high) / 2, (problem.high - problem.low) / 2
+    robot, local = problem.model.robot, problem.local(target)
     towards = np.arctan2(local[1], local[0]) + np.array([0.0, 1.0, -1.0]) * np.pi / robot.actuators
-    bends = [middle - 0.9 * half_range * np.tile(np.cos(robot.angles - angle), robot.modules) for angle in towards]
-    ends = [_constrained(problem, target, forces) for forces in (middle, *bends)]
-    found = min((end for end in ends if end), key=lambda end: float(np.linalg.norm(end[0].equilibrium.tip - target)), default=None)
-    if found and found[1].solved and problem.redundant:
-        return _constrained(problem, target, found[0].forces, least_norm=True) or found
-    if found:
-        return found
-    message = "no stable equal-curvature configuration within the limits was found"
-    if not problem.at(np.zeros(problem.half), None).solved:
-        message += "; without inputs the robot is not stable either (it buckles under its weight or load)"
-    return Balance(middle, problem.at(middle, None)), Outcome(Ending.FAILED, message)
+    bends = [0.5 - 0.45 * np.tile(np.cos(robot.angles - angle), robot.modules) for angle in towards]
+    search, ends = _Search(problem, target), []
+    for part in (*bends, np.full(problem.half, 0.5)):
+        if (end := search.run(part, ends)) is not None:
+            ends.append(end)
+    found = min(ends, key=lambda end: end.distance, default=None)
+    if found is None:
+        message = "no stable equal-curvature configuration within the limits was found"
+        if not problem.idle.solved:
+            message += "; without inputs the robot is not stable either (it buckles under its weight or load)"
+        middle = (problem.low + problem.high) / 2
+        return Balance(middle, problem.at(middle, None)), Outcome(Ending.FAILED, message)
+    there = found.distance < 100 * problem.settings.tolerance
+    if there and problem.redundant:
+        found = _Search(problem, target, least_norm=True).run(found.part, ()) or found
+    return search.balance(found), SOLVED if there else Outcome(Ending.OUT_OF_REACH)
 
 
-def _constrained(problem: IkProblem, target: np.ndarray, forces: np.ndarray, least_norm: bool = False) -> tuple[Balance, Outcome] | None:
-    """Within the limits and with equal curvature: the nearest tip, or, with `least_norm`, the smallest forces at the target."""
-    scale, span = 1e-2, problem.high - problem.low  # errors in cm, forces in parts of their range
-    held = 0 if least_norm else 3  # first of the errors that are constraints
-    start = np.clip((forces - problem.low) / span, 0.0, 1.0)
-    last = problem.at(problem.low + start * span, None)
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Forces in parts of their ranges, levels, errors in UNIT, their derivatives by the parts, and steps taken to it."""
 
-    @lru_cache(maxsize=4)  # SLSQP asks for value and derivatives at the same point, one after the other
-    def evaluate(part: bytes) -> tuple[Equilibrium, np.ndarray, np.ndarray]:
-        nonlocal last
-        last = problem.at(problem.low + np.frombuffer(part) * span, last)
-        return last, problem.errors(last, target) / scale, problem.jacobian(last) * span / scale
+    part: np.ndarray
+    x: np.ndarray
+    errors: np.ndarray
+    jacobian: np.ndarray
+    steps: int = 0
 
-    def errors(part: np.ndarray) -> np.ndarray:
-        return evaluate(part.tobytes())[1]
+    @property
+    def distance(self) -> float:
+        """From the target in m."""
+        return UNIT * float(np.linalg.norm(self.errors[:3]))
 
-    def jacobian(part: np.ndarray) -> np.ndarray:
-        return evaluate(part.tobytes())[2]
 
-    def objective(part: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = (problem.low / span + part, np.eye(len(part))) if least_norm else (errors(part)[:3], jacobian(part)[:3])
-        return 0.5 * float(value @ value), slope.T @ value
+class _Search:
+    """The nearest tip of equal curvature or, with `least_norm`, the smallest forces that have the tip at the target."""
 
-    try:
-        result = minimize(
-            objective,
-            start,
-            jac=True,
-            bounds=[(0.0, 1.0)] * len(forces),
-            constraints={"type": "eq", "fun": lambda part: errors(part)[held:], "jac": lambda part: jacobian(part)[held:]},
-            method="SLSQP",
-            options={"maxiter": 200, "ftol": 1e-12},
-        )
-        part = np.clip(result.x, 0.0, 1.0)
-        at, missed, _ = evaluate(part.tobytes())
-    except np.linalg.LinAlgError:
-        return None
-    if not at.solved or scale * np.abs(missed[3:]).max(initial=0.0) > 1e-7:
-        return None
-    there = scale * np.abs(missed[:3]).max() < 100 * problem.settings.tolerance
-    return Balance(problem.low + part * span, at, int(result.nit)), SOLVED if there else Outcome(Ending.OUT_OF_REACH)
+    def __init__(self, problem: IkProblem, target: np.ndarray, least_norm: bool = False) -> None:
+        self.problem, self.target, self.least_norm = problem, target, least_norm
+        self.span, self.held = problem.high - problem.low, slice(0 if least_norm else 3, None)  # the errors that are constraints
+        self.sense = np.zeros(problem.half + len(problem.weights[self.held]), dtype=c_int)
+        self.sense[problem.half :] = EXACT
+
+    def at(self, part: np.ndarray, x: np.ndarray) -> _Point | None:
+        """The point of forces, its statics from levels x, then from rest; None where there is no stable equilibrium."""
+        problem, statics = self.problem, self.problem.model.statics
+        actuation = problem.actuation(problem.low + part * self.span)
+        shared = problem.shared
+        fixed = actuation, True, shared.external, shared.theta
+        for start in (x, problem.model.rest):
+            found = statics.statics(start, *fixed, shared.force_tolerance, SEED_STEPS)
+            if found.status == Status.SOLVED and found.observed[-problem.half :].min() >= shared.shortest:
+                break
+            if start is problem.model.rest:
+                return None
+        status, by_u, _, _ = statics.sensitivity(found.x, *fixed, shared.weights, False)
+        if status != Status.SOLVED:
+            return None
+        errors = shared.weights @ found.observed
+        errors[:3] -= self.target
+        return _Point(part, found.x, errors / UNIT, by_u[:, : problem.half] * (self.span / (problem.area * UNIT)))
+
+    def objective(self, at: _Point) -> tuple[float, np.ndarray]:
+        """Value and gradient of what is minimised."""
+        if self.least_norm:
+            forces = self.problem.low / self.span + at.part
+            return 0.5 * float(forces @ forces), forces
+        missed = at.errors[:3]
+        return 0.5 * float(missed @ missed), at.jacobian[:3].T @ missed
+
+    def run(self, part: np.ndarray, ends: Sequence[_Point]) -> _Point | None:
+        """The end of a search from `part`; None where there is none or it comes to one of the `ends`."""
+        at, penalty = self.at(np.clip(part, 0.0, 1.0), self.problem.model.rest), 1.0
+        if at is None:
+            return None
+        hessian = np.eye(len(part)) if self.least_norm else at.jacobian.T @ at.jacobian
+        hessian.flat[:: len(part) + 1] += 1e-6 * hessian.trace()
+        for _ in range(STEPS):
+            value, gradient = self.objective(at)
+            missed, slopes = at.errors[self.held], np.ascontiguousarray(at.jacobian[self.held])
+            step, multipliers, met = self._program(hessian, gradient, missed, slopes, at.part)
+            wrong = float(np.abs(missed).sum())
+            penalty = max(penalty, 1.5 * float(np.abs(multipliers).max(initial=0.0)))
+            slope = float(gradient @ step) - penalty * met * wrong
+            if np.abs(step).max() < STILL or slope > -1e-14 * (1 + value):
+                break
+            merit, t = value + penalty * wrong, 1.0
+            for _ in range(HALVINGS):
+                trial = self.at(np.clip(at.part + t * step, 0.0, 1.0), at.x)
+                if trial is not None:
+                    there = self.objective(trial)
+                    if there[0] + penalty * float(np.abs(trial.errors[self.held]).sum()) <= merit + 1e-4 * t * slope:
+                        break
+                t /= 2
+            else:
+                break
+            moved = trial.part - at.part
+            turned = there[1] - gradient + (trial.jacobian[self.held] - slopes).T @ multipliers
+            at = replace(trial, steps=at.steps + 1)
+            _update(hessian, moved, turned)
+            if any(np.abs(at.part - end.part).max() < SAME for end in ends):
+                return None
+        wrong = UNIT * np.abs(at.errors[self.held]).max(initial=0.0)
+        return at if wrong < EQUAL else None
+
+    def _program(
+        self, hessian: np.ndarray, gradient: np.ndarray, missed: np.ndarray, slopes: np.ndarray, part: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Step, multipliers of the constraints, and the part of the constraints' errors that it takes away."""
+        low, high = np.maximum(-part, -RADIUS), np.minimum(1.0 - part, RADIUS)
+        for met in (1.0, 0.5, 0.1, 0.0):
+            upper, lower = np.concatenate([high, -met * missed]), np.concatenate([low, -met * missed])
+            step, _, flag, info = daqp.solve(hessian, gradient, slopes, upper, lower, self.sense, primal_tol=1e-9)
+            if flag == 1:
+                return step, info["lam"][len(part) :], met
+        return np.zeros(len(part)), np.zeros(len(missed)), 0.0
+
+    def balance(self, at: _Point) -> Balance:
+        """A point with its equilibrium."""
+        forces = self.problem.low + at.part * self.span
+        return Balance(forces, self.problem.at(forces, replace(self.problem.idle, x=at.x)), at.steps)
+
+
+def _update(hessian: np.ndarray, moved: np.ndarray, turned: np.ndarray) -> None:
+    """Damped BFGS update in place (Powell 1978): positive definite whatever the curvature along `moved`."""
+    pulled = hessian @ moved
+    along, met = float(moved @ pulled), float(moved @ turned)
+    if met < 0.2 * along:
+        turned = pulled + 0.8 * along / (along - met) * (turned - pulled)
+        met = 0.2 * along
+    hessian += turned[:, None] * turned / met - pulled[:, None] * pulled / along

@@ -26,7 +26,7 @@ ALLOCATION_PRECISION = 1e-10
 """N: missing or moved force below which an allocation ends."""
 SEED_STEPS = 100
 """Newton steps of the statics that precede a cold inverse."""
-SEED_TOLERANCE = 1e-3
+SEED_TOLERANCE = 0.1
 """N: residual to which they go; the inverse's own steps go further."""
 LIMIT_SLACK = 1e-9
 """Parts of its range by which a force may be beyond its limits."""
