@@ -65,7 +65,7 @@ class MujocoRun:
         network = self._network
         mujoco.mj_resetData(network.model, network.data)  # type: ignore[attr-defined]
         network.data.qpos[:] = self._start
-        network.drive(np.array([self._force, self._force]), None, self._sample)
+        network.drive(network.push(np.array([self._force, self._force]), None), self._sample)
         found = np.empty((self._samples, len(self._start)))
         for row in found:
             network.advance(self._steps)

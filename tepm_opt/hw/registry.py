@@ -10,22 +10,24 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import Robot, load_robot
 
-VALID = "sim, sim:FILE, bench, bench:FILE, replay:FILE, serial:PORT"
+VALID = "sim, sim:FILE, sim:FILE@ENGINE, bench, bench:FILE, replay:FILE, serial:PORT"
 
 
 def open_rig(text: str, robot: Robot | None = None) -> Rig:
     """The rig that a text names.
 
     Args:
-        text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), `bench` or
-            `bench:FILE` (the single-actuator bench of such a rig), `replay:FILE` (a run of a data set), `serial:PORT` or
-            `serial:PORT@BAUD` (the real robot).
+        text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), either with `@compiled` or `@mujoco`
+            after it for that engine whatever the file says, `bench` or `bench:FILE` (the single-actuator bench of such a rig),
+            `replay:FILE` (a run of a data set), `serial:PORT` or `serial:PORT@BAUD` (the real robot).
         robot: for recordings and the real robot; the default is what `dataset.toml` beside a recording says, or kang2017.
 
     Raises:
         InputError: not one of these; or the file is wrong, or the rig's package is not installed.
     """
     kind, colon, target = text.partition(":")
+    if kind.startswith("sim@"):
+        kind, target = "sim", kind.removeprefix("sim")
     if kind not in _OPENERS:
         raise unknown_name("rig", text, VALID.split(", "))
     if colon and not target:
@@ -35,13 +37,18 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
 
 def _simulated(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.rig import SimulatedRig
+    from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
 
+    name, at, engine = target.rpartition("@")
+    if not at or "/" in engine or "." in engine:  # of a file's name
+        name, engine = target, ""
     try:
-        return SimulatedRig(target) if target else SimulatedRig()
+        file = load_rig_file(name or DEFAULT)
+        return SimulatedRig(file.with_engine(engine) if engine else file)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "mujoco":
             raise
-        raise InputError("simulated rigs need MuJoCo, which is not installed: pip install mujoco") from error
+        raise InputError("rigs of MuJoCo's engine need it, and it is not installed: pip install mujoco") from error
 
 
 def _bench(target: str, robot: Robot | None) -> Rig:

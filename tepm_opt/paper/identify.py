@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tepm_opt.data.metrics import point_errors
-from tepm_opt.hw.simulation.machine import Machine
+from tepm_opt.hw.simulation.machines import machine_of
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import compile_model
 from tepm_opt.paper.common import Setting
@@ -94,7 +94,7 @@ class Identification:
         """Reference points at rest without friction, by figure."""
         found = {}
         for name, (inputs, force) in self.cases.items():
-            machine = Machine(rig_with(self.base, values))
+            machine = machine_of(rig_with(self.base, values))
             forces = np.zeros((self.setting.model.layout.points, 3))
             forces[-1] = force
             machine.settle(np.concatenate([inputs, np.ones(len(inputs) // 2)]), forces)

@@ -18,6 +18,10 @@ class ActuationDynamics:
     Attributes:
         pressure: in the muscles behind the regulators, (actuators,) in Pa: what a pressure monitor measures.
         tension: at the motors, (actuators,) in N: what a dynamometer measures.
+        regulators, muscles, tendons: stages of the pressures, of the pressures behind the monitors, and of the tensions, in their order.
+        area: A in m².
+        grids: of the pressures in Pa and the tensions in N, 0 where continuous.
+        rate: at which tensions change at most in N/s.
         uses_lengths: whether the tension depends on the actuators' lengths or their rates.
         direct: whether forces follow the commands without any state or bend.
     """
@@ -25,34 +29,34 @@ class ActuationDynamics:
     def __init__(self, file: RigFile, robot: Robot) -> None:
         active = file.imperfections.active.values()
         stages = [(item, stage) for item in active if (stage := item.pressure_stage(robot)) is not None]
-        self._regulators = [stage for item, stage in stages if isinstance(item, RegulatorLag)]
-        self._muscles = [stage for item, stage in stages if not isinstance(item, RegulatorLag)]
-        self._tendons = [stage for item in active if (stage := item.tension_stage(robot)) is not None]
-        self._area = robot.parameters.A
-        self._grids = (file.regulator.step_of(robot), file.stepper.step_of(robot))
-        self._rate = file.stepper.rate_limit_N_per_s or np.inf
+        self.regulators = [stage for item, stage in stages if isinstance(item, RegulatorLag)]
+        self.muscles = [stage for item, stage in stages if not isinstance(item, RegulatorLag)]
+        self.tendons = [stage for item in active if (stage := item.tension_stage(robot)) is not None]
+        self.area = robot.parameters.A
+        self.grids = (file.regulator.step_of(robot), file.stepper.step_of(robot))
+        self.rate = file.stepper.rate_limit_N_per_s or np.inf
         self.pressure = self.tension = np.zeros(robot.modules * robot.actuators)
         self._effective = self.pressure
-        self.uses_lengths = bool(self._tendons)
-        self.direct = not (stages or self._tendons or any(self._grids) or np.isfinite(self._rate))
+        self.uses_lengths = bool(self.tendons)
+        self.direct = not (stages or self.tendons or any(self.grids) or np.isfinite(self.rate))
 
     def settle(self, command: np.ndarray) -> None:
         """Take the long-time state for a constant command."""
         pressure, tension, enabled = np.split(command, 3)
-        self.pressure = on_grid(pressure, self._grids[0])
-        for stage in self._regulators:
+        self.pressure = on_grid(pressure, self.grids[0])
+        for stage in self.regulators:
             self.pressure = stage.settle(self.pressure)
         self._effective = self.pressure
-        for stage in self._muscles:
+        for stage in self.muscles:
             self._effective = stage.settle(self._effective)
-        self.tension = on_grid(tension, self._grids[1]) * enabled
+        self.tension = on_grid(tension, self.grids[1]) * enabled
 
     def force_at_rest(self, lengths: np.ndarray) -> np.ndarray:
-        """F_a when settled and standing still at actuator lengths (actuators,) in m, (actuators,) in N."""
+        """F_a when settled and standing still at actuator lengths (…, actuators) in m, (…, actuators) in N."""
         tension = self.tension
-        for stage in self._tendons:
+        for stage in self.tendons:
             tension = stage.settle(tension, lengths)
-        return self._area * self._effective - tension
+        return self.area * self._effective - tension
 
     def step(self, command: np.ndarray, lengths: np.ndarray, rates: np.ndarray, duration: float) -> np.ndarray:
         """F_a at the start and the end of a tick, (2, actuators) in N.
@@ -64,20 +68,20 @@ class ActuationDynamics:
         """
         count = len(self.tension)
         pressure, tension, enabled = command[:, :count], command[:, count : 2 * count], command[0, 2 * count :]
-        pressure = self._quantised(pressure, self._grids[0])
-        for stage in self._regulators:
+        pressure = self._quantised(pressure, self.grids[0])
+        for stage in self.regulators:
             pressure = stage.step(pressure, duration)
         self.pressure = pressure[1]
-        for stage in self._muscles:
+        for stage in self.muscles:
             pressure = stage.step(pressure, duration)
-        tension = self._wind(self._quantised(tension, self._grids[1]), enabled, duration)
-        for stage in self._tendons:
+        tension = self._wind(self._quantised(tension, self.grids[1]), enabled, duration)
+        for stage in self.tendons:
             tension = stage.step(tension, lengths, rates, duration)
-        return self._area * pressure - tension
+        return self.area * pressure - tension
 
     def _wind(self, goal: np.ndarray, enabled: np.ndarray, duration: float) -> np.ndarray:
         """Tension at the motors, (2, actuators) in N: limited in rate, released at once where disabled."""
-        start, largest = self.tension * enabled, self._rate * duration
+        start, largest = self.tension * enabled, self.rate * duration
         if np.isinf(largest):
             out = goal * enabled
         else:

@@ -11,6 +11,7 @@ from pydantic import Field
 from tepm_opt.data.documents import Section, between
 from tepm_opt.models.robot import Robot
 
+_ROOT_3 = np.sqrt(3)
 Switch = Annotated[bool, Field(strict=True, description="true or false")]
 
 
@@ -96,8 +97,11 @@ class Lens:
     def look(self, points: np.ndarray) -> np.ndarray:
         """A frame: points (points, 3) in m with noise, NaN where lost."""
         settings = self.settings
-        seen = points + self.random.normal(size=points.shape) * settings.noise_rms_m / np.sqrt(3)
-        dropped = self.random.random(len(points)) < settings.dropout_probability
+        seen = points + self.random.standard_normal(points.shape) * settings.noise_rms_m / _ROOT_3
+        drawn = self.random.random(len(points))
+        if settings.dropout_probability == 0:
+            return seen
+        dropped = drawn < settings.dropout_probability
         self.lost = np.where(dropped & (self.lost == 0), settings.dropout_frames, self.lost)
         seen[self.lost > 0] = np.nan
         self.lost = np.maximum(self.lost - 1, 0)

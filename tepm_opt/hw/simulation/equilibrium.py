@@ -25,7 +25,7 @@ def find_equilibrium(force: Force, start: np.ndarray, tolerance: float = TOLERAN
     to the stiffness. So the first steps follow the flow and do not run to a saddle as Newton's would; the last ones are Newton's.
 
     Args:
-        force: of the positions (coordinates,) in m; (coordinates,) in N.
+        force: of positions (places, coordinates) in m, independent of each other; (places, coordinates) in N.
         start: (coordinates,) in m.
         tolerance: on the largest force in N.
         iterations: at most.
@@ -33,7 +33,7 @@ def find_equilibrium(force: Force, start: np.ndarray, tolerance: float = TOLERAN
     Raises:
         NoEquilibriumError: the force does not vanish, or only where the equilibrium is unstable.
     """
-    position, now = start.copy(), force(start)
+    position, now = start.copy(), force(start[None])[0]
     drag, nudged = 10.0, False  # N/m
     for _ in range(iterations):
         stiffness = _stiffness(force, position, now)
@@ -44,7 +44,7 @@ def find_equilibrium(force: Force, start: np.ndarray, tolerance: float = TOLERAN
             if nudged:
                 raise NoEquilibriumError(f"the network only rests where it is unstable: smallest stiffness {softest:.3g} N/m")
             position, nudged, drag = position + _NUDGE * shape, True, 10.0
-            now = force(position)
+            now = force(position[None])[0]
             continue
         position, now, drag = _downhill(force, position, now, stiffness, drag)
     raise NoEquilibriumError(f"the network does not come to rest: largest force {np.abs(now).max():.3g} N after {iterations} steps")
@@ -61,7 +61,7 @@ def _downhill(
         amount = along / (values + drag)
         move = shapes @ amount
         if np.abs(move).max() <= _LONGEST:
-            after = force(position + move)
+            after = force((position + move)[None])[0]
             gain = (now + after) @ move / 2 / (along @ amount - amount @ (values * amount) / 2)
             if gain > 0.1 or np.abs(move).max() < 1e-8:
                 calmer = 0.1 if gain > 0.75 else 0.4 if gain > 0.4 else 1.5
@@ -78,9 +78,5 @@ def _softest(stiffness: np.ndarray) -> tuple[float, np.ndarray]:
 
 def _stiffness(force: Force, position: np.ndarray, now: np.ndarray) -> np.ndarray:
     """−dF/dx by forward differences, (coordinates, coordinates)."""
-    columns = np.empty((len(position), len(position)))
-    for k in range(len(position)):
-        moved = position.copy()
-        moved[k] += _DIFFERENCE
-        columns[:, k] = (now - force(moved)) / _DIFFERENCE
-    return columns
+    moved = position + _DIFFERENCE * np.eye(len(position))
+    return (now - force(moved)).T / _DIFFERENCE

@@ -1,8 +1,12 @@
-"""The machine of a simulated rig: MuJoCo's network driven through its imperfect actuation."""
+"""The machine of a simulated rig: a network driven through its imperfect actuation, by either of two engines."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import reduce
+from math import ceil
 
 import numpy as np
 
@@ -10,8 +14,9 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.actuation import ActuationDynamics
 from tepm_opt.hw.simulation.equilibrium import find_equilibrium
 from tepm_opt.hw.simulation.imperfections.base import Body
-from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
+from tepm_opt.hw.simulation.network import Network
 from tepm_opt.hw.simulation.rigfile import RigFile
+from tepm_opt.hw.simulation.stability import longest_step
 from tepm_opt.hw.simulation.timeline import Timeline
 
 
@@ -19,40 +24,65 @@ class Diverged(RuntimeError):  # noqa: N818  it says what happened
     """Failure of a simulation whose numbers have left all bounds."""
 
 
-class Machine:
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """What is there at some steps, one after the other.
+
+    Attributes:
+        nodes: all nodes in the base frame, (frames, n + 1, actuators, 3) in m.
+        points: reference points in G, (frames, points, 3) in m.
+        pressures: behind the regulators, (frames, modules · actuators) in Pa.
+        tensions: at the motors, (frames, modules · actuators) in N.
+    """
+
+    nodes: np.ndarray
+    points: np.ndarray
+    pressures: np.ndarray
+    tensions: np.ndarray
+
+
+class Machine(ABC):
     """A robot that carries out a timeline of commands and loads, in whole steps.
 
     Attributes:
         robot: with its true parameters.
+        body: the network in numbers.
         imperfections: those that do something, by name.
-        network, actuation: its parts.
+        step: of RK4 in s: the rig file's, or less where the robot is too stiff or too light for that.
         tick: steps between updates of the states of actuators and frictions.
+        actuation: from the commands to the axial forces.
+        edges: stages of the forces along the vertical edges, in their order.
+        network: the moving parts.
         now: steps since the start.
     """
 
     def __init__(self, file: RigFile) -> None:
         self.robot = file.true_robot
-        self.step = file.simulation.step_s
         self.imperfections = file.imperfections.active
-        body = Body.of(self.robot, file.seed)
+        self.body = Body.of(self.robot, file.seed)
         for imperfection in self.imperfections.values():
-            imperfection.change_body(body)
-        self.tick = self._tick(file.simulation.tick_s, body)
-        self._edges = [stage for item in self.imperfections.values() if (stage := item.edge_stage(body)) is not None]
-        self.network = MujocoNetwork(body, self.step)
+            imperfection.change_body(self.body)
+        self.step = _step(file, self.body)
+        self.tick = self._tick(file.simulation.tick_s)
+        self.edges = [stage for item in self.imperfections.values() if (stage := item.edge_stage(self.body)) is not None]
         self.actuation = ActuationDynamics(file, self.robot)
-        self._ticks = bool(self._edges) or not self.actuation.direct
-        self._follows_shape = bool(self._edges) or self.actuation.uses_lengths
+        self.ticks = bool(self.edges) or not self.actuation.direct
+        self.follows_shape = bool(self.edges) or self.actuation.uses_lengths
+        self.network = self._network()
         self.now = 0
 
-    def _tick(self, wanted: float, body: Body) -> int:
+    @abstractmethod
+    def _network(self) -> Network:
+        """The moving parts, of this engine."""
+
+    def _tick(self, wanted: float) -> int:
         """Steps in a tick: as wanted (in s), or fewer where an imperfection is too stiff for that.
 
         Raises:
             InputError: one is too stiff even for a tick of one step.
         """
         for name, imperfection in self.imperfections.items():
-            longest = imperfection.longest_tick(body)
+            longest = imperfection.longest_tick(self.body)
             if longest < self.step:
                 need = f"it needs steps of {longest:.2g} s, simulation.step_s is {self.step:g} s"
                 raise InputError(f"imperfections: {name} is too stiff for the damping of the muscles: {need}")
@@ -69,46 +99,37 @@ class Machine:
         """
         self.actuation.settle(command)
         self.network.load(forces)
+        position = find_equilibrium(self._force, np.zeros(self.network.rest[1:].size))
+        self._force(position[None])  # the stages settle at these lengths
+        self.network.place(position)
 
-        def force(position: np.ndarray) -> np.ndarray:
-            self.network.data.qpos[:] = position
-            return self.network.force_at_rest(position, *self._at_rest())
-
-        position = find_equilibrium(force, np.zeros(self.network.model.nv))
-        self.network.data.qpos[:] = position
-        self.network.force_at_rest(position, *self._at_rest())
-
-    def _at_rest(self) -> tuple[np.ndarray, np.ndarray | None]:
-        lengths, _ = self.network.verticals()
+    def _force(self, positions: np.ndarray) -> np.ndarray:
+        """Net forces on all free coordinates (places, 3 n actuators) in N, settled at displacements (places, 3 n actuators) in m."""
+        lengths = self.network.lengths(positions)
         axial = self.actuation.force_at_rest(self.network.of_actuators(lengths))
-        return axial, reduce(np.add, (stage.settle(lengths) for stage in self._edges)) if self._edges else None
+        edges = reduce(np.add, (stage.settle(lengths) for stage in self.edges)) if self.edges else None
+        push = np.broadcast_to(self.network.push(axial, edges), lengths.shape)
+        return self.network.forces_at_rest(positions, push)
 
-    def advance(self, until: int, commands: Timeline, forces: Timeline) -> None:
-        """Advance the simulation to a step.
+    @abstractmethod
+    def record(self, at: Sequence[int], commands: Timeline, forces: Timeline) -> Frames:
+        """Advance to each of some steps; what is there then. Fewer frames than steps where the simulation diverges before a later one.
 
         Args:
-            until: step to stop at.
+            at: steps that do not fall, at least one.
             commands: (3 · actuators,) in Pa, N and 0 or 1.
             forces: on the points in G, (points, 3) in N.
 
         Raises:
-            Diverged: the positions left all bounds.
+            Diverged: the positions left all bounds before the first of the steps.
         """
-        empty = np.empty(0)
-        while self.now < until:
-            end = min(commands.next_knot(self.now, until), forces.next_knot(self.now, until), until)
-            if self._ticks or not forces.constant(self.now):
-                end = min(end, self.now + self.tick)
-            duration = (end - self.now) * self.step
-            lengths, rates = self.network.verticals() if self._follows_shape else (empty, empty)
-            edges = reduce(np.add, (stage.step(lengths, rates, duration) for stage in self._edges)) if self._edges else None
-            if self.actuation.uses_lengths:
-                lengths, rates = self.network.of_actuators(lengths), self.network.of_actuators(rates)
-            axial = self.actuation.step(commands.between(self.now, end), lengths, rates, duration)
-            self.network.drive(axial, edges, duration)
-            force = forces.between(self.now, end)
-            self.network.load((force[0] + force[1]) / 2)
-            self.network.advance(end - self.now)
-            self.now = end
-        if not self.network.finite:
-            raise Diverged(f"the simulation diverged before {self.now * self.step:.3f} s; a smaller step_s may help (now {self.step:g} s)")
+
+    def diverged(self, at: int) -> Diverged:
+        """The error that says that the positions left all bounds before a step."""
+        return Diverged(f"the simulation diverged before {at * self.step:.3f} s; a smaller step_s may help (now {self.step:g} s)")
+
+
+def _step(file: RigFile, body: Body) -> float:
+    """The rig file's step in s, or a whole part of the tracker's period that the network bears."""
+    wanted, longest, period = file.simulation.step_s, longest_step(body), 1 / file.tracker.rate_hz
+    return wanted if wanted <= longest else period / ceil(period / longest)

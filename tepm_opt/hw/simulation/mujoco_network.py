@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.hw.simulation.imperfections.base import Body
+from tepm_opt.hw.simulation.network import Network
 from tepm_opt.models.layout import HORIZONTAL, VERTICAL
 
 _COLOURS = {VERTICAL: "0.16 0.38 0.62 1", HORIZONTAL: "0.45 0.45 0.45 1"}
@@ -20,114 +21,78 @@ _OTHER = "0.75 0.75 0.75 0.6"
 _AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 
-class MujocoNetwork:
-    """A network that moves; base frame, SI.
-
-    Args:
-        body: the network in numbers.
-        step: of RK4 in s.
+class MujocoNetwork(Network):
+    """A network that moves in MuJoCo; see `Network`.
 
     Attributes:
         model, data: MuJoCo's own.
-        rest: nodes at rest, (n + 1, actuators, 3) in m.
     """
 
     def __init__(self, body: Body, step: float) -> None:
         import mujoco
 
+        super().__init__(body, step)
         self._engine: Any = mujoco
-        self.body, self.layout = body, body.layout
-        self.rest = body.layout.rest_positions(body.robot.parameters.r, body.robot.parameters.L_0)
         self.model: Any = self._engine.MjModel.from_xml_string(network_xml(body, step))
         self.data: Any = self._engine.MjData(self.model)
-        self.count = self.layout.modules * self.layout.actuators
         self._weights = body.layout.point_weights[:, 1:] / body.layout.actuators
-        muscles = np.arange(self.count).reshape(self.layout.modules, 1, -1)
-        self._muscle = np.repeat(muscles, self.layout.segments, axis=1).ravel()
         self._loaded = np.full((self.layout.points, 3), np.nan)
-        self._rest_spans = np.diff(self.rest, axis=0)
-        self._turn = body.robot.mount.rotation
-        self._base = np.array(body.robot.mount.base_position_m, dtype=float)
 
     def advance(self, steps: int) -> None:
         """Move on by whole steps; the motors' forces change at their slopes."""
         self._engine.mj_step(self.model, self.data, steps)
 
-    def drive(self, axial: np.ndarray, edges: np.ndarray | None, duration: float) -> None:
-        """Forces for the coming steps, linear in time.
+    def drive(self, push: np.ndarray, duration: float) -> None:
+        """Set the motors' forces for the coming steps, linear in time.
 
         Args:
-            axial: F_a of the actuators at the start and the end, (2, modules · actuators) in N.
-            edges: forces that push the vertical edges apart, (2, n, actuators) in N.
+            push: at the start and the end, (2, n, actuators) in N.
             duration: between start and end in s.
         """
-        push = self._push(axial, edges)
-        self.data.act[:] = push[0]
-        self.data.ctrl[:] = (push[1] - push[0]) / duration
-
-    def _push(self, axial: np.ndarray, edges: np.ndarray | None) -> np.ndarray:
-        """Force of every motor, level by level, (…, n · actuators) in N."""
-        push = axial[..., self._muscle]
-        return push if edges is None else push + edges.reshape(push.shape)
+        self.data.act[:] = push[0].ravel()
+        self.data.ctrl[:] = ((push[1] - push[0]) / duration).ravel()
 
     def load(self, forces: np.ndarray) -> None:
-        """Set the forces on the reference points in G, (points, 3) in N; the body's constant load is added.
-
-        The nodes of a point's levels share its force; the base takes what falls on level 0.
-        """
+        """See `Network`."""
         if np.array_equal(forces, self._loaded):
             return
         self._loaded = forces
-        levels = self._weights.T @ (forces + self.body.load) @ self._turn
+        levels = self._weights.T @ (forces + self.body.load) @ self.turn
         self.data.qfrc_applied[:] = np.repeat(levels[:, None], self.layout.actuators, axis=1).ravel()
 
     @property
     def finite(self) -> bool:
         """Whether the simulation has not diverged."""
-        return bool(np.isfinite(self.data.qpos).all() and np.abs(self.data.qpos).max() < 100 * self.body.robot.parameters.L_0)
+        return bool(np.abs(self.data.qpos).max() < self.bound)  # no where it is not a number
 
     @property
     def nodes(self) -> np.ndarray:
-        """All nodes, (n + 1, actuators, 3) in m."""
+        """See `Network`."""
         nodes = self.rest.copy()
         nodes[1:] += self.data.qpos.reshape(self.layout.levels, self.layout.actuators, 3)
         return nodes
 
-    def points(self, nodes: np.ndarray) -> np.ndarray:
-        """Reference points in the frame G of nodes in the base frame, (points, 3) in m."""
-        return self.in_tracker_frame(self.layout.point_weights @ nodes.mean(axis=1))
+    @property
+    def velocities(self) -> np.ndarray:
+        """See `Network`."""
+        velocities = np.zeros_like(self.rest)
+        velocities[1:] = self.data.qvel.reshape(self.layout.levels, self.layout.actuators, 3)
+        return velocities
 
-    def in_tracker_frame(self, positions: np.ndarray) -> np.ndarray:
-        """Positions (…, 3) in m from the base frame to G."""
-        return positions @ self._turn.T + self._base
-
-    def verticals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lengths and rates of the vertical edges, (n, actuators) each in m and m/s."""
-        shape = (self.layout.levels, self.layout.actuators, 3)
-        span, motion = self.data.qpos.reshape(shape).copy(), self.data.qvel.reshape(shape).copy()
-        span[1:] -= span[:-1].copy()
-        motion[1:] -= motion[:-1].copy()
-        span += self._rest_spans
-        length = np.sqrt(np.einsum("jik,jik->ji", span, span))
-        return length, np.einsum("jik,jik->ji", span, motion) / length
-
-    def of_actuators(self, edges: np.ndarray) -> np.ndarray:
-        """Sums over the vertical edges (n, actuators) of each actuator, (modules · actuators,)."""
-        return edges.reshape(self.layout.modules, self.layout.segments, -1).sum(axis=1).ravel()
-
-    def force_at_rest(self, position: np.ndarray, axial: np.ndarray, edges: np.ndarray | None) -> np.ndarray:
-        """Net force on all free coordinates, (3 n actuators,) in N, of a network that stands still, as MuJoCo computes it.
-
-        Args:
-            position: displacements from the rest geometry, (3 n actuators,) in m.
-            axial, edges: forces of the motors as in `drive`, without the first axis.
-        """
-        self.data.qpos[:] = position
-        self.data.qvel[:] = 0.0
-        self.data.act[:] = self._push(axial, edges)
-        self.data.ctrl[:] = 0.0
+    def place(self, position: np.ndarray) -> None:
+        """See `Network`."""
+        self.data.qpos[:], self.data.qvel[:] = position, 0.0
         self._engine.mj_forward(self.model, self.data)
-        return self.data.qfrc_smooth.copy()
+
+    def forces_at_rest(self, positions: np.ndarray, push: np.ndarray) -> np.ndarray:
+        """See `Network`; as MuJoCo computes them."""
+        forces = np.empty_like(positions)
+        self.data.ctrl[:] = 0.0
+        for force, position, motors in zip(forces, positions, push, strict=True):
+            self.data.act[:] = motors.ravel()
+            self.place(position)
+            force[:] = self.data.qfrc_smooth
+        return forces
 
 
 def network_xml(body: Body, step: float) -> str:

@@ -1,4 +1,4 @@
-"""The simulated rig: virtual time, a MuJoCo robot, imperfect devices."""
+"""The simulated rig: virtual time, a robot that is not the model, imperfect devices."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command, check_setpoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.devices import Lens, generator
-from tepm_opt.hw.simulation.imperfections.base import Sighting
-from tepm_opt.hw.simulation.machine import Machine
-from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
+from tepm_opt.hw.simulation.imperfections.base import Imperfection, Sighting
+from tepm_opt.hw.simulation.machine import Frames
+from tepm_opt.hw.simulation.machines import machine_of
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
 from tepm_opt.hw.simulation.timeline import Timeline, knots
 from tepm_opt.models.layout import Layout
@@ -35,9 +35,10 @@ class SimulatedRig:
         file: what the rig is made of.
         robot: as its file says, without the rig's parameter errors: what a controller may know.
         time: in s since the start.
+        machine: what moves, as it is at the last sample's time; for looking inside.
 
     Raises:
-        InputError: as for `load_rig_file`, or imperfections that do not fit the robot.
+        InputError: as for `load_rig_file` and `machine_of`, or imperfections that do not fit the robot.
     """
 
     def __init__(self, file: RigFile | str | Path = DEFAULT, wait: Callable[[float], None] = lambda _: None) -> None:
@@ -45,12 +46,13 @@ class SimulatedRig:
         self.robot = self.file.nominal
         self.layout = Layout.of(self.robot)
         self.time = 0.0
-        self._machine = Machine(self.file)
+        self.machine = machine_of(self.file)
+        self._distortions = [item for item in self.machine.imperfections.values() if type(item).measure is not Imperfection.measure]
         self._lens = Lens(self.file.tracker, self.layout.points, self.file.seed)
         self._random = {name: generator(self.file.seed, name) for name in ("pressure_monitor", "dynamometer")}
-        self._delay = round(self.file.imperfections.time_delay.delay_s / self._machine.step)
-        self._commands = Timeline(np.zeros(3 * self._machine.network.count), self._machine.step)
-        self._forces = Timeline(np.zeros((self.layout.points, 3)), self._machine.step)
+        self._delay = round(self.file.imperfections.time_delay.delay_s / self.machine.step)
+        self._commands = Timeline(np.zeros(3 * self.machine.network.count), self.machine.step)
+        self._forces = Timeline(np.zeros((self.layout.points, 3)), self.machine.step)
         self._wait = wait
         self._frame = 0
         self._settled = False
@@ -70,19 +72,36 @@ class SimulatedRig:
         Raises:
             NoEquilibriumError, Diverged: the robot does not come to rest before the start, or the simulation leaves all bounds.
         """
+        return self.read_many(1)[0]
+
+    def read_many(self, count: int) -> list[Sample]:
+        """The next samples, as `read` gives them one by one, for as long as nothing is commanded between them; in less time.
+
+        Fewer than `count`, at least one, where the simulation leaves all bounds before a later one.
+
+        Raises:
+            NoEquilibriumError, Diverged: as for `read`.
+        """
         self._start()
-        step, tracker = self._machine.step, self.file.tracker
-        at = round(self._frame / tracker.rate_hz / step)
-        self._machine.advance(at, self._commands, self._forces)
-        self._commands.forget(at)
-        self._forces.forget(at)
-        self._frame += 1
-        before, self.time = self.time, at * step + tracker.latency_s
+        step, tracker, first = self.machine.step, self.file.tracker, self._frame
+        at = [round(frame / tracker.rate_hz / step) for frame in range(first, first + count)]
+        frames = self.machine.record(at, self._commands, self._forces)
+        self._present, done = (frames.nodes[-1], frames.points[-1]), len(frames.points)
+        self._frame += done
+        last = at[done - 1]
+        self._commands.forget(last)
+        self._forces.forget(last)
+        before, self.time = self.time, last * step + tracker.latency_s
         self._wait(self.time - before)
-        points = self._lens.look(self._seen())
-        lost = [name for name, point in zip(self.layout.point_names, points, strict=True) if np.isnan(point).any()]
-        status = f"tracker lost {', '.join(lost)}" if lost else "ok"
-        return Sample(at * step, points, self._monitored(), self._weighed(), status=status)
+        pressures, tensions = self._monitored(frames.pressures), self._weighed(frames.tensions)
+        samples = []
+        for k in range(done):
+            points = self._lens.look(self._seen(frames, k))
+            lost = self._lost(points) if tracker.dropout_probability else ()
+            status = f"tracker lost {', '.join(lost)}" if lost else "ok"
+            pressure, tension = (None if of is None else of[k] for of in (pressures, tensions))
+            samples.append(Sample(at[k] * step, points, pressure, tension, status=status))
+        return samples
 
     def apply(self, command: Command) -> None:
         """New set points, held until the next ones; before the first `read`, where the robot rests.
@@ -106,7 +125,7 @@ class SimulatedRig:
         values = check_setpoints(setpoints, self.robot)
         forces = np.zeros((len(values), self.layout.points, 3))
         forces[:, -1] = setpoints.tip_force
-        steps = knots(setpoints.time, self._machine.step)
+        steps = knots(setpoints.time, self.machine.step)
         now = self._change()
         if not self._frame:
             self._commands.set(0, values[0])
@@ -131,7 +150,7 @@ class SimulatedRig:
     def stop(self) -> None:
         """Motors off, pressure to zero; the robot then moves under its own weight if it is read on."""
         if self._frame:
-            self._commands.set(self._change() + self._delay, np.zeros(3 * self._machine.network.count))
+            self._commands.set(self._change() + self._delay, np.zeros(3 * self.machine.network.count))
 
     @property
     def simulated(self) -> Simulated:
@@ -139,25 +158,22 @@ class SimulatedRig:
         return self
 
     @property
-    def network(self) -> MujocoNetwork:
-        """MuJoCo's model and data, as they are at the last sample's time; for rendering and for looking inside."""
-        self._start()
-        return self._machine.network
-
-    @property
     def true_points(self) -> np.ndarray:
         """Where the reference points were in truth at the last sample's time, in the assumed frame G, (points, 3) in m."""
-        return self.network.points(self.network.nodes)
+        self._start()
+        return self._present[1].copy()
 
     @property
     def true_nodes(self) -> np.ndarray:
         """Where all nodes were in truth at the last sample's time, in G, (n + 1, actuators, 3) in m."""
-        return self.network.in_tracker_frame(self.network.nodes)
+        self._start()
+        return self.machine.network.in_tracker_frame(self._present[0])
 
     @property
     def true_lengths(self) -> np.ndarray:
         """Lengths of the actuators at the last sample's time, (modules · actuators,) in m."""
-        return self.network.of_actuators(self.network.verticals()[0])
+        self._start()
+        return self.machine.network.of_actuators(np.linalg.norm(np.diff(self._present[0], axis=0), axis=-1))
 
     def __enter__(self) -> SimulatedRig:
         """The rig itself."""
@@ -170,27 +186,34 @@ class SimulatedRig:
     def _start(self) -> None:
         """Settle, once, before time starts."""
         if not self._settled:
+            self.machine.settle(self._commands.between(0, 0)[0], self._forces.between(0, 0)[0])
+            frames = self.machine.record([0], self._commands, self._forces)
+            self._present = (frames.nodes[0], frames.points[0])
             self._settled = True
-            self._machine.settle(self._commands.between(0, 0)[0], self._forces.between(0, 0)[0])
 
     def _change(self) -> int:
         """The present step, before something changes: if time has not started the robot has to settle anew."""
         self._settled = self._frame > 0
-        return round(self.time / self._machine.step)
+        return round(self.time / self.machine.step)
 
-    def _seen(self) -> np.ndarray:
-        """Reference points as the tracker sees them but for its noise, (points, 3) in m."""
-        network, points = self._machine.network, self.true_points
-        for imperfection in self._machine.imperfections.values():
-            points = imperfection.measure(Sighting(points, self.true_nodes, network.rest, self.layout))
+    def _seen(self, frames: Frames, k: int) -> np.ndarray:
+        """Reference points of a frame as the tracker sees them but for its noise, (points, 3) in m."""
+        network, points = self.machine.network, frames.points[k]
+        if self._distortions:
+            nodes = network.in_tracker_frame(frames.nodes[k])
+            for imperfection in self._distortions:
+                points = imperfection.measure(Sighting(points, nodes, network.rest, self.layout))
         return points
 
-    def _monitored(self) -> np.ndarray | None:
-        monitor, pressure = self.file.pressure_monitor, self._machine.actuation.pressure
-        noise = monitor.noise_rms_Pa * self._random["pressure_monitor"].normal(size=pressure.shape)
-        return pressure + monitor.offset_Pa + noise if monitor.fitted else None
+    def _lost(self, points: np.ndarray) -> list[str]:
+        return [name for name, point in zip(self.layout.point_names, points, strict=True) if np.isnan(point).any()]
 
-    def _weighed(self) -> np.ndarray | None:
-        meter, tension = self.file.dynamometer, self._machine.actuation.tension
-        noise = meter.noise_rms_N * self._random["dynamometer"].normal(size=tension.shape)
-        return tension + meter.offset_N + noise if meter.fitted else None
+    def _monitored(self, pressures: np.ndarray) -> np.ndarray | None:
+        monitor = self.file.pressure_monitor
+        noise = monitor.noise_rms_Pa * self._random["pressure_monitor"].normal(size=pressures.shape)
+        return pressures + monitor.offset_Pa + noise if monitor.fitted else None
+
+    def _weighed(self, tensions: np.ndarray) -> np.ndarray | None:
+        meter = self.file.dynamometer
+        noise = meter.noise_rms_N * self._random["dynamometer"].normal(size=tensions.shape)
+        return tensions + meter.offset_N + noise if meter.fitted else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -14,13 +14,21 @@ from tepm_opt.hw.simulation.devices import Dynamometer, PressureMonitor, Regulat
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.models.robot import UNITS, Robot, builtin_robots, load_robot
 
-LARGEST_STEP = 2.5e-4  # s, of MuJoCo's RK4; the network's own limit is 0.41 ms
+LARGEST_STEP = 2.5e-4  # s, of RK4
 DEFAULT = "virtual_prototype"
 
 
-class SimulationSteps(Section):
-    """Steps of the simulation: `step_s` of MuJoCo's RK4, `tick_s` of the actuators' and frictions' states."""
+Engine = Literal["auto", "compiled", "mujoco"]
 
+
+class SimulationSteps(Section):
+    """How the machine is simulated.
+
+    `step_s` is the largest step of RK4 (robots that are too stiff or too light for it get smaller ones), `tick_s` that of the actuators'
+    and frictions' states. `engine` is the compiled one where there is a C compiler and MuJoCo elsewhere ("auto"), or always one of them.
+    """
+
+    engine: Engine = "auto"
     step_s: Annotated[float, between(1e-6, LARGEST_STEP, "s")] = LARGEST_STEP
     tick_s: Annotated[float, between(1e-6, 2e-3, "s")] = 1e-3
 
@@ -49,6 +57,16 @@ class RigFile(Section):
             if name not in UNITS:
                 raise unknown_name("parameter", name, UNITS, "parameter_factors")
         return self
+
+    def with_engine(self, engine: str) -> RigFile:
+        """The same rig, simulated by one of the engines.
+
+        Raises:
+            InputError: no such engine.
+        """
+        if engine not in get_args(Engine):
+            raise unknown_name("engine", engine, get_args(Engine))
+        return self.model_copy(update={"simulation": self.simulation.model_copy(update={"engine": engine})})
 
     @property
     def nominal(self) -> Robot:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 
 import numpy as np
 
@@ -15,50 +15,79 @@ class Timeline:
     Args:
         value: before the first knot.
         step: of the simulation in s.
+
+    Attributes:
+        at: of the knots in steps, (room,), int64; as the next three with room for more of them.
+        values: from a knot on, (room, …).
+        slopes: their changes a second, (room, …).
+        moves: whether a slope is not 0, (room,), uint8.
+        first, end: the knots that there are.
     """
 
     def __init__(self, value: np.ndarray, step: float) -> None:
         self.step = step
-        self.at = [0]
-        self.values = [np.array(value, dtype=float)]
-        self.slopes: list[np.ndarray | None] = [None]
+        self.first, self.end = 0, 0
+        self._take(4, np.shape(value))
+        self.set(0, value)
 
-    def set(self, at: int, value: np.ndarray, slope: np.ndarray | None = None) -> None:
-        """Set `value` from step `at` on, changing by `slope` a second (default 0). What was set for later is dropped."""
-        keep = bisect_right(self.at, at - 1)
-        del self.at[keep:], self.values[keep:], self.slopes[keep:]
-        self.at.append(at)
-        self.values.append(np.array(value, dtype=float))
-        self.slopes.append(np.array(slope, dtype=float) if slope is not None and np.any(slope) else None)
+    def _take(self, room: int, shape: tuple[int, ...]) -> None:
+        """Take place for a number of knots."""
+        self.at, self.moves = np.zeros(room, dtype=np.int64), np.zeros(room, dtype=np.uint8)
+        self.values, self.slopes = np.zeros((room, *shape)), np.zeros((room, *shape))
+        self._steps = self.at.data
+
+    def set(self, at: int, value: np.ndarray) -> None:
+        """Set `value` from step `at` on. What was set for later is dropped."""
+        self._add(1, at)
+        k = self.end - 1
+        self.at[k], self.values[k], self.slopes[k], self.moves[k] = at, value, 0.0, 0
 
     def follow(self, at: np.ndarray, values: np.ndarray, linear: bool) -> None:
         """Knots (knots,) in steps with values (knots, …), linear between them or each held until the next; the last one stays."""
-        for k, (start, value) in enumerate(zip(at, values, strict=True)):
-            last = k + 1 == len(at)
-            slope = None if last or not linear else (values[k + 1] - value) / ((at[k + 1] - start) * self.step)
-            self.set(int(start), value, slope)
+        self._add(len(at), int(at[0]))
+        new = slice(self.end - len(at), self.end)
+        slopes = np.zeros_like(values)
+        if linear:
+            slopes[:-1] = np.diff(values, axis=0) / (np.diff(at) * self.step).reshape(-1, *[1] * (values.ndim - 1))
+        self.at[new], self.values[new], self.slopes[new] = at, values, slopes
+        self.moves[new] = slopes.reshape(len(at), -1).any(axis=1)
+
+    def _add(self, count: int, at: int) -> None:
+        """Make room for knots from a step on, in place of those that are there."""
+        self.end = bisect_left(self._steps, at, self.first, self.end)
+        kept, had = slice(self.first, self.end), (self.at, self.values, self.slopes, self.moves)
+        if self.end + count > len(self.at):
+            self._take(2 * (self.end - self.first + count), self.values.shape[1:])
+            self.first, self.end = 0, kept.stop - kept.start
+            for new, old in zip((self.at, self.values, self.slopes, self.moves), had, strict=True):
+                new[: self.end] = old[kept]
+        self.end += count
+
+    def _knot(self, at: int) -> int:
+        """The knot at a step or the last one before it."""
+        return bisect_right(self._steps, at, self.first, self.end) - 1
 
     def between(self, start: int, end: int) -> np.ndarray:
         """Values at two steps with no knot between them, (2, …): from the right at the first, from the left at the second."""
-        k = bisect_right(self.at, start) - 1
-        at, value, slope = self.at[k], self.values[k], self.slopes[k]
-        if slope is None:
+        k = self._knot(start)
+        at, value = self._steps[k], self.values[k]
+        if not self.moves[k]:
             return np.array([value, value])
+        slope = self.slopes[k]
         return np.array([value + (start - at) * self.step * slope, value + (end - at) * self.step * slope])
 
     def next_knot(self, after: int, otherwise: int) -> int:
         """The first knot after a step, or `otherwise`."""
-        k = bisect_right(self.at, after)
-        return self.at[k] if k < len(self.at) else otherwise
+        k = self._knot(after) + 1
+        return self._steps[k] if k < self.end else otherwise
 
     def constant(self, at: int) -> bool:
         """Whether the value does not change between this step and the next knot."""
-        return self.slopes[bisect_right(self.at, at) - 1] is None
+        return not self.moves[self._knot(at)]
 
     def forget(self, before: int) -> None:
         """Drop knots that a time from `before` on does not need."""
-        done = bisect_right(self.at, before) - 1
-        del self.at[:done], self.values[:done], self.slopes[:done]
+        self.first = self._knot(before)
 
 
 def knots(time: np.ndarray, step: float) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 from tepm_opt.hw.simulation.rig import SimulatedRig
 
 
@@ -27,7 +28,7 @@ class RigView:
 
     def __init__(self, rig: SimulatedRig, width: int = 640, height: int = 480, plain: bool = False) -> None:
         self.rig, self.width, self.height = rig, width, height
-        self._offscreen = None if plain else _offscreen(rig)
+        self._offscreen = None if plain else _offscreen(rig)  # MuJoCo's network only draws: whichever engine moves the rig
         self.method = "matplotlib" if self._offscreen is None else "mujoco"
 
     def image(self, azimuth: float = 60.0) -> np.ndarray:
@@ -36,7 +37,7 @@ class RigView:
             return _drawn(self.rig, self.width, self.height, azimuth)
         return self._rendered(azimuth, *self._offscreen)
 
-    def _rendered(self, azimuth: float, scene: Any, context: Any) -> np.ndarray:
+    def _rendered(self, azimuth: float, network: MujocoNetwork, scene: Any, context: Any) -> np.ndarray:
         import mujoco
 
         _screen().make_current()
@@ -44,10 +45,8 @@ class RigView:
         camera: Any = mujoco.MjvCamera()  # type: ignore[attr-defined]
         camera.lookat[:] = (0, 0, reach / 2)
         camera.distance, camera.azimuth, camera.elevation = 1.6 * reach, azimuth + 180.0, -12.0
-        model, data = self.rig.network.model, self.rig.network.data
-        mujoco.mj_kinematics(model, data)  # type: ignore[attr-defined]
-        mujoco.mj_tendon(model, data)  # type: ignore[attr-defined]
-        mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)  # type: ignore[attr-defined]
+        network.place(((self.rig.true_nodes - network.base) @ network.turn - network.rest)[1:].ravel())
+        mujoco.mjv_updateScene(network.model, network.data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)  # type: ignore[attr-defined]
         area: Any = mujoco.MjrRect(0, 0, self.width, self.height)  # type: ignore[attr-defined]
         mujoco.mjr_render(area, scene, context)  # type: ignore[attr-defined]
         pixels = np.empty((self.height, self.width, 3), dtype=np.uint8)
@@ -70,20 +69,21 @@ def _screen() -> Any:
         return None
 
 
-def _offscreen(rig: SimulatedRig) -> tuple[Any, Any] | None:
-    """Scene and renderer of MuJoCo; None where it cannot render."""
+def _offscreen(rig: SimulatedRig) -> tuple[MujocoNetwork, Any, Any] | None:
+    """A network of MuJoCo's to be drawn, scene and renderer; None where it cannot render."""
     if _screen() is None:
         return None
     import mujoco
 
     try:
         _screen().make_current()
-        scene = mujoco.MjvScene(rig.network.model, maxgeom=20 * rig.network.model.ntendon + 1000)  # type: ignore[attr-defined]
-        context: Any = mujoco.MjrContext(rig.network.model, mujoco.mjtFontScale.mjFONTSCALE_100)  # type: ignore[attr-defined]
+        network = MujocoNetwork(rig.machine.body, rig.machine.step)
+        scene = mujoco.MjvScene(network.model, maxgeom=20 * network.model.ntendon + 1000)  # type: ignore[attr-defined]
+        context: Any = mujoco.MjrContext(network.model, mujoco.mjtFontScale.mjFONTSCALE_100)  # type: ignore[attr-defined]
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)  # type: ignore[attr-defined]
     except (mujoco.FatalError, RuntimeError):  # type: ignore[attr-defined]
         return None
-    return scene, context
+    return network, scene, context
 
 
 def _drawn(rig: SimulatedRig, width: int, height: int, azimuth: float) -> np.ndarray:

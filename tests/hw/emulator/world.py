@@ -37,7 +37,7 @@ class World:
         if rig is not None:
             board.follow(False)
             self._calibration = Calibration.of(rig.robot)
-            rig.network  # noqa: B018  settles
+            rig.true_points  # noqa: B018  settles
             self._couple()
 
     def clock(self) -> float:
@@ -57,22 +57,23 @@ class World:
     def _couple(self) -> None:
         """The board's outputs move the robot, the robot's sensors reach the board and the tracker."""
         rig, board, calibration = self.rig, self.board, self._calibration
-        machine = rig._machine
+        machine = rig.machine
         now = round(self.time / machine.step)
         on = np.array([board.enabled >> k & 1 for k in range(6)], dtype=float)
         pressures = np.maximum(board.dac - calibration.codes_zero, 0) / calibration.codes
         self._unwound = np.where(on > 0, self._unwound, board.positions)
         tensions = np.maximum(board.positions - self._unwound, 0) / calibration.steps
         rig._commands.set(now, np.concatenate([pressures, tensions, on]))
-        machine.advance(now, rig._commands, rig._forces)
+        frames = machine.record([now], rig._commands, rig._forces)
         rig._commands.forget(now)
-        for k, (pressure, tension) in enumerate(zip(rig._monitored(), rig._weighed(), strict=True)):
+        measured = [values[0] for values in (rig._monitored(frames.pressures), rig._weighed(frames.tensions)) if values is not None]
+        for k, (pressure, tension) in enumerate(zip(*measured, strict=True)):
             board.monitor(k, (calibration.monitor_zero + calibration.monitor * pressure)[k] * 5 / 32768)
             board.dynamometer(k, round((calibration.counts_zero + calibration.counts * tension)[k]))
         tracker = rig.file.tracker
         if self.time >= self._due / tracker.rate_hz - 1e-9:
             self._due += 1
-            points = rig._lens.look(rig._seen())
+            points = rig._lens.look(rig._seen(frames, 0))
             lost = [f"s{k + 1}" for k in range(len(points)) if np.isnan(points[k]).any()]
             status = f"tracker lost {', '.join(lost)}" if lost else "ok"
             self.frames.append((self.time + tracker.latency_s, Frame(self.time, points, np.full((4, 4, 4), np.nan), status)))

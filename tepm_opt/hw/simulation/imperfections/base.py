@@ -16,12 +16,12 @@ from tepm_opt.data.documents import Section
 from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Layout
 from tepm_opt.models.robot import Robot
 
-__all__ = ["Body", "EdgeStage", "Imperfection", "PressureStage", "Section", "Sighting", "StaticMap", "TensionStage"]
+__all__ = ["Body", "EdgeStage", "Imperfection", "Numbers", "PressureStage", "Section", "Sighting", "StaticMap", "TensionStage"]
 
 
 @dataclass
 class Body:
-    """The network in numbers (SPEC section 2), changed in place by imperfections before MuJoCo compiles it; base frame, SI.
+    """The network in numbers (SPEC section 2), changed in place by imperfections before it moves; base frame, SI.
 
     Attributes:
         robot, layout: what it was made from.
@@ -74,7 +74,34 @@ class Body:
         return slice(0, self.layout.actuators)
 
 
-class PressureStage(Protocol):
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """All numbers of a stage, for the compiled engine: scalars, then arrays with a number a channel, the last of them its state.
+
+    Channels are a stage's actuators, (modules · actuators,), or vertical edges, (n, actuators).
+
+    Attributes:
+        kind: name of the stage's function in devices.c.
+        scalars: any number of them.
+        channels: arrays (channels) or (operators or branches, channels).
+        count: of its operators or branches, where it has several.
+    """
+
+    kind: str
+    scalars: tuple[float, ...] = ()
+    channels: tuple[np.ndarray, ...] = ()
+    count: int = 1
+
+
+class Stage(Protocol):
+    """What every stage has besides the Protocols below. One without `numbers`, of a package of your own, runs on MuJoCo's engine only."""
+
+    def numbers(self) -> Numbers:
+        """What the compiled engine begins with, once the stage has settled."""
+        ...
+
+
+class PressureStage(Stage, Protocol):
     """One step on the way from commanded to effective pressure; arrays are (modules · actuators,) in Pa."""
 
     def settle(self, pressure: np.ndarray) -> np.ndarray:
@@ -86,7 +113,7 @@ class PressureStage(Protocol):
         ...
 
 
-class TensionStage(Protocol):
+class TensionStage(Stage, Protocol):
     """One step on the way from the motor's to the effective tension; arrays are (modules · actuators,) in N, m and m/s."""
 
     def settle(self, tension: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -105,7 +132,7 @@ class TensionStage(Protocol):
         ...
 
 
-class EdgeStage(Protocol):
+class EdgeStage(Stage, Protocol):
     """A force along the vertical edges besides spring, damper and actuator; arrays are (n, actuators) in m, m/s and N."""
 
     def settle(self, length: np.ndarray) -> np.ndarray:
@@ -135,10 +162,14 @@ class Sighting:
 
 
 class StaticMap:
-    """A pressure stage without memory."""
+    """A pressure stage without memory: a function, and its numbers for the compiled engine."""
 
-    def __init__(self, function: Callable[[np.ndarray], np.ndarray]) -> None:
-        self.function = function
+    def __init__(self, function: Callable[[np.ndarray], np.ndarray], numbers: Numbers) -> None:
+        self.function, self._numbers = function, numbers
+
+    def numbers(self) -> Numbers:
+        """Numbers as given."""
+        return self._numbers
 
     def settle(self, pressure: np.ndarray) -> np.ndarray:
         """The function's value."""

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tepm_opt.data.documents import between
-from tepm_opt.hw.simulation.imperfections.base import Body, EdgeStage, Imperfection
+from tepm_opt.hw.simulation.imperfections.base import Body, EdgeStage, Imperfection, Numbers
 from tepm_opt.hw.simulation.imperfections.lugre import LuGre
 
 _LARGEST_STRAIN = 0.4  # of a muscle, for the choice of the tick; the paper's reach 0.35
@@ -32,6 +32,9 @@ class Bristles:
 
     def step(self, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
         return -self.friction.step(rate, self.sliding + self.share * np.abs(length - self.rest), duration)
+
+    def numbers(self) -> Numbers:
+        return Numbers("bristles", (*self.friction.scalars, self.sliding), (self.share, self.rest, self.friction.bend))
 
 
 class StructuralFriction(Imperfection):
@@ -79,6 +82,9 @@ class Prony:
         self.force = before * kept + self.stiffness * self.constants * rate * (1 - kept)
         return -np.array([before.sum(axis=0), self.force.sum(axis=0)])
 
+    def numbers(self) -> Numbers:
+        return Numbers("prony", tuple(self.constants.ravel()), (self.stiffness[0], self.force), len(self.force))
+
 
 class Creep(Imperfection):
     """Viscoelastic muscle: a Prony series whose branches, equally strong and spread over decades, creep nearly with the logarithm of time.
@@ -113,6 +119,9 @@ class Exponential:
 
     def step(self, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
         return self.settle(np.array([length, length + rate * duration]))
+
+    def numbers(self) -> Numbers:
+        return Numbers("exponential", (self.growth,), (self.stiffness, self.rest))
 
 
 class StiffnessHardening(Imperfection):

@@ -24,6 +24,11 @@ class LuGre:
         self.bend = np.zeros(shape)
         self.stiffness, self.damping, self.breakaway, self.stribeck = stiffness, damping, breakaway, stribeck
 
+    @property
+    def scalars(self) -> tuple[float, float, float, float]:
+        """Stiffness, damping, breakaway and Stribeck velocity."""
+        return self.stiffness, self.damping, self.breakaway, self.stribeck
+
     def settle(self) -> np.ndarray:
         """Set all bristles upright; the force is then 0, (shape)."""
         self.bend = np.zeros_like(self.bend)

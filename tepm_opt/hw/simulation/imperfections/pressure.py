@@ -9,7 +9,7 @@ from pydantic import Field
 
 from tepm_opt.data.documents import between
 from tepm_opt.errors import unknown_name
-from tepm_opt.hw.simulation.imperfections.base import Imperfection, PressureStage, StaticMap
+from tepm_opt.hw.simulation.imperfections.base import Imperfection, Numbers, PressureStage, StaticMap
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
@@ -31,6 +31,9 @@ class UnequalLag:
         behind = (pressure[1] - pressure[0]) / duration * constant
         self.state = pressure[1] - behind + (before - pressure[0] + behind) * np.exp(-duration / constant)
         return np.array([before, self.state])
+
+    def numbers(self) -> Numbers:
+        return Numbers("unequal_lag", (self.fill, self.exhaust), (self.state,))
 
 
 class RegulatorLag(Imperfection):
@@ -56,7 +59,7 @@ class PressureDeadZone(Imperfection):
         def soft(pressure: np.ndarray | float) -> np.ndarray:
             return self.softness_Pa * np.logaddexp(0.0, (pressure - self.threshold_Pa) / self.softness_Pa)
 
-        return StaticMap(lambda pressure: soft(pressure) - soft(0.0))
+        return StaticMap(lambda pressure: soft(pressure) - soft(0.0), Numbers("soft_zone", (self.threshold_Pa, self.softness_Pa)))
 
 
 class PlayStack:
@@ -81,6 +84,9 @@ class PlayStack:
             self.state = np.minimum(np.maximum(self.state, value - self.radii), value + self.radii)
             out.append(self.state.mean(axis=0))
         return np.array(out)
+
+    def numbers(self) -> Numbers:
+        return Numbers("play_stack", tuple(self.radii[:, 0]), (self.state,), len(self.radii))
 
 
 class PressureHysteresis(Imperfection):
@@ -114,7 +120,7 @@ class PressureCrosstalk(Imperfection):
         def squeezed(pressure: np.ndarray) -> np.ndarray:
             return pressure + self.share * largest * (np.maximum(pressure, 0) / largest) ** self.exponent @ mixing
 
-        return StaticMap(squeezed)
+        return StaticMap(squeezed, Numbers("squeeze", (self.share, largest, self.exponent), (mixing,)))
 
 
 class ActuatorGain(Imperfection):
@@ -129,4 +135,4 @@ class ActuatorGain(Imperfection):
             if name not in names:
                 raise unknown_name("actuator", name, names, "imperfections: actuator_gain: loss")
             factor[names.index(name)] -= loss
-        return StaticMap(lambda pressure: pressure * factor)
+        return StaticMap(lambda pressure: pressure * factor, Numbers("gain", channels=(factor,)))

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from tepm_opt.data.documents import between
-from tepm_opt.hw.simulation.imperfections.base import Body, Imperfection, TensionStage
+from tepm_opt.hw.simulation.imperfections.base import Body, Imperfection, Numbers, TensionStage
 from tepm_opt.hw.simulation.imperfections.lugre import LuGre
 from tepm_opt.models.robot import Robot
 
@@ -24,6 +24,9 @@ class TakeUp:
 
     def step(self, tension: np.ndarray, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
         return self.settle(tension, np.array([length, length + rate * duration]))
+
+    def numbers(self) -> Numbers:
+        return Numbers("take_up", (self.slack, self.stiffness, self.rest))
 
 
 class TendonSlack(Imperfection):
@@ -64,6 +67,9 @@ class Sheath:
     def step(self, tension: np.ndarray, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
         drag = self.friction.step(rate, self.constant + self.share * tension[1], duration)
         return np.maximum(tension + drag, 0.0)
+
+    def numbers(self) -> Numbers:
+        return Numbers("sheath", (self.constant, self.share, *self.friction.scalars), (self.friction.bend,))
 
 
 class TendonFriction(Imperfection):

@@ -1,0 +1,395 @@
+/* From commands to the motors' forces, tick by tick: regulators, tendon motors, and every imperfection that has a state or a force.
+
+   Each stage does what the Python class of the same name in imperfections/ does, and has its numbers: scalars, then arrays with a
+   number a channel, then its state. Channels are the actuators, or, of a stage of the edges, the vertical edges, actuator by actuator, with
+   the levels side by side. What a stage takes and gives are the values at a tick's start and end, between which they are linear. */
+
+typedef struct { /* a value over time; the order is engine.py's, as in timeline.py */
+  const integer *at;              /* (knots,) steps */
+  const double *value, *slope;    /* (knots, size) from a knot on; a second */
+  const unsigned char *moves;     /* (knots,) whether the slope is not 0 */
+  integer knots, size;
+} timeline;
+
+typedef enum {
+  UNEQUAL_LAG, SOFT_ZONE, PLAY_STACK, SQUEEZE, GAIN, TAKE_UP, SHEATH, BRISTLES, PRONY, EXPONENTIAL
+} kind; /* the order is engine.py's */
+
+typedef struct {
+  integer kind, count; /* of operators or branches, where there are several */
+  double *numbers;
+} stage;
+
+typedef struct { /* the order is engine.py's */
+  mechanics network;
+  integer tick;                            /* steps between updates */
+  integer ticks, follows_shape;            /* whether there is anything to update; whether from lengths and rates */
+  integer actuators, modules, points;      /* all modules' actuators; reference points */
+  const integer *stages;                   /* how many act on the regulators' pressures, on the muscles', on the tensions, on the edges */
+  stage *regulators, *muscles, *tendons, *along; /* their stages, in their order */
+  double area, pressure_grid, tension_grid, winding; /* m2, Pa, N, N/s; grids are 0 where there is none */
+  const double *weights, *turn, *base, *external;    /* (points, levels + 1), (3, 3), (3,), (points, 3): of the points, of the frame G */
+  double *pressure, *tension;              /* (actuators,) measured by monitors */
+  double *loaded;                          /* (points, 3): commanded forces that the network carries */
+  double *work;                            /* 2 x 3 actuators, 2 x 2 points x 3, 2 x 2 actuators, (2 + 2) x (nodes, width) */
+  integer now;                             /* steps since the start */
+} rig;
+
+static inline double larger(double a, double b) { return a > b ? a : b; }
+static inline double smaller(double a, double b) { return a < b ? a : b; }
+
+/* --- timelines --- */
+
+static integer knot_at(const timeline *t, integer k, integer now) {
+  while (k + 1 < t->knots && t->at[k + 1] <= now) k++;
+  return k;
+}
+
+static void between(const timeline *t, integer k, double step, integer start, integer end, double *out) {
+  const double *value = t->value + k * t->size, *slope = t->slope + k * t->size;
+  for (integer i = 0; i < t->size; i++) {
+    out[i] = t->moves[k] ? value[i] + (start - t->at[k]) * step * slope[i] : value[i];
+    out[t->size + i] = t->moves[k] ? value[i] + (end - t->at[k]) * step * slope[i] : value[i];
+  }
+}
+
+/* --- stages of pressures: p is (2, count) --- */
+
+static void unequal_lag(const stage *s, double *p, integer count, double duration) {
+  double *state = s->numbers + 2;
+  for (integer i = 0; i < count; i++) {
+    const double before = state[i], start = p[i], end = p[count + i];
+    const double constant = start + end > 2 * before ? s->numbers[0] : s->numbers[1];
+    const double behind = (end - start) / duration * constant;
+    state[i] = end - behind + (before - start + behind) * exp(-duration / constant);
+    p[i] = before, p[count + i] = state[i];
+  }
+}
+
+static double soft(double pressure, double threshold, double softness) { /* log(1 + exp(x)), which does not overflow */
+  const double x = (pressure - threshold) / softness;
+  return softness * (larger(x, 0) + log1p(exp(-fabs(x))));
+}
+
+static void soft_zone(const stage *s, double *p, integer count) {
+  for (integer i = 0; i < 2 * count; i++) p[i] = soft(p[i], s->numbers[0], s->numbers[1]) - soft(0, s->numbers[0], s->numbers[1]);
+}
+
+static void play_stack(const stage *s, double *p, integer count) {
+  const double *radii = s->numbers;
+  double *state = s->numbers + s->count;
+  for (integer end = 0; end < 2; end++)
+    for (integer i = 0; i < count; i++) {
+      double *value = p + end * count + i, sum = 0;
+      for (integer k = 0; k < s->count; k++) {
+        double *y = state + k * count + i;
+        *y = smaller(larger(*y, *value - radii[k]), *value + radii[k]);
+        sum += *y;
+      }
+      *value = sum / s->count;
+    }
+}
+
+static void squeeze(const stage *s, double *p, integer count) {
+  const double share = s->numbers[0], largest = s->numbers[1], exponent = s->numbers[2], *mixing = s->numbers + 3;
+  for (integer end = 0; end < 2; end++) {
+    double bulge[count], *value = p + end * count;
+    for (integer i = 0; i < count; i++) bulge[i] = share * largest * pow(larger(value[i], 0) / largest, exponent);
+    for (integer i = 0; i < count; i++)
+      for (integer j = 0; j < count; j++) value[i] += bulge[j] * mixing[j * count + i];
+  }
+}
+
+static void gain(const stage *s, double *p, integer count) {
+  for (integer i = 0; i < 2 * count; i++) p[i] *= s->numbers[i % count];
+}
+
+static void on_pressures(const stage *s, double *p, integer count, double duration) {
+  switch (s->kind) {
+    case UNEQUAL_LAG: unequal_lag(s, p, count, duration); break;
+    case SOFT_ZONE: soft_zone(s, p, count); break;
+    case PLAY_STACK: play_stack(s, p, count); break;
+    case SQUEEZE: squeeze(s, p, count); break;
+    case GAIN: gain(s, p, count); break;
+  }
+}
+
+/* --- LuGre friction, as lugre.py has it --- */
+
+typedef struct { double stiffness, damping, breakaway, stribeck; } lugre;
+
+/* Force at the start and the end of a tick; the bristle's bend is advanced exactly for a constant rate. */
+static inline void rub(const lugre *b, double rate, double sliding, double duration, double *bend, double *start, double *end) {
+  double limit = sliding / b->stiffness;
+  if (b->breakaway > 1) limit *= 1 + (b->breakaway - 1) * exp(-(rate / b->stribeck) * (rate / b->stribeck));
+  const double before = smaller(larger(*bend, -limit), limit), goal = copysign(limit, rate);
+  *bend = goal + (before - goal) * exp(fabs(rate) * (-duration / larger(limit, 1e-12)));
+  const double more = b->damping / duration * (*bend - before);
+  *start = b->stiffness * before + more, *end = b->stiffness * *bend + more;
+}
+
+/* --- stages of tensions: t is (2, count); lengths and rates (count,) of the actuators --- */
+
+static void take_up(const stage *s, double *t, const double *length, const double *rate, integer count, double duration) {
+  const double slack = s->numbers[0], stiffness = s->numbers[1], rest = s->numbers[2];
+  for (integer end = 0; end < 2; end++)
+    for (integer i = 0; i < count; i++) {
+      const double now = end ? length[i] + rate[i] * duration : length[i];
+      t[end * count + i] = larger(t[end * count + i] - stiffness * larger(slack - (now - rest), 0), 0);
+    }
+}
+
+static void sheath(const stage *s, double *t, const double *rate, integer count, double duration) {
+  const lugre bristles = {s->numbers[2], s->numbers[3], s->numbers[4], s->numbers[5]};
+  for (integer i = 0; i < count; i++) {
+    double start, end;
+    rub(&bristles, rate[i], s->numbers[0] + s->numbers[1] * t[count + i], duration, s->numbers + 6 + i, &start, &end);
+    t[i] = larger(t[i] + start, 0), t[count + i] = larger(t[count + i] + end, 0);
+  }
+}
+
+static void on_tensions(const stage *s, double *t, const double *length, const double *rate, integer count, double duration) {
+  switch (s->kind) {
+    case TAKE_UP: take_up(s, t, length, rate, count, duration); break;
+    case SHEATH: sheath(s, t, rate, count, duration); break;
+  }
+}
+
+/* --- forces along the vertical edges, added to `push` at both ends of the tick; all (count,) with count = nodes x width --- */
+
+static void bristles(const stage *s, const double *length, const double *rate, integer count, double duration, double *push) {
+  const lugre each = {s->numbers[0], s->numbers[1], s->numbers[2], s->numbers[3]};
+  const double sliding = s->numbers[4], *share = s->numbers + 5, *rest = share + count;
+  double *bend = s->numbers + 5 + 2 * count;
+  for (integer i = 0; i < count; i++) {
+    double start, end;
+    rub(&each, rate[i], sliding + share[i] * fabs(length[i] - rest[i]), duration, bend + i, &start, &end);
+    push[i] -= start, push[count + i] -= end;
+  }
+}
+
+static void prony(const stage *s, const double *rate, integer count, double duration, double *push) {
+  const double *constants = s->numbers, *stiffness = s->numbers + s->count;
+  double *force = s->numbers + s->count + count;
+  for (integer branch = 0; branch < s->count; branch++) {
+    const double constant = constants[branch], kept = exp(-duration / constant);
+    for (integer i = 0; i < count; i++) {
+      double *pull = force + branch * count + i;
+      push[i] -= *pull;
+      *pull = *pull * kept + stiffness[i] * constant * rate[i] * (1 - kept);
+      push[count + i] -= *pull;
+    }
+  }
+}
+
+static double fung(double stiffness, double rest, double growth, double length) {
+  const double strain = larger(length / rest - 1, 0);
+  return stiffness * rest * (expm1(growth * strain) / growth - strain);
+}
+
+static void exponential(const stage *s, const double *length, const double *rate, integer count, double duration, double *push) {
+  const double growth = s->numbers[0], *stiffness = s->numbers + 1, *rest = stiffness + count;
+  for (integer i = 0; i < count; i++) {
+    push[i] -= fung(stiffness[i], rest[i], growth, length[i]);
+    push[count + i] -= fung(stiffness[i], rest[i], growth, length[i] + rate[i] * duration);
+  }
+}
+
+static void along_edges(const stage *s, const double *length, const double *rate, integer count, double duration, double *push) {
+  switch (s->kind) {
+    case BRISTLES: bristles(s, length, rate, count, duration, push); break;
+    case PRONY: prony(s, rate, count, duration, push); break;
+    case EXPONENTIAL: exponential(s, length, rate, count, duration, push); break;
+  }
+}
+
+/* --- the rig --- */
+
+/* Lengths and rates of the vertical edges, (nodes, width) each. */
+static void measure(const mechanics *m, double *length, double *rate) {
+  const integer row = row_of(m);
+  for (integer i = 0; i < m->nodes; i++)
+    for (integer j = 0; j < m->width; j++) {
+      const double *x = m->x + 3 * i * row + LANES + j, *v = m->v + 3 * i * row + LANES + j;
+      double square = 0, along = 0;
+      for (integer k = 0; k < 3; k++) {
+        const double span = x[k * row] - x[k * row - 1];
+        square += span * span, along += span * (v[k * row] - v[k * row - 1]);
+      }
+      length[i * m->width + j] = sqrt(square), rate[i * m->width + j] = along / sqrt(square);
+    }
+}
+
+/* Sums over the vertical edges (nodes, width) of each actuator, (modules, nodes). */
+static void of_actuators(const rig *r, const double *edges, double *sums) {
+  const integer nodes = r->network.nodes, segments = r->network.levels / r->modules;
+  for (integer h = 0; h < r->modules; h++)
+    for (integer i = 0; i < nodes; i++) {
+      double sum = 0;
+      for (integer j = 0; j < segments; j++) sum += edges[i * r->network.width + h * segments + j];
+      sums[h * nodes + i] = sum;
+    }
+}
+
+/* Set points on their grid, held for a tick. */
+static void quantise(double *values, double grid, integer count) {
+  if (grid == 0) return;
+  for (integer i = 0; i < count; i++) values[i] = values[count + i] = rint((values[i] + values[count + i]) / 2 / grid) * grid;
+}
+
+/* Tensions at the motors: limited in rate, released at once where disabled. */
+static void wind(const rig *r, double *goal, const double *enabled, double duration) {
+  const integer count = r->actuators;
+  const double largest = r->winding * duration;
+  for (integer i = 0; i < count; i++) {
+    const double start = r->tension[i] * enabled[i];
+    if (isinf(largest)) {
+      goal[i] *= enabled[i], goal[count + i] *= enabled[i];
+    } else {
+      const double change = smaller(larger(goal[count + i] * enabled[i] - start, -largest), largest);
+      goal[i] = start, goal[count + i] = start + change;
+    }
+    r->tension[i] = goal[count + i];
+  }
+}
+
+/* Forces of the motors from here to `duration` later under commands at both ends, (2, 3 actuators). */
+static void drive(rig *r, double *command, double duration) {
+  mechanics *m = &r->network;
+  const integer count = r->actuators, edges = m->nodes * m->width;
+  double *pressure = r->work + 6 * count + 6 * r->points, *tension = pressure + 2 * count, *length = tension + 2 * count;
+  double *rate = length + edges, *push = rate + edges, *axial = command; /* no longer needed below */
+  double lengths[count], rates[count], enabled[count];
+  for (integer end = 0; end < 2; end++)
+    for (integer i = 0; i < count; i++) {
+      pressure[end * count + i] = command[3 * end * count + i];
+      tension[end * count + i] = command[3 * end * count + count + i];
+      enabled[i] = command[2 * count + i];
+    }
+  memset(push, 0, sizeof(double) * 2 * edges);
+  if (r->follows_shape) {
+    measure(m, length, rate);
+    for (integer s = 0; s < r->stages[3]; s++) along_edges(r->along + s, length, rate, edges, duration, push);
+    of_actuators(r, length, lengths), of_actuators(r, rate, rates);
+  }
+  quantise(pressure, r->pressure_grid, count);
+  for (integer s = 0; s < r->stages[0]; s++) on_pressures(r->regulators + s, pressure, count, duration);
+  memcpy(r->pressure, pressure + count, sizeof(double) * count);
+  for (integer s = 0; s < r->stages[1]; s++) on_pressures(r->muscles + s, pressure, count, duration);
+  quantise(tension, r->tension_grid, count);
+  wind(r, tension, enabled, duration);
+  for (integer s = 0; s < r->stages[2]; s++) on_tensions(r->tendons + s, tension, lengths, rates, count, duration);
+  for (integer i = 0; i < 2 * count; i++) axial[i] = r->area * pressure[i] - tension[i];
+  const integer segments = m->levels / r->modules;
+  for (integer i = 0; i < m->nodes; i++)
+    for (integer j = 0; j < m->levels; j++) {
+      const integer muscle = j / segments * m->nodes + i, at = i * m->width + j;
+      const double start = axial[muscle] + push[at], end = axial[count + muscle] + push[edges + at];
+      m->push[at] = start, m->slope[at] = (end - start) / duration;
+    }
+}
+
+/* Carry forces (points, 3) on the reference points in G, shared by the nodes of their levels; nothing where they are carried already. */
+void carry(rig *r, const double *forces) {
+  mechanics *m = &r->network;
+  if (!memcmp(forces, r->loaded, sizeof(double) * 3 * r->points)) return;
+  memcpy(r->loaded, forces, sizeof(double) * 3 * r->points);
+  for (integer j = 0; j < m->levels; j++) {
+    double total[3] = {0, 0, 0};
+    for (integer p = 0; p < r->points; p++)
+      for (integer k = 0; k < 3; k++)
+        total[k] += r->weights[p * (m->levels + 1) + j + 1] / m->nodes * (forces[3 * p + k] + r->external[3 * p + k]);
+    for (integer k = 0; k < 3; k++) m->load[3 * j + k] = total[0] * r->turn[k] + total[1] * r->turn[3 + k] + total[2] * r->turn[6 + k];
+  }
+  rest_on(m);
+}
+
+/* Nodes (levels + 1, nodes, 3) in the base frame and reference points (points, 3) in G; whether no node has left all bounds. */
+static int look(const rig *r, double *nodes, double *points) {
+  const mechanics *m = &r->network;
+  const integer row = row_of(m);
+  int bounded = 1;
+  for (integer i = 0; i < m->nodes; i++)
+    for (integer k = 0; k < 3; k++)
+      for (integer j = 0; j <= m->levels; j++) {
+        const integer at = (3 * i + k) * row + LANES - 1 + j;
+        nodes[3 * (j * m->nodes + i) + k] = m->x[at];
+        bounded &= fabs(m->x[at] - m->rest[at]) < m->bound; /* no where it is not a number */
+      }
+  for (integer p = 0; p < r->points; p++) {
+    double place[3] = {0, 0, 0};
+    for (integer j = 0; j <= m->levels; j++) {
+      const double weight = r->weights[p * (m->levels + 1) + j];
+      if (weight == 0) continue;
+      for (integer k = 0; k < 3; k++) {
+        double sum = 0;
+        for (integer i = 0; i < m->nodes; i++) sum += nodes[3 * (j * m->nodes + i) + k];
+        place[k] += weight * (sum / m->nodes);
+      }
+    }
+    for (integer k = 0; k < 3; k++)
+      points[3 * p + k] = r->turn[3 * k] * place[0] + r->turn[3 * k + 1] * place[1] + r->turn[3 * k + 2] * place[2] + r->base[k];
+  }
+  return bounded;
+}
+
+/* Advance to a step. */
+static void advance(rig *r, integer until, const timeline *commands, const timeline *forces, integer *command, integer *force) {
+  mechanics *m = &r->network;
+  double *values = r->work, *pushed = r->work + 6 * r->actuators;
+  while (r->now < until) {
+    *command = knot_at(commands, *command, r->now), *force = knot_at(forces, *force, r->now);
+    integer end = until;
+    if (*command + 1 < commands->knots && commands->at[*command + 1] < end) end = commands->at[*command + 1];
+    if (*force + 1 < forces->knots && forces->at[*force + 1] < end) end = forces->at[*force + 1];
+    if ((r->ticks || forces->moves[*force]) && r->now + r->tick < end) end = r->now + r->tick;
+    between(commands, *command, m->step, r->now, end, values);
+    between(forces, *force, m->step, r->now, end, pushed);
+    for (integer i = 0; i < forces->size; i++) pushed[i] = (pushed[i] + pushed[forces->size + i]) / 2;
+    drive(r, values, (end - r->now) * m->step);
+    carry(r, pushed);
+    move(m, end - r->now);
+    r->now = end;
+  }
+}
+
+/* Advance to each of some steps and tell what is there then; the number of those reached before a node left all bounds.
+   `nodes` (frames, levels + 1, nodes, 3), `points` (frames, points, 3), `pressures` and `tensions` (frames, actuators). */
+integer record(
+  rig *r, const timeline *commands, const timeline *forces, integer frames, const integer *at,
+  double *nodes, double *points, double *pressures, double *tensions
+) {
+  integer command = 0, force = 0;
+  for (integer f = 0; f < frames; f++) {
+    advance(r, at[f], commands, forces, &command, &force);
+    if (!look(r, nodes + f * 3 * (r->network.levels + 1) * r->network.nodes, points + f * 3 * r->points)) return f;
+    memcpy(pressures + f * r->actuators, r->pressure, sizeof(double) * r->actuators);
+    memcpy(tensions + f * r->actuators, r->tension, sizeof(double) * r->actuators);
+  }
+  return frames;
+}
+
+/* Forces (places, levels, nodes, 3) on the nodes of a network that stands still at places (places, levels, nodes, 3), metres from rest, under
+   motors' forces (places, nodes, width) and the loads it carries. Positions and velocities are left as they are. */
+void force_at_rest(const rig *r, integer places, const double *place, const double *push, double *force) {
+  mechanics m = r->network;
+  const integer row = row_of(&m), size = size_of(&m), edges = m.nodes * m.width;
+  double *upper = work_of(&m, 0), *lower = work_of(&m, 1), *x = work_of(&m, 2), *v = work_of(&m, 3);
+  memset(v, 0, sizeof(double) * size);
+  for (integer p = 0; p < places; p++) {
+    m.push = (double *)push + p * edges;
+    memcpy(x, m.rest, sizeof(double) * size);
+    for (integer i = 0; i < m.nodes; i++)
+      for (integer k = 0; k < 3; k++)
+        for (integer j = 0; j < m.levels; j++)
+          x[(3 * i + k) * row + LANES + j] += place[((p * m.levels + j) * m.nodes + i) * 3 + k];
+    pull(&m, x, v, 0, upper, lower);
+    for (integer i = 0; i < m.nodes; i++)
+      for (integer k = 0; k < 3; k++)
+        for (integer j = 0; j < m.levels; j++) {
+          const integer at = (3 * i + k) * row + LANES + j;
+          const double own = m.still[(3 * i + k) * m.width + j] / m.inverse_mass[i * m.width + j];
+          force[((p * m.levels + j) * m.nodes + i) * 3 + k] = upper[at] + lower[at + 1] + own;
+        }
+  }
+}
