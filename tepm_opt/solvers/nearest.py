@@ -23,7 +23,7 @@ STEPS = 60  # of a search
 HALVINGS = 12  # of a step, in which a shorter one has to lower the penalised objective
 RADIUS = 0.5  # largest change of a force in a step
 STILL = 1e-8  # largest change of a force in a step at which a search ends
-SAME = 0.02  # difference of forces below which a search ends where another has ended
+SAME = 0.05  # difference of forces below which a search ends where another has ended
 EQUAL = 1e-7  # m, largest difference of lengths of an end
 EXACT = 5  # DAQP's mark of a row that is an equality
 
@@ -81,22 +81,19 @@ class _Search:
 
     def at(self, part: np.ndarray, x: np.ndarray) -> _Point | None:
         """The point of forces, its statics from levels x, then from rest; None where there is no stable equilibrium."""
-        problem, statics = self.problem, self.problem.model.statics
+        problem, shared = self.problem, self.problem.shared
         actuation = problem.actuation(problem.low + part * self.span)
-        shared = problem.shared
-        fixed = actuation, True, shared.external, shared.theta
         for start in (x, problem.model.rest):
-            found = statics.statics(start, *fixed, shared.force_tolerance, SEED_STEPS)
-            if found.status == Status.SOLVED and found.observed[-problem.half :].min() >= shared.shortest:
-                break
+            status, levels, observed, by_a = problem.model.statics.response(
+                start, actuation, shared.external, shared.theta, shared.weights, shared.force_tolerance, SEED_STEPS
+            )
+            if status == Status.SOLVED and observed[-problem.half :].min() >= shared.shortest:
+                errors = shared.weights @ observed
+                errors[:3] -= self.target
+                return _Point(part, levels, errors / UNIT, by_a[:, : problem.half] * (self.span / (problem.area * UNIT)))
             if start is problem.model.rest:
-                return None
-        status, by_u, _, _ = statics.sensitivity(found.x, *fixed, shared.weights, False)
-        if status != Status.SOLVED:
-            return None
-        errors = shared.weights @ found.observed
-        errors[:3] -= self.target
-        return _Point(part, found.x, errors / UNIT, by_u[:, : problem.half] * (self.span / (problem.area * UNIT)))
+                break
+        return None
 
     def objective(self, at: _Point) -> tuple[float, np.ndarray]:
         """Value and gradient of what is minimised."""

@@ -1,11 +1,12 @@
-"""The same answer compiled or not: statics.py is the reference for statics.c."""
+"""The same answer compiled or not: statics.py is the reference for statics.c, kinematics.py for kinematics.c."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tepm_opt.models.backends.interface import Status
+from tepm_opt.models.backends.interface import Allotment, InverseProblem, Status
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tests.tools import random_directions, random_inputs, relative, variant, with_all_effects
@@ -106,6 +107,80 @@ def test_inverse(pair):
         assert abs(found[1] - goal.x).max() < 1e-7
         too_few = [m.statics.inverse(*arguments[:-1], 1) for m in (c, python)]
         assert too_few[0][0] == too_few[1][0] != Status.SOLVED
+
+
+def test_response(pair):
+    """Statics and sensitivities in one call; no derivatives where there is no equilibrium."""
+    c, python = pair
+    weights = np.random.default_rng(0).normal(size=(5, 3 * c.layout.points + c.layout.inputs // 2))
+    for u, external in cases(c, 3):
+        found, expected = (m.statics.response(c.rest, u, external, c.theta, weights, 1e-9, 100) for m in (c, python))
+        assert found[0] == expected[0] == Status.SOLVED
+        assert max(abs(found[k] - expected[k]).max() for k in (1, 2)) < 1e-9
+        assert relative(found[3], expected[3]) < 1e-8
+        by_u = c.statics.sensitivity(found[1], u, True, external, c.theta, weights, False)[1]
+        assert relative(found[3], by_u) < 1e-8
+        assert [m.statics.response(c.rest, 3 * u, external, c.theta, weights, 1e-9, 0)[0] for m in (c, python)] == 2 * [Status.EXHAUSTED]
+
+
+def allotments(model):
+    """Pressure alone, and pressure on its grid with tension."""
+    half, limit = model.layout.inputs // 2, model.input_max
+    tension = np.where(np.arange(2 * half) < half, 0.0, limit / 2)
+    return [Allotment(model.values["A"], start, limit, model.input_step, fine) for start, fine in ((0 * limit, False), (tension, True))]
+
+
+def test_allocate(pair):
+    """Forces within the limits, beyond them, and on actuators whose grids are fine, coarse or none."""
+    c, python = pair
+    half = c.layout.inputs // 2
+    for size, seed in ((10.0, 0), (40.0, 1)):
+        for forces in np.random.default_rng(seed).uniform(-0.3 * size, size, (6, half)):
+            for by in (*allotments(c), replace(allotments(c)[1], grid=np.where(np.arange(2 * half) % 2, 0.0, c.input_step))):
+                found, expected = (m.statics.allocate(forces, by, c.theta) for m in (c, python))
+                np.testing.assert_allclose(found[0], expected[0], rtol=1e-9, atol=1e-9)
+                np.testing.assert_allclose(found[1], expected[1], rtol=1e-9, atol=1e-9)
+                assert found[2] == pytest.approx(expected[2], abs=1e-9)
+                assert size > 10 or found[2] < 20
+
+
+@pytest.mark.parametrize("cold", [False, True])
+def test_configurations(pair, cold):
+    """From the goals before: the forces that were there, and inputs that make them; and why it ends where it does."""
+    c, python = pair
+    half, observations, area = c.layout.inputs // 2, 3 * c.layout.points + c.layout.inputs // 2, c.values["A"]
+    lengths, by = np.eye(observations)[-half:], allotments(c)[1]
+    u, external = list(cases(c, 3))[1]
+    p = u[:half] / 2
+    start, goal = (python.statics.statics(c.rest, np.append(q, 0 * q), True, external, c.theta, 1e-9, 100) for q in (p, p + 5e3))
+    weights = lengths - np.outer(np.where(np.arange(half) < 3, 0.0, lengths @ goal.observed / (lengths[0] @ goal.observed)), lengths[0])
+    problem = InverseProblem(external, c.theta, weights, np.full(half, -7.0), np.full(half, 25.0), 0.02, by, 1e5 * area, 1e-10, 1e-9, 30)
+    targets, actuation = np.array(2 * [(lengths @ goal.observed)[:3]]), np.append(p, 0 * p)
+
+    def both(problem, targets=targets):
+        return [m.statics.configurations(problem, targets, c.rest if cold else start.x, actuation, cold) for m in (c, python)]
+
+    (found, full), ((expected,), one) = both(problem)
+    assert full == one == Status.SOLVED
+    assert [pose.steps for pose in found] == [expected.steps, 0]
+    for pose in found:
+        for got, wanted in zip(pose[:5], expected[:5], strict=True):
+            np.testing.assert_allclose(got, wanted, rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(pose.actuation[:half], p + 5e3, rtol=1e-6)
+        assert pose.room == pytest.approx(expected.room, rel=1e-9)
+        assert max(pose.residual, expected.residual) < 1e-9
+        assert pose.missed == pytest.approx(expected.missed, abs=1e-9)
+        made = c.statics.actuation(pose.inputs, c.theta)
+        np.testing.assert_allclose(area * made[:half] - made[half:], area * pose.actuation[:half], atol=pose.missed + 1e-9)
+
+    highest = (area * p).max() + 1e-3  # 5 kPa more is 0.25 N
+    assert both(replace(problem, high=np.full(half, highest))) == 2 * [([], Status.BEYOND)]
+    assert both(replace(problem, shortest=goal.observed[-half:].max())) == 2 * [([], Status.STALLED)]
+    assert both(replace(problem, max_iterations=1)) == 2 * [([], Status.EXHAUSTED)]
+    far = np.array([targets[0], targets[1] + 5.0])
+    first, second = both(problem, far)
+    assert len(first[0]) == len(second[0]) == 1
+    assert first[1] not in (Status.SOLVED, Status.BEYOND)
 
 
 def test_failures_have_the_same_status(kang, kang_python, compiler):

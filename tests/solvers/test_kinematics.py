@@ -10,7 +10,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.allocation import force_range
 from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import IkSettings, solve_ik, solve_trajectory
+from tepm_opt.solvers.kinematics import IkSettings, each_configuration, solve_ik, solve_trajectory
 from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import circle
 from tests.tools import in_company, random_directions, variant
@@ -168,6 +168,34 @@ def test_targets_about_the_axis_below_the_base(kang, cloud, mode):
     """The straight robot is the nearest there only among its neighbours: bent down it comes much nearer."""
     assert check_targets(kang, cloud, mode, random_targets(20, [-0.02, -0.02, -0.3], [0.02, 0.02, 0.0])) == 0
     assert solve_ik(kang, [0, 0, -0.05], mode).limits
+
+
+class TestTrajectory:
+    """More points than one call of the backend makes."""
+
+    def test_each_point_starts_from_the_last_one_solved(self, kang):
+        targets = circle(100).positions.copy()
+        targets[[0, 40, 41, 70]] += [0.0, 0.0, 0.5]  # out of reach
+        last = None
+        for found, target in zip(solve_trajectory(kang, targets), targets, strict=True):
+            alone = solve_ik(kang, target, start=last)
+            np.testing.assert_array_equal(found.forces, alone.forces)
+            np.testing.assert_array_equal(found.allocation.inputs, alone.allocation.inputs)
+            assert (found.steps, found.outcome, found.limits) == (alone.steps, alone.outcome, alone.limits)
+            last = found if found.solved else last
+        assert last is not None
+
+    def test_points_come_before_all_are_solved(self, kang):
+        """A caller that stops, or is stopped, keeps what there is."""
+        many = each_configuration(kang, np.repeat(CIRCLE, 1000, axis=0))
+        assert [next(many).solved for _ in range(3)] == [True] * 3
+
+    def test_python_finds_the_same(self, kang, kang_python, compiler):
+        for mode in MODES:
+            for found, expected in zip(*(solve_trajectory(m, CIRCLE[:4], mode) for m in (kang, kang_python)), strict=True):
+                np.testing.assert_allclose(found.forces, expected.forces, rtol=1e-9)
+                np.testing.assert_allclose(found.allocation.inputs, expected.allocation.inputs, rtol=1e-9, atol=1e-9)
+                assert found.steps == expected.steps
 
 
 class TestOutOfReach:

@@ -46,7 +46,7 @@ def statics_unit(network: Network) -> Unit:
         "NPOINT": 3 * layout.points,
         "NLEN": layout.inputs // 2,
     }
-    symbols = ("actuation", "statics", "sensitivity", "matrices", "inverse", "allocate", "configurations")
+    symbols = ("actuation", "statics", "sensitivity", "matrices", "inverse", "response", "allocate", "configurations")
     return Unit(network.functions, sizes, {"DRIVEN": network.driven}, ("statics.c", "kinematics.c"), symbols)
 
 
@@ -100,6 +100,8 @@ class CompiledStatics:
         self._sensitivity.argtypes = [p, p, i, p, p, i, p, p, p, p]
         self._matrices = library.matrices
         self._matrices.argtypes = [p, p, i, p, p, p, p]
+        self._response = library.response
+        self._response.argtypes = [p, p, p, p, i, p, d, i, p, p, p]
         self._allocate = library.allocate
         self._allocate.argtypes, self._allocate.restype = [p, p, p, p, p, d, i, p, p], d
         self._configurations = library.configurations
@@ -158,6 +160,20 @@ class CompiledStatics:
             max_step, target_tolerance, tolerance, max_iterations, at["info"],
         )  # fmt: skip
         return STATUSES[status], array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
+
+    def response(
+        self, x: np.ndarray, actuation: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray,
+        tolerance: float, max_iterations: int,
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """See `StaticsBackend.response`."""
+        array, at, rows = self._arrays.array, self._arrays.address, len(weights)
+        array["x"][:], array["a"][:], array["external"][:], array["theta"][:] = x, actuation, external, theta
+        array["weights"][:rows] = weights
+        status = self._response(
+            at["x"], at["a"], at["external"], at["theta"], rows, at["weights"], tolerance, max_iterations,
+            at["observed"], at["by_u"], at["info"],
+        )  # fmt: skip
+        return STATUSES[status], array["x"].copy(), array["observed"].copy(), array["by_u"][:rows].copy()
 
     def allocate(self, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """See `StaticsBackend.allocate`."""

@@ -243,6 +243,25 @@ class StaticsBackend(Protocol):
         """
         ...
 
+    def response(
+        self, x: np.ndarray, actuation: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray,
+        tolerance: float, max_iterations: int,
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """Status, levels and observations in equilibrium, and the derivatives of weighted observations by the actuation, (rows, inputs).
+
+        `statics` and `sensitivity` in one call; there are no derivatives where the status is not SOLVED.
+
+        Args:
+            x: levels to start from, (n + 1, block) in m.
+            actuation: effective actuation, (inputs,) in Pa and N.
+            external: forces on the points in G, (3 · points,) in N.
+            theta: parameters, (parameters,) in SI.
+            weights: of the observations (points in G, then lengths), (rows, 3 · points + lengths).
+            tolerance: largest residual force of a solution in N.
+            max_iterations: of Newton's method.
+        """
+        ...
+
     def allocate(self, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Inputs that make axial forces, the same on their grids, (inputs,) in Pa and N, and the largest force missed in N.
 

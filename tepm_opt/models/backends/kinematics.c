@@ -80,6 +80,27 @@ int inverse(double *x, double *a, const double *external, const double *theta, c
   return status;
 }
 
+/* Equilibrium under the effective actuation a from levels x, in place, and derivatives of `rows` weighted sums of the observations
+   by a, (rows, NU). info: as of `statics`. Returns a status. */
+int response(double *x, const double *a, const double *external, const double *theta, int rows, const double *weights,
+             double tolerance, int max_iterations, double *observed, double *by_a, double *info) {
+  double by_external[ROWS * NEXT];
+  work *w = prepare(a, 1, external, theta);
+  if (!w) return STALLED;
+  memcpy(w->x, x, sizeof w->x);
+  int status = settle(w, tolerance, max_iterations, info);
+  memcpy(x, w->x, sizeof w->x);
+  look(w, observed);
+  if (status == SOLVED) {
+    assemble(w, 0); /* settling may leave the factor of a step before */
+    if (factor(w)) status = INDEFINITE;
+    for (int row = 0; status == SOLVED && row < rows; row += ROWS)
+      adjoint(w, a, 1, external, rows - row < ROWS ? rows - row : ROWS, weights + row * NOBS, by_a + row * NU, by_external, 0, 0);
+  }
+  free(w);
+  return status;
+}
+
 /* How axial forces become inputs: interface.py, `Allotment`. */
 typedef struct { const double *theta, *start, *limit, *grid; double area; int fine; } allotment;
 

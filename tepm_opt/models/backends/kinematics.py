@@ -63,6 +63,17 @@ class PythonKinematics(PythonStatics):
         by_x = self._call("observe_adjoint", x.ravel(), theta, weight[:points], weight[points:])[0]
         return float(by_x.ravel() @ direction.ravel())
 
+    def response(
+        self, x: np.ndarray, actuation: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray,
+        tolerance: float, max_iterations: int,
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """See `StaticsBackend.response`."""
+        found = self.statics(x, actuation, True, external, theta, tolerance, max_iterations)
+        if found.status != Status.SOLVED:
+            return found.status, found.x, found.observed, np.zeros((len(weights), len(actuation)))
+        status, by_a, _, _ = self.sensitivity(found.x, actuation, True, external, theta, weights, False)
+        return status, found.x, found.observed, by_a
+
     def allocate(self, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """See `StaticsBackend.allocate`."""
         inputs, half = allotment.start.copy(), len(forces)
