@@ -179,20 +179,36 @@ static void cross(const double *a, const double *b, double *c) {
   c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-/* target += a vector v rotated by the rotation vector, after its linear change dv less what the rotation accounts for. */
-static void add_rotated(double *target, const double *rotation, const double *v, const double *dv) {
-  double turned[3], e[3], once[3], twice[3], angle = sqrt(rotation[0] * rotation[0] + rotation[1] * rotation[1] + rotation[2] * rotation[2]);
-  double s = angle < 1e-4 ? 1 - angle * angle / 6 : sin(angle) / angle;
-  double c = angle < 1e-4 ? 0.5 - angle * angle / 24 : (1 - cos(angle)) / (angle * angle);
-  cross(rotation, v, turned);
+/* A rotation vector with sin(angle) / angle and (1 - cos(angle)) / angle^2, where small by their series. */
+typedef struct { double by[3], s, c; } rotation;
+
+static rotation rotate_by(const double *by) {
+  rotation r = {{by[0], by[1], by[2]}, 1, 0.5};
+  double square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2];
+  if (square < 0.1) {
+    double s = 1, c = 1; /* the last terms are below 1e-17 */
+    for (int k = 12; k; k -= 2) { s = 1 - square / (k * (k + 1)) * s; c = 1 - square / ((k + 1) * (k + 2)) * c; }
+    r.s = s; r.c = c / 2;
+  } else {
+    double angle = sqrt(square);
+    r.s = sin(angle) / angle;
+    r.c = (1 - cos(angle)) / square;
+  }
+  return r;
+}
+
+/* target += a vector v rotated, after its linear change dv less what the rotation accounts for. */
+static void add_rotated(double *target, const rotation *r, const double *v, const double *dv) {
+  double turned[3], e[3], once[3], twice[3];
+  cross(r->by, v, turned);
   for (int k = 0; k < 3; k++) e[k] = v[k] + dv[k] - turned[k];
-  cross(rotation, e, once);
-  cross(rotation, once, twice);
-  for (int k = 0; k < 3; k++) target[k] += e[k] + s * once[k] + c * twice[k];
+  cross(r->by, e, once);
+  cross(r->by, once, twice);
+  for (int k = 0; k < 3; k++) target[k] += e[k] + r->s * once[k] + r->c * twice[k];
 }
 
 /* Rotation vector that fits the changes d of the points r best, both about their centres. */
-static void fit_rotation(double r[][3], double d[][3], double *rotation) {
+static void fit_rotation(double r[][3], double d[][3], double *turn) {
   double I[3][3] = {{0}}, m[3] = {0}, part[3], cofactor[3][3], determinant;
   for (int i = 0; i < NB / 3; i++) {
     double square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
@@ -205,7 +221,7 @@ static void fit_rotation(double r[][3], double d[][3], double *rotation) {
   }
   for (int p = 0; p < 3; p++) cross(I[(p + 1) % 3], I[(p + 2) % 3], cofactor[p]);
   determinant = I[0][0] * cofactor[0][0] + I[0][1] * cofactor[0][1] + I[0][2] * cofactor[0][2];
-  for (int p = 0; p < 3; p++) rotation[p] = (cofactor[0][p] * m[0] + cofactor[1][p] * m[1] + cofactor[2][p] * m[2]) / determinant;
+  for (int p = 0; p < 3; p++) turn[p] = (cofactor[0][p] * m[0] + cofactor[1][p] * m[1] + cofactor[2][p] * m[2]) / determinant;
 }
 
 /* trial = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
@@ -228,10 +244,11 @@ static void move(work *w, double t) {
       link[k] = here[k] - before[k];
       d_link[k] = d_here[k] - d_before[k];
     }
-    add_rotated(centre, middle, link, d_link);
+    rotation of_link = rotate_by(middle), of_level = rotate_by(turn);
+    add_rotated(centre, &of_link, link, d_link);
     for (int i = 0; i < NB / 3; i++) {
       for (int k = 0; k < 3; k++) w->trial[l][3 * i + k] = centre[k];
-      add_rotated(w->trial[l] + 3 * i, turn, r[i], d[i]);
+      add_rotated(w->trial[l] + 3 * i, &of_level, r[i], d[i]);
     }
     memcpy(before, here, sizeof before); memcpy(d_before, d_here, sizeof before); memcpy(turn_before, turn, sizeof before);
   }
