@@ -119,6 +119,10 @@ class BenchArm:
         points[1] = (0.0, 0.0, length) if np.isfinite(length) else np.nan
         return Sample(sample.time, points, lengths=sample.lengths, status=sample.status)
 
+    def read_many(self, count: int) -> list[Sample]:
+        """The next sample; see `BenchRig.read_many`."""
+        return [self.read()]
+
     def apply(self, command: Command) -> None:
         """Command the mean of the three pressures and the sum of the three tensions."""
         pressure, tension = np.array([command.pressures.mean()]), np.array([command.tensions.sum()])

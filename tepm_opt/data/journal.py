@@ -43,7 +43,9 @@ class Journal:
         Raises:
             InputError: the disk is full or gone.
         """
-        line = csv_text([[" ".join(field.splitlines()) for field in fields]]).encode()
+        if len(",".join((*fields, "")).splitlines()) > 1:
+            fields = [" ".join(field.splitlines()) for field in fields]
+        line = csv_text([fields]).encode()
         try:
             while line:
                 line = line[os.write(self._file, line) :]

@@ -118,13 +118,11 @@ def _is_text(fields: Iterable[str]) -> bool:
 
 
 def _numbers(path: Path, line: int, names: Sequence[str], row: Sequence[str], numeric: Sequence[int]) -> list[float]:
-    numbers = []
-    for k in numeric:
-        try:
-            numbers.append(float(row[k]) if row[k].strip() else np.nan)
-        except ValueError as error:
-            raise InputError(f"{path}: line {line}: {names[k]} = {row[k]!r} is not a number") from error
-    return numbers
+    at = 0
+    try:
+        return [float(field) if (field := row[at := k]).strip() else np.nan for k in numeric]
+    except ValueError as error:
+        raise InputError(f"{path}: line {line}: {names[at]} = {row[at]!r} is not a number") from error
 
 
 def write_table(path: str | Path, names: Sequence[str], rows: np.ndarray) -> None:
@@ -133,13 +131,18 @@ def write_table(path: str | Path, names: Sequence[str], rows: np.ndarray) -> Non
     Raises:
         InputError: the folder cannot be written to.
     """
-    lines = [",".join(names), *(",".join(field_text(value) for value in row) for row in np.atleast_2d(rows))]
+    lines = [",".join(names), *(",".join(field_texts(row)) for row in np.asarray(np.atleast_2d(rows), dtype=float).tolist())]
     write_atomically(path, "\n".join(lines) + "\n")
 
 
 def field_text(value: float) -> str:
     """A number in the shortest form that reads back equal; NaN is empty."""
     return "" if value != value else repr(float(value))
+
+
+def field_texts(values: Iterable[float]) -> list[str]:
+    """Python's own floats as texts, as `field_text` has them."""
+    return ["" if text == "nan" else text for text in map(repr, values)]
 
 
 def write_columns(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
@@ -152,13 +155,20 @@ def write_columns(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
     for name, values in columns.items():
         if values.dtype.kind == "U" and not _is_text(values):
             raise InputError(f"{path}: column {name!r} holds text that reads as numbers; write numbers or another text in its first row")
-        fields.append(list(values) if values.dtype.kind == "U" else [field_text(value) for value in values.tolist()])
+        fields.append(list(values) if values.dtype.kind == "U" else field_texts(values.astype(float).tolist()))
     write_atomically(path, csv_text([list(columns), *zip(*fields, strict=True)]))
 
 
 def csv_text(rows: Iterable[Sequence[str]]) -> str:
     """Lines of a CSV file, each ended; fields are quoted where they must be (the csv module forgets about a lone carriage return)."""
-    return "".join(",".join(_quoted(field) for field in row) + "\n" if list(row) != [""] else '""\n' for row in rows)
+    return "".join(map(_line, rows))
+
+
+def _line(row: Sequence[str]) -> str:
+    line = ",".join(row)
+    if line.count(",") > len(row) - 1 or any(mark in line for mark in '"\r\n'):
+        line = ",".join(map(_quoted, row))
+    return line + "\n" if line or len(row) != 1 else '""\n'
 
 
 def _quoted(field: str) -> str:

@@ -19,24 +19,35 @@ def check_command(command: Command, robot: Robot) -> np.ndarray:
     Raises:
         InputError: wrong number of values, a value that is NaN or outside the robot's limits; names the actuator and what is valid.
     """
-    names = Layout.of(robot).actuator_names
-    count = len(names)
+    count = robot.modules * robot.actuators
     for kind in ("pressures", "tensions", "enabled"):
         shape = np.shape(getattr(command, kind))
         if shape != (count,):
-            raise InputError(f"command: {kind} has the shape {shape}; valid: ({count},) for the actuators {', '.join(names)}")
-    if np.asarray(command.enabled).dtype != bool:
+            names = ", ".join(Layout.of(robot).actuator_names)
+            raise InputError(f"command: {kind} has the shape {shape}; valid: ({count},) for the actuators {names}")
+    enabled = np.asarray(command.enabled)
+    if enabled.dtype != bool:
         raise InputError("command: enabled has to be true or false for each actuator")
-    values = np.concatenate([command.pressures, command.tensions]).astype(float)
+    checked = np.concatenate([command.pressures, command.tensions, enabled]).astype(float, copy=False)
+    checked[: 2 * count] = _within(checked[None, : 2 * count], robot)
+    return checked
+
+
+def _within(values: np.ndarray, robot: Robot) -> np.ndarray:
+    """Inputs (rows, 2 · modules · actuators) without what rounding puts beyond the robot's limits.
+
+    Raises:
+        InputError: a value is NaN or outside the limits.
+    """
     limits = robot.input_max
     wrong = ~((values >= -_ROUNDING * limits) & (values <= limits * (1 + _ROUNDING)))  # NaN is wrong, too
     if wrong.any():
-        first = int(np.argmax(wrong))
-        kind, unit = ("pressure", "Pa") if first < count else ("tension", "N")
-        raise InputError(
-            f"command: {kind} of actuator {names[first % count]} = {values[first]:g} {unit}; valid: 0 … {limits[first]:g} {unit}"
-        )
-    return np.concatenate([np.clip(values, 0.0, limits), np.asarray(command.enabled, dtype=float)])
+        row, first = (int(at[0]) for at in np.nonzero(wrong))
+        names = Layout.of(robot).actuator_names
+        kind, unit = ("pressure", "Pa") if first < len(names) else ("tension", "N")
+        found = f"{kind} of actuator {names[first % len(names)]} = {values[row, first]:g} {unit}"
+        raise InputError(f"command: {found}; valid: 0 … {limits[first]:g} {unit}")
+    return np.minimum(np.maximum(values, 0.0), limits)
 
 
 def check_setpoints(setpoints: SetPoints, robot: Robot) -> np.ndarray:
@@ -45,7 +56,8 @@ def check_setpoints(setpoints: SetPoints, robot: Robot) -> np.ndarray:
     Raises:
         InputError: a value that is NaN or outside the robot's limits, or a tip force that is not finite.
     """
-    values = np.array([check_command(Command.of(row), robot) for row in setpoints.inputs])
+    check_command(Command.of(setpoints.inputs[0]), robot)  # how many there are
+    values = np.column_stack([_within(setpoints.inputs, robot), np.ones((len(setpoints.inputs), setpoints.inputs.shape[1] // 2))])
     if not np.isfinite(setpoints.tip_force).all():
         raise InputError("set points: a tip force is not a finite number")
     return values

@@ -45,7 +45,8 @@ class Watch:
     ) -> None:
         pressures, tensions = np.split(np.asarray(limits, dtype=float), 2)
         self._limits = {"pressure": pressures, "tension": tensions}
-        self._actuators, self._margin, self._blind, self._tracked = actuators, margin, blind, tracked
+        self._most = {kind: (1 + margin) * limits for kind, limits in self._limits.items()}
+        self._actuators, self._blind, self._tracked = actuators, blind, tracked
         self._measured: dict[str, np.ndarray] = {}  # when each was last
         self._seen: float | None = None
 
@@ -69,11 +70,16 @@ class Watch:
             if kind not in self._measured:  # a rig that does not measure them
                 return
             values = np.full(len(limits), np.nan)
-        over = values > (1 + self._margin) * limits
+        if kind not in self._measured:
+            self._measured[kind] = np.full(len(limits), now)
+        last = self._measured[kind]
+        if (np.abs(values) <= self._most[kind]).all():  # and so measured
+            last[:] = now
+            return
+        over = values > self._most[kind]
         if over.any():
             at = int(np.argmax(over))
             raise Stopped(Ending.LIMIT, f"measured {kind}_{self._actuators[at]} is {100 * values[at] / limits[at]:.0f} % of its limit")
-        last = self._measured.setdefault(kind, np.full(len(limits), now))
         last[np.isfinite(values)] = now
         if (now - last > UNMEASURED_S).any():
             at = int(np.argmin(last))

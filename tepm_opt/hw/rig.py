@@ -29,8 +29,9 @@ class Command:
     @staticmethod
     def of(inputs: np.ndarray) -> Command:
         """A command with all motors enabled, from u = [pressures, tensions] of shape (2 · modules · actuators,) in Pa and N."""
-        pressures, tensions = np.split(np.asarray(inputs, dtype=float), 2)
-        return Command(pressures, tensions, np.ones(len(tensions), dtype=bool))
+        inputs = np.asarray(inputs, dtype=float)
+        half = len(inputs) // 2
+        return Command(inputs[:half], inputs[half:], np.ones(half, dtype=bool))
 
     def __repr__(self) -> str:
         pressures, tensions = (np.array2string(values, precision=3) for values in (1e-3 * self.pressures, self.tensions))
@@ -118,6 +119,10 @@ class Simulated(Rig, Protocol):
 
     def reseed(self, noise: int) -> None:
         """Draw other noise for the same machine; 0 is its own."""
+        ...
+
+    def read_many(self, count: int) -> list[Sample]:
+        """The next samples, at least one and at most `count`, as `read` would give them one by one if nothing is commanded between them."""
         ...
 
     def schedule(self, setpoints: SetPoints, linear: bool = True) -> None:

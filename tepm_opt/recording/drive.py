@@ -23,6 +23,8 @@ FULL_RANGE, SHORTEST = 6.0, 2.0
 """Seconds in which inputs glide over their full range, and the least that a glide takes."""
 REST_WINDOW, REST_SPREAD = 1.2, 5e-4
 """Seconds (more than a period of the sway) within which a robot at rest does not leave this many metres, beyond noise."""
+AHEAD = 25
+"""Samples that a rig of virtual time may give at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +81,12 @@ class Driver:
             RuntimeError: the rig's time stands still.
         """
         try:
-            sample = self.rig.read()
+            return self._checked(self.rig.read())
         except EOFError as error:
             raise InputError(f"the rig has no more samples: {error}") from error
+
+    def _checked(self, sample: Sample) -> Sample:
+        """A sample that came, looked at; see `read`."""
         if sample.points.shape != (len(self.channels.points), 3):
             raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(self.channels.points)}; another robot?")
         self._stalled = self._stalled + 1 if self._times and sample.time <= self._times[-1] else 0
@@ -171,20 +176,28 @@ class Driver:
         self._refuse_rate(rate)
         time = setpoints.time - setpoints.time[0]
         origin = self._begin(setpoints, time)
-        scheduled, tolerance = self.rig.simulated is not None, 0.45 * min(self.period, 1 / rate)
+        simulated, tolerance = self.rig.simulated, 0.45 * min(self.period, 1 / rate)
+        ahead: Iterator[Sample] = iter(())
         due, last, late, sent = 0, int(np.floor(time[-1] * rate + 1e-6)), 0.0, self.now
-        before = -np.inf
+        before, asked = -np.inf, np.column_stack([setpoints.inputs, setpoints.tip_force])
         while due <= last:
-            if not scheduled:
+            if simulated is None:
                 late = max(late, self.now - sent if self.now - sent > max(3 * self.period, 1.5 / rate) else 0.0)
                 sent = self.now
                 self.apply(_at(time, setpoints.inputs, self.now - origin + self.period / 2))
-            sample = self.read()
+                sample = self.read()
+            elif (found := next(ahead, None)) is not None:
+                sample = self._checked(found)
+            else:
+                left = int((last / rate + origin - self._times[-1]) / self.period)
+                ahead = iter(simulated.read_many(min(max(left, 1), AHEAD)))
+                continue
             passed = sample.time - origin
             self.progress("recording", min(passed, time[-1]), time[-1])
             if passed >= due / rate - tolerance and passed > before + 1e-6:
-                inputs, force = (_at(time, values, passed) for values in (setpoints.inputs, setpoints.tip_force))
-                self.inputs = inputs if scheduled else self.inputs
+                given, half = _at(time, asked, passed), len(self.inputs)
+                inputs, force = given[:half], given[half:]
+                self.inputs = inputs if simulated else self.inputs
                 yield Row(passed, inputs, force, sample, late)
                 due, late, before = max(due + 1, int(np.floor(passed * rate + 0.25)) + 1), 0.0, passed
 
@@ -230,9 +243,9 @@ def refuse_unplayable(setpoints: SetPoints, where: str) -> None:
 
 def _at(time: np.ndarray, values: np.ndarray, when: float) -> np.ndarray:
     """Values (rows, …) at a time, linear between rows, (…,)."""
-    k = int(np.clip(np.searchsorted(time, when, side="right") - 1, 0, max(len(time) - 2, 0)))
     if len(time) == 1 or when <= time[0]:
         return values[0]
+    k = min(int(time.searchsorted(when, side="right")) - 1, len(time) - 2)
     part = min((when - time[k]) / (time[k + 1] - time[k]), 1.0)
     return values[k] + part * (values[k + 1] - values[k])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.journal import Journal, mend_journal
 from tepm_opt.data.run import Role, Run, read_run, write_run
 from tepm_opt.data.setpoints import SetPoints, length_columns
-from tepm_opt.data.tables import field_text
+from tepm_opt.data.tables import field_texts
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig, Sample
 from tepm_opt.models.channels import channels_of
@@ -101,17 +102,18 @@ def journal_path(folder: Path, file: str) -> Path:
     return path
 
 
+@cache
+def _measured_columns(names: tuple[str, ...]) -> tuple[list[str], list[str], list[str]]:
+    """Columns of measured pressures, tensions and lengths: `pressure_11_measured_Pa`, …, `length_11_m`, …"""
+    return [f"pressure_{name}_measured_Pa" for name in names], [f"tension_{name}_measured_N" for name in names], length_columns(names)
+
+
 def _others(sample: Sample, channels: Channels) -> dict[str, float]:
-    """What a rig measured besides positions, by column: `pressure_11_measured_Pa`, `length_11_m`, …"""
+    """What a rig measured besides positions, by column."""
     columns: dict[str, float] = {}
-    names = channels.actuators
-    for values, labels in (
-        (sample.pressures, [f"pressure_{name}_measured_Pa" for name in names]),
-        (sample.tensions, [f"tension_{name}_measured_N" for name in names]),
-        (sample.lengths, length_columns(names)),
-    ):
+    for values, labels in zip((sample.pressures, sample.tensions, sample.lengths), _measured_columns(channels.actuators), strict=True):
         if values is not None:
-            columns |= dict(zip(labels, (float(value) for value in values), strict=True))
+            columns |= zip(labels, values.tolist(), strict=True)
     return columns | {name: float(value) for name, value in sample.extra.items()}
 
 
@@ -132,11 +134,11 @@ def write_journal(path: Path, rows: Iterable[Row], first: Sample, channels: Chan
     with Journal(path, [*channels.columns, *extra, STATUS]) as journal:
         for row in rows:
             start = row.time if count == 0 else start
-            values = [round(row.time - start, 6), *row.inputs, *row.tip_force, *row.sample.points.ravel()]
+            values = [float(round(row.time - start, 6)), *row.inputs.tolist(), *row.tip_force.tolist(), *row.sample.points.ravel().tolist()]
             others = _others(row.sample, channels)
             values += [others.get(name, np.nan) for name in extra]
             late = f" (commands {row.late:.3f} s late)" if row.late else ""
-            journal.append([*(field_text(float(value)) for value in values), row.sample.status + late])
+            journal.append([*field_texts(values), row.sample.status + late])
             count += 1
     return count
 

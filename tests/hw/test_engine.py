@@ -11,7 +11,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.simulation import engine, machine, machines
+from tepm_opt.hw.simulation import engine, machine
 from tepm_opt.hw.simulation.compiled_machine import CompiledMachine
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.hw.simulation.imperfections.base import Body, StaticMap
@@ -23,6 +23,8 @@ from tepm_opt.hw.simulation.stability import longest_step
 from tepm_opt.hw.simulation.timeline import Timeline
 from tepm_opt.models.backends import compiler as c_compiler
 from tepm_opt.models.backends import store
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.robot import load_robot
 from tests.hw.rigs import BAR, bar, inputs, read_until, rig_of, robot_file
 
 pytestmark = pytest.mark.usefixtures("compiler")
@@ -245,7 +247,7 @@ def test_forces_at_rest_are_mujocos():
 
 
 def library() -> Any:
-    built = engine.library()
+    built = engine.library(Layout.of(load_robot("kang2017")))
     assert built is not None
     return built
 
@@ -255,7 +257,6 @@ def test_vectors_width_does_not_matter(monkeypatch):
     found = []
     for lanes in (1, 2, 4, 8):
         monkeypatch.setattr(engine, "LANES", lanes)
-        monkeypatch.setattr(machines, "library", engine.library.__wrapped__)
         found.append(seen(driven(SimulatedRig(rig_file("compiled", imperfections=EVERYTHING, **DEVICES)), 0.2), 0.2))
     assert all(each.tobytes() == found[0].tobytes() for each in found)
 
@@ -322,7 +323,7 @@ def test_long_steps_are_kept_where_the_robot_bears_them():
 def without_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     store.warn_once.cache_clear()
     monkeypatch.setattr(c_compiler, "find_compiler", lambda: None)
-    monkeypatch.setattr(machines, "library", engine.library.__wrapped__)
+    monkeypatch.setattr(engine, "_library", engine._library.__wrapped__)
 
 
 def test_without_a_compiler_mujoco_runs(monkeypatch):
@@ -350,7 +351,7 @@ def test_an_imperfection_that_c_does_not_have_runs_on_mujoco():
     store.warn_once.cache_clear()
     odd = Imperfections().model_copy(update={"pressure_dead_zone": Odd(threshold_Pa=1.0)})
     file = rig_file("auto", robot_file(**BAR, gravity_m_per_s2=(0, 0, 0))).model_copy(update={"imperfections": odd})
-    with pytest.warns(RuntimeWarning, match="the rig runs on MuJoCo, some 30 times slower: Unheard has no counterpart in C"):
+    with pytest.warns(RuntimeWarning, match="the rig runs on MuJoCo, some 100 times slower: Unheard has no counterpart in C"):
         rig = SimulatedRig(file)
     assert isinstance(rig.machine, MujocoMachine)
     rig.apply(Command.of(inputs(rig, 1e5)))

@@ -123,6 +123,9 @@ class FakeSimulation(FakeRig):
     def simulated(self) -> FakeSimulation:  # type: ignore[override]
         return self
 
+    def read_many(self, count: int) -> list[Sample]:
+        return [self.read()]
+
     def reseed(self, noise: int) -> None:
         self.random = np.random.default_rng(noise)
 

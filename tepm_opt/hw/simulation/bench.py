@@ -84,6 +84,10 @@ class BenchRig:
         length = np.array([np.linalg.norm(points[1] - points[0])])
         return Sample(until * self._tick, points, lengths=length, status="tracker lost an end" if lost else "ok")
 
+    def read_many(self, count: int) -> list[Sample]:
+        """The next sample: nothing is gained by more at once."""
+        return [self.read()]
+
     def apply(self, command: Command) -> None:
         """New set points, held until the next ones; before the first `read`, where the actuator rests.
 

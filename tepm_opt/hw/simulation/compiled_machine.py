@@ -51,22 +51,11 @@ class CompiledMachine(Machine):
 
     def record(self, at: Sequence[int], commands: Timeline, forces: Timeline) -> Frames:
         """See `Machine`."""
-        steps, layout = np.array(at, dtype=np.int64), self.network.layout
-        count = len(steps)
-        frames = Frames(
-            np.empty((count, layout.levels + 1, layout.actuators, 3)),
-            np.empty((count, layout.points, 3)),
-            np.empty((count, self.network.count)),
-            np.empty((count, self.network.count)),
-        )
-        arrays = (frames.nodes, frames.points, frames.pressures, frames.tensions)
-        done = self.network.record(steps, commands, forces, arrays)
+        done, arrays = self.network.record(np.array(at, dtype=np.int64), commands, forces)
         self.now = self.network.rig.now
-        if done == count:
-            return frames
         if done == 0:
             raise self.diverged(at[0])
-        return Frames(*(each[:done] for each in arrays))
+        return Frames(*arrays) if done == len(at) else Frames(*(each[:done] for each in arrays))
 
 
 def _numbers(stages: Iterable[object]) -> list[Numbers]:

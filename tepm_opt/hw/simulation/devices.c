@@ -208,7 +208,7 @@ static void along_edges(const stage *s, const double *length, const double *rate
 /* Lengths and rates of the vertical edges, (nodes, width) each. */
 static void measure(const mechanics *m, double *length, double *rate) {
   const integer row = row_of(m);
-  for (integer i = 0; i < m->nodes; i++)
+  for (integer i = 0; i < NODES; i++)
     for (integer j = 0; j < m->width; j++) {
       const double *x = m->x + 3 * i * row + LANES + j, *v = m->v + 3 * i * row + LANES + j;
       double square = 0, along = 0;
@@ -222,12 +222,12 @@ static void measure(const mechanics *m, double *length, double *rate) {
 
 /* Sums over the vertical edges (nodes, width) of each actuator, (modules, nodes). */
 static void of_actuators(const rig *r, const double *edges, double *sums) {
-  const integer nodes = r->network.nodes, segments = r->network.levels / r->modules;
+  const integer segments = r->network.levels / r->modules;
   for (integer h = 0; h < r->modules; h++)
-    for (integer i = 0; i < nodes; i++) {
+    for (integer i = 0; i < NODES; i++) {
       double sum = 0;
       for (integer j = 0; j < segments; j++) sum += edges[i * r->network.width + h * segments + j];
-      sums[h * nodes + i] = sum;
+      sums[h * NODES + i] = sum;
     }
 }
 
@@ -256,7 +256,7 @@ static void wind(const rig *r, double *goal, const double *enabled, double durat
 /* Forces of the motors from here to `duration` later under commands at both ends, (2, 3 actuators). */
 static void drive(rig *r, double *command, double duration) {
   mechanics *m = &r->network;
-  const integer count = r->actuators, edges = m->nodes * m->width;
+  const integer count = r->actuators, edges = NODES * m->width;
   double *pressure = r->work + 6 * count + 6 * r->points, *tension = pressure + 2 * count, *length = tension + 2 * count;
   double *rate = length + edges, *push = rate + edges, *axial = command; /* no longer needed below */
   double lengths[count], rates[count], enabled[count];
@@ -281,9 +281,9 @@ static void drive(rig *r, double *command, double duration) {
   for (integer s = 0; s < r->stages[2]; s++) on_tensions(r->tendons + s, tension, lengths, rates, count, duration);
   for (integer i = 0; i < 2 * count; i++) axial[i] = r->area * pressure[i] - tension[i];
   const integer segments = m->levels / r->modules;
-  for (integer i = 0; i < m->nodes; i++)
+  for (integer i = 0; i < NODES; i++)
     for (integer j = 0; j < m->levels; j++) {
-      const integer muscle = j / segments * m->nodes + i, at = i * m->width + j;
+      const integer muscle = j / segments * NODES + i, at = i * m->width + j;
       const double start = axial[muscle] + push[at], end = axial[count + muscle] + push[edges + at];
       m->push[at] = start, m->slope[at] = (end - start) / duration;
     }
@@ -298,7 +298,7 @@ void carry(rig *r, const double *forces) {
     double total[3] = {0, 0, 0};
     for (integer p = 0; p < r->points; p++)
       for (integer k = 0; k < 3; k++)
-        total[k] += r->weights[p * (m->levels + 1) + j + 1] / m->nodes * (forces[3 * p + k] + r->external[3 * p + k]);
+        total[k] += r->weights[p * (m->levels + 1) + j + 1] / NODES * (forces[3 * p + k] + r->external[3 * p + k]);
     for (integer k = 0; k < 3; k++) m->load[3 * j + k] = total[0] * r->turn[k] + total[1] * r->turn[3 + k] + total[2] * r->turn[6 + k];
   }
   rest_on(m);
@@ -309,11 +309,11 @@ static int look(const rig *r, double *nodes, double *points) {
   const mechanics *m = &r->network;
   const integer row = row_of(m);
   int bounded = 1;
-  for (integer i = 0; i < m->nodes; i++)
+  for (integer i = 0; i < NODES; i++)
     for (integer k = 0; k < 3; k++)
       for (integer j = 0; j <= m->levels; j++) {
         const integer at = (3 * i + k) * row + LANES - 1 + j;
-        nodes[3 * (j * m->nodes + i) + k] = m->x[at];
+        nodes[3 * (j * NODES + i) + k] = m->x[at];
         bounded &= fabs(m->x[at] - m->rest[at]) < m->bound; /* no where it is not a number */
       }
   for (integer p = 0; p < r->points; p++) {
@@ -323,8 +323,8 @@ static int look(const rig *r, double *nodes, double *points) {
       if (weight == 0) continue;
       for (integer k = 0; k < 3; k++) {
         double sum = 0;
-        for (integer i = 0; i < m->nodes; i++) sum += nodes[3 * (j * m->nodes + i) + k];
-        place[k] += weight * (sum / m->nodes);
+        for (integer i = 0; i < NODES; i++) sum += nodes[3 * (j * NODES + i) + k];
+        place[k] += weight * (sum / NODES);
       }
     }
     for (integer k = 0; k < 3; k++)
@@ -362,7 +362,7 @@ integer record(
   integer command = 0, force = 0;
   for (integer f = 0; f < frames; f++) {
     advance(r, at[f], commands, forces, &command, &force);
-    if (!look(r, nodes + f * 3 * (r->network.levels + 1) * r->network.nodes, points + f * 3 * r->points)) return f;
+    if (!look(r, nodes + f * 3 * (r->network.levels + 1) * NODES, points + f * 3 * r->points)) return f;
     memcpy(pressures + f * r->actuators, r->pressure, sizeof(double) * r->actuators);
     memcpy(tensions + f * r->actuators, r->tension, sizeof(double) * r->actuators);
   }
@@ -373,23 +373,23 @@ integer record(
    motors' forces (places, nodes, width) and the loads it carries. Positions and velocities are left as they are. */
 void force_at_rest(const rig *r, integer places, const double *place, const double *push, double *force) {
   mechanics m = r->network;
-  const integer row = row_of(&m), size = size_of(&m), edges = m.nodes * m.width;
+  const integer row = row_of(&m), size = size_of(&m), edges = NODES * m.width;
   double *upper = work_of(&m, 0), *lower = work_of(&m, 1), *x = work_of(&m, 2), *v = work_of(&m, 3);
   memset(v, 0, sizeof(double) * size);
   for (integer p = 0; p < places; p++) {
     m.push = (double *)push + p * edges;
     memcpy(x, m.rest, sizeof(double) * size);
-    for (integer i = 0; i < m.nodes; i++)
+    for (integer i = 0; i < NODES; i++)
       for (integer k = 0; k < 3; k++)
         for (integer j = 0; j < m.levels; j++)
-          x[(3 * i + k) * row + LANES + j] += place[((p * m.levels + j) * m.nodes + i) * 3 + k];
+          x[(3 * i + k) * row + LANES + j] += place[((p * m.levels + j) * NODES + i) * 3 + k];
     pull(&m, x, v, 0, upper, lower);
-    for (integer i = 0; i < m.nodes; i++)
+    for (integer i = 0; i < NODES; i++)
       for (integer k = 0; k < 3; k++)
         for (integer j = 0; j < m.levels; j++) {
           const integer at = (3 * i + k) * row + LANES + j;
           const double own = m.still[(3 * i + k) * m.width + j] / m.inverse_mass[i * m.width + j];
-          force[((p * m.levels + j) * m.nodes + i) * 3 + k] = upper[at] + lower[at + 1] + own;
+          force[((p * m.levels + j) * NODES + i) * 3 + k] = upper[at] + lower[at + 1] + own;
         }
   }
 }

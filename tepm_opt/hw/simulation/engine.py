@@ -13,6 +13,7 @@ from tepm_opt.hw.simulation.imperfections.base import Body, Numbers
 from tepm_opt.hw.simulation.network import Network
 from tepm_opt.hw.simulation.timeline import Timeline
 from tepm_opt.models.backends import compiler
+from tepm_opt.models.layout import Layout
 
 LANES = 4  # levels in a vector
 WORK = 7  # arrays of all coordinates, of RK4's stages
@@ -24,8 +25,8 @@ Pointer, Integer, Real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 class _Mechanics(ctypes.Structure):
     _fields_ = [
-        *((name, Integer) for name in ("levels", "nodes", "edges", "width")),
-        *((name, Pointer) for name in ("ends", "stiffness", "damping", "preload", "inverse_mass", "fall", "rest", "x", "v")),
+        *((name, Integer) for name in ("levels", "width")),
+        *((name, Pointer) for name in ("stiffness", "damping", "preload", "inverse_mass", "fall", "rest", "x", "v")),
         *((name, Pointer) for name in ("push", "slope", "load", "still", "work")),
         *((name, Real) for name in ("step", "bound")),
     ]
@@ -50,12 +51,19 @@ class _Rig(ctypes.Structure):
     ]
 
 
+def library(layout: Layout) -> ctypes.CDLL | None:
+    """The engine for robots with a layout's edges and any number of segments; None (and one warning) where there is no compiler."""
+    return _library(layout.actuators, tuple((*edge.a, *edge.b) for edge in layout.edges), LANES)
+
+
 @cache
-def library() -> ctypes.CDLL | None:
-    """The compiled engine; None (and one warning) where there is no compiler."""
+def _library(nodes: int, ends: tuple[tuple[int, ...], ...], lanes: int) -> ctypes.CDLL | None:
     folder = resources.files("tepm_opt.hw.simulation")
-    text = "\n".join([f"#define LANES {LANES}", *((folder / name).read_text(encoding="utf-8") for name in ("mechanics.c", "devices.c"))])
-    built = compiler.build(text, "rig", ("record", "carry", "force_at_rest"), FLAGS, "rigs run on MuJoCo, some 30 times slower")
+    sizes = [f"#define {name} {value}" for name, value in (("LANES", lanes), ("NODES", nodes), ("EDGES", len(ends)))]
+    listed = ", ".join(f"{{{', '.join(map(str, each))}}}" for each in ends)
+    parts = [(folder / name).read_text(encoding="utf-8") for name in ("mechanics.c", "devices.c")]
+    text = "\n".join([*sizes, f"static const int ENDS[EDGES][4] = {{{listed}}};", *parts])
+    built = compiler.build(text, "rig", ("record", "carry", "force_at_rest"), FLAGS, "rigs run on MuJoCo, some 100 times slower")
     if built is not None:
         built.record.argtypes, built.record.restype = [Pointer, Pointer, Pointer, Integer, *[Pointer] * 5], Integer
         built.carry.argtypes, built.carry.restype = [Pointer] * 2, None
@@ -80,13 +88,12 @@ class CompiledNetwork(Network):
         self._groups: dict[str, ctypes.Array[_Stage]] = {}
         self.rig = rig = _Rig(actuators=self.count, modules=layout.modules, points=points)
         net = rig.network
-        net.levels, net.nodes, net.edges, net.width, net.step, net.bound = n, nodes, len(layout.edges), width, step, self.bound
+        net.levels, net.width, net.step, net.bound = n, width, step, self.bound
         rest = np.zeros((nodes, 3, row))
         rest[:, :, LANES + n :] = self.rest[0][:, :, None]
         rest[:, 0, LANES + n :] += 1e3 + np.arange(row - LANES - n)  # what fills up is far away
         rest[:, :, LANES - 1 : LANES + n] = self.rest.transpose(1, 2, 0)
         mechanics = {
-            "ends": np.array([[*edge.a, *edge.b] for edge in layout.edges], dtype=np.int64),
             "stiffness": self._filled(body.stiffness),
             "damping": self._filled(body.damping),
             "preload": self._filled(body.stiffness * body.rest),
@@ -115,6 +122,8 @@ class CompiledNetwork(Network):
         for name, array in devices.items():
             setattr(rig, name, self._keep(name, array))
         rig.work = self._keep("devices' work", np.zeros(6 * self.count + 6 * points + 4 * self.count + 4 * nodes * width))
+        self._shapes = [self.rest.shape, (points, 3), (self.count,), (self.count,)]  # of a frame's nodes, points, pressures, tensions
+        self._ends = np.cumsum([np.prod(shape) for shape in self._shapes]).tolist()
         self._at = ctypes.addressof(rig)
         self._timelines = (_Timeline(), _Timeline())
         self._timelines_at = [ctypes.addressof(each) for each in self._timelines]
@@ -156,21 +165,29 @@ class CompiledNetwork(Network):
         """Set what the monitors measure, (modules · actuators,) in Pa and N."""
         self._kept["pressure"][:], self._kept["tension"][:] = pressure, tension
 
-    def record(self, at: np.ndarray, commands: Timeline, forces: Timeline, frames: Sequence[np.ndarray]) -> int:
-        """Advance to each of some steps; how many were reached before the network left all bounds.
+    def record(self, at: np.ndarray, commands: Timeline, forces: Timeline) -> tuple[int, list[np.ndarray]]:
+        """Advance to each of some steps.
 
         Args:
             at: steps, (frames,), int64.
             commands: (3 · actuators,).
             forces: (points, 3).
-            frames: nodes, points, pressures and tensions to be written.
+
+        Returns:
+            How many steps were reached before the network left all bounds; nodes, points, pressures and tensions at all of them.
         """
-        for c, timeline in zip(self._timelines, (commands, forces), strict=True):
-            first = timeline.first
-            c.knots, c.size = timeline.end - first, timeline.values[0].size
-            c.at, c.values = timeline.at.ctypes.data + 8 * first, timeline.values.ctypes.data + 8 * c.size * first
-            c.slopes, c.moves = timeline.slopes.ctypes.data + 8 * c.size * first, timeline.moves.ctypes.data + first
-        return self._library.record(self._at, *self._timelines_at, len(at), at.ctypes.data, *(each.ctypes.data for each in frames))
+        for c, timeline, size in zip(self._timelines, (commands, forces), (3 * self.count, 3 * self.layout.points), strict=True):
+            first, (steps, values, slopes, moves) = timeline.first, timeline.addresses
+            c.knots, c.size = timeline.end - first, size
+            c.at, c.values, c.slopes, c.moves = steps + 8 * first, values + 8 * size * first, slopes + 8 * size * first, moves + first
+        frames = len(at)
+        ends = [frames * end for end in self._ends]
+        found = np.empty(ends[-1])
+        base = found.ctypes.data
+        starts = [base, *(base + 8 * end for end in ends[:-1])]
+        done = self._library.record(self._at, *self._timelines_at, frames, at.ctypes.data, *starts)
+        parts = zip([0, *ends], ends, self._shapes, strict=False)
+        return done, [found[start:end].reshape(frames, *shape) for start, end, shape in parts]
 
     def load(self, forces: np.ndarray) -> None:
         """See `Network`."""

@@ -8,6 +8,7 @@ from tepm_opt.hw.simulation.engine import library
 from tepm_opt.hw.simulation.machine import Machine
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.backends.store import warn_once
+from tepm_opt.models.layout import Layout
 
 
 def machine_of(file: RigFile) -> Machine:
@@ -18,14 +19,14 @@ def machine_of(file: RigFile) -> Machine:
     """
     engine = file.simulation.engine
     if engine != "mujoco":
-        built = library()
+        built = library(Layout.of(file.nominal))
         try:
             if built is not None:
                 return CompiledMachine(file, built)
             missing = "there is no working C compiler"
         except Unknown as error:
             missing = str(error)
-            warn_once(f"the rig runs on MuJoCo, some 30 times slower: {missing}")
+            warn_once(f"the rig runs on MuJoCo, some 100 times slower: {missing}")
         if engine == "compiled":
             raise InputError(f"simulation.engine = 'compiled': {missing}; valid: auto, mujoco")
     from tepm_opt.hw.simulation.mujoco_machine import MujocoMachine

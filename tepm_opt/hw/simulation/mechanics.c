@@ -2,6 +2,9 @@
 
    Written from Newton's law alone. Nothing here comes from models/, whose judge it is.
 
+   NODES of a level and ENDS of the EDGES of a segment, verticals first, stand before this text: level (0 lower, 1 upper) and node of one end,
+   then of the other.
+
    Arrays have a row a node and axis, and in a row the levels side by side, LANES of which are one vector. The levels 1 ... are at LANES,
    LANES + 1, ...; level 0, which is fixed, stands before them; so the lower ends of all segments are the row of their upper ends, one place to
    the left. Rows are filled up to whole vectors with levels that weigh nothing and never move. Every sum has a fixed order, whatever the
@@ -23,8 +26,7 @@ static inline vector root(vector x) {
 }
 
 typedef struct { /* the order is engine.py's */
-  integer levels, nodes, edges, width; /* of the network; levels in a row, filled up */
-  const integer *ends;                 /* (edges, 4): level (0 lower, 1 upper) and node of one end, of the other; verticals come first */
+  integer levels, width;                       /* of the network; levels in a row, filled up */
   const double *stiffness, *damping, *preload; /* (edges, width): of springs, of dampers, spring times rest length */
   const double *inverse_mass;                  /* (nodes, width) in 1/kg, 0 of what fills up */
   const double *fall;                          /* (3,) in m/s2, of what is free */
@@ -40,40 +42,50 @@ typedef struct { /* the order is engine.py's */
 enum { WORK = 7 };
 
 static inline integer row_of(const mechanics *m) { return m->width + LANES; }
-static inline integer size_of(const mechanics *m) { return 3 * m->nodes * row_of(m); }
+static inline integer size_of(const mechanics *m) { return 3 * NODES * row_of(m); }
 static inline double *work_of(const mechanics *m, integer part) { return m->work + part * size_of(m) + (part > 1 ? LANES : 0); }
 
 /* Accelerations that loads and gravity make. */
 static void rest_on(const mechanics *m) {
-  for (integer i = 0; i < m->nodes; i++)
+  for (integer i = 0; i < NODES; i++)
     for (integer k = 0; k < 3; k++)
       for (integer j = 0; j < m->levels; j++)
         m->still[(3 * i + k) * m->width + j] = m->fall[k] + m->load[3 * j + k] * m->inverse_mass[i * m->width + j];
 }
 
-/* Forces of the edges on their upper and their lower ends, (nodes, 3, row) each, at LANES ... as everything. */
+/* A node's place or velocity in LANES segments. */
+typedef struct { vector x, y, z; } triple;
+
+static inline triple take(const double *row_x, integer row) { return (triple){load(row_x), load(row_x + row), load(row_x + 2 * row)}; }
+static inline triple minus(triple a, triple b) { return (triple){a.x - b.x, a.y - b.y, a.z - b.z}; }
+static inline vector dot(triple a, triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+static inline void add(triple *to, vector share, triple of) { to->x += share * of.x, to->y += share * of.y, to->z += share * of.z; }
+
+/* Forces of the edges of all segments on their upper and on their lower ends, (nodes, 3, row) each, at LANES ... as everything. */
 static void pull(const mechanics *m, const double *x, const double *v, double since, double *upper, double *lower) {
   const integer row = row_of(m), width = m->width;
-  memset(upper, 0, sizeof(double) * size_of(m));
-  memset(lower, 0, sizeof(double) * (size_of(m) + LANES)); /* above the last level there is nothing */
-  for (integer e = 0; e < m->edges; e++) {
-    const integer *end = m->ends + 4 * e;
-    const integer from = 3 * end[1] * row + LANES - 1 + end[0], to = 3 * end[3] * row + LANES - 1 + end[2];
-    const double *k = m->stiffness + e * width, *c = m->damping + e * width, *p = m->preload + e * width;
-    double *one = (end[0] ? upper : lower) + 3 * end[1] * row + LANES, *other = (end[2] ? upper : lower) + 3 * end[3] * row + LANES;
-    for (integer j = 0; j < width; j += LANES) {
-      const double *a = x + from + j, *b = x + to + j, *va = v + from + j, *vb = v + to + j;
-      const vector d0 = load(b) - load(a), d1 = load(b + row) - load(a + row), d2 = load(b + 2 * row) - load(a + 2 * row);
-      const vector w0 = load(vb) - load(va), w1 = load(vb + row) - load(va + row), w2 = load(vb + 2 * row) - load(va + 2 * row);
-      const vector inverse = all(1.0) / root(d0 * d0 + d1 * d1 + d2 * d2);
-      const vector rate = (d0 * w0 + d1 * w1 + d2 * w2) * inverse;
-      vector back = load(c + j) * rate - load(p + j);
-      if (e < m->nodes) back -= load(m->push + e * width + j) + all(since) * load(m->slope + e * width + j);
-      const vector share = load(k + j) + back * inverse, f0 = share * d0, f1 = share * d1, f2 = share * d2;
-      store(one + j, load(one + j) + f0), store(one + row + j, load(one + row + j) + f1);
-      store(one + 2 * row + j, load(one + 2 * row + j) + f2);
-      store(other + j, load(other + j) - f0), store(other + row + j, load(other + row + j) - f1);
-      store(other + 2 * row + j, load(other + 2 * row + j) - f2);
+  for (integer j = 0; j < width; j += LANES) {
+    triple place[2][NODES], motion[2][NODES], force[2][NODES] = {0}; /* of the lower and the upper ends */
+    for (int i = 0; i < NODES; i++)
+      for (int end = 0; end < 2; end++) {
+        place[end][i] = take(x + 3 * i * row + LANES - 1 + end + j, row);
+        motion[end][i] = take(v + 3 * i * row + LANES - 1 + end + j, row);
+      }
+#pragma GCC unroll 64
+    for (int e = 0; e < EDGES; e++) {
+      const int a = ENDS[e][0], i = ENDS[e][1], b = ENDS[e][2], k = ENDS[e][3];
+      const integer at = e * width + j;
+      const triple span = minus(place[b][k], place[a][i]), drift = minus(motion[b][k], motion[a][i]);
+      const vector inverse = all(1.0) / root(dot(span, span));
+      vector back = load(m->damping + at) * (dot(span, drift) * inverse) - load(m->preload + at);
+      if (e < NODES) back -= load(m->push + at) + all(since) * load(m->slope + at);
+      const vector share = load(m->stiffness + at) + back * inverse;
+      add(&force[a][i], share, span), add(&force[b][k], -share, span);
+    }
+    for (int i = 0; i < NODES; i++) {
+      double *on[2] = {lower + 3 * i * row + LANES + j, upper + 3 * i * row + LANES + j};
+      for (int end = 0; end < 2; end++)
+        store(on[end], force[end][i].x), store(on[end] + row, force[end][i].y), store(on[end] + 2 * row, force[end][i].z);
     }
   }
 }
@@ -83,7 +95,7 @@ static void accelerate(const mechanics *m, const double *x, const double *v, dou
   const integer row = row_of(m), width = m->width;
   double *upper = work_of(m, 0), *lower = work_of(m, 1);
   pull(m, x, v, since, upper, lower);
-  for (integer r = 0; r < 3 * m->nodes; r++)
+  for (integer r = 0; r < 3 * NODES; r++)
     for (integer j = 0; j < width; j += LANES) {
       const integer at = r * row + LANES + j;
       const vector force = load(upper + at) + load(lower + at + 1); /* the lower ends of the next segment */

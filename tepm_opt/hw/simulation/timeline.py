@@ -21,6 +21,7 @@ class Timeline:
         values: from a knot on, (room, …).
         slopes: their changes a second, (room, …).
         moves: whether a slope is not 0, (room,), uint8.
+        addresses: of these four, for C.
         first, end: the knots that there are.
     """
 
@@ -34,6 +35,7 @@ class Timeline:
         """Take place for a number of knots."""
         self.at, self.moves = np.zeros(room, dtype=np.int64), np.zeros(room, dtype=np.uint8)
         self.values, self.slopes = np.zeros((room, *shape)), np.zeros((room, *shape))
+        self.addresses = tuple(each.ctypes.data for each in (self.at, self.values, self.slopes, self.moves))
         self._steps = self.at.data
 
     def set(self, at: int, value: np.ndarray) -> None:
