@@ -14,6 +14,7 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 from tepm_opt.progress import Progress, silent
 
+AHEAD = 25  # samples between two tellings of progress
 SWAY = 1.1  # s, period of the slowest sway: what is averaged over it does not see it
 
 
@@ -108,13 +109,11 @@ def play(rig: SimulatedRig, setpoints: SetPoints, until: float, progress: Progre
         Time in s, (samples,), and reference points in m in G, (samples, points, 3).
     """
     rig.schedule(setpoints)
-    times, points = [], []
-    while not times or times[-1] < until - 1e-9:
-        sample = rig.read()
-        times.append(sample.time)
-        points.append(sample.points)
-        progress("set points", sample.time, until)
-    return np.array(times), np.array(points)
+    samples = [rig.read()]
+    while (left := until - samples[-1].time) > 1e-9:
+        samples += rig.read_many(min(max(int(left * rig.file.tracker.rate_hz), 1), AHEAD))
+        progress("set points", samples[-1].time, until)
+    return np.array([sample.time for sample in samples]), np.array([sample.points for sample in samples])
 
 
 def ramp(inputs: np.ndarray, rise: float, start: np.ndarray | None = None, force: np.ndarray | None = None) -> SetPoints:

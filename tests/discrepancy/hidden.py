@@ -1,4 +1,4 @@
-"""Data sets in which an effect is hidden, made by MuJoCo: an engine and functional forms that are not the model's.
+"""Data sets in which an effect is hidden, made by the simulated rig: mechanics and functional forms that are not the model's.
 
 `python -m tests.discrepancy.hidden FOLDER [--short] [--case KEY]` writes FOLDER/KEY for every case, and what is hidden to
 FOLDER/labels/KEY.json.
@@ -101,7 +101,7 @@ def played(case: Hidden, run: Excitation) -> Run:
     rig.reseed(seed_of(case.seed, run.file))
     inputs = asked.inputs if case.before is None else case.before(asked.inputs)
     rig.schedule(SetPoints(asked.time, inputs, asked.tip_force))
-    seen = np.array([rig.read().points for _ in asked.time])
+    seen = np.array([sample.points for sample in rig.read_many(len(asked.time))])
     points = seen if case.after is None else case.after(seen)
     return Run(run.file, run.role, asked.time, asked.inputs, asked.tip_force, points)
 
