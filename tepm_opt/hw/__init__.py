@@ -2,5 +2,5 @@
 
 `rig` is what all of them offer, `registry` opens one by its name, `commands` are checks that every rig makes, `ramp` is the slow way from
 one command to another, `replay` plays recorded runs, `tracker` and `igtl` bring poses. `board` is the real robot behind its control board,
-`simulation` another robot in MuJoCo; neither knows the other. `service` stands on `board`. `firmware` is what runs on the board.
+`simulation` another robot in C or MuJoCo; neither knows the other. `service` stands on `board`. `firmware` is what runs on the board.
 """

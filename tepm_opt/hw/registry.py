@@ -40,7 +40,7 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
 
     name, at, engine = target.rpartition("@")
-    if not at or "/" in engine or "." in engine:  # of a file's name
+    if not at or Path(target).is_file() or "/" in engine:  # of a file's name
         name, engine = target, ""
     try:
         file = load_rig_file(name or DEFAULT)
