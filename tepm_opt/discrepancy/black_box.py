@@ -7,9 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import lfilter
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from tepm_opt.data.run import Run
 
@@ -30,6 +27,10 @@ def black_box(fit: Sequence[Run], left: Sequence[np.ndarray], scale: np.ndarray,
     Returns:
         Residuals of the other runs, (rows, points, 3) in m each.
     """
+    from sklearn.exceptions import ConvergenceWarning  # half a second to import, needed when the search is over
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
     features = [_features(run, scale, static) for run in fit]
     x, y = np.concatenate(features), np.concatenate([values.reshape(len(values), -1) for values in left])
     whole = np.isfinite(y).any(axis=1)

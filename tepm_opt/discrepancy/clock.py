@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import correlate
 
 from tepm_opt.data.run import Run
 
@@ -41,13 +42,32 @@ def _shift(run: Run, modelled: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0
     ever = np.isfinite(measured).any(axis=0)
     measured, y = measured[:, ever], y[:, ever]
-    seen = np.isfinite(measured)
-    costs = np.empty(2 * most + 1)
-    for k, lag in enumerate(range(-most, most + 1)):
-        moved = y[np.clip(np.arange(run.rows) - lag, 0, run.rows - 1)]
-        error = np.where(seen, measured - moved, np.nan)
-        costs[k] = np.nansum((error - np.nanmean(error, axis=0)) ** 2)
+    costs = _costs(measured - np.nanmean(measured, axis=0), y - y.mean(axis=0), most)
     best = int(np.argmin(costs))
     if best in (0, 2 * most):  # no minimum: the difference is no shift
         return 0.0, 0.0
     return (best - most) * step, 1 - costs[best] / max(costs[most], 1e-30)
+
+
+def _costs(measured: np.ndarray, modelled: np.ndarray, most: int) -> np.ndarray:
+    """Squared differences, less their mean, for lags from -most to most rows, (2 · most + 1,).
+
+    Sums over rows of products with a shifted series are correlations, all lags at once by the fast Fourier transform.
+
+    Args:
+        measured: (rows, columns) in m, about 0, NaN where missing.
+        modelled: (rows, columns) in m, about 0; beyond its ends it stands still.
+        most: rows.
+    """
+    seen = np.isfinite(measured)
+    known = np.where(seen, measured, 0.0)
+    held = np.pad(modelled, ((most, most), (0, 0)), mode="edge")
+
+    def shifted(series: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        return np.stack([correlate(a, b, mode="valid", method="fft")[::-1] for a, b in zip(series.T, weight.T, strict=True)])
+
+    count = np.maximum(seen.sum(axis=0), 1)[:, None]
+    present = seen.astype(float)
+    mean = (known.sum(axis=0)[:, None] - shifted(held, present)) / count
+    squares = (known**2).sum(axis=0)[:, None] - 2 * shifted(held, known) + shifted(held**2, present)
+    return np.asarray((squares - count * mean**2).sum(axis=0))

@@ -60,7 +60,8 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
     parts = []  # (values (rows, points · 3), by, block, counts) of every fold
     for r in residuals:
         rows = len(r.values)
-        pieces = [np.arange(rows)] if len(residuals) > 2 else np.array_split(np.arange(rows), min(FOLDS, rows))
+        folds = 1 if len(residuals) > 2 else min(FOLDS, rows)
+        pieces = [slice(piece[0], piece[-1] + 1) for piece in np.array_split(np.arange(rows), folds)]  # views, which cost no memory
         values, by = r.values.reshape(rows, -1), r.by.reshape(rows, -1, count)
         parts += [(values[piece], by[piece], r.block[piece], r.present.reshape(rows, -1)[piece].sum(axis=1)) for piece in pieces]
     squares = [by.reshape(-1, count).T @ by.reshape(-1, count) for _, by, _, _ in parts]

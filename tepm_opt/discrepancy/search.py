@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ import numpy as np
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
 from tepm_opt.discrepancy.library import Candidate
-from tepm_opt.discrepancy.screen import Score, screen
+from tepm_opt.discrepancy.screen import MEMORY, Score, screen
+from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import Free, ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import OUT_OF_REACH, Free, ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.predict import PredictionError
 from tepm_opt.solvers.text import listed, shortened
 
@@ -24,6 +27,7 @@ CLOSE = 2e-3  # part of the structure left for which a fit that only competes ma
 # beside them may only mend their forms
 FORM_ERROR_RATIO = 0.0025
 MIN_SHARE_CLOSED = 0.1  # part of the excess left on held-out data that one more effect must take away to be tried along
+LOST = 2.0  # how many times the squares of a rival a fit must be sure to leave to be ended early
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
 Effects = tuple[Candidate, ...]
 Shares = dict[Candidate, float]
@@ -145,6 +149,7 @@ class Fits:
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
     screened: dict[Effects, list[Score]] = field(default_factory=dict)
     _kept: dict[str, Any] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -162,22 +167,55 @@ class Fits:
 
     def fit(self, effects: Effects, start: dict[str, float]) -> Hypothesis | None:
         """The hypothesis that these effects act, fitted from these values by full name; None where the model cannot do the runs."""
-        effects = tuple(sorted(effects, key=lambda c: c.label))
-        if effects in self.done:
-            return self.done[effects]
-        name = "fit " + " ".join(c.label for c in effects)
-        kept = self._kept.get(name)
-        self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
+        return self.fit_all([(effects, start)])[0]
+
+    def fit_all(self, asked: Sequence[tuple[Effects, dict[str, float]]], rival: Hypothesis | None = None) -> list[Hypothesis | None]:
+        """Several hypotheses from their first values, at once on the machine's cores.
+
+        Against a rival, fits that cannot come near it any more end early; asked for without one, they go on from there.
+        """
+        wanted = [(tuple(sorted(effects, key=lambda c: c.label)), start) for effects, start in asked]
+        missing = {effects: start for effects, start in wanted if not self._has(effects, rival)}
+        for effects in missing:
+            self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
+        reached = np.inf if rival is None else LOST * max(rival.estimate.cost, rival.estimate.count)
+        found = in_parallel(lambda item: self._fitted(*item, reached), list(missing.items()), threads=self._at_once(missing))
+        self.done |= {effects: hypothesis for effects, hypothesis in zip(missing, found, strict=True) if hypothesis is not None}
+        return [self.done.get(effects) for effects, _ in wanted]
+
+    def finished(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis with its fit gone on to the end, if it ended early."""
+        return self.fit(hypothesis.effects, hypothesis.estimate.named) or hypothesis
+
+    def _has(self, effects: Effects, rival: Hypothesis | None) -> bool:
+        return effects in self.done and not (rival is None and self.done[effects].estimate.out_of_reach)
+
+    def _at_once(self, hypotheses: Iterable[Effects]) -> bool:
+        """Whether fits may run at the same time: in C, and with derivatives that take little memory."""
+        problem = self.problem
+        most = len(problem.free) + max((sum(len(c.parameters) for c in effects) for effects in hypotheses), default=0)
+        return problem.model.is_c and 8 * most * sum(run.points.size for run in problem.runs) < MEMORY
+
+    def _fitted(self, effects: Effects, start: dict[str, float], reached: float) -> Hypothesis | None:
+        """A fit from where an earlier one ended, else from `start`; an earlier search's fit as it was."""
+        label = " ".join(c.label for c in effects)
+        early = np.isfinite(reached) and f"early {label}" in self._kept
+        kept = self._kept.get(f"early {label}" if early else f"fit {label}")
+        begun = self.done[effects].estimate.named if effects in self.done else start
         names = [parameter for c in effects for parameter in c.parameters]
         free = (*self.problem.free, *free_parameters(self.problem.model, names))
-        free = tuple(_starting(f, (kept or start).get(f.name, f.start)) for f in free)
+        free = tuple(_starting(f, (kept or begun).get(f.name, f.start)) for f in free)
         try:
-            found = identify(replace(self.problem, free=free), 0 if kept else self.settings.max_iterations, tolerance=CLOSE)
+            found = identify(
+                replace(self.problem, free=free), 0 if kept else self.settings.max_iterations, tolerance=CLOSE, reached=reached
+            )
         except PredictionError:
             return None
-        self.done[effects] = Hypothesis(effects, found, leave_out(found))
-        self._keep(name, found.named)
-        return self.done[effects]
+        if early:
+            found = replace(found, outcome=Outcome(Ending.NOT_CONVERGED, OUT_OF_REACH))
+        evidence = leave_out(found)
+        self._keep(f"early {label}" if found.out_of_reach else f"fit {label}", found.named)
+        return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
 
     def screen(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> list[Score]:
         """First-order gains of the effects a hypothesis does not have."""
@@ -196,9 +234,10 @@ class Fits:
         return self.screened[effects]
 
     def _keep(self, name: str, value: Any) -> None:
-        if self.store is not None and name not in self._kept:
-            self._kept[name] = value
-            write_atomically(self.store, json.dumps({**self._kept, "key": self.key}))
+        with self._lock:
+            if self.store is not None and name not in self._kept:
+                self._kept[name] = value
+                write_atomically(self.store, json.dumps({**self._kept, "key": self.key}))
 
 
 def _starting(free: Free, value: float) -> Free:
@@ -219,7 +258,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     best = without
     while len(best.effects) < settings.max_effects and best.left > settings.max_noise_excess:
         trials = _round(fits, best, missing)
-        winner = _most_probable([best, *trials], seed)
+        winner = fits.finished(_most_probable([best, *trials], seed))
         if (
             winner is best
             or winner.excess > (1 - MIN_SHARE_CLOSED) * best.excess
@@ -234,7 +273,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         better, weight = max(weakest, key=lambda pair: pair[1])
         if better is best or weight < 0.5:
             break
-        best, shares, groups = _settled(fits, better, missing, seed)
+        best, shares, groups = _settled(fits, fits.finished(better), missing, seed)
     if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
     return Explanation(without, best, widest, list(fits.done.values()), fits.screen(without, missing), shares, groups)
@@ -257,14 +296,16 @@ def _motion(problem: Problem) -> float:
     return total / max(count, 1)
 
 
-def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
-    """Fits of the candidates that promise most beside those of `base`."""
+def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hypothesis | None = None) -> list[Hypothesis]:
+    """Fits of the candidates that promise most beside those of `base`; what competes with a rival, or with the first, may end early."""
     scores, settings = fits.screen(base, missing), fits.settings
     if not scores:
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
     promising = [score for score in scores if score.gain >= MIN_GAIN_RATIO * scores[0].gain][:most]
-    trials = [fits.fit((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
+    asked = [((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
+    trials = [] if rival else fits.fit_all(asked[:1])
+    trials += fits.fit_all(asked[len(trials) :], rival or next(iter(trials), None))
     return [trial for trial in trials if trial is not None]
 
 
@@ -286,9 +327,9 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
         shares, smaller = {}, {}
         doubt = {effect: FORM_ERROR_RATIO * _output(best, effect) for effect in best.effects}
         left = max(best.excess - sum(doubt.values()), 0.0) + settings.max_noise_excess / 10
-        for effect in best.effects:
-            rest = tuple(c for c in best.effects if c != effect)
-            found = fits.fit(rest, best.estimate.named)
+        rests = [tuple(c for c in best.effects if c != effect) for effect in best.effects]
+        without = fits.fit_all([(rest, best.estimate.named) for rest in rests])
+        for effect, rest, found in zip(best.effects, rests, without, strict=True):
             shares[effect] = np.inf  # where the model cannot do the runs without it
             if found is not None:
                 smaller[effect] = found
@@ -320,6 +361,6 @@ def _alternatives(
 ) -> list[tuple[Hypothesis, float]]:
     """`best` and what it would be with another effect in the place of `effect`, with probabilities."""
     rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
-    others = [] if rest is None else [h for h in _round(fits, rest, missing) if effect not in h.effects]
+    others = [] if rest is None else [h for h in _round(fits, rest, missing, best) if effect not in h.effects]
     group = [best, *(h for h in others if h is not best)]
     return list(zip(group, weights([h.evidence for h in group], seed).tolist(), strict=True))

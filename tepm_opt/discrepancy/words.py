@@ -108,15 +108,18 @@ def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) 
     """Why a hypothesis with another effect in the place of `effect` is not the answer."""
     closes, best = explanation.closes(hypothesis), explanation.closes(explanation.best)
     same = coincidence(explanation, hypothesis)
+    most = "at most " if hypothesis.estimate.out_of_reach else ""
     text = (
-        f"in the place of {effect.label} it leaves {_percent(1 - closes)} of the gap on held-out data, {effect.label} {_percent(1 - best)}"
+        f"in the place of {effect.label} it leaves {most}{_percent(1 - closes)} of the gap on held-out data, "
+        f"{effect.label} {_percent(1 - best)}"
     )
     return text + (f"; their outputs nearly coincide in these runs (cosine {same:.3f})" if same > COINCIDE else "")
 
 
 def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
     """Why an effect that was fitted alone is not the answer."""
-    return f"alone it closes {_percent(explanation.closes(hypothesis))} of the gap on held-out data"
+    least = "at least " if hypothesis.estimate.out_of_reach else ""
+    return f"alone it closes {least}{_percent(explanation.closes(hypothesis))} of the gap on held-out data"
 
 
 def unfitted(score: Score) -> str:

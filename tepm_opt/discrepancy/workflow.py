@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.findings import Subject
@@ -26,6 +27,7 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.parallel import beside
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
 from tepm_opt.solvers.text import shortened
 
@@ -59,6 +61,7 @@ class Discovery:
         return f"Discovery({self.verdict.status.value}, {shortened(self.dataset.name, 40)}, {len(self.explanation.tried)} fits)"
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def discover(
     dataset: DataSet, model: Model, channels: Channels, seed: int = 0, store: Path | None = None, key: str = "",
     settings: SearchSettings | None = None, progress: Progress = silent,
@@ -103,17 +106,20 @@ def discover(
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
     progress("judging on validation runs", 0, 0)
-    best = _refined(explanation.best.estimate)
-    predictions = {
-        "nominal": nominal,
-        "recalibrated": _predict(explanation.without.estimate.model, dataset),
-        "corrected": _predict(best.model, dataset),
-    }
-    localisation = localise(
-        dataset.runs, predictions["nominal" if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else "recalibrated"],
-        noise, channels, dataset.static, seed,
-    )  # fmt: skip
-    verdict = _verdict(dataset, model, noise, explanation, best, predictions, localisation, settings)
+    recalibrated = _predict(explanation.without.estimate.model, dataset)
+    compared = nominal if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else recalibrated
+
+    def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
+        best = _refined(explanation.best.estimate)
+        return best, _predict(best.model, dataset)
+
+    def looked_at() -> tuple[Localisation, list[np.ndarray]]:
+        return localise(dataset.runs, compared, noise, channels, dataset.static, seed), _bounded(dataset, recalibrated)
+
+    (best, points), (localisation, bound) = beside(corrected, looked_at)
+    predictions = {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}
+    errors = _errors(dataset, noise, predictions, bound)
+    verdict = _verdict(dataset, model, noise, explanation, best, errors, localisation, settings)
     verdict = replace(verdict, seconds=time.monotonic() - began)
     return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
 
@@ -189,7 +195,7 @@ def _belief(share: float, settings: SearchSettings) -> float:
 
 def _verdict(
     dataset: DataSet, model: Model, noise: float, explanation: Explanation, best: ParameterEstimate,
-    predictions: dict[str, list[np.ndarray]], localisation: Localisation, settings: SearchSettings,
+    errors: Errors, localisation: Localisation, settings: SearchSettings,
 ) -> Verdict:  # fmt: skip
     status = _status(explanation, settings)
     named: list[Named] = []
@@ -203,7 +209,6 @@ def _verdict(
                     Named(other, belief * weight, _values(estimate, hypothesis.form_error, other), _only(explanation, effect, hypothesis))
                 )
     named.sort(key=lambda each: -each.probability)
-    errors = _errors(dataset, noise, explanation, predictions)
     rivals = _rivals(explanation, named, settings)
     corrected = narrow(model, best.model.values, explanation.best.effects)
     notes = words.notes(dataset, explanation, best, noise)
@@ -254,22 +259,24 @@ def _rivals(explanation: Explanation, named: Sequence[Named], settings: SearchSe
     return tuple(sorted(found.values(), key=lambda rival: (-rival.probability, -(rival.closes or -1.0), rival.candidate.label)))
 
 
-def _errors(dataset: DataSet, noise: float, explanation: Explanation, predictions: dict[str, list[np.ndarray]]) -> Errors:
-    """On validation runs; on the runs fitted to where there are no others."""
+def _judged(dataset: DataSet) -> list[int]:
+    """Numbers of the validation runs; of the runs fitted to where there are no others."""
     roles = [run.role for run in dataset.runs]
-    judged = [k for k, role in enumerate(roles) if role == "validation"] or list(range(len(roles)))
-    runs = [dataset.runs[k] for k in judged]
+    return [k for k, role in enumerate(roles) if role == "validation"] or list(range(len(roles)))
 
-    def rms(points: Sequence[np.ndarray]) -> float:
-        return error_over_time(np.concatenate([run.points for run in runs]), np.concatenate(list(points)))
 
-    learnt = [k for k, role in enumerate(roles) if role == "fit"]
-    left = [dataset.runs[k].points - predictions["recalibrated"][k] for k in learnt]
+def _bounded(dataset: DataSet, recalibrated: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Points of the judged runs as a black box has them that learns from the runs fitted to, (rows, points, 3) in m each."""
+    learnt, judged = [k for k, run in enumerate(dataset.runs) if run.role == "fit"], _judged(dataset)
+    left = [dataset.runs[k].points - recalibrated[k] for k in learnt]
     size = np.maximum(np.max([np.abs(run.inputs).max(axis=0) for run in dataset.runs], axis=0), 1e-12)
-    guessed = black_box([dataset.runs[k] for k in learnt], left, size, runs, dataset.static)
-    found = {name: rms([points[k] for k in judged]) for name, points in predictions.items()}
-    return Errors(
-        noise_floor=float(np.sqrt(3) * noise),
-        black_box=rms([predictions["recalibrated"][k] + guess for k, guess in zip(judged, guessed, strict=True)]),
-        **found,
-    )
+    guessed = black_box([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], dataset.static)
+    return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
+
+
+def _errors(dataset: DataSet, noise: float, predictions: dict[str, list[np.ndarray]], bound: Sequence[np.ndarray]) -> Errors:
+    """Of the predictions, and of a black box's for the judged runs."""
+    judged = _judged(dataset)
+    measured = np.concatenate([dataset.runs[k].points for k in judged])
+    found = {name: error_over_time(measured, np.concatenate([points[k] for k in judged])) for name, points in predictions.items()}
+    return Errors(noise_floor=float(np.sqrt(3) * noise), black_box=error_over_time(measured, np.concatenate(bound)), **found)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
@@ -118,6 +119,7 @@ class IdentifyRun:
         write_atomically(folder / SUMMARY, json.dumps(self.summary(), indent=2) + "\n")
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def run_identify(
     model: CompiledModel,
     datasets: Sequence[DataSet],

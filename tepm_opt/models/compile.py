@@ -131,6 +131,14 @@ class CompiledModel:
         """Resolutions of u, 0 where continuous, (2 · modules · actuators,) in Pa and N."""
         return self.robot.input_step
 
+    def allows(self, inputs: np.ndarray) -> bool:
+        """Whether inputs (…, 2 · modules · actuators) are numbers within the robot's limits."""
+        return bool(np.isfinite(inputs).all() and not self._outside(inputs).any())
+
+    def _outside(self, inputs: np.ndarray) -> np.ndarray:
+        """Which inputs (…, 2 · modules · actuators) are outside the robot's limits by more than rounding."""
+        return np.asarray(np.abs(inputs / self.input_max - 0.5) > 0.5 + 1e-9)
+
     def check_inputs(self, inputs: Sequence[float] | np.ndarray, where: str = "inputs") -> np.ndarray:
         """Inputs as a float array of shape (2 · modules · actuators,).
 
@@ -139,7 +147,7 @@ class CompiledModel:
         """
         array = finite_array(inputs, self.input_max.shape, where)
         limit = self.input_max
-        outside = np.abs(array / limit - 0.5) > 0.5 + 1e-9
+        outside = self._outside(array)
         if outside.any():
             at = int(np.argmax(outside))
             kind, unit = ("pressure", "Pa") if at < self.layout.inputs // 2 else ("tension", "N")

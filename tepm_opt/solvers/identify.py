@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from html import escape
 
 import numpy as np
@@ -18,11 +17,13 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
-from tepm_opt.solvers.text import html_table, listed, shortened
+from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
+from tepm_opt.solvers.text import html_table, listed
 
 ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation
-BLOCK = 1.0  # s; residuals further apart than this count as independent
+HOPE = 2.0  # how many times what a step promises to first order a fit may still gain
+OUT_OF_REACH = "a rival cannot be reached any more"
 
 
 @dataclass(frozen=True)
@@ -165,55 +166,6 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Residual:
-    """Measured less modelled positions of a run over the noise, 0 where a sample is missing.
-
-    Attributes:
-        file: the run.
-        values: (rows, points, 3).
-        present: whether a coordinate was measured, (rows, points, 3).
-        by: change with the parameters, (rows · points · 3, parameters) per unit.
-        block: number of the block of time each row belongs to, (rows,).
-    """
-
-    file: str
-    values: np.ndarray
-    present: np.ndarray
-    by: np.ndarray
-    block: np.ndarray
-
-    def __repr__(self) -> str:
-        """The main numbers, in a line."""
-        return f"Residual({shortened(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
-
-    @staticmethod
-    def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float) -> Residual:
-        """Residuals from a run and its prediction.
-
-        Args:
-            run: what was measured.
-            points: predicted reference points in G, (rows, points, 3) in m.
-            by: their change with each parameter, (parameters, rows, points, 3) in m per its unit.
-            noise: of a coordinate, 1 sigma in m.
-        """
-        present = np.isfinite(run.points)
-        values = np.where(present, run.points - points, 0.0) / noise
-        slopes = -np.where(present, by, 0.0).reshape(len(by), present.size).T / noise
-        time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // BLOCK
-        return Residual(run.file, values, present, slopes, time.astype(int))
-
-    @property
-    def count(self) -> int:
-        """Coordinates measured."""
-        return int(self.present.sum())
-
-    @property
-    def squares(self) -> float:
-        """Sum of the squared values: about `count` where only noise is left."""
-        return float(np.sum(self.values**2))
-
-
-@dataclass(frozen=True, eq=False)
 class ParameterEstimate:
     """Parameters found.
 
@@ -224,6 +176,7 @@ class ParameterEstimate:
         residuals: measured less modelled of every run at the values, with their derivatives by the parameters.
         cost: sum of the (weighted) squares over the noise.
         iterations: Gauss-Newton steps.
+        information: Fisher information of the runs alone, (parameters, parameters), in the parameters' scales.
         outcome: SOLVED where the steps ended by themselves, else NOT_CONVERGED; its message says how they ended.
     """
 
@@ -233,6 +186,7 @@ class ParameterEstimate:
     residuals: list[Residual]
     cost: float
     iterations: int
+    information: np.ndarray
     outcome: Outcome
 
     def __repr__(self) -> str:
@@ -252,6 +206,11 @@ class ParameterEstimate:
     def solved(self) -> bool:
         """Whether the steps ended by themselves."""
         return self.outcome.solved
+
+    @property
+    def out_of_reach(self) -> bool:
+        """Whether the steps ended because a rival could not be reached any more."""
+        return self.outcome.message == OUT_OF_REACH
 
     @property
     def std(self) -> np.ndarray:
@@ -279,14 +238,10 @@ class ParameterEstimate:
         """Coordinates measured."""
         return sum(residual.count for residual in self.residuals)
 
-    @cached_property
-    def information(self) -> np.ndarray:
-        """Fisher information of the runs alone, (parameters, parameters), in the parameters' scales."""
-        scale = self.problem.scale
-        return sum((r.by.T @ r.by for r in self.residuals), np.zeros((len(scale), len(scale)))) * np.outer(scale, scale)
 
-
-def identify(problem: Problem, max_iterations: int = ITERATIONS, progress: Progress = silent, tolerance: float = 1e-5) -> ParameterEstimate:
+def identify(
+    problem: Problem, max_iterations: int = ITERATIONS, progress: Progress = silent, tolerance: float = 1e-5, reached: float = np.inf
+) -> ParameterEstimate:
     """Least squares by Gauss-Newton steps within the bounds, damped where they fail (Levenberg-Marquardt; Nocedal and Wright 2006, ch. 10).
 
     Args:
@@ -294,6 +249,7 @@ def identify(problem: Problem, max_iterations: int = ITERATIONS, progress: Progr
         max_iterations: most steps.
         progress: told of every step.
         tolerance: part of the squared residuals beyond the noise for which no further step is made.
+        reached: cost that a rival has: no further step is made where `HOPE` times what it promises would leave more.
 
     Raises:
         InputError: no runs, no parameters or no measured sample.
@@ -310,6 +266,9 @@ def identify(problem: Problem, max_iterations: int = ITERATIONS, progress: Progr
         step, promised = _step(problem, values, residuals, weights, damping)
         if promised < 0.1 + tolerance * max(cost - count, 0.0):
             converged, message = True, "no step promises less"
+            break
+        if cost - HOPE * promised > reached:
+            message = OUT_OF_REACH
             break
         done += 1
         try:
@@ -330,7 +289,9 @@ def identify(problem: Problem, max_iterations: int = ITERATIONS, progress: Progr
                 break
         progress("fit", done, max_iterations)
     outcome = Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message)
-    return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, outcome)
+    square, _ = normal_equations(residuals)
+    information = square * np.outer(problem.scale, problem.scale)
+    return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, information, outcome)
 
 
 def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]:
@@ -342,22 +303,11 @@ def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]
     return [np.sqrt(limit / np.maximum(np.abs(r.values), limit)) for r in residuals]
 
 
-def _weighted(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    values = residual.values.ravel()
-    return (values, residual.by) if weights is None else (values * weights.ravel(), residual.by * weights.reshape(-1, 1))
-
-
 def _cost(problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None]) -> float:
     mean, precision = problem.prior
     return float(precision @ (values - mean) ** 2) + float(
         sum(np.sum((r.values if w is None else r.values * w) ** 2) for r, w in zip(residuals, weights, strict=True))
     )
-
-
-def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """JᵀJ (parameters, parameters) and Jᵀr (parameters,) of several runs together."""
-    pairs = [_weighted(r, w) for r, w in zip(residuals, weights or [None] * len(residuals), strict=True)]
-    return sum(by.T @ by for _, by in pairs), sum(by.T @ values for values, by in pairs)  # type: ignore[return-value]
 
 
 def _step(
@@ -377,12 +327,13 @@ def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.nd
     known = np.diag((scale / np.array([free.spread for free in problem.free])) ** 2)
     square, meat = np.zeros((count, count)), np.zeros((count, count))
     for r, w in zip(residuals, weights, strict=True):
-        values, by = _weighted(r, w)
-        by = by * scale
+        values, by = weighted(r, w)
+        rows = len(r.values)
         square += by.T @ by
-        terms = (by * values[:, None]).reshape(len(r.values), -1, count).sum(axis=1)
+        terms = np.einsum("rck,rc->rk", by.reshape(rows, -1, count), values.reshape(rows, -1))
         scores = np.stack([np.bincount(r.block, terms[:, k]) for k in range(count)], axis=1)
         meat += scores.T @ scores
+    square, meat = square * np.outer(scale, scale), meat * np.outer(scale, scale)
     inverse = np.linalg.pinv(square + known, hermitian=True)
     white = inverse  # what white noise alone leaves
     cov = inverse @ (meat + known) @ inverse

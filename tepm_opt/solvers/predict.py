@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -14,11 +11,9 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.parallel import give_way, in_parallel
 from tepm_opt.solvers.simulate import Directions, SimulationError, simulate
 from tepm_opt.solvers.statics import solve_statics
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 LONGEST_STEP = 0.02  # s: 0.01 mm RMS on the reference runs, up to 0.1 mm where inputs jump within a sample
 
@@ -63,7 +58,7 @@ def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: b
         return _equilibria(model, run, directions)
     setpoints = SetPoints(run.time, run.inputs, run.tip_force)
     try:
-        found = simulate(model, setpoints, step=step, directions=directions if names else None).complete()
+        found = simulate(model, setpoints, step=step, directions=directions if names else None, progress=_told).complete()
     except (SimulationError, InputError) as error:
         raise PredictionError(f"{run.file}: {error}") from error
     return Prediction(found.points, found.sensitivities)
@@ -84,13 +79,12 @@ def predict_all(
     Raises:
         InputError, PredictionError: as for `predict`.
     """
-    return in_parallel(lambda run: predict(model, run, names, static, step), runs)
+    return in_parallel(lambda run: predict(model, run, names, static, step), runs, lambda run: run.rows, model.is_c)
 
 
-def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Results in the order of the items; compiled C runs on as many threads as the machine has cores."""
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        return list(pool.map(work, items))
+def _told(stage: str, done: float, of: float) -> None:
+    """Progress of a run nobody looks at."""
+    give_way()
 
 
 def _equilibria(model: CompiledModel, run: Run, directions: Directions) -> Prediction:
@@ -100,6 +94,7 @@ def _equilibria(model: CompiledModel, run: Run, directions: Directions) -> Predi
     by = np.zeros((len(directions.names), run.rows, layout.points, 3))
     last = None
     for row, (inputs, force) in enumerate(zip(run.inputs, run.tip_force, strict=True)):
+        give_way()
         try:
             found = solve_statics(model, inputs, force, start=last)
         except InputError as error:

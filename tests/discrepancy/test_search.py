@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy import search
 from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.screen import screen
 from tepm_opt.discrepancy.search import Fits, SearchSettings, explain
 from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.words import beaten
 from tepm_opt.discrepancy.workflow import Discovery
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import FITS, MODEL, VERDICT, run_discrepancy
@@ -22,6 +24,7 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import effects
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model, read_model
+from tepm_opt.solvers import parallel
 from tepm_opt.solvers.identify import Problem, free_parameters, identify
 from tepm_opt.solvers.predict import predict
 from tests.discrepancy.small import NOISE, STEP, changed, cut, dataset_of, measured, planned, true_values, write
@@ -162,6 +165,42 @@ class TestFits:
         np.testing.assert_array_equal(again.evidence.squares, first.evidence.squares)
         assert again.estimate.iterations == 0
 
+    def test_that_ended_early_go_on_when_asked_for(self, library: CompiledModel, runs: list[Run]) -> None:
+        fits = Fits(problem(library, runs), SearchSettings())
+        right, wrong = (fits.fit((Candidate(name, detail),), {}) for name, detail in (("sensor_offset", "s3"), ("sensor_offset", "s1")))
+        assert right is not None
+        assert wrong is not None
+        hasty = Fits(problem(library, runs), SearchSettings())
+        (early,) = hasty.fit_all([(wrong.effects, {})], rival=right)
+        assert early is not None
+        assert early.estimate.out_of_reach
+        assert early.estimate.iterations < wrong.estimate.iterations
+        assert hasty.fit_all([(wrong.effects, {})], rival=right) == [early]
+        last = hasty.finished(early)
+        assert not last.estimate.out_of_reach
+        assert last.excess == pytest.approx(wrong.excess, rel=1e-4)
+        assert hasty.finished(last) is last
+
+    def test_that_end_early_do_not_change_the_winner(
+        self, library: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(search, "CLOSE", 1e-7)  # so that all have steps to make
+        found = []
+        for lost in (search.LOST, np.inf):
+            monkeypatch.setattr(search, "LOST", lost)
+            found.append(explain(Fits(problem(library, runs), SearchSettings()), candidates(NOMINAL), 0))
+        early, whole = found
+        ended = [hypothesis for hypothesis in early.tried if hypothesis.estimate.out_of_reach]
+        assert ended
+        assert all("leaves at most " in beaten(early, Candidate("sensor_offset", "s3"), hypothesis) for hypothesis in ended)
+        assert not any(hypothesis.estimate.out_of_reach for hypothesis in whole.tried)
+        assert early.best.effects == whole.best.effects == (Candidate("sensor_offset", "s3"),)
+        np.testing.assert_array_equal(early.best.estimate.values, whole.best.estimate.values)
+        np.testing.assert_array_equal(early.best.evidence.squares, whole.best.evidence.squares)
+        assert early.shares == whole.shares
+        chances = [[weight for _, weight in group] for found in (early, whole) for group in found.groups.values()]
+        assert chances[0] == pytest.approx(chances[1], abs=1e-9)
+
     @pytest.mark.parametrize("left", ['{"key": "other", "fit ": {"K_a": 349.0}}', "{", "[]", "\x00"])
     def test_of_other_data_are_not_taken(self, library: CompiledModel, runs: list[Run], tmp_path: Path, left: str) -> None:
         (tmp_path / "fits.json").write_text(left)
@@ -218,11 +257,18 @@ class TestAnswer:
         assert contents(tmp_path) == contents(out)
         assert not (tmp_path / FITS).exists()
 
-    def test_is_the_same_again(self, folder: Path, out: Path, result: Discovery, tmp_path: Path) -> None:
-        run_discrepancy(folder, tmp_path)
+    @pytest.mark.parametrize("cores", [1, 3])
+    def test_is_the_same_again_on_so_many_cores(
+        self, folder: Path, out: Path, result: Discovery, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cores: int
+    ) -> None:
+        monkeypatch.setattr(parallel, "cores", lambda: cores)
+        again = run_discrepancy(folder, tmp_path)
         texts = [(each / VERDICT).read_text().rsplit('"seconds"', 1)[0] for each in (out, tmp_path)]
         assert texts[0] == texts[1]
         assert (out / MODEL).read_bytes() == (tmp_path / MODEL).read_bytes()
+        for one, other in zip(result.explanation.tried, again.explanation.tried, strict=True):
+            assert one.effects == other.effects
+            np.testing.assert_array_equal(one.estimate.values, other.estimate.values)
 
     @pytest.mark.slow
     def test_with_the_effect_known_nothing_is_missing(self, folder: Path, out: Path, result: Discovery, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +26,7 @@ def hypothesis(effects: Effects, excess: float, uneven: float = 0.0) -> Hypothes
     """One that leaves an excess, unevenly over the blocks of time if asked to."""
     counts = np.full(BLOCKS, SAMPLES)
     squares = SAMPLES * (1 + excess + uneven * np.cos(np.arange(BLOCKS)) - uneven * np.cos(np.arange(BLOCKS)).mean())
-    estimate: Any = SimpleNamespace(named={}, cost=float(squares.sum()), count=int(counts.sum()))
+    estimate: Any = SimpleNamespace(named={}, cost=float(squares.sum()), count=int(counts.sum()), out_of_reach=False)
     return Hypothesis(effects, estimate, Evidence(squares, counts, 1, np.zeros(1)))
 
 
@@ -52,6 +53,12 @@ class Table:
         if effects not in self.done:
             self.done[effects] = hypothesis(effects, self.excess.get(key, 1e3), self.uneven.get(key, 0.0))
         return self.done[effects]
+
+    def fit_all(self, asked: Sequence[tuple[Effects, object]], _: object = None) -> list[Hypothesis]:
+        return [self.fit(effects, start) for effects, start in asked]
+
+    def finished(self, found: Hypothesis) -> Hypothesis:
+        return found
 
     def screen(self, base: Hypothesis, _: object) -> list[Score]:
         scores = [Score(EFFECTS[label], gain, {}) for label, gain in self.gains.items() if EFFECTS[label] not in base.effects]

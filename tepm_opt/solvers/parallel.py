@@ -1,0 +1,74 @@
+"""Independent pieces of work on the machine's cores: compiled C lets other threads run."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar, copy_context
+from typing import TypeVar, cast
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Other = TypeVar("Other")
+
+_interrupted: ContextVar[threading.Event | None] = ContextVar("_interrupted", default=None)  # set where the user has ended the whole
+
+
+def cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_parallel(
+    work: Callable[[Item], Result], items: Sequence[Item], size: Callable[[Item], float] | None = None, threads: bool = True
+) -> list[Result]:
+    """Results in the order of the items, the same whatever the number of cores.
+
+    Args:
+        work: may work in parallel itself; long work calls `give_way` now and then, so that Ctrl-C ends it.
+        items: what to work on.
+        size: how long an item takes, in any unit: the longest begin first, so that the cores end together.
+        threads: whether the work is thread-safe; one item after the other where it is not.
+
+    Raises:
+        KeyboardInterrupt: the user interrupted it; nothing runs on.
+        Exception: what the work on the first of the items that fail has raised.
+    """
+    workers = min(cores(), len(items)) if threads else 1
+    if workers < 2:
+        return [work(item) for item in items]
+    stop = _interrupted.get() or threading.Event()
+
+    def worked(item: Item) -> Result:
+        _interrupted.set(stop)
+        return work(item)
+
+    order = sorted(range(len(items)), key=lambda k: -size(items[k])) if size else range(len(items))
+    pool = ThreadPoolExecutor(workers)
+    try:
+        futures = {k: pool.submit(copy_context().run, worked, items[k]) for k in order}
+        return [futures[k].result() for k in range(len(items))]
+    except KeyboardInterrupt:
+        stop.set()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def beside(one: Callable[[], Result], other: Callable[[], Other]) -> tuple[Result, Other]:
+    """Results of two different pieces of work done at the same time, see `in_parallel`."""
+    first, second = in_parallel(lambda work: work(), [one, other])
+    return cast("Result", first), cast("Other", second)
+
+
+def give_way() -> None:
+    """End this piece of work if the user has interrupted the whole.
+
+    Raises:
+        KeyboardInterrupt: the user has.
+    """
+    stop = _interrupted.get()
+    if stop is not None and stop.is_set():
+        raise KeyboardInterrupt

@@ -1,0 +1,86 @@
+"""Measured less modelled positions with their derivatives, and the normal equations they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tepm_opt.data.run import Run
+from tepm_opt.solvers.text import shortened
+
+BLOCK = 1.0  # s; residuals further apart than this count as independent
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Measured less modelled positions of a run over the noise, 0 where a sample is missing.
+
+    Attributes:
+        file: the run.
+        values: (rows, points, 3).
+        present: whether a coordinate was measured, (rows, points, 3).
+        by: change with the parameters, (rows · points · 3, parameters) per unit.
+        block: number of the block of time each row belongs to, (rows,).
+    """
+
+    file: str
+    values: np.ndarray
+    present: np.ndarray
+    by: np.ndarray
+    block: np.ndarray
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Residual({shortened(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
+
+    @staticmethod
+    def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float) -> Residual:
+        """Residuals from a run and its prediction.
+
+        Args:
+            run: what was measured.
+            points: predicted reference points in G, (rows, points, 3) in m.
+            by: their change with each parameter, (parameters, rows, points, 3) in m per its unit.
+            noise: of a coordinate, 1 sigma in m.
+        """
+        present = np.isfinite(run.points)
+        values = np.where(present, run.points - points, 0.0) / noise
+        slopes = np.empty((len(by), present.size))
+        for slope, change in zip(slopes, by, strict=True):  # one by one: all of them at once take several times the memory
+            np.divide(np.where(present, change, 0.0).ravel(), -noise, out=slope)
+        time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // BLOCK
+        return Residual(run.file, values, present, slopes.T, time.astype(int))
+
+    @property
+    def bare(self) -> Residual:
+        """The residuals without derivatives, which take most of the memory."""
+        return replace(self, by=np.empty((self.values.size, 0)))
+
+    @property
+    def count(self) -> int:
+        """Coordinates measured."""
+        return int(self.present.sum())
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared values: about `count` where only noise is left."""
+        return float(np.sum(self.values**2))
+
+
+def weighted(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Values (coordinates,) and derivatives (coordinates, parameters) times square roots of weights; None for all 1."""
+    values = residual.values.ravel()
+    return (values, residual.by) if weights is None else (values * weights.ravel(), residual.by * weights.reshape(-1, 1))
+
+
+def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """JᵀJ (parameters, parameters) and Jᵀr (parameters,) of several runs together."""
+    count = residuals[0].by.shape[1] if residuals else 0
+    square, slope = np.zeros((count, count)), np.zeros(count)
+    for r, w in zip(residuals, weights or [None] * len(residuals), strict=True):
+        values, by = weighted(r, w)
+        square += by.T @ by
+        slope += by.T @ values
+    return square, slope
