@@ -1,87 +1,68 @@
-"""Command line: `python -m benchmarks --limit FOLDER --reference FOLDER --json FILE --only PART --quick`."""
+"""Command line: `python -m benchmarks --only PART --quick --limit FOLDER --reference FOLDER --data FOLDER --json FILE`."""
 
 from __future__ import annotations
 
-import os
 import tempfile
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 
-from benchmarks import control, control_loop, dynamics, gain, kinematics, statics
-from benchmarks.limit import Limit
-from benchmarks.report import print_report, write_json
-from benchmarks.scene import Scene
-from benchmarks.timing import Task, measure
-from benchmarks.workshop import Workshop
+from benchmarks.cores import pin
+from benchmarks.inputs import checked_json, checked_limit, checked_reference, data_sets
+from benchmarks.parts import Part, Session, goals, tasks
 from tepm_opt.errors import InputError
 
 WIDTH = 160  # of the table
 
 
-def _pin() -> str:
-    """Keep this process and its children on one core where the system allows it."""
-    try:
-        core = max(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {core})
-    except (AttributeError, OSError):
-        return "not pinned to a core"
-    return f"pinned to core {core}"
-
-
 def main(
     limit: Annotated[Path | None, typer.Option(envvar="TEPM_LIMIT", help="Folder of time_limit.py, the practical limit.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write all figures to this file, too.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="Data set to simulate; made-up runs of 177 s otherwise.")] = None,
-    only: Annotated[
-        Literal["still", "motion", "control"] | None, typer.Option(help="Only statics, gain and inverse kinematics, motion, or control.")
-    ] = None,
+    reference: Annotated[Path | None, typer.Option(help="Data set of kang2017 to simulate; made-up runs of 177 s otherwise.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Data set to explain, or a folder of such; one made here otherwise.")] = None,
+    only: Annotated[list[Part] | None, typer.Option(help="Only this part; may be given several times.")] = None,
     quick: Annotated[bool, typer.Option(help="Fewer repetitions, without the slowest peers.")] = False,
 ) -> None:
-    """Statics, gain, inverse kinematics, motion and control of robot kang2017: ours, peers, the practical limit."""
-    progress = Console(stderr=True)
-    pinned = _pin()
-    rounds = 25 if quick else 100
+    """Statics, gain, inverse kinematics, motion, control and verdicts of robot kang2017: ours, peers, the practical limit."""
+    try:
+        checked_limit(limit)
+        checked_json(json)
+        session_data = data_sets(data), checked_reference(reference)
+    except InputError as error:
+        raise typer.BadParameter(str(error)) from error
     with tempfile.TemporaryDirectory() as folder:
-        progress.print("compiling ours and the peers …")
+        session = Session(Path(folder), quick, session_data[1], session_data[0])
         try:
-            scene = Scene.of("kang2017")
-            workshop = Workshop.at(Path(folder))
+            _run(session, list(dict.fromkeys(only or Part)), limit, json)
         except InputError as error:
             raise typer.BadParameter(str(error)) from error
-        practical = Limit(limit, Path(folder))
-        tasks: list[Task] = []
-        if only in (None, "still"):
-            peers = statics.Peers.of(scene, workshop)
-            tasks += [
-                statics.task("warm", "Statics, warm: +1 kPa in p_11 and p_21", scene, peers, scene.bent, scene.nudged),
-                statics.task("cold", "Statics, cold: rest to 0.15 MPa in p_11 and p_21", scene, peers, scene.rest, scene.bent),
-                gain.task(scene, peers, workshop),
-                *kinematics.tasks(scene, peers, workshop),
-            ]
-        if only in (None, "motion"):
-            try:
-                tasks += dynamics.tasks(scene, workshop, reference, quick)
-            except InputError as error:
-                raise typer.BadParameter(str(error)) from error
-        if only in (None, "control"):
-            tasks += control.tasks(scene.model, control_loop.recorded_step(scene.model))
-        for task in tasks:
-            if not quick or task is tasks[0]:
-                progress.print("running the limit …")
-                practical.run()
-            progress.print(f"timing {task.title} …")
-            measure(task, rounds if np.isnan(task.simulated) else dynamics.rounds(rounds), quick)
-    console = Console(width=max(Console().width, WIDTH))
-    print_report(console, tasks, practical, pinned, rounds)
-    if only in (None, "control"):
-        progress.print("closing the loop …")
-        control_loop.keep_pace(scene.model, console, 8.0 if quick else 60.0)
+
+
+def _run(session: Session, parts: list[Part], limit: Path | None, json: Path | None) -> None:
+    """Measure and print."""
+    from benchmarks import dynamics
+    from benchmarks.limit import Limit
+    from benchmarks.report import figures, print_report, write_json
+    from benchmarks.timing import measure
+
+    progress, rounds, pinned = Console(stderr=True), 25 if session.quick else 100, pin()
+    practical = Limit(limit, session.scratch)
+    found = []
+    for part in parts:
+        progress.print(f"{part}: compiling ours and the peers …")
+        found += tasks(part, session)
+    for task in found:
+        if not task.once and (not session.quick or task is found[0]):
+            progress.print("running the limit …")
+            practical.run()
+        progress.print(f"timing {task.title} …")
+        measure(task, dynamics.rounds(rounds) if task.simulated > 0 else rounds, session.quick)
+    measured = figures(goals(parts), found, practical)
+    print_report(Console(width=max(Console().width, WIDTH)), measured, found, practical, pinned, rounds)
     if json:
-        write_json(json, tasks, practical, pinned)
+        write_json(json, measured, found, practical, pinned)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.control_loop import recorded_step
 from benchmarks.control_peers import Step, do_mpc, ours, peers
 from benchmarks.control_problem import Problem, Program
-from benchmarks.dynamics import Goal
+from benchmarks.goals import Goal
+from benchmarks.parts import Session
 from benchmarks.timing import Contender, Task
-from tepm_opt.models.compile import CompiledModel
 
 CLOSE = 1e-3  # N
 MODES = {"control": 10, "control_small": 6}  # by task
@@ -41,13 +42,14 @@ def whole_step(step: Callable[[], None], actuators: int = 6) -> Contender:
     return Contender(WHOLE, step, lambda _: np.zeros(actuators), ours=True)
 
 
-def tasks(model: CompiledModel, step: Callable[[], None] | None = None) -> list[Task]:
-    """The problem with 20 and with 12 states; `step`, where given, is timed beside the former."""
-    found = []
+def tasks(session: Session) -> list[Task]:
+    """The problem with 20 and with 12 states; the controller's whole step is timed beside the former."""
+    model, found = session.scene.model, []
+    step = recorded_step(model)
     for key, modes in MODES.items():
         problem = Problem.of(model, modes)
         contenders = [_contender(problem, QP, ours(problem), True), _contender(problem, AGAIN, ours(problem, again=True), True)]
-        if step is not None and not found:
+        if not found:
             contenders.append(whole_step(step, len(problem.rest)))
         contenders += [_contender(problem, name, solve) for name, solve in peers(problem)]
         if find_spec("do_mpc"):
@@ -72,13 +74,23 @@ def _steadiness(task: Task, name: str) -> float:
     return tail(found) / found.median if found else np.nan
 
 
-PROGRAM = "at least 100 times faster than a step of do-mpc"
+def _over_do_mpc(key: str, name: str, what: str, factor: float, contender: str) -> Goal:
+    text = f"{what}: at least {factor:g} times faster than a step of do-mpc"
+    return Goal(key, f"{name}, over do-mpc", text, lambda task, _: _ratio(task, contender), factor, True)
+
+
+def _steady(name: str, what: str, contender: str) -> Goal:
+    text = f"{what}: 99 % of all within twice the median"
+    return Goal("control", f"{name}, 99 % over median", text, lambda task, _: _steadiness(task, contender), 2)
+
+
+SIZES = {key: f"{2 * modes} states" for key, modes in MODES.items()}
 GOALS = (
-    *(Goal(key, f"the program: {PROGRAM}", lambda task, _: _ratio(task, QP), 100, True) for key in MODES),
-    *(Goal(key, f"the program with the Hessian of before: {PROGRAM}", lambda task, _: _ratio(task, AGAIN), 100, True) for key in MODES),
-    Goal("control", "the program: 99 % of all within twice the median", lambda task, _: _steadiness(task, QP), 2),
-    Goal("control", "the whole step: at least 10 times faster than a step of do-mpc", lambda task, _: _ratio(task, WHOLE), 10, True),
-    Goal("control", "the whole step: 99 % of all within twice the median", lambda task, _: _steadiness(task, WHOLE), 2),
+    *(_over_do_mpc(key, f"program, {size}", "the program", 100, QP) for key, size in SIZES.items()),
+    *(_over_do_mpc(key, f"program again, {size}", "the program with the Hessian of before", 100, AGAIN) for key, size in SIZES.items()),
+    _steady("program", "the program", QP),
+    _over_do_mpc("control", "controller's step", "the whole step", 10, WHOLE),
+    _steady("controller's step", "the whole step", WHOLE),
 )
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from rich.console import Console
 
+from benchmarks.goals import Goal, times_real
+from benchmarks.parts import Session
+from benchmarks.timing import Contender, Task
 from tepm_opt.control.controllers.mpc import Mpc
-from tepm_opt.control.loop import close_loop
+from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.reference import Reference, along, approach, reference_of
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -16,11 +18,15 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.trajectories import circle
 
 RECORDED = 600  # samples
+LAP = 8.0  # s, of the circle
+APPROACH = 3.0  # s, from rest to where the circle begins
+CLOSE = 5e-3  # m, largest root mean square error of the tip on the circle
+LOOP = "tepm_opt close_loop, MPC on the virtual prototype"
 
 
 def _course(model: CompiledModel, laps: float) -> Reference:
     tips, counted = along(circle(400), laps=laps)
-    lead = approach(model, tips[0], 3.0)
+    lead = approach(model, tips[0], APPROACH)
     return reference_of(model, np.vstack([lead, tips]), np.concatenate([np.zeros(len(lead), dtype=bool), counted]))
 
 
@@ -44,11 +50,24 @@ def recorded_step(model: CompiledModel) -> Callable[[], None]:
     return step
 
 
-def keep_pace(model: CompiledModel, console: Console, seconds: float = 60.0) -> None:
-    """Print how many periods a closed loop with the simulated rig, on one core, missed."""
-    reference = _course(model, seconds / 8)
-    done = close_loop(SimulatedRig(), Mpc(model, reference), model.robot)
-    taken = np.array(done.seconds[-round(seconds / reference.period) :])
-    missed = int((taken > reference.period).sum())
-    figures = f"median {1e3 * np.median(taken):.2f} ms, 99 % {1e3 * np.quantile(taken, 0.99):.2f} ms, longest {1e3 * taken.max():.2f} ms"
-    console.print(f"{1 / reference.period:.0f} Hz beside the simulated rig: {missed} of {len(taken)} periods missed; a step: {figures}")
+def tasks(session: Session) -> list[Task]:
+    """One lap of the circle in closed loop, from rest; the answer is the tip's error."""
+    model, figures = session.scene.model, {}
+    reference = _course(model, 1.0)
+
+    def judged(done: LoopRecord) -> np.ndarray:
+        figures["late"] = float((np.array(done.seconds) > reference.period).mean())
+        return np.array([done.error()])
+
+    whole = Contender(LOOP, lambda: close_loop(SimulatedRig(), Mpc(model, reference), model.robot), judged, ours=True)
+    title = f"A lap of the circle in closed loop, {LAP:g} s and {APPROACH:g} s to its start"
+    return [Task("loop", title, np.zeros(1), [whole], CLOSE, LAP + APPROACH, figures)]
+
+
+GOALS = (
+    times_real("loop", "closed loop of 8 s with MPC, times real time", 4, "at least 4 times real time, controller and rig"),
+    Goal(
+        "loop", "closed loop, controller's steps beyond 10 ms", "all but 1 % of the controller's steps within 10 ms",
+        lambda task, _: task.figures.get("late", np.nan), 0.01,
+    ),
+)  # fmt: skip

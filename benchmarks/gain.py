@@ -5,10 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from benchmarks.goals import faster, near_limit
+from benchmarks.parts import Session
 from benchmarks.scene import Scene, free
-from benchmarks.statics import Peers
 from benchmarks.timing import Contender, Task
-from benchmarks.workshop import Buffered, Workshop
+from benchmarks.workshop import Buffered
 from tepm_opt.solvers.gain import solve_gain
 
 OURS = "tepm_opt solve_gain"
@@ -25,8 +26,16 @@ def _through(name: str, rootfinder: ca.Function, scene: Scene) -> ca.Function:
     return ca.Function(name, [start, u], [ca.jacobian(scene.tip(rootfinder(start, force)), u)])
 
 
-def task(scene: Scene, peers: Peers, workshop: Workshop) -> Task:
+GOALS = (
+    faster("gain", "G, 3 x 12", 15, AD_C),
+    faster("gain", "G, 3 x 12", 15, AD_INTERPRETED),
+    near_limit("gain", "G, 3 x 12", 3),
+)
+
+
+def tasks(session: Session) -> list[Task]:
     """At the operating point, from its solution; the answer is G with columns scaled by their input's range."""
+    scene, peers, workshop = session.scene, session.peers, session.workshop
     at, u, span = free(scene.bent), scene.bent.inputs, scene.model.input_max
     compiled = workshop.external(_through("gain_compiled", peers.fast_on_c, scene), peers.objects)
     interpreted = _through("gain_interpreted", peers.fast_interpreted, scene)
@@ -56,4 +65,4 @@ def task(scene: Scene, peers: Peers, workshop: Workshop) -> Task:
         Contender("central differences, 24 fast_newton solves", differences, lambda found: found * span),
     ]
     expected = solve_gain(scene.bent).normalised()
-    return Task("gain", "G, 3 x 12, at 0.15 MPa in p_11 and p_21", expected, contenders)
+    return [Task("gain", "G, 3 x 12, at 0.15 MPa in p_11 and p_21", expected, contenders)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,64 +14,19 @@ import scipy
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import control, dynamics, gain, kinematics, statics
+from benchmarks import control, dynamics
 from benchmarks.dynamics_report import print_motion
+from benchmarks.goals import Goal
 from benchmarks.limit import Limit
 from benchmarks.timing import Contender, Task
 
-
-@dataclass(frozen=True)
-class Target:
-    """What ours should reach in a task: at least so many times faster than a peer, or at most so many times the limit."""
-
-    task: str
-    factor: float
-    peer: str = ""
-
-    def measured(self, tasks: list[Task], limit: Limit) -> float:
-        """The ratio; NaN where one of the two figures is missing or the peer is wrong."""
-        task = next(task for task in tasks if task.key == self.task)
-        ours = task.contenders[0]
-        if not ours.right:
-            return np.nan
-        if not self.peer:
-            return ours.median / limit.median(self.task)
-        return task.named(self.peer).over(ours)
-
-    def met(self, ratio: float) -> bool | None:
-        """Whether it is met; None where it was not measured."""
-        if np.isnan(ratio):
-            return None
-        return ratio >= self.factor if self.peer else ratio <= self.factor
-
-    @property
-    def text(self) -> str:
-        """In words."""
-        return f"at least {self.factor:g} times faster than {self.peer}" if self.peer else f"at most {self.factor:g} times the limit"
+Figures = list[tuple[Goal, Task, float]]
 
 
-TARGETS = (
-    Target("warm", 5, statics.FAST_NEWTON),
-    Target("warm", 3),
-    Target("cold", 5, statics.FAST_NEWTON),
-    Target("cold", 3),
-    Target("gain", 15, gain.AD_C),
-    Target("gain", 15, gain.AD_INTERPRETED),
-    Target("gain", 3),
-    Target("ik", 150, kinematics.SIMULTANEOUS_C),
-    Target("ik", 150, kinematics.SIMULTANEOUS),
-    Target("ik_cold", 150, kinematics.SIMULTANEOUS_C),
-    Target("ik_cold", 150, kinematics.SIMULTANEOUS),
-)
-
-
-Goals = list[tuple[Target | dynamics.Goal, Task, float]]
-
-
-def _goals(tasks: list[Task], limit: Limit) -> Goals:
+def figures(goals: Sequence[Goal], tasks: Sequence[Task], limit: Limit) -> Figures:
     """The targets of the tasks that there are, with what was measured."""
     of = {task.key: task for task in tasks}
-    return [(goal, of[goal.task], goal.measured(tasks, limit)) for goal in (*TARGETS, *dynamics.GOALS, *control.GOALS) if goal.task in of]
+    return [(goal, of[goal.task], goal.measured(tasks, limit)) for goal in goals if goal.task in of]
 
 
 def _number(value: float, form: str = ".1f") -> str:
@@ -93,29 +48,62 @@ def _verdict(met: bool | None) -> str:
     return {True: "[green]met[/]", False: "[red]missed[/]", None: "not measured"}[met]
 
 
-def print_report(console: Console, tasks: list[Task], limit: Limit, pinned: str, rounds: int) -> None:
-    """Print the tables and the targets."""
+def print_report(console: Console, measured: Figures, tasks: list[Task], limit: Limit, pinned: str, rounds: int) -> None:
+    """Print the tables and the targets.
+
+    Args:
+        console: where.
+        measured: of the targets.
+        tasks: that were timed.
+        limit: the practical limit.
+        pinned: what is said of cores.
+        rounds: of contenders' turns.
+    """
     periods = [task for task in tasks if task.key in control.MODES]
-    still = [task for task in tasks if np.isnan(task.simulated) and task not in periods]
+    long = [task for task in tasks if task.once]
+    moving = [task for task in tasks if not np.isnan(task.simulated)]
+    still = [task for task in tasks if task not in (*periods, *long, *moving)]
     if still:
         _print_still(console, still, limit)
-    if len(still) + len(periods) < len(tasks):
-        print_motion(console, [task for task in tasks if task not in [*still, *periods]], limit)
+    if moving:
+        print_motion(console, moving, limit)
     if periods:
         control.print_control(console, periods)
-    console.print(f"{pinned}; contenders take turns, {rounds} rounds ({dynamics.rounds(rounds)} of motion); over ours: over the first")
-    console.print("row in the same rounds, median of rounds.")
+    if long:
+        _print_long(console, long)
+    if len(tasks) > len(long):
+        console.print(f"{pinned}; contenders take turns, {rounds} rounds ({dynamics.rounds(rounds)} of motion); over ours: over the first")
+        console.print("row in the same rounds, median of rounds.")
     if limit.absent:
         console.print(f"The figures of the practical limit are absent: {limit.absent}.")
     else:
         runs = len(limit.figures["warm"])
         console.print(f"Limit: median of {runs} runs of time_limit.py; for G its 3 x 6 by force. It has no inverse kinematics.")
-    goals = Table(title="Targets", title_justify="left")
+    table = Table(title="Targets", title_justify="left")
     for heading in ("task", "ours should be", "measured", ""):
-        goals.add_column(heading)
-    for goal, task, figure in _goals(tasks, limit):
-        goals.add_row(task.title, goal.text, _number(figure, ".2f" if abs(figure) < 10 else ".1f"), _verdict(goal.met(figure)))
-    console.print(goals)
+        table.add_column(heading)
+    for goal, task, figure in measured:
+        table.add_row(task.title, goal.text, text_of(figure), _verdict(goal.met(figure)))
+    console.print(table)
+
+
+def text_of(figure: float) -> str:
+    """A figure with three digits or so."""
+    return _number(figure, ".2g" if abs(figure) < 0.1 else ".2f" if abs(figure) < 10 else ".1f" if abs(figure) < 100 else ".0f")
+
+
+def _print_long(console: Console, tasks: list[Task]) -> None:
+    """Print the tasks that run once, in seconds."""
+    table = Table(title="Long jobs, once each", title_justify="left")
+    table.add_column("task", no_wrap=True)
+    table.add_column("s", justify="right")
+    table.add_column("answer")
+    for task in tasks:
+        table.add_section()
+        table.add_row(f"[bold]{task.title}[/]")
+        for contender in task.contenders:
+            table.add_row(contender.name, _number(contender.median), contender.verdict)
+    console.print(table)
 
 
 def _print_still(console: Console, tasks: list[Task], limit: Limit) -> None:
@@ -135,7 +123,7 @@ def _print_still(console: Console, tasks: list[Task], limit: Limit) -> None:
     console.print("CasADi functions are called through buffers, the fastest way from Python, except where it says plain call.")
 
 
-def write_json(path: Path, tasks: list[Task], limit: Limit, pinned: str) -> None:
+def write_json(path: Path, measured: Figures, tasks: list[Task], limit: Limit, pinned: str) -> None:
     """Write every figure, times in seconds; null where there is none."""
 
     def clean(value: float) -> float | None:
@@ -149,6 +137,7 @@ def write_json(path: Path, tasks: list[Task], limit: Limit, pinned: str) -> None
         more = {} if np.isnan(task.simulated) else {"simulated_s": task.simulated}
         if task.key == "segments":
             more |= dict(zip(("exponent", "exponent_of_largest_two"), map(clean, dynamics.exponents(task)), strict=True))
+        more |= {name: clean(value) for name, value in task.figures.items()}
         return {"key": task.key, "title": task.title, **more, "contenders": [contender(one) for one in task.contenders]}
 
     content = {
@@ -157,6 +146,6 @@ def write_json(path: Path, tasks: list[Task], limit: Limit, pinned: str) -> None
         "limit": limit.absent or {key: clean(limit.median(key)) for key in limit.figures},
         "limit_errors": limit.errors,
         "tasks": [whole(task) for task in tasks],
-        "targets": [{"task": t.task, "target": t.text, "measured": clean(r), "met": t.met(r)} for t, _, r in _goals(tasks, limit)],
+        "targets": [{"task": g.task, "name": g.name, "target": g.text, "measured": clean(r), "met": g.met(r)} for g, _, r in measured],
     }
     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

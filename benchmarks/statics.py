@@ -11,6 +11,8 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize, root
 
+from benchmarks.goals import faster, near_limit
+from benchmarks.parts import Session
 from benchmarks.scene import Scene, free
 from benchmarks.timing import Contender, Task
 from benchmarks.workshop import Buffered, Workshop
@@ -122,7 +124,24 @@ def _scipy(peers: Peers, x: np.ndarray, force: np.ndarray) -> tuple[Callable[[],
     return trust, hybrid
 
 
-def task(key: str, title: str, scene: Scene, peers: Peers, start: Equilibrium, goal: Equilibrium) -> Task:
+def tasks(session: Session) -> list[Task]:
+    """A small step from an equilibrium, and a large one from rest."""
+    scene, peers = session.scene, session.peers
+    return [
+        _task("warm", "Statics, warm: +1 kPa in p_11 and p_21", scene, peers, scene.bent, scene.nudged),
+        _task("cold", "Statics, cold: rest to 0.15 MPa in p_11 and p_21", scene, peers, scene.rest, scene.bent),
+    ]
+
+
+GOALS = (
+    faster("warm", "statics, warm", 5, FAST_NEWTON),
+    near_limit("warm", "statics, warm", 3),
+    faster("cold", "statics, cold", 5, FAST_NEWTON),
+    near_limit("cold", "statics, cold", 3),
+)
+
+
+def _task(key: str, title: str, scene: Scene, peers: Peers, start: Equilibrium, goal: Equilibrium) -> Task:
     """From one equilibrium to another; the answer is the tip."""
     model, x, force, nothing = scene.model, free(start), scene.forces(goal.inputs), np.zeros(goal.loads.size)
     newton = Buffered(peers.plain)

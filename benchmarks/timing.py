@@ -74,6 +74,8 @@ class Task:
 
     Attributes:
         simulated: time in s that a call simulates; NaN where nothing moves.
+        figures: more figures by name, from the call that is checked.
+        once: whether that call is all there is time for.
     """
 
     key: str
@@ -82,6 +84,8 @@ class Task:
     contenders: list[Contender]
     tolerance: float = 1e-6
     simulated: float = np.nan
+    figures: dict[str, float] = field(default_factory=dict)
+    once: bool = False
 
     def named(self, name: str) -> Contender:
         """A contender by name."""
@@ -90,15 +94,17 @@ class Task:
 
 def _check(task: Task, contender: Contender) -> float:
     """Set the verdict of a contender from its first call; time of that call or of the fastest of three more."""
-    start = time.perf_counter()
+    start, took = time.perf_counter(), np.nan
     try:
-        answer = contender.answer(contender.solve())
+        result = contender.solve()
+        took = time.perf_counter() - start
+        answer = contender.answer(result)
         contender.error = float(np.abs(answer - task.expected).max())
         contender.verdict = "right" if contender.error <= task.tolerance else "wrong"
     except Exception as error:  # whatever a peer raises is its result
         contender.verdict = f"fails: {' '.join(str(error).split())[:60]}"
-    once = time.perf_counter() - start
-    return min(_calls(contender, 3)) if contender.right else once
+    took = time.perf_counter() - start if np.isnan(took) else took
+    return min(_calls(contender, 3)) if contender.right and not task.once else took
 
 
 def _calls(contender: Contender, count: int) -> list[float]:
@@ -118,8 +124,10 @@ def measure(task: Task, rounds: int, quick: bool) -> None:
     entrants = [contender for contender in task.contenders if not (quick and contender.slow)]
     once = {contender.name: _check(task, contender) for contender in entrants}
     for contender in entrants:
-        if not contender.right:
+        if task.once or not contender.right:
             contender.rounds[0] = [once[contender.name]]
+    if task.once:
+        return
     gc.collect()
     gc.disable()
     try:

@@ -1,0 +1,75 @@
+"""The whole way from a data set to the missing effect, on all cores: a data set made here, or the folders given."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.cores import every_core
+from benchmarks.dynamics import random_runs
+from benchmarks.goals import Goal
+from benchmarks.limit import Limit
+from benchmarks.parts import Session
+from benchmarks.timing import Contender, Task
+from tepm_opt.data.datasets import DataSet, write_dataset
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.jobs.discrepancy import run_discrepancy
+from tepm_opt.models.channels import channels_of
+from tepm_opt.models.compile import compile_model
+from tepm_opt.models.model import Model
+from tepm_opt.solvers.simulate import simulate
+
+HIDDEN = "payload"  # the effect that the data made here carry, at its probe values
+NOISE = 1e-3  # m per axis
+STEP, RATE = 5e-3, 50.0  # s of the simulation, Hz of the samples
+
+
+def _made(folder: Path) -> Path:
+    """A data set of the robot with the hidden effect: six runs to fit, one to validate."""
+    plain = Model.of("kang2017")
+    machine = compile_model(plain.with_effect(HIDDEN))
+    random, runs = np.random.default_rng(2), []
+    for number, asked in enumerate(random_runs(machine)):
+        points = simulate(machine, asked, step=STEP).complete().points
+        points = points + NOISE * random.normal(size=points.shape)
+        role = "fit" if number < 6 else "validation"
+        runs.append(Run(f"run_{number + 1}.csv", role, asked.time, asked.inputs, asked.tip_force, points))
+    write_dataset(DataSet("made by the benchmarks", "kang2017", channels_of(plain.robot), tuple(runs), RATE, NOISE), folder)
+    return folder
+
+
+def tasks(session: Session) -> list[Task]:
+    """One contender a data set; each runs once."""
+    folders = session.data or (_made(session.scratch / HIDDEN),)
+    number = itertools.count()
+
+    def contender(folder: Path) -> Contender:
+        def solve() -> Discovery:
+            with every_core():
+                return run_discrepancy(folder, session.scratch / f"verdict_{next(number)}")
+
+        def judged(found: Discovery) -> np.ndarray:
+            named = [effect.candidate.name for effect in found.verdict.effects]
+            return np.array([float(not session.data and named != [HIDDEN])])
+
+        return Contender(folder.name, solve, judged, ours=True)
+
+    contenders = [contender(folder) for folder in folders[:2] if session.quick] or [contender(folder) for folder in folders]
+    return [Task("verdict", "From data set to verdict, all cores", np.zeros(1), contenders, once=True)]
+
+
+def _median(task: Task, _: Limit) -> float:
+    return float(np.median([contender.median for contender in task.contenders]))
+
+
+def _slowest(task: Task, _: Limit) -> float:
+    return max(contender.median for contender in task.contenders)
+
+
+GOALS = (
+    Goal("verdict", "verdict, median of the data sets, in s", "the median within 12 s on 2 cores", _median, 12),
+    Goal("verdict", "verdict, slowest of the data sets, in s", "the slowest within 30 s on 2 cores", _slowest, 30),
+)
