@@ -14,7 +14,10 @@ import casadi as ca
 
 from tepm_opt.models.backends import compiler
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math")
+FLAGS = (
+    *("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math"),
+    "-fno-semantic-interposition",  # calls within the library are calls, or nothing, and no look-ups
+)
 
 
 @dataclass(frozen=True)
