@@ -17,8 +17,10 @@
 typedef int64_t integer;
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
 
-static inline vector load(const double *at) { return *(const vector *)at; }
-static inline void store(double *at, vector value) { *(vector *)at = value; }
+typedef vector doubles __attribute__((may_alias));
+
+static inline vector load(const double *at) { return *(const doubles *)at; }
+static inline void store(double *at, vector value) { *(doubles *)at = value; }
 static inline vector all(double value) { return (vector){0} + value; }
 static inline vector root(vector x) {
   for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]);

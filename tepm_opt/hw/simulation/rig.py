@@ -14,11 +14,13 @@ from tepm_opt.hw.commands import check_command, check_setpoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.devices import Lens, generator
 from tepm_opt.hw.simulation.imperfections.base import Imperfection, Sighting
-from tepm_opt.hw.simulation.machine import Frames
+from tepm_opt.hw.simulation.machine import Diverged, Frames
 from tepm_opt.hw.simulation.machines import machine_of
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
 from tepm_opt.hw.simulation.timeline import Timeline, knots
 from tepm_opt.models.layout import Layout
+
+AT_ONCE = 100  # frames in one call of the engine, which Ctrl-C does not interrupt
 
 
 class SimulatedRig:
@@ -83,24 +85,14 @@ class SimulatedRig:
             NoEquilibriumError, Diverged: as for `read`.
         """
         self._start()
-        step, tracker, first = self.machine.step, self.file.tracker, self._frame
-        at = [round(frame / tracker.rate_hz / step) for frame in range(first, first + count)]
-        frames = self.machine.record(at, self._commands, self._forces)
-        self._present, done = (frames.nodes[-1], frames.points[-1]), len(frames.points)
-        self._frame += done
-        last = at[done - 1]
-        self._commands.forget(last)
-        self._forces.forget(last)
-        before, self.time = self.time, last * step + tracker.latency_s
-        self._wait(self.time - before)
-        pressures, tensions = self._monitored(frames.pressures), self._weighed(frames.tensions)
-        samples = []
-        for k in range(done):
-            points = self._lens.look(self._seen(frames, k))
-            lost = self._lost(points) if tracker.dropout_probability else ()
-            status = f"tracker lost {', '.join(lost)}" if lost else "ok"
-            pressure, tension = (None if of is None else of[k] for of in (pressures, tensions))
-            samples.append(Sample(at[k] * step, points, pressure, tension, status=status))
+        samples: list[Sample] = []
+        while (left := count - len(samples)) > 0:
+            try:
+                samples += self._samples(min(left, AT_ONCE))
+            except Diverged:
+                if not samples:
+                    raise
+                break
         return samples
 
     def apply(self, command: Command) -> None:
@@ -195,6 +187,32 @@ class SimulatedRig:
         """The present step, before something changes: if time has not started the robot has to settle anew."""
         self._settled = self._frame > 0
         return round(self.time / self.machine.step)
+
+    def _samples(self, count: int) -> list[Sample]:
+        """The next samples; fewer than `count`, at least one, where the simulation diverges before a later one.
+
+        Raises:
+            Diverged: it diverges before the first one.
+        """
+        step, tracker, first = self.machine.step, self.file.tracker, self._frame
+        at = [round(frame / tracker.rate_hz / step) for frame in range(first, first + count)]
+        frames = self.machine.record(at, self._commands, self._forces)
+        self._present, done = (frames.nodes[-1], frames.points[-1]), len(frames.points)
+        self._frame += done
+        last = at[done - 1]
+        self._commands.forget(last)
+        self._forces.forget(last)
+        before, self.time = self.time, last * step + tracker.latency_s
+        self._wait(self.time - before)
+        pressures, tensions = self._monitored(frames.pressures), self._weighed(frames.tensions)
+        samples = []
+        for k in range(done):
+            points = self._lens.look(self._seen(frames, k))
+            lost = self._lost(points) if tracker.dropout_probability else ()
+            status = f"tracker lost {', '.join(lost)}" if lost else "ok"
+            pressure, tension = (None if of is None else of[k] for of in (pressures, tensions))
+            samples.append(Sample(at[k] * step, points, pressure, tension, status=status))
+        return samples
 
     def _seen(self, frames: Frames, k: int) -> np.ndarray:
         """Reference points of a frame as the tracker sees them but for its noise, (points, 3) in m."""
