@@ -25,7 +25,7 @@ def main(
     only: Annotated[list[Part] | None, typer.Option(help="Only this part; may be given several times.")] = None,
     quick: Annotated[bool, typer.Option(help="Fewer repetitions, without the slowest peers.")] = False,
 ) -> None:
-    """Statics, gain, inverse kinematics, motion, control and verdicts of robot kang2017: ours, peers, the practical limit."""
+    """Statics, gain, inverse kinematics, motion, control, the rig and verdicts of robot kang2017: ours, peers, the practical limit."""
     try:
         checked_limit(limit)
         checked_json(json)

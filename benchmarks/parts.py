@@ -24,6 +24,7 @@ class Part(StrEnum):
     STILL = "still"
     MOTION = "motion"
     CONTROL = "control"
+    RIG = "rig"
     LOOP = "loop"
     VERDICT = "verdict"
 
@@ -32,6 +33,7 @@ MODULES = {
     Part.STILL: ("statics", "gain", "kinematics"),
     Part.MOTION: ("dynamics",),
     Part.CONTROL: ("control",),
+    Part.RIG: ("rig",),
     Part.LOOP: ("control_loop",),
     Part.VERDICT: ("verdict",),
 }
