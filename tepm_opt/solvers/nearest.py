@@ -105,7 +105,7 @@ class _Search:
 
     def run(self, part: np.ndarray, ends: Sequence[_Point]) -> _Point | None:
         """The end of a search from `part`; None where there is none or it comes to one of the `ends`."""
-        at, penalty = self.at(np.clip(part, 0.0, 1.0), self.problem.model.rest), 1.0
+        at, penalty, steps = self.at(part, self.problem.model.rest), 1.0, 0
         if at is None:
             return None
         hessian = np.eye(len(part)) if self.least_norm else at.jacobian.T @ at.jacobian
@@ -121,7 +121,7 @@ class _Search:
                 break
             merit, t = value + penalty * wrong, 1.0
             for _ in range(HALVINGS):
-                trial = self.at(np.clip(at.part + t * step, 0.0, 1.0), at.x)
+                trial = self.at(np.minimum(np.maximum(at.part + t * step, 0.0), 1.0), at.x)
                 if trial is not None:
                     there = self.objective(trial)
                     if there[0] + penalty * float(np.abs(trial.errors[self.held]).sum()) <= merit + 1e-4 * t * slope:
@@ -131,12 +131,12 @@ class _Search:
                 break
             moved = trial.part - at.part
             turned = there[1] - gradient + (trial.jacobian[self.held] - slopes).T @ multipliers
-            at = replace(trial, steps=at.steps + 1)
+            at, steps = trial, steps + 1
             _update(hessian, moved, turned)
             if any(np.abs(at.part - end.part).max() < SAME for end in ends):
                 return None
         wrong = UNIT * np.abs(at.errors[self.held]).max(initial=0.0)
-        return at if wrong < EQUAL else None
+        return replace(at, steps=steps) if wrong < EQUAL else None
 
     def _program(
         self, hessian: np.ndarray, gradient: np.ndarray, missed: np.ndarray, slopes: np.ndarray, part: np.ndarray

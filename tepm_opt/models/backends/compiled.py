@@ -73,7 +73,11 @@ class _Arrays(threading.local):
             "damping": (layout.levels * layout.block, 2 * layout.block),
             "forces": (layout.inputs // 2,),
             **dict.fromkeys(("start", "limit", "grid", "inputs", "rounded"), (layout.inputs,)),
-            **dict.fromkeys(("low", "high"), (layout.inputs // 2,)),
+            **dict.fromkeys(("its_start", "its_limit", "its_grid"), (layout.inputs,)),
+            **dict.fromkeys(("its_low", "its_high"), (layout.inputs // 2,)),
+            "its_external": (3 * layout.points,),
+            "its_theta": (parameters,),
+            "its_weights": (layout.inputs // 2, observations),
             "all_targets": (AT_ONCE, 3),
             "all_x": (AT_ONCE, layout.levels + 1, layout.block),
             "all_a": (AT_ONCE, layout.inputs),
@@ -84,6 +88,7 @@ class _Arrays(threading.local):
         }
         self.array = {name: np.zeros(shape) for name, shape in shapes.items()}
         self.address = {name: array.ctypes.data for name, array in self.array.items()}
+        self.problem: InverseProblem | None = None  # whose arrays `its_…` are
 
 
 class CompiledStatics:
@@ -190,20 +195,17 @@ class CompiledStatics:
     ) -> tuple[list[Pose], Status]:
         """See `StaticsBackend.configurations`."""
         array, at, count, by = self._arrays.array, self._arrays.address, min(len(targets), AT_ONCE), problem.allotment
+        if self._arrays.problem is not problem:
+            for name in ("external", "theta", "weights", "low", "high"):
+                array[f"its_{name}"][:] = getattr(problem, name)
+            array["its_start"][:], array["its_limit"][:], array["its_grid"][:] = by.start, by.limit, by.grid
+            self._arrays.problem = problem
         array["x"][:], array["a"][:], array["all_targets"][:count] = x, actuation, targets[:count]
-        array["external"][:], array["theta"][:], array["low"][:], array["high"][:] = (
-            problem.external,
-            problem.theta,
-            problem.low,
-            problem.high,
-        )
-        array["weights"][: len(problem.weights)] = problem.weights
-        array["start"][:], array["limit"][:], array["grid"][:] = by.start, by.limit, by.grid
         solved = ctypes.c_int()
         status = self._configurations(
-            count, at["all_targets"], cold, at["x"], at["a"], at["external"], at["theta"], at["weights"], at["low"], at["high"],
-            problem.max_step / by.area, problem.tolerance, problem.force_tolerance, problem.shortest, problem.max_iterations,
-            at["start"], at["limit"], at["grid"], by.area, by.fine,
+            count, at["all_targets"], cold, at["x"], at["a"], at["its_external"], at["its_theta"], at["its_weights"], at["its_low"],
+            at["its_high"], problem.max_step / by.area, problem.tolerance, problem.force_tolerance, problem.shortest,
+            problem.max_iterations, at["its_start"], at["its_limit"], at["its_grid"], by.area, by.fine,
             at["all_x"], at["all_a"], at["all_observed"], at["all_inputs"], at["all_rounded"], at["all_info"], ctypes.byref(solved),
         )  # fmt: skip
         done = solved.value
