@@ -54,6 +54,7 @@ def print_motion(console: Console, tasks: list[Task], limit: Limit) -> None:
             fitted, last = exponents(task)
             table.add_row(f"exponent of cost over n_e {_text(fitted, '.2f')}, of the largest two {_text(last, '.2f')}")
     console.print(table)
+    console.print("Error of a closed loop: root mean square of the true tip; of a run on the rig: from the first row.")
     console.print("Error: largest distance of the tip at 50 Hz from a run at 0.25 ms (limit: its own RK4; data set: its points or 1 ms);")
     console.print(
         "sensitivities: from central differences along all parameters at once, in mm per 100 %. Times of the limit: other minutes."
