@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -318,6 +320,7 @@ def amplified(z: np.ndarray) -> np.ndarray:
 
 def test_long_steps_are_kept_where_the_robot_bears_them():
     assert rig_of().machine.step == SimulatedRig().machine.step == 2.5e-4
+    assert rig_of(simulation={"step_s": 1e-3}, tracker={"rate_hz": 50}).machine.step == pytest.approx(0.02 / 54)
 
 
 def without_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -371,6 +374,14 @@ def test_engines_by_name():
         open_rig("sim:perfect@fast")
     with pytest.raises(InputError, match="neither a file nor built in"):
         open_rig("sim:rig@home/rig.toml")
+
+
+def test_mujoco_is_not_needed():
+    """Nor CasADi, where nothing is to be drawn or solved."""
+    rig = "from tepm_opt.hw.simulation.rig import SimulatedRig; SimulatedRig().read()"
+    code = f"import sys; {rig}; print({{'mujoco', 'casadi'}} & {{*sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.stderr) == ("set()", "")
 
 
 def test_timelines_grow_and_forget():

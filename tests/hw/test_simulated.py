@@ -190,7 +190,7 @@ BAD_FILES = {
     "unknown imperfection": ("[imperfections.payloads]\nmass_kg = 1\n", "unknown key 'payloads': did you mean 'payload'?"),
     "unknown key": ("[imperfections.creep]\nfracton = 1\n", "unknown key 'fracton': did you mean 'fraction'?"),
     "wrong unit": ("[tracker]\nlatency_s = 15\n", "latency_s = 15"),
-    "step too long": ("[simulation]\nstep_s = 0.001\n", "valid: 1e-06 … 0.00025 s"),
+    "step too long": ("[simulation]\nstep_s = 0.002\n", "valid: 1e-06 … 0.001 s"),
     "unknown parameter": ("[parameter_factors]\nK = 1.1\n", "unknown parameter 'K'"),
     "too small growth": ("[imperfections.stiffness_hardening]\ngrowth = 1e-9\n", "growth is too small to matter"),
     "no robot": ('robot = "kong"\n', "is neither a file nor built in; built in: kang2017"),

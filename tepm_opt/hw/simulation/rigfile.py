@@ -14,7 +14,7 @@ from tepm_opt.hw.simulation.devices import Dynamometer, PressureMonitor, Regulat
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.models.robot import UNITS, Robot, builtin_robots, load_robot
 
-LARGEST_STEP = 2.5e-4  # s, of RK4
+STEP = 2.5e-4  # s, of RK4
 DEFAULT = "virtual_prototype"
 
 
@@ -29,7 +29,7 @@ class SimulationSteps(Section):
     """
 
     engine: Engine = "auto"
-    step_s: Annotated[float, between(1e-6, LARGEST_STEP, "s")] = LARGEST_STEP
+    step_s: Annotated[float, between(1e-6, 1e-3, "s")] = STEP
     tick_s: Annotated[float, between(1e-6, 2e-3, "s")] = 1e-3
 
 
