@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partialmethod
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from tepm_opt.hw.rig import Command
 from tepm_opt.hw.simulation import engine, machine
 from tepm_opt.hw.simulation.compiled_machine import CompiledMachine
 from tepm_opt.hw.simulation.imperfections import Imperfections
-from tepm_opt.hw.simulation.imperfections.base import Body, StaticMap
+from tepm_opt.hw.simulation.imperfections.base import Body, Numbers, StaticMap
 from tepm_opt.hw.simulation.imperfections.pressure import PressureDeadZone
 from tepm_opt.hw.simulation.mujoco_machine import MujocoMachine
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -27,7 +28,7 @@ from tepm_opt.models.backends import compiler as c_compiler
 from tepm_opt.models.backends import store
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
-from tests.hw.rigs import BAR, bar, inputs, read_until, rig_of, robot_file
+from tests.hw.rigs import BAR, bar, inputs, ramps, read_until, rig_of, robot_file
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -338,30 +339,60 @@ def test_without_a_compiler_mujoco_runs(monkeypatch):
         rig_of(simulation={"engine": "compiled"})
 
 
-class Odd(PressureDeadZone):
-    """An imperfection that C does not have."""
+class Halved(StaticMap):
+    """A stage that inherits the numbers of another, but does something else."""
 
-    def pressure_stage(self, robot):
-        return Unheard(lambda pressure: 0.5 * pressure, None)  # type: ignore[arg-type]
+    def step(self, pressure: np.ndarray, duration: float) -> np.ndarray:
+        return 0.5 * pressure
+
+    settle = partialmethod(step, duration=0.0)
 
 
 class Unheard(StaticMap):
-    numbers = None  # type: ignore[assignment]
+    """A stage with numbers for a function that is not there."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda pressure: 0.5 * pressure, Numbers("unheard"))
 
 
-def test_an_imperfection_that_c_does_not_have_runs_on_mujoco():
+class Misplaced(StaticMap):
+    """A stage with numbers for a function that acts on something else."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda pressure: 0.5 * pressure, Numbers("take_up", (0.0, 1.0, 0.2)))
+
+
+class Silent:
+    """A stage without numbers."""
+
+    settle, step = Halved.settle, Halved.step
+
+
+class Odd(PressureDeadZone):
+    """An imperfection of a package of one's own."""
+
+    kind: str = ""
+
+    def pressure_stage(self, robot):
+        stages = {"Halved": Halved(lambda pressure: pressure, Numbers("gain", channels=(np.ones(3),)))}
+        return stages.get(self.kind) or {"Unheard": Unheard, "Misplaced": Misplaced, "Silent": Silent}[self.kind]()
+
+
+@pytest.mark.parametrize("kind", ["Halved", "Unheard", "Misplaced", "Silent"])
+def test_an_imperfection_that_c_does_not_have_runs_on_mujoco(kind):
     """It is said, and it acts."""
     store.warn_once.cache_clear()
-    odd = Imperfections().model_copy(update={"pressure_dead_zone": Odd(threshold_Pa=1.0)})
+    odd = Imperfections().model_copy(update={"pressure_dead_zone": Odd(kind=kind)})
     file = rig_file("auto", robot_file(**BAR, gravity_m_per_s2=(0, 0, 0))).model_copy(update={"imperfections": odd})
-    with pytest.warns(RuntimeWarning, match="the rig runs on MuJoCo, some 100 times slower: Unheard has no counterpart in C"):
+    with pytest.warns(RuntimeWarning, match=f"the rig runs on MuJoCo, some 100 times slower: {kind} has no counterpart in C"):
         rig = SimulatedRig(file)
     assert isinstance(rig.machine, MujocoMachine)
-    rig.apply(Command.of(inputs(rig, 1e5)))
     plain = bar()
-    plain.apply(Command.of(inputs(plain, 0.5e5)))
+    for each, pressure in ((rig, 1e5), (plain, 0.5e5)):
+        ramps(each, [0.0, 0.1], [0.0, pressure])
+        read_until(each, 0.3)
     assert rig.true_lengths == pytest.approx(plain.true_lengths, abs=1e-12)
-    with pytest.raises(InputError, match="Unheard has no counterpart in C; valid: auto, mujoco"):
+    with pytest.raises(InputError, match=f"{kind} has no counterpart in C; valid: auto, mujoco"):
         SimulatedRig(file.with_engine("compiled"))
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from tepm_opt.hw.simulation.engine import KINDS, CompiledNetwork
-from tepm_opt.hw.simulation.imperfections.base import Numbers
+from tepm_opt.hw.simulation.engine import EDGE, PRESSURE, TENSION, CompiledNetwork
+from tepm_opt.hw.simulation.imperfections.base import Numbers, Stage
 from tepm_opt.hw.simulation.machine import Frames, Machine
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.hw.simulation.timeline import Timeline
@@ -37,7 +37,8 @@ class CompiledMachine(Machine):
 
     def _stages(self) -> list[list[Numbers]]:
         actuation = self.actuation
-        return [_numbers(group) for group in (actuation.regulators, actuation.muscles, actuation.tendons, self.edges)]
+        groups = (actuation.regulators, PRESSURE), (actuation.muscles, PRESSURE), (actuation.tendons, TENSION), (self.edges, EDGE)
+        return [[_numbers(stage, kinds) for stage in group] for group, kinds in groups]
 
     def settle(self, command: np.ndarray, forces: np.ndarray) -> None:
         """See `Machine`."""
@@ -58,16 +59,14 @@ class CompiledMachine(Machine):
         return Frames(*arrays) if done == len(at) else Frames(*(each[:done] for each in arrays))
 
 
-def _numbers(stages: Iterable[object]) -> list[Numbers]:
-    """What the stages hand over.
+def _numbers(stage: Stage, kinds: tuple[str, ...]) -> Numbers:
+    """What a stage hands over.
 
     Raises:
-        Unknown: one has nothing to hand over, or C does not know it.
+        Unknown: it has nothing to hand over, C does not know it in its place, or it inherits its numbers but not its steps.
     """
-    found = []
-    for stage in stages:
-        tell = getattr(stage, "numbers", None)
-        if tell is None or (numbers := tell()).kind not in KINDS:
-            raise Unknown(f"{type(stage).__name__} has no counterpart in C")
-        found.append(numbers)
-    return found
+    owners = {name: next((owner for owner in type(stage).__mro__ if name in vars(owner)), None) for name in ("numbers", "step")}
+    own = owners["numbers"] is not None and owners["step"] is not None and issubclass(owners["numbers"], owners["step"])
+    if not own or (numbers := stage.numbers()).kind not in kinds:
+        raise Unknown(f"{type(stage).__name__} has no counterpart in C")
+    return numbers

@@ -11,11 +11,7 @@ typedef struct { /* a value over time; the order is engine.py's, as in timeline.
   integer knots, size;
 } timeline;
 
-typedef enum {
-  UNEQUAL_LAG, SOFT_ZONE, PLAY_STACK, SQUEEZE, GAIN, TAKE_UP, SHEATH, BRISTLES, PRONY, EXPONENTIAL
-} kind; /* the order is engine.py's */
-
-typedef struct {
+typedef struct { /* kinds stand before this text, from engine.py */
   integer kind, count; /* of operators or branches, where there are several */
   double *numbers;
 } stage;
@@ -31,7 +27,7 @@ typedef struct { /* the order is engine.py's */
   const double *weights, *turn, *base, *external;    /* (points, levels + 1), (3, 3), (3,), (points, 3): of the points, of the frame G */
   double *pressure, *tension;              /* (actuators,) measured by monitors */
   double *loaded;                          /* (points, 3): commanded forces that the network carries */
-  double *work;                            /* 2 x 3 actuators, 2 x 2 points x 3, 2 x 2 actuators, (2 + 2) x (nodes, width) */
+  double *work;                            /* 2 x 3 actuators, 2 x points x 3, 2 x 2 actuators, 4 x (nodes, width) */
   integer now;                             /* steps since the start */
 } rig;
 
@@ -369,8 +365,8 @@ integer record(
   return frames;
 }
 
-/* Forces (places, levels, nodes, 3) on the nodes of a network that stands still at places (places, levels, nodes, 3), metres from rest, under
-   motors' forces (places, nodes, width) and the loads it carries. Positions and velocities are left as they are. */
+/* Forces (places, levels, nodes, 3) on the nodes of a network that stands still at places (places, levels, nodes, 3), in metres from rest,
+   under motors' forces (places, nodes, width) and the loads it carries. Positions and velocities are left as they are. */
 void force_at_rest(const rig *r, integer places, const double *place, const double *push, double *force) {
   mechanics m = r->network;
   const integer row = row_of(&m), size = size_of(&m), edges = NODES * m.width;

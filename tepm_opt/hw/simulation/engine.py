@@ -16,9 +16,13 @@ from tepm_opt.models.backends import compiler
 from tepm_opt.models.layout import Layout
 
 LANES = 4  # levels in a vector
-WORK = 7  # arrays of all coordinates, of RK4's stages
+WORK = 7  # arrays of all coordinates, see work_of in mechanics.c
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
-KINDS = ("unequal_lag", "soft_zone", "play_stack", "squeeze", "gain", "take_up", "sheath", "bristles", "prony", "exponential")
+PRESSURE = ("unequal_lag", "soft_zone", "play_stack", "squeeze", "gain")
+TENSION = ("take_up", "sheath")
+EDGE = ("bristles", "prony", "exponential")
+KINDS = (*PRESSURE, *TENSION, *EDGE)
+"""Functions of devices.c that stand for stages: of pressures, of tensions, along the edges."""
 
 Pointer, Integer, Real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
@@ -62,7 +66,8 @@ def _library(nodes: int, ends: tuple[tuple[int, ...], ...], lanes: int) -> ctype
     sizes = [f"#define {name} {value}" for name, value in (("LANES", lanes), ("NODES", nodes), ("EDGES", len(ends)))]
     listed = ", ".join(f"{{{', '.join(map(str, each))}}}" for each in ends)
     parts = [(folder / name).read_text(encoding="utf-8") for name in ("mechanics.c", "devices.c")]
-    text = "\n".join([*sizes, f"static const int ENDS[EDGES][4] = {{{listed}}};", *parts])
+    kinds = f"enum {{ {', '.join(kind.upper() for kind in KINDS)} }};"
+    text = "\n".join([*sizes, f"static const int ENDS[EDGES][4] = {{{listed}}};", kinds, *parts])
     built = compiler.build(text, "rig", ("record", "carry", "force_at_rest"), FLAGS, "rigs run on MuJoCo, some 100 times slower")
     if built is not None:
         built.record.argtypes, built.record.restype = [Pointer, Pointer, Pointer, Integer, *[Pointer] * 5], Integer
@@ -83,7 +88,7 @@ class CompiledNetwork(Network):
         layout, self._library = self.layout, built
         n, nodes, points = layout.levels, layout.actuators, layout.points
         self._width = width = -(-n // LANES) * LANES
-        self._row = row = width + LANES
+        row = width + LANES
         self._kept: dict[str, np.ndarray] = {}
         self._groups: dict[str, ctypes.Array[_Stage]] = {}
         self.rig = rig = _Rig(actuators=self.count, modules=layout.modules, points=points)

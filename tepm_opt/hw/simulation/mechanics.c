@@ -2,12 +2,12 @@
 
    Written from Newton's law alone. Nothing here comes from models/, whose judge it is.
 
-   NODES of a level and ENDS of the EDGES of a segment, verticals first, stand before this text: level (0 lower, 1 upper) and node of one end,
-   then of the other.
+   NODES of a level and ENDS of the EDGES of a segment, verticals first, stand before this text: level (0 lower, 1 upper) and node of one
+   end, then of the other.
 
-   Arrays have a row a node and axis, and in a row the levels side by side, LANES of which are one vector. The levels 1 ... are at LANES,
-   LANES + 1, ...; level 0, which is fixed, stands before them; so the lower ends of all segments are the row of their upper ends, one place to
-   the left. Rows are filled up to whole vectors with levels that weigh nothing and never move. Every sum has a fixed order, whatever the
+   Arrays have a row a node and axis, and in a row the levels side by side, LANES of which are one vector. Level 1 is at LANES and the
+   others follow; level 0, which is fixed, stands before them; so the lower ends of all segments are the row of their upper ends, one place
+   to the left. Rows are filled up to whole vectors with levels that weigh nothing and never move. Every sum has a fixed order, whatever the
    vectors' width, and nothing is contracted: the same numbers on every machine. */
 
 #include <math.h>
@@ -16,7 +16,6 @@
 
 typedef int64_t integer;
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
-
 typedef vector doubles __attribute__((may_alias));
 
 static inline vector load(const double *at) { return *(const doubles *)at; }
@@ -37,11 +36,9 @@ typedef struct { /* the order is engine.py's */
   double *push, *slope;                        /* (nodes, width): motors' forces in N, their changes in N/s */
   double *load;                                /* (levels, 3): force on each node of a level in N */
   double *still;                               /* (nodes, 3, width): accelerations in m/s2 that no edge makes */
-  double *work;                                /* WORK times (nodes, 3, row), and a vector */
+  double *work;                                /* see work_of: 7 times (nodes, 3, row), and a vector */
   double step, bound;                          /* s; m, the farthest that a node may go */
 } mechanics;
-
-enum { WORK = 7 };
 
 static inline integer row_of(const mechanics *m) { return m->width + LANES; }
 static inline integer size_of(const mechanics *m) { return 3 * NODES * row_of(m); }
