@@ -65,6 +65,7 @@ class World:
         tensions = np.maximum(board.positions - self._unwound, 0) / calibration.steps
         rig._commands.set(now, np.concatenate([pressures, tensions, on]))
         frames = machine.record([now], rig._commands, rig._forces)
+        rig._present = (frames.nodes[0], frames.points[0])
         rig._commands.forget(now)
         measured = [values[0] for values in (rig._monitored(frames.pressures), rig._weighed(frames.tensions)) if values is not None]
         for k, (pressure, tension) in enumerate(zip(*measured, strict=True)):
