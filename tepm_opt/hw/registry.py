@@ -26,7 +26,7 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
         InputError: not one of these; or the file is wrong, or the rig's package is not installed.
     """
     kind, colon, target = text.partition(":")
-    if kind.startswith("sim@"):
+    if kind.startswith("sim@") and not colon:
         kind, target = "sim", kind.removeprefix("sim")
     if kind not in _OPENERS:
         raise unknown_name("rig", text, VALID.split(", "))
