@@ -14,7 +14,7 @@ from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.predict import PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations
 
-MEMORY = 100_000_000  # B, of the derivatives taken in one pass
+MEMORY = 60_000_000  # B, of the derivatives taken in one pass
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from tepm_opt.models.robot import UNITS, Parameters
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
+from tepm_opt.solvers.parallel import in_parallel
+from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict
 from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
 from tepm_opt.solvers.text import html_table, listed
 
@@ -160,9 +161,15 @@ class Problem:
             PredictionError: the model cannot do a run with these values.
         """
         names = [free.name for free in self.free] if names is None else names
-        found = predict_all(self.with_values(values), self.runs, names, self.static, self.step)
-        noise = self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(found)
-        return [Residual.of(run, each.points, each.by, sigma) for run, each, sigma in zip(self.runs, found, noise, strict=True)]
+        model = self.with_values(values)
+        noise = self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(self.runs)
+
+        def left(measured: tuple[Run, float]) -> Residual:
+            run, sigma = measured
+            found = predict(model, run, names, self.static, self.step)
+            return Residual.of(run, found.points, found.by, sigma)
+
+        return in_parallel(left, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, model.is_c)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,8 +337,7 @@ def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.nd
         values, by = weighted(r, w)
         rows = len(r.values)
         square += by.T @ by
-        terms = np.einsum("rck,rc->rk", by.reshape(rows, -1, count), values.reshape(rows, -1))
-        scores = np.stack([np.bincount(r.block, terms[:, k]) for k in range(count)], axis=1)
+        scores = np.stack([np.bincount(r.block, (slope * values).reshape(rows, -1).sum(axis=1)) for slope in by.T], axis=1)
         meat += scores.T @ scores
     square, meat = square * np.outer(scale, scale), meat * np.outer(scale, scale)
     inverse = np.linalg.pinv(square + known, hermitian=True)
