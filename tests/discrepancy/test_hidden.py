@@ -1,4 +1,4 @@
-"""Data made by MuJoCo with forms that are not the model's: the hidden effect is named, or nothing false is said."""
+"""Data made by the simulated rig with forms that are not the model's: the hidden effect is named, or nothing false is said."""
 
 from __future__ import annotations
 

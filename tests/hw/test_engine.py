@@ -181,6 +181,24 @@ def test_many_frames_at_once_are_those_one_by_one(name):
         assert one.time == many.time
 
 
+def test_an_interrupted_rig_goes_on_where_it_was(monkeypatch):
+    """Ctrl-C between two pieces of many samples: the next sample is the one after those that passed."""
+    rig, whole = (driven(SimulatedRig(rig_file("compiled", robot_file(**SHORT), **DEVICES)), 2.0) for _ in range(2))
+    expected, record, calls = whole.read_many(101)[-1], rig.machine.record, []
+
+    def interrupted(*arguments: Any) -> machine.Frames:
+        calls.append(arguments)
+        if len(calls) == 3:  # after the one at the start
+            raise KeyboardInterrupt
+        return record(*arguments)
+
+    monkeypatch.setattr(rig.machine, "record", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        rig.read_many(250)
+    found = rig.read()
+    assert (found.time, found.points.tobytes()) == (expected.time, expected.points.tobytes())
+
+
 def test_a_mass_on_a_spring_swings_as_it_should():
     """The bar's three muscles in one: a step of force makes x = F / k (1 − exp(−δ t) (cos ω t + δ / ω sin ω t)) in both of its modes."""
     rig = bar()
@@ -386,7 +404,7 @@ def test_an_imperfection_that_c_does_not_have_runs_on_mujoco(kind):
     store.warn_once.cache_clear()
     odd = Imperfections().model_copy(update={"pressure_dead_zone": Odd(kind=kind)})
     file = rig_file("auto", robot_file(**BAR, gravity_m_per_s2=(0, 0, 0))).model_copy(update={"imperfections": odd})
-    with pytest.warns(RuntimeWarning, match=f"the rig runs on MuJoCo, some 100 times slower: {kind} has no counterpart in C"):
+    with pytest.warns(RuntimeWarning, match=f"the rig runs on MuJoCo, some 70 times slower: {kind} has no counterpart in C"):
         rig = SimulatedRig(file)
     assert isinstance(rig.machine, MujocoMachine)
     plain = bar()

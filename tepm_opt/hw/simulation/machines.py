@@ -26,7 +26,7 @@ def machine_of(file: RigFile) -> Machine:
             missing = "there is no working C compiler"
         except Unknown as error:
             missing = str(error)
-            warn_once(f"the rig runs on MuJoCo, some 100 times slower: {missing}")
+            warn_once(f"the rig runs on MuJoCo, some 70 times slower: {missing}")
         if engine == "compiled":
             raise InputError(f"simulation.engine = 'compiled': {missing}; valid: auto, mujoco")
     from tepm_opt.hw.simulation.mujoco_machine import MujocoMachine
