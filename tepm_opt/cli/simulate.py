@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tepm_opt.solvers.simulate import Directions, Method
 
 SHORTEST, LONGEST = 0.02, 1000.0  # ms; a step that was meant in s is below
+FINEST, COARSEST = 1e-4, 10.0  # mm
 
 
 def sensitivities(names: str | None, model: CompiledModel, method: str) -> Directions | None:
@@ -55,8 +56,9 @@ def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[s
     speed = f", {told['reached_s'] / took:.3g} times as fast as real time" if told["reached_s"] and took > 0 else ""
     text = [f"[bold]{told['reached_s']:.4g} of {told['duration_s']:.4g} s[/] simulated{speed}{where}"]
     text.append(
-        f"{told['method']}: {told['steps']} steps of at most {1e3 * told['step_s']:.4g} ms, {told['halvings']} of them halved"
+        f"{told['method']}: {told['steps']} steps of at most {1e3 * told['step_s']:.4g} ms, {told['halvings']} of them taken shorter"
         + (f", {told['iterations']} Newton iterations" if told["method"] == "implicit" else "")
+        + ("" if told["estimated_error_m"] is None else f", error about [bold]{1e3 * told['estimated_error_m']:.2g} mm[/] or less")
     )
     if measured := told.get("measured"):
         points = ", ".join(f"{name} {1e3 * value:.3g}" for name, value in measured["point_error_rms_m"].items() if value is not None)
@@ -79,7 +81,12 @@ def simulate(
     inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Set-point file, or a run of a data set to compare with.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("simulate"),
     method: Annotated[str, typer.Option("--method", help="implicit, or rk4 (the paper's).")] = "implicit",
-    step: Annotated[float | None, typer.Option("--step", metavar="MS", help="Longest step in ms.", show_default="10; safe for rk4")] = None,
+    step: Annotated[
+        float | None, typer.Option("--step", metavar="MS", help="Longest step in ms.", show_default="adaptive; safe for rk4")
+    ] = None,
+    error: Annotated[
+        float | None, typer.Option("--error", metavar="MM", help="Error at which adaptive steps aim in mm.", show_default="0.1")
+    ] = None,
     hold: Annotated[bool, typer.Option("--hold", help="A row holds until the next one, instead of changing linearly.")] = False,
     by: Annotated[
         str | None, typer.Option("--sensitivities", metavar="NAMES", help="Parameters or inputs, by commas: K_a,c_a,pressure_11.")
@@ -100,6 +107,10 @@ def simulate(
         raise unknown_name("method", method, METHODS)
     if step is not None and not SHORTEST <= step <= LONGEST:
         raise InputError(f"--step {step:g}; valid: {SHORTEST:g} … {LONGEST:g} ms")
+    if error is not None and not FINEST <= error <= COARSEST:
+        raise InputError(f"--error {error:g}; valid: {FINEST:g} … {COARSEST:g} mm")
+    if error is not None and (step is not None or method != "implicit"):
+        raise InputError("--error: steps adapt to it with --method implicit and without --step")
     kind = choose(film)
     chosen: Method = "rk4" if method == "rk4" else "implicit"
     compiled = load(robot, model)
@@ -115,7 +126,8 @@ def simulate(
     try:
         with folder_for(out) as folder, shown(as_json) as progress:
             began = time.perf_counter()
-            run = tepm.run_simulation(compiled, task, chosen, None if step is None else 1e-3 * step, hold, directions, progress)
+            lengths = [None if value is None else 1e-3 * value for value in (step, error)]
+            run = tepm.run_simulation(compiled, task, chosen, lengths[0], hold, directions, progress, lengths[1])
             took = time.perf_counter() - began
             run.save(folder)
             kept = f"the tables are in {out}"

@@ -165,6 +165,7 @@ class SimulateRun:
             "robot": self.model.robot.name,
             "method": simulation.method,
             "step_s": simulation.step,
+            "estimated_error_m": None if np.isnan(simulation.error) else simulation.error,
             "inputs_between_rows": "held" if self.hold else "linear",
             "rows": self.asked,
             "simulated": len(self.places),
@@ -214,7 +215,7 @@ class SimulateRun:
 
 def run_simulation(
     model: CompiledModel, task: SimulationTask, method: Method = "implicit", step: float | None = None, hold: bool = False,
-    directions: Directions | None = None, progress: Progress = silent,
+    directions: Directions | None = None, progress: Progress = silent, error: float | None = None,
 ) -> SimulateRun:  # fmt: skip
     """Simulate what a file asks for, from rest under its first row.
 
@@ -224,16 +225,17 @@ def run_simulation(
         model: compiled model.
         task: inputs and, where there are any, measured points.
         method: implicit, or the paper's.
-        step: longest in s; the method's own where absent.
+        step: longest in s; adaptive (implicit) or the method's own where absent.
         hold: whether a row holds until the next one, instead of changing linearly.
         directions: parameters and inputs by which the motion is differentiated.
         progress: told how much of it is done, in s.
+        error: of the nodes in m at which adaptive steps aim.
 
     Raises:
         InputError: as for `simulate`.
     """
     dense, places = densified(task.setpoints, hold)
-    found = simulate(model, dense, method, step, hold, None, directions, progress=progress)
+    found = simulate(model, dense, method, step, hold, None, directions, progress=progress, error=error)
     done = places[places < len(found.setpoints.time)]
     measured = None if task.measured is None else task.measured[: len(done)]
     duration = float(task.setpoints.time[-1] - task.setpoints.time[0])

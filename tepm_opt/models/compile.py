@@ -95,6 +95,12 @@ class CompiledModel:
         return [(effect, kind, {p.name: ca.SX(self.values[f"{effect.label}.{p.name}"]) for p in kind.parameters}) for effect, kind in found]
 
     @cached_property
+    def is_smooth(self) -> bool:
+        """Whether no effect bends or remembers inputs or the edges' motion, which has corners."""
+        hooks = "inputs", "pressure_memory", "tension_memory", "edge_memory"
+        return not any(find_effect(effect.name).has(hook) for effect in self.model.effects for hook in hooks)
+
+    @cached_property
     def pressure_lag(self) -> tuple[float, float] | None:
         """Time constants in s with which pressures rise and fall, by the effects that declare a lag; None without one.
 

@@ -132,6 +132,8 @@ def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
     force, tangent = ca.SX.zeros(2 * block), ca.SX.zeros(2 * block, 2 * block)
     before: list[ca.SX] = []
     rates: list[ca.SX] = []
+    pulls: list[ca.SX] = []
+    trusted = ca.SX.sym("trusted", len(layout.edges))
     for index, edge in enumerate(layout.edges):
         span, speed = ca.SX.sym("span"), ca.SX.sym("speed")
         pull, states, changes = _edge_pull(writer, s, index, span, speed, step)
@@ -143,24 +145,25 @@ def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
         along = inverse * (b - a)
         rate = ca.dot(along, v_b - v_a)
         pull, stretched, dragged, *changes = ca.substitute([pull, stretched, dragged, *changes], [span, speed], [length, rate])
-        across = inverse * pull
+        across = inverse * trusted[index]
         turning = inverse * ((v_b - v_a) - rate * along)  # how the rate changes with the edge's direction
         pull_apart(layout, edge, pull * along, force)
         pair = along @ ((stretched + dragged / step - across) * along + dragged * turning).T + across * ca.SX.eye(3)
         spread(layout, edge, pair, tangent)
         before += states
         rates += changes
+        pulls.append(pull)
     if layout.guided:
         off, rail, rub = writer.rails(s.upper)
         force[block:] += rail * off + rub * velocity[1]
         tangent[block:, block:] += ca.diag(rail + rub / step)
     force[block:] -= ca.repmat(s.column[writer.rows["load"]], layout.actuators, 1)
     y, change = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *rates)
-    arguments = [s.lower, s.upper, *velocity, y, step, s.column, writer.theta]
+    arguments, pull = [s.lower, s.upper, *velocity, y, step, s.column, writer.theta], ca.vertcat(*pulls)
     by = [s.lower, s.upper, *velocity, y, s.column, writer.theta]
     return {
-        "segment_motion": function("segment_motion", arguments, [force, change]),
-        "segment_tangent": function("segment_tangent", arguments, [force, change, tangent]),
+        "segment_motion": function("segment_motion", arguments, [force, change, pull]),
+        "segment_tangent": function("segment_tangent", [*arguments, trusted], [force, change, pull, tangent]),
         "segment_by": _jacobian("segment_by", arguments, [force, change], by),
     }
 

@@ -22,7 +22,9 @@ from tepm_opt.solvers.text import listed
 
 Method = Literal["implicit", "rk4"]
 METHODS: tuple[Method, ...] = ("implicit", "rk4")
-IMPLICIT_STEP = 0.01  # s: 0.002 mm RMS on the reference runs
+ERROR = 1e-4  # m at which implicit steps aim where nothing else is asked for
+LEAST_ERROR = 1e-7  # m, above what Newton's residuals leave
+BEND = 30.0  # 1/s: bends of the inputs that change the points' speed by more than this times the error asked for end a step
 SAFETY = 0.9  # of the largest stable RK4 step, for what happens between the samples it is computed at
 CHUNK = 0.5  # s of simulated time between two reports of progress
 
@@ -87,7 +89,8 @@ class Simulation:
         levels, velocities: levels 0 … n in the base frame, (samples, n + 1, 3 · actuators) in m and m/s.
         sensitivities: change of points along each direction, (directions, samples, points, 3), in m per unit of the direction.
         directions: their names.
-        method, step: how it was done; the step in s.
+        method, step: how it was done; the longest step in s.
+        error: estimate of the nodes' largest error in m over all samples; NaN where the step was given.
         effort: steps and iterations it took.
         outcome: SOLVED; FAILED where the motion left all bounds or a stage had no solution; INTERRUPTED by Ctrl-C.
     """
@@ -103,6 +106,7 @@ class Simulation:
     directions: tuple[str, ...]
     method: Method
     step: float
+    error: float
     effort: Effort
     outcome: Outcome
 
@@ -110,7 +114,10 @@ class Simulation:
         """The outcome and the main numbers, in a line."""
         time = self.setpoints.time
         passed = float(time[-1] - time[0]) if len(time) else 0.0
-        return f"Simulation({self.outcome.ending}, {len(time)} samples in {passed:.4g} s, {self.method}, step {1e3 * self.step:.3g} ms)"
+        how = f"{self.method}, steps up to {1e3 * self.step:.3g} ms" + (
+            "" if np.isnan(self.error) else f", error {1e3 * self.error:.2g} mm"
+        )
+        return f"Simulation({self.outcome.ending}, {len(time)} samples in {passed:.4g} s, {how})"
 
     @property
     def solved(self) -> bool:
@@ -139,9 +146,12 @@ class Simulation:
 def simulate(
     model: CompiledModel, setpoints: SetPoints, method: Method = "implicit", step: float | None = None, hold: bool = False,
     loads: np.ndarray | None = None, directions: Directions | None = None, tolerance: float = 1e-6,
-    progress: Progress = silent,
+    progress: Progress = silent, error: float | None = None,
 ) -> Simulation:  # fmt: skip
     """Simulate from the equilibrium under the first row; the result's outcome says whether it came to the last.
+
+    Implicit steps adapt, unless their length is given: the result's `error` estimates how far nodes are from the motion of ever
+    shorter steps. Sensitivities are those of the steps taken.
 
     A motion that leaves all bounds, an implicit stage without a solution and Ctrl-C end it early, with the samples until then.
 
@@ -149,29 +159,35 @@ def simulate(
         model: compiled model, with its effects.
         setpoints: inputs over time; its rows are also the times of the result. Tip forces act on the last reference point.
         method: "implicit" (Crouzeix's SDIRK, order 3) or "rk4" (the paper's scheme).
-        step: longest step in s; samples are always hit. Default: 10 ms, or 0.9 of the largest stable step for "rk4".
+        step: longest step in s, between samples of equal ones; by default steps adapt, those of "rk4" are 0.9 of the stable one.
         hold: rows hold until the next one, instead of changing linearly.
         loads: further known forces on the reference points in G, (samples, points, 3) in N.
         directions: what to differentiate by; "implicit" only.
         tolerance: residual forces in N to which implicit stages are solved.
         progress: told the time simulated in s, about twice per simulated second.
+        error: of the nodes in m at which adaptive steps aim. Default: 0.1 mm.
 
     Raises:
-        InputError: set points that do not fit, "rk4" with a step above its stable one or with directions, no stable equilibrium
-            to start from.
+        InputError: set points that do not fit, "rk4" with a step above its stable one, with directions or with an error, both an
+            error and a step, no stable equilibrium to start from.
     """
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
     if directions is not None and method == "rk4":
         raise InputError("directions: sensitivities are computed by method 'implicit'")
+    if error is not None and (method == "rk4" or step is not None):
+        raise InputError("error: steps adapt to it with method 'implicit' and without a step")
+    if error is not None and not error >= LEAST_ERROR:
+        raise InputError(f"error: {error:g} m; valid: at least {LEAST_ERROR:g} m")
     drive = _drive(model, setpoints, hold, loads, directions)
     start = _start(model, setpoints, 0, drive)
     if method == "rk4":
         step = _stable_step(model, setpoints, drive, step)
-    step = IMPLICIT_STEP if step is None else step
-    if not step > 0:
+    if step is not None and not step > 0:
         raise InputError(f"step: {step:g} s; valid: above 0")
-    scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step, tolerance)
+    scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step or 0.0, error or ERROR, model.is_smooth, tolerance)
+    if step is None:
+        drive = replace(drive, knots=_knots(model, drive, start, scheme.error))
     names = directions.names if directions is not None else ()
     record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
     state, total, done = model.stepper.start(start.x, len(names)), Effort(), 0
@@ -183,7 +199,7 @@ def simulate(
         return Simulation(
             model, start, SetPoints(setpoints.time[kept], setpoints.inputs[kept], setpoints.tip_force[kept]),
             observed[:, :points].reshape(rows, -1, 3), observed[:, points:], record.trajectory[kept, 0], record.trajectory[kept, 1],
-            sensitivities, names, method, step, total, outcome,
+            sensitivities, names, method, *((total.longest, total.error) if step is None else (step, np.nan)), total, outcome,
         )  # fmt: skip
 
     ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
@@ -194,7 +210,7 @@ def simulate(
             if status != Status.SOLVED:
                 why = "left all bounds" if status == Status.DIVERGED else "has no solution nearby"
                 hint = "a shorter step may help" if method == "rk4" or status == Status.DIVERGED else "inputs may jump too far"
-                message = f"the motion {why} after {total.reached:.4g} s ({hint}; step {step:g} s)"
+                message = f"the motion {why} after {total.reached:.4g} s ({hint}; step {step or total.longest:g} s)"
                 return result(done + 1, Outcome(status.ending, message))
             done = int(end)
             progress("simulation", float(drive.time[done] - drive.time[0]), float(drive.time[-1] - drive.time[0]))
@@ -252,6 +268,28 @@ def _drive(model: CompiledModel, setpoints: SetPoints, hold: bool, loads: np.nda
     return Drive(setpoints.time, rows, hold, directions.parameters, d_rows)
 
 
+def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float) -> np.ndarray:
+    """Times in s at which inputs or forces jump, where they hold, or bend by as much as matters beside the error in m.
+
+    What a bend matters is taken from the gain at the start: by how much it changes the speed with which the points follow.
+    """
+    inputs, points = model.layout.inputs, 3 * model.layout.points
+    late = (model.command_delay or 0.0, 0.0)
+    parts = drive.rows[:, :inputs], drive.rows[:, inputs:]
+    if drive.hold:
+        found = [drive.time[1:][(np.diff(part, axis=0) != 0).any(axis=1)] for part in parts]
+    else:
+        weights = np.eye(points, points + inputs // 2)
+        a = model.statics.actuation(start.inputs, model.theta)  # effects' maps may have dead zones where it starts
+        gains = model.statics.sensitivity(start.x, a, True, start.loads.ravel(), model.theta, weights, False)[1:3]
+        bends = [
+            np.diff(np.diff(part, axis=0) / np.diff(drive.time)[:, None], axis=0) @ gain.T for part, gain in zip(parts, gains, strict=True)
+        ]
+        speeds = [np.linalg.norm(bend.reshape(len(bend), -1, 3), axis=2).max(axis=1, initial=0.0) for bend in bends]
+        found = [drive.time[1:-1][speed > BEND * error] for speed in speeds]
+    return np.unique(np.concatenate([times + delay for times, delay in zip(found, late, strict=True)]))
+
+
 def _start(model: CompiledModel, setpoints: SetPoints, row: int, drive: Drive, strict: bool = True) -> Equilibrium:
     forces = drive.rows[row, model.layout.inputs :].reshape(-1, 3)
     found = solve_statics(model, setpoints.inputs[row], forces)
@@ -262,4 +300,4 @@ def _start(model: CompiledModel, setpoints: SetPoints, row: int, drive: Drive, s
 
 def _sum(a: Effort, b: Effort) -> Effort:
     counted = {name: getattr(a, name) + getattr(b, name) for name in ("steps", "iterations", "factors", "halvings")}
-    return replace(b, **counted)
+    return replace(b, **counted, longest=max(a.longest, b.longest))

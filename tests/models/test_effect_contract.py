@@ -216,7 +216,7 @@ def excitation(kang):
     waves = 0.5 - 0.5 * np.cos(np.outer(2 * np.pi * active / 1.6, rng.integers(1, 3, 12)))
     force = 0.05 * np.column_stack([np.sin(4 * active), np.cos(3 * active), 0 * time])
     points = SetPoints(time, (0.1 + 0.1 * waves) * kang.input_max, force)
-    assert simulate(kang, points).complete().effort.halvings == 0
+    assert simulate(kang, points, step=0.01).complete().effort.halvings == 0
     return points
 
 
@@ -358,24 +358,24 @@ def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
 
 
 def test_in_motion_it_vanishes_at_its_null_values(null, kang, excitation):
-    for settings in ({"tolerance": 1e-10}, {"method": "rk4", "step": 3e-4}):
+    for settings in ({"step": 0.01, "tolerance": 1e-10}, {"method": "rk4", "step": 3e-4}):
         found, plain = (simulate(model, excitation, **settings).complete() for model in (null, kang))
         assert abs(found.points - plain.points).max() < 1e-9
 
 
 def test_in_motion_its_probe_is_visible(moving, kang, excitation):
-    assert abs(simulate(moving.compiled, excitation).points - simulate(kang, excitation).points).max() > 5e-5
+    assert abs(simulate(moving.compiled, excitation, step=0.01).points - simulate(kang, excitation, step=0.01).points).max() > 5e-5
 
 
 def test_sensitivities_in_motion(subject, excitation):
     model = subject.compiled
     names = [model.network.parameter_names[at] for at in subject.own.values()]
-    found = simulate(model, excitation, directions=Directions.of(model, names), tolerance=1e-11).sensitivities
+    found = simulate(model, excitation, step=0.01, directions=Directions.of(model, names), tolerance=1e-11).sensitivities
     for (parameter, _), sensitivity in zip(subject.own.items(), found, strict=True):
         size = abs(parameter.probe - parameter.null) or parameter.probe
 
         def changed(h, parameter=parameter):
-            return simulate(subject.at({parameter: parameter.probe + h}), excitation, tolerance=1e-11).points
+            return simulate(subject.at({parameter: parameter.probe + h}), excitation, step=0.01, tolerance=1e-11).points
 
         expected = slope(changed, min(0.02 * size, 1e-5 / max(abs(sensitivity).max(), 1e-12)))
         assert abs(sensitivity - expected).max() <= 1e-5 * abs(expected).max() + 1e-13 / size

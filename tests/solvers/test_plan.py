@@ -61,7 +61,7 @@ def left_over(time: np.ndarray, tips: np.ndarray, rest: np.ndarray, end: float) 
 
 def sway(model: CompiledModel, setpoints: SetPoints) -> float:
     """What the full network has left over, m."""
-    motion = simulate(model, held_on(setpoints, WATCHED))
+    motion = simulate(model, held_on(setpoints, WATCHED), error=1e-5)
     return left_over(motion.setpoints.time, motion.tip, solve_statics(model, setpoints.inputs[-1]).tip, setpoints.time[-1])
 
 

@@ -23,6 +23,7 @@ from tepm_opt.models.backends.interface import (
     Solution,
     Status,
 )
+from tepm_opt.models.backends.step_control import STEP_CONTROL
 from tepm_opt.models.dynamics import Dynamics
 from tepm_opt.models.network import ROWS, Network
 
@@ -47,7 +48,7 @@ def statics_unit(network: Network) -> Unit:
         "NLEN": layout.inputs // 2,
     }
     symbols = ("actuation", "statics", "sensitivity", "matrices", "inverse", "response", "allocate", "configurations")
-    return Unit(network.functions, sizes, {"DRIVEN": network.driven}, ("statics.c", "kinematics.c"), symbols)
+    return Unit(network.functions, sizes, {"DRIVEN": network.driven}, ("statics.c", "rotations.c", "kinematics.c"), symbols)
 
 
 class _Arrays(threading.local):
@@ -213,12 +214,18 @@ class CompiledStatics:
         return list(map(Pose, *columns, *array["all_info"][:done].T.tolist())), STATUSES[status]
 
 
+STEPPING = (
+    "time_stepping.c", "rotations.c", "motion_network.c", "motion_tangents.c", "motion_steps.c", "motion_adaptive.c", "motion_integrate.c",
+)  # fmt: skip
+
+
 def stepping_unit(dynamics: Dynamics) -> Unit:
     """The C of `CompiledTimeStepper`."""
     layout = dynamics.layout
     properties = dynamics.functions["properties"].size1_out(0)
     sizes = {
         **SHARED,
+        **STEP_CONTROL,
         "NB": layout.block,
         "NLEV": layout.levels,
         "NPROP": properties,
@@ -227,11 +234,12 @@ def stepping_unit(dynamics: Dynamics) -> Unit:
         "NEXT": 3 * layout.points,
         "NTHETA": len(dynamics.parameter_names),
         "NOBS": 3 * layout.points + layout.inputs // 2,
+        "NEDGES": len(layout.edges),
         "NIN": dynamics.input_states,
         "NEDGE": dynamics.edge_states,
     }
     symbols, lanes = ("integrate", "state_size", "tangent_size"), ("segment_motion", "segment_tangent", "segment_by")
-    return Unit(dynamics.functions, sizes, {}, ("time_stepping.c",), symbols, lanes)
+    return Unit(dynamics.functions, sizes, {}, STEPPING, symbols, lanes)
 
 
 class CompiledTimeStepper:
@@ -241,11 +249,11 @@ class CompiledTimeStepper:
         self.dynamics = dynamics
         self._integrate, self._sizes = library.integrate, (library.state_size(), library.tangent_size())
         p, i, n, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_long, ctypes.c_double
-        self._integrate.argtypes = [i, i, n, n, n, p, p, d, d, d, p, p, p, p, i, p, p, p, p, p]
+        self._integrate.argtypes = [i, i, n, n, n, p, p, d, d, i, d, d, p, p, p, p, i, p, p, p, p, p, n, p]
 
     def start(self, x: np.ndarray, directions: int) -> tuple[np.ndarray, np.ndarray]:
         """See `TimeStepper.start`."""
-        state, tangents = np.zeros(self._sizes[0]), np.zeros((-(-directions // LANES), self._sizes[1]))
+        state, tangents = np.zeros(self._sizes[0]), np.zeros((2, -(-directions // LANES), self._sizes[1]))
         state[: x.size] = x.ravel()
         return state, tangents
 
@@ -255,17 +263,17 @@ class CompiledTimeStepper:
     ) -> tuple[Status, Effort]:  # fmt: skip
         """See `TimeStepper.integrate`."""
         carried, tangents = state
-        directions, groups, samples = len(drive.d_theta), len(tangents), len(drive.time)
+        directions, groups, samples = len(drive.d_theta), tangents.shape[1], len(drive.time)
         d_theta = _in_lanes(drive.d_theta.T, groups).swapaxes(0, 1).copy()
         d_rows = None if drive.d_rows is None else _in_lanes(drive.d_rows.swapaxes(1, 2), groups).swapaxes(1, 2).copy()
         time, rows = np.ascontiguousarray(drive.time), np.ascontiguousarray(drive.rows)
         d_observed = np.zeros((samples if groups else 0, groups, record.observed.shape[1], LANES))
-        info = np.zeros(5)
+        info = np.zeros(7)
         status = self._integrate(
-            scheme.kind, drive.hold, first, last, samples, time.ctypes.data, rows.ctypes.data, scheme.step, scheme.tolerance,
-            MAX_CORRECTION, theta.ctypes.data, carried.ctypes.data, record.observed.ctypes.data, record.trajectory.ctypes.data,
-            groups, d_theta.ctypes.data, None if d_rows is None else d_rows.ctypes.data, tangents.ctypes.data,
-            d_observed.ctypes.data, info.ctypes.data,
+            scheme.kind, drive.hold, first, last, samples, time.ctypes.data, rows.ctypes.data, scheme.step, scheme.error, scheme.smooth,
+            scheme.tolerance, MAX_CORRECTION, theta.ctypes.data, carried.ctypes.data, record.observed.ctypes.data,
+            record.trajectory.ctypes.data, groups, d_theta.ctypes.data, None if d_rows is None else d_rows.ctypes.data,
+            tangents.ctypes.data, d_observed.ctypes.data, drive.knots.ctypes.data, len(drive.knots), info.ctypes.data,
         )  # fmt: skip
         if groups:
             new = slice(first + 1 if first else 0, last + 1)

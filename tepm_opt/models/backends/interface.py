@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -298,6 +298,7 @@ class Drive:
         hold: whether a row holds until the next sample, instead of changing linearly.
         d_theta: changes of the parameters, (directions, parameters).
         d_rows: changes of the rows, (samples, directions, inputs + 3 · points); None for none.
+        knots: times in s at which adaptive steps end, as the rows jump or bend there, increasing.
     """
 
     time: np.ndarray
@@ -305,6 +306,7 @@ class Drive:
     hold: bool
     d_theta: np.ndarray
     d_rows: np.ndarray | None = None
+    knots: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __repr__(self) -> str:
         return f"Drive({len(self.time)} samples, {'held' if self.hold else 'linear'}, {len(self.d_theta)} directions)"
@@ -316,12 +318,16 @@ class Scheme:
 
     Attributes:
         kind: IMPLICIT or EXPLICIT.
-        step: longest step in s.
-        tolerance: of Newton's residuals in N.
+        step: longest step in s; 0 where steps adapt.
+        error: of the nodes in m at which adaptive steps aim.
+        smooth: whether the order of the scheme can be relied on for estimates; else adaptive steps count on order 1.
+        tolerance: of Newton's residuals in N, at which its iterations end in any case.
     """
 
     kind: int
     step: float
+    error: float = 0.0
+    smooth: bool = True
     tolerance: float = 1e-6
 
 
@@ -353,13 +359,16 @@ class Record:
 
 @dataclass
 class Effort:
-    """What a time stepper took: steps, Newton iterations, factorisations, halved steps, time reached in s."""
+    """What a time stepper took: steps, Newton iterations, factorisations, halved steps, time reached in s; of adaptive steps the
+    estimated error in m so far; the longest step in s."""
 
     steps: float = 0
     iterations: float = 0
     factors: float = 0
     halvings: float = 0
     reached: float = 0
+    error: float = 0
+    longest: float = 0
 
 
 class TimeStepper(Protocol):

@@ -58,7 +58,7 @@ static int solve_together(work *w, const double *external, const double *weights
     set_properties(w, external);
     gradient(w);
     newton_step(w);
-    move(w, 1);
+    move(w->x, w->step, 1, w->trial);
     memcpy(w->x, w->trial, sizeof w->x);
   }
   info[0] = iteration;

@@ -175,84 +175,7 @@ static void newton_step(work *w) {
   }
 }
 
-static void cross(const double *a, const double *b, double *c) {
-  c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-/* A rotation vector with sin(angle) / angle and (1 - cos(angle)) / angle^2, where small by their series. */
-typedef struct { double by[3], s, c; } rotation;
-
-static rotation rotate_by(const double *by) {
-  rotation r = {{by[0], by[1], by[2]}, 1, 0.5};
-  double square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2];
-  if (square < 0.1) {
-    double s = 1, c = 1; /* the last terms are below 1e-17 */
-    for (int k = 12; k; k -= 2) { s = 1 - square / (k * (k + 1)) * s; c = 1 - square / ((k + 1) * (k + 2)) * c; }
-    r.s = s; r.c = c / 2;
-  } else {
-    double angle = sqrt(square);
-    r.s = sin(angle) / angle;
-    r.c = (1 - cos(angle)) / square;
-  }
-  return r;
-}
-
-/* target += a vector v rotated, after its linear change dv less what the rotation accounts for. */
-static void add_rotated(double *target, const rotation *r, const double *v, const double *dv) {
-  double turned[3], e[3], once[3], twice[3];
-  cross(r->by, v, turned);
-  for (int k = 0; k < 3; k++) e[k] = v[k] + dv[k] - turned[k];
-  cross(r->by, e, once);
-  cross(r->by, once, twice);
-  for (int k = 0; k < 3; k++) target[k] += e[k] + r->s * once[k] + r->c * twice[k];
-}
-
-/* Rotation vector that fits the changes d of the points r best, both about their centres. */
-static void fit_rotation(double r[][3], double d[][3], double *turn) {
-  double I[3][3] = {{0}}, m[3] = {0}, part[3], cofactor[3][3], determinant;
-  for (int i = 0; i < NB / 3; i++) {
-    double square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
-    cross(r[i], d[i], part);
-    for (int p = 0; p < 3; p++) {
-      m[p] += part[p];
-      I[p][p] += square;
-      for (int q = 0; q < 3; q++) I[p][q] -= r[i][p] * r[i][q];
-    }
-  }
-  for (int p = 0; p < 3; p++) cross(I[(p + 1) % 3], I[(p + 2) % 3], cofactor[p]);
-  determinant = I[0][0] * cofactor[0][0] + I[0][1] * cofactor[0][1] + I[0][2] * cofactor[0][2];
-  for (int p = 0; p < 3; p++) turn[p] = (cofactor[0][p] * m[0] + cofactor[1][p] * m[1] + cofactor[2][p] * m[2]) / determinant;
-}
-
-/* trial = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
-static void move(work *w, double t) {
-  double before[3] = {0}, d_before[3] = {0}, turn_before[3] = {0}, centre[3] = {0};
-  for (int k = 0; k < 3; k++) {
-    for (int i = 0; i < NB / 3; i++) before[k] += w->x[0][3 * i + k] / (NB / 3);
-    centre[k] = before[k];
-  }
-  memcpy(w->trial[0], w->x[0], sizeof w->x[0]);
-  for (int l = 1; l <= NLEV; l++) {
-    double here[3] = {0}, d_here[3] = {0}, turn[3], middle[3], r[NB / 3][3], d[NB / 3][3], link[3], d_link[3];
-    for (int k = 0; k < 3; k++) {
-      for (int i = 0; i < NB / 3; i++) { here[k] += w->x[l][3 * i + k] / (NB / 3); d_here[k] += t * w->step[l][3 * i + k] / (NB / 3); }
-      for (int i = 0; i < NB / 3; i++) { r[i][k] = w->x[l][3 * i + k] - here[k]; d[i][k] = t * w->step[l][3 * i + k] - d_here[k]; }
-    }
-    fit_rotation(r, d, turn);
-    for (int k = 0; k < 3; k++) {
-      middle[k] = (turn[k] + turn_before[k]) / 2;
-      link[k] = here[k] - before[k];
-      d_link[k] = d_here[k] - d_before[k];
-    }
-    rotation of_link = rotate_by(middle), of_level = rotate_by(turn);
-    add_rotated(centre, &of_link, link, d_link);
-    for (int i = 0; i < NB / 3; i++) {
-      for (int k = 0; k < 3; k++) w->trial[l][3 * i + k] = centre[k];
-      add_rotated(w->trial[l] + 3 * i, &of_level, r[i], d[i]);
-    }
-    memcpy(before, here, sizeof before); memcpy(d_before, d_here, sizeof before); memcpy(turn_before, turn, sizeof before);
-  }
-}
+static void move(double (*x)[NB], double (*step)[NB], double t, double (*moved)[NB]); /* rotations.c */
 
 /* Factor the stiffness at w->x, or a positive definite stand-in where it is indefinite (returns 1 then). */
 static int factor_safely(work *w) {
@@ -314,7 +237,7 @@ static int settle(work *w, double tolerance, int max_iterations, double *info) {
     }
     for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) slope += w->force[l][i] * w->step[l][i];
     for (int halving = 0; halving < 40; halving++) {
-      move(w, t);
+      move(w->x, w->step, t, w->trial);
       double there = energy(w, w->trial);
       if (there <= here + 1e-4 * t * slope + ENERGY_NOISE * (1 + fabs(here))) { found = 1; break; }
       double shorter = -slope * t * t / 2 / (there - here - slope * t);

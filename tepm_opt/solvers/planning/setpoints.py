@@ -12,6 +12,7 @@ from tepm_opt.solvers.simulate import SimulationError, simulate
 
 SUBSTEP = 1e-3  # s, of the regulators between the set points
 WATCHED, ROW = 5.0, 0.02  # s: for how long the tip is watched after the end, and how often
+STEP = 0.01  # s, of simulations; fixed, so that small changes of a plan change its sway smoothly
 
 
 def tensions(model: CompiledModel, pressures: np.ndarray, forces: np.ndarray) -> np.ndarray:
@@ -75,7 +76,7 @@ def residual_sway(model: CompiledModel, time: np.ndarray, muscle: np.ndarray, te
     after = time[-1] + np.arange(1, round(WATCHED / ROW) + 1) * ROW
     inputs = np.vstack([inputs, np.repeat(inputs[-1:], len(after), axis=0)])
     try:
-        motion = simulate(model, SetPoints(np.concatenate([time, after]), inputs, np.zeros((len(inputs), 3)))).complete()
+        motion = simulate(model, SetPoints(np.concatenate([time, after]), inputs, np.zeros((len(inputs), 3))), step=STEP).complete()
     except (SimulationError, InputError):
         return np.inf
     return float(np.linalg.norm(motion.tip[len(time) - 1 :] - rest, axis=1).max())
