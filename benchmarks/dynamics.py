@@ -129,7 +129,12 @@ def _sensitivities(step: _Step) -> Task:
         return np.tensordot(model.theta, found.sensitivities[: len(names), :, -1], 1)[2:].ravel()
 
     def changed(factor: float) -> np.ndarray:
-        return simulate(model.with_theta(factor * model.theta), step.setpoints, hold=True, tolerance=1e-10).complete().tip[2:].ravel()
+        return (
+            simulate(model.with_theta(factor * model.theta), step.setpoints, step=10e-3, hold=True, tolerance=1e-10)
+            .complete()
+            .tip[2:]
+            .ravel()
+        )
 
     expected = (changed(1 + part) - changed(1 - part)) / (2 * part)
     sensitive = Contender(
