@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from tepm_opt.data.run import Run
 
 SAMPLES = 400  # a Gaussian process costs their cube
+PIECE = 2000  # rows predicted at a time, each of which takes as many numbers as there are samples
 MEMORY = 0.3  # s, of the low-passed inputs that stand for the past
 
 
@@ -46,7 +47,8 @@ def black_box(fit: Sequence[Run], left: Sequence[np.ndarray], scale: np.ndarray,
         process.fit(x[picked], (y[picked] - mean) / size)
     found = []
     for run in other:
-        predicted = np.asarray(process.predict(_features(run, scale, static))).reshape(run.rows, -1)
+        pieces = np.split(_features(run, scale, static), range(PIECE, run.rows, PIECE))
+        predicted = np.concatenate([process.predict(piece) for piece in pieces]).reshape(run.rows, -1)
         found.append((mean + size * predicted).reshape(run.points.shape))
     return found
 
