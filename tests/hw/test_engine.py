@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("compiler")
 
 SMOOTH: dict[str, dict[str, Any]] = {
     "nothing": {},
-    "time_delay": {"delay_s": 0.0135},
+    "time_delay": {"delay_s": 0.01325},
     "payload": {"mass_kg": 0.05, "eccentricity_m": [0.01, -0.005]},
     "mass_distribution": {"fraction": 0.3, "holder_share": 0.3},
     "uneven_mass": {"fraction": 0.1, "toward_deg": 40, "scatter": 0.1},
