@@ -110,6 +110,16 @@ class IkProblem:
         """Equilibrium of axial forces."""
         return equilibrium(self.model, self.actuation(forces), self.loads, start, mapped=True, explain=False)
 
+    @property
+    def middle(self) -> np.ndarray:
+        """Axial forces in the middle of their ranges, (actuators,) in N."""
+        return (self.low + self.high) / 2
+
+    @cached_property
+    def balanced(self) -> Equilibrium:
+        """Equilibrium under them."""
+        return self.at(self.middle, None)
+
     @cached_property
     def idle(self) -> Equilibrium:
         """Equilibrium without inputs."""

@@ -14,14 +14,16 @@ from dataclasses import dataclass, replace
 import daqp
 import numpy as np
 
-from tepm_opt.models.backends.interface import SEED_STEPS, Status
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.ik_problem import Balance, IkProblem
 
 UNIT = 1e-2  # m, of errors; forces are in parts of their range: both programs and penalties are then of order 1
 STEPS = 60  # of a search
+NEWTON_STEPS = 40  # of statics on the way: what takes more has left its branch
 HALVINGS = 12  # of a step, in which a shorter one has to lower the penalised objective
-RADIUS = 0.5  # largest change of a force in a step
+RADIUS = 0.5  # largest change of a force in a step, at first; later ones are at most twice as long as what the last one could take
+RESTORATIONS = 10  # steps to where the constraints hold
 STILL = 1e-8  # largest change of a force in a step at which a search ends
 SAME = 0.05  # difference of forces below which a search ends where another has ended
 EQUAL = 1e-7  # m, largest difference of lengths of an end
@@ -31,14 +33,11 @@ EXACT = 5  # DAQP's mark of a row that is an equality
 def nearest(problem: IkProblem, target: np.ndarray) -> tuple[Balance, Outcome]:
     """The configuration within the limits whose tip is nearest to the target, SOLVED where it is there, OUT_OF_REACH or FAILED.
 
-    The distance has local minima (a target below the base seen by the straight robot), so the search starts from the middle of
-    the forces and from bends towards the target and to its sides, and the best end counts.
+    The distance has local minima (a target below the base seen by the straight robot), so the search starts from several places,
+    and the best end counts.
     """
-    robot, local = problem.model.robot, problem.local(target)
-    towards = np.arctan2(local[1], local[0]) + np.array([0.0, 1.0, -1.0]) * np.pi / robot.actuators
-    bends = [0.5 - 0.45 * np.tile(np.cos(robot.angles - angle), robot.modules) for angle in towards]
     search, ends = _Search(problem, target), []
-    for part in (*bends, np.full(problem.half, 0.5)):
+    for part in _starts(problem, target):
         if (end := search.run(part, ends)) is not None:
             ends.append(end)
     found = min(ends, key=lambda end: end.distance, default=None)
@@ -46,12 +45,24 @@ def nearest(problem: IkProblem, target: np.ndarray) -> tuple[Balance, Outcome]:
         message = "no stable equal-curvature configuration within the limits was found"
         if not problem.idle.solved:
             message += "; without inputs the robot is not stable either (it buckles under its weight or load)"
-        middle = (problem.low + problem.high) / 2
-        return Balance(middle, problem.at(middle, None)), Outcome(Ending.FAILED, message)
+        return Balance(problem.middle, problem.balanced), Outcome(Ending.FAILED, message)
     there = found.distance < 100 * problem.settings.tolerance
     if there and problem.redundant:
         found = _Search(problem, target, least_norm=True).run(found.part, ()) or found
     return search.balance(found), SOLVED if there else Outcome(Ending.OUT_OF_REACH)
+
+
+def _starts(problem: IkProblem, target: np.ndarray) -> list[np.ndarray]:
+    """Forces to start from, in parts of their ranges: bends towards the target and to its sides, and the middle.
+
+    A robot that does not stand with equal forces has stable configurations in regions of their own: it gets bends all around, large and
+    small.
+    """
+    robot, local, middle = problem.model.robot, problem.local(target), np.full(problem.half, 0.5)
+    sizes, turns = ((0.45,), (0, 1, -1)) if problem.balanced.solved else ((0.45, 0.3, 0.15, 0.05), (0, 1, -1, 2, -2, 3))
+    angles = np.arctan2(local[1], local[0]) + np.array(turns) * np.pi / robot.actuators
+    bends = [0.5 - size * np.tile(np.cos(robot.angles - angle), robot.modules) for size in sizes for angle in angles]
+    return [*bends, middle]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,20 +91,17 @@ class _Search:
         self.sense[problem.half :] = EXACT
 
     def at(self, part: np.ndarray, x: np.ndarray) -> _Point | None:
-        """The point of forces, its statics from levels x, then from rest; None where there is no stable equilibrium."""
+        """The point of forces, its statics from levels x; None where they lead to no stable equilibrium."""
         problem, shared = self.problem, self.problem.shared
         actuation = problem.actuation(problem.low + part * self.span)
-        for start in (x, problem.model.rest):
-            status, levels, observed, by_a = problem.model.statics.response(
-                start, actuation, shared.external, shared.theta, shared.weights, shared.force_tolerance, SEED_STEPS
-            )
-            if status == Status.SOLVED and observed[-problem.half :].min() >= shared.shortest:
-                errors = shared.weights @ observed
-                errors[:3] -= self.target
-                return _Point(part, levels, errors / UNIT, by_a[:, : problem.half] * (self.span / (problem.area * UNIT)))
-            if start is problem.model.rest:
-                break
-        return None
+        status, levels, observed, by_a = problem.model.statics.response(
+            x, actuation, shared.external, shared.theta, shared.weights, shared.force_tolerance, NEWTON_STEPS
+        )
+        if status != Status.SOLVED or observed[-problem.half :].min() < shared.shortest:
+            return None
+        errors = shared.weights @ observed
+        errors[:3] -= self.target
+        return _Point(part, levels, errors / UNIT, by_a[:, : problem.half] * (self.span / (problem.area * UNIT)))
 
     def objective(self, at: _Point) -> tuple[float, np.ndarray]:
         """Value and gradient of what is minimised."""
@@ -105,7 +113,7 @@ class _Search:
 
     def run(self, part: np.ndarray, ends: Sequence[_Point]) -> _Point | None:
         """The end of a search from `part`; None where there is none or it comes to one of the `ends`."""
-        at, penalty, steps = self.at(part, self.problem.model.rest), 1.0, 0
+        at, penalty, radius, steps = self.at(part, self.problem.model.rest), 1.0, RADIUS, 0
         if at is None:
             return None
         hessian = np.eye(len(part)) if self.least_norm else at.jacobian.T @ at.jacobian
@@ -113,11 +121,11 @@ class _Search:
         for _ in range(STEPS):
             value, gradient = self.objective(at)
             missed, slopes = at.errors[self.held], np.ascontiguousarray(at.jacobian[self.held])
-            step, multipliers, met = self._program(hessian, gradient, missed, slopes, at.part)
-            wrong = float(np.abs(missed).sum())
+            step, multipliers, met = self._program(hessian, gradient, missed, slopes, at.part, radius)
+            wrong, longest = float(np.abs(missed).sum()), float(np.abs(step).max())
             penalty = max(penalty, 1.5 * float(np.abs(multipliers).max(initial=0.0)))
             slope = float(gradient @ step) - penalty * met * wrong
-            if np.abs(step).max() < STILL or slope > -1e-14 * (1 + value):
+            if longest < STILL or slope > -1e-14 * (1 + value):
                 break
             merit, t = value + penalty * wrong, 1.0
             for _ in range(HALVINGS):
@@ -131,18 +139,35 @@ class _Search:
                 break
             moved = trial.part - at.part
             turned = there[1] - gradient + (trial.jacobian[self.held] - slopes).T @ multipliers
-            at, steps = trial, steps + 1
+            at, steps, radius = trial, steps + 1, min(RADIUS, 2 * (t * longest if t < 1 else radius))
             _update(hessian, moved, turned)
             if any(np.abs(at.part - end.part).max() < SAME for end in ends):
                 return None
-        wrong = UNIT * np.abs(at.errors[self.held]).max(initial=0.0)
-        return replace(at, steps=steps) if wrong < EQUAL else None
+        end = self._held(at)
+        return None if end is None else replace(end, steps=steps)
+
+    def _held(self, at: _Point) -> _Point | None:
+        """A point nearby that meets the constraints: where the stable branch ends, a search ends before it does."""
+        for _ in range(RESTORATIONS):
+            missed, slopes = at.errors[self.held], np.ascontiguousarray(at.jacobian[self.held])
+            wrong = np.abs(missed).max(initial=0.0)
+            if UNIT * wrong < EQUAL:
+                return at
+            step, _, _ = self._program(np.eye(len(at.part)), np.zeros(len(at.part)), missed, slopes, at.part, RADIUS)
+            for part in 0.5 ** np.arange(HALVINGS):
+                trial = self.at(np.minimum(np.maximum(at.part + part * step, 0.0), 1.0), at.x)
+                if trial is not None and np.abs(trial.errors[self.held]).max() < wrong:
+                    break
+            else:
+                return None
+            at = trial
+        return None
 
     def _program(
-        self, hessian: np.ndarray, gradient: np.ndarray, missed: np.ndarray, slopes: np.ndarray, part: np.ndarray
+        self, hessian: np.ndarray, gradient: np.ndarray, missed: np.ndarray, slopes: np.ndarray, part: np.ndarray, radius: float
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Step, multipliers of the constraints, and the part of the constraints' errors that it takes away."""
-        low, high = np.maximum(-part, -RADIUS), np.minimum(1.0 - part, RADIUS)
+        low, high = np.maximum(-part, -radius), np.minimum(1.0 - part, radius)
         for met in (1.0, 0.5, 0.1, 0.0):
             upper, lower = np.concatenate([high, -met * missed]), np.concatenate([low, -met * missed])
             step, _, flag, info = daqp.solve(hessian, gradient, slopes, upper, lower, self.sense, primal_tol=1e-9)

@@ -237,6 +237,17 @@ class TestOutOfReach:
         names = kang.layout.actuator_names
         assert names[int(hybrid.forces.argmin())] in {limit.split()[0].removeprefix("pressure_") for limit in pressure.limits}
 
+    def test_a_robot_that_does_not_stand(self):
+        """Three modules buckle under their weight: stable configurations lie in regions of their own, away from rest."""
+        model = compile_model(variant(geometry={"modules": 3, "segments_per_module": 4}))
+        assert not solve_statics(model, np.zeros(18)).solved
+        for target, known in (([0.11, -0.184, 0.025], 0.23), ([0.348, 0.253, 0.002], 0.05), ([-0.16, -0.062, 0.017], 0.3)):
+            found = solve_ik(model, target)
+            assert found.outcome.ending is Ending.OUT_OF_REACH
+            assert found.equilibrium.solved
+            assert found.miss < known
+            assert abs(found.equilibrium.lengths - found.equilibrium.lengths[0]).max() < 1e-6
+
     def test_the_rest_of_a_trajectory_is_solved(self, kang):
         targets = CIRCLE.copy()
         targets[[3, 4, 20]] = [[0, 0, 2.0], [0.5, 0.5, 0.2], [0, 0, -1.0]]
