@@ -37,9 +37,14 @@ def nearest(problem: IkProblem, target: np.ndarray) -> tuple[Balance, Outcome]:
     and the best end counts.
     """
     search, ends = _Search(problem, target), []
-    for part in _starts(problem, target):
-        if (end := search.run(part, ends)) is not None:
-            ends.append(end)
+    for series in _starts(problem, target):
+        x = problem.model.rest
+        for part in series:
+            if (start := search.at(part, x)) is None:
+                continue
+            x = start.x
+            if (end := search.run(start, ends)) is not None:
+                ends.append(end)
     found = min(ends, key=lambda end: end.distance, default=None)
     if found is None:
         message = "no stable equal-curvature configuration within the limits was found"
@@ -48,21 +53,22 @@ def nearest(problem: IkProblem, target: np.ndarray) -> tuple[Balance, Outcome]:
         return Balance(problem.middle, problem.balanced), Outcome(Ending.FAILED, message)
     there = found.distance < 100 * problem.settings.tolerance
     if there and problem.redundant:
-        found = _Search(problem, target, least_norm=True).run(found.part, ()) or found
+        found = _Search(problem, target, least_norm=True).run(found, ()) or found
     return search.balance(found), SOLVED if there else Outcome(Ending.OUT_OF_REACH)
 
 
-def _starts(problem: IkProblem, target: np.ndarray) -> list[np.ndarray]:
-    """Forces to start from, in parts of their ranges: bends towards the target and to its sides, and the middle.
+def _starts(problem: IkProblem, target: np.ndarray) -> list[list[np.ndarray]]:
+    """Forces to start from, in parts of their ranges, in series whose statics start from rest and then from the one before.
 
-    A robot that does not stand with equal forces has stable configurations in regions of their own: it gets bends all around, large and
-    small.
+    They are bends towards the target and to its sides, and the middle. A robot that does not stand with equal forces has stable
+    configurations in regions of their own: it gets bends all around, and from each it is let go in steps.
     """
     robot, local, middle = problem.model.robot, problem.local(target), np.full(problem.half, 0.5)
-    sizes, turns = ((0.45,), (0, 1, -1)) if problem.balanced.solved else ((0.45, 0.3, 0.15, 0.05), (0, 1, -1, 2, -2, 3))
+    stands = problem.balanced.solved
+    sizes, turns = ((0.45,), (0, 1, -1)) if stands else ((0.45, 0.3, 0.15, 0.0), (0, 1, -1, 2, -2, 3))
     angles = np.arctan2(local[1], local[0]) + np.array(turns) * np.pi / robot.actuators
-    bends = [0.5 - size * np.tile(np.cos(robot.angles - angle), robot.modules) for size in sizes for angle in angles]
-    return [*bends, middle]
+    series = [[middle - size * np.tile(np.cos(robot.angles - angle), robot.modules) for size in sizes] for angle in angles]
+    return [*series, [middle]] if stands else series
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +117,11 @@ class _Search:
         missed = at.errors[:3]
         return 0.5 * float(missed @ missed), at.jacobian[:3].T @ missed
 
-    def run(self, part: np.ndarray, ends: Sequence[_Point]) -> _Point | None:
-        """The end of a search from `part`; None where there is none or it comes to one of the `ends`."""
-        at, penalty, radius, steps = self.at(part, self.problem.model.rest), 1.0, RADIUS, 0
-        if at is None:
-            return None
-        hessian = np.eye(len(part)) if self.least_norm else at.jacobian.T @ at.jacobian
-        hessian.flat[:: len(part) + 1] += 1e-6 * hessian.trace()
+    def run(self, at: _Point, ends: Sequence[_Point]) -> _Point | None:
+        """The end of a search from a point; None where there is none or it comes to one of the `ends`."""
+        penalty, radius, steps, kept = 1.0, RADIUS, 0, None
+        hessian = np.eye(len(at.part)) if self.least_norm else at.jacobian.T @ at.jacobian
+        hessian.flat[:: len(at.part) + 1] += 1e-6 * hessian.trace()
         for _ in range(STEPS):
             value, gradient = self.objective(at)
             missed, slopes = at.errors[self.held], np.ascontiguousarray(at.jacobian[self.held])
@@ -139,11 +143,13 @@ class _Search:
                 break
             moved = trial.part - at.part
             turned = there[1] - gradient + (trial.jacobian[self.held] - slopes).T @ multipliers
+            if UNIT * np.abs(missed).max(initial=0.0) < EQUAL:
+                kept = at
             at, steps, radius = trial, steps + 1, min(RADIUS, 2 * (t * longest if t < 1 else radius))
             _update(hessian, moved, turned)
             if any(np.abs(at.part - end.part).max() < SAME for end in ends):
                 return None
-        end = self._held(at)
+        end = self._held(at) or kept
         return None if end is None else replace(end, steps=steps)
 
     def _held(self, at: _Point) -> _Point | None:
