@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import lfilter
 
 from tepm_opt.data.run import Run
 
@@ -55,6 +54,8 @@ def black_box(fit: Sequence[Run], left: Sequence[np.ndarray], scale: np.ndarray,
 
 def _features(run: Run, scale: np.ndarray, static: bool) -> np.ndarray:
     """Inputs over their size, the same low-passed, and the tip force in N, (rows, features)."""
+    from scipy.signal import lfilter  # as above
+
     inputs = run.inputs / scale
     if static:
         return np.hstack([inputs, run.tip_force])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import correlate
+from scipy.fft import irfft, next_fast_len, rfft
 
 from tepm_opt.data.run import Run
 
@@ -62,12 +62,14 @@ def _costs(measured: np.ndarray, modelled: np.ndarray, most: int) -> np.ndarray:
     seen = np.isfinite(measured)
     known = np.where(seen, measured, 0.0)
     held = np.pad(modelled, ((most, most), (0, 0)), mode="edge")
+    length = next_fast_len(len(held), real=True)
 
     def shifted(series: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        return np.stack([correlate(a, b, mode="valid", method="fft")[::-1] for a, b in zip(series.T, weight.T, strict=True)])
+        product = irfft(rfft(series, length, axis=0) * np.conj(rfft(weight, length, axis=0)), length, axis=0)
+        return np.asarray(product)[2 * most :: -1]
 
-    count = np.maximum(seen.sum(axis=0), 1)[:, None]
+    count = np.maximum(seen.sum(axis=0), 1)
     present = seen.astype(float)
-    mean = (known.sum(axis=0)[:, None] - shifted(held, present)) / count
-    squares = (known**2).sum(axis=0)[:, None] - 2 * shifted(held, known) + shifted(held**2, present)
-    return np.asarray((squares - count * mean**2).sum(axis=0))
+    mean = (known.sum(axis=0) - shifted(held, present)) / count
+    squares = (known**2).sum(axis=0) - 2 * shifted(held, known) + shifted(held**2, present)
+    return np.asarray((squares - count * mean**2).sum(axis=1))

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import dct
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.run import Run
@@ -331,7 +331,7 @@ def _bands(samples: _Samples, runs: Sequence[Run], residuals: Sequence[np.ndarra
     found = []
     for name, e, n in zip(BANDS, energy, count, strict=True):
         if n:
-            chance = float(chi2.sf(e / samples.variance, n)) if samples.variance > 0 else float(e <= 0)
+            chance = float(chdtrc(n, e / samples.variance)) if samples.variance > 0 else float(e <= 0)
             excess = float(e - n * samples.variance)
             rms = float(np.sqrt(3 * max(excess, 0.0) / samples.count))  # squares of the bands add up to the whole
             found.append(samples.found("band", name, excess, float(n), max(chance, 1 / (1 + PERMUTATIONS)), rms))

@@ -106,17 +106,18 @@ def discover(
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
     progress("judging on validation runs", 0, 0)
-    recalibrated = _predict(explanation.without.estimate.model, dataset)
-    compared = nominal if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else recalibrated
 
     def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
         best = _refined(explanation.best.estimate)
         return best, _predict(best.model, dataset)
 
-    def looked_at() -> tuple[Localisation, list[np.ndarray]]:
-        return localise(dataset.runs, compared, noise, channels, dataset.static, seed), _bounded(dataset, recalibrated)
+    def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
+        recalibrated = _predict(explanation.without.estimate.model, dataset)
+        compared = nominal if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else recalibrated
+        place = localise(dataset.runs, compared, noise, channels, dataset.static, seed)
+        return recalibrated, place, _bounded(dataset, recalibrated)
 
-    (best, points), (localisation, bound) = beside(corrected, looked_at)
+    (recalibrated, localisation, bound), (best, points) = beside(looked_at, corrected, compiled.is_c)
     predictions = {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}
     errors = _errors(dataset, noise, predictions, bound)
     verdict = _verdict(dataset, model, noise, explanation, best, errors, localisation, settings)

@@ -57,9 +57,9 @@ def in_parallel(
         pool.shutdown(cancel_futures=True)
 
 
-def beside(one: Callable[[], Result], other: Callable[[], Other]) -> tuple[Result, Other]:
+def beside(one: Callable[[], Result], other: Callable[[], Other], threads: bool = True) -> tuple[Result, Other]:
     """Results of two different pieces of work done at the same time, see `in_parallel`."""
-    first, second = in_parallel(lambda work: work(), [one, other])
+    first, second = in_parallel(lambda work: work(), [one, other], threads=threads)
     return cast("Result", first), cast("Other", second)
 
 
