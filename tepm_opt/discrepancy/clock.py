@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import next_fast_len
 
 from tepm_opt.data.run import Run
 
@@ -65,8 +65,8 @@ def _costs(measured: np.ndarray, modelled: np.ndarray, most: int) -> np.ndarray:
     length = next_fast_len(len(held), real=True)
 
     def shifted(series: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        product = irfft(rfft(series, length, axis=0) * np.conj(rfft(weight, length, axis=0)), length, axis=0)
-        return np.asarray(product)[2 * most :: -1]
+        spectrum = np.fft.rfft(series, length, axis=0) * np.conj(np.fft.rfft(weight, length, axis=0))
+        return np.fft.irfft(spectrum, length, axis=0)[2 * most :: -1]
 
     count = np.maximum(seen.sum(axis=0), 1)
     present = seen.astype(float)

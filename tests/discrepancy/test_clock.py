@@ -16,7 +16,8 @@ def swing(seed: int, rows: int = 600) -> np.ndarray:
     """Points that sway irregularly by some cm, (rows, 4, 3) in m."""
     time, frequencies = np.arange(rows) / RATE, (0.2, 0.37, 0.5, 0.9, 1.3)
     parts = np.random.default_rng(seed).normal(0, 0.01, (5, 4, 3))
-    return 0.3 + sum(part * np.sin(2 * np.pi * f * time + f)[:, None, None] for part, f in zip(parts, frequencies, strict=True))
+    waves = [part * np.sin(2 * np.pi * f * time + f)[:, None, None] for part, f in zip(parts, frequencies, strict=True)]
+    return 0.3 + np.sum(waves, axis=0)
 
 
 def run(points: np.ndarray) -> Run:
