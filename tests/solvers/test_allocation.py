@@ -100,3 +100,11 @@ def test_rounding_stays_in_range_and_is_idempotent(kang, parts):
     assert (rounded <= kang.input_max * (1 + 1e-12)).all()
     assert (abs(rounded - u) <= kang.input_step * (1 + 1e-9)).all()
     np.testing.assert_array_equal(kang.robot.actuation.on_grid(rounded), rounded)
+
+
+def test_small_forces_leave_a_dead_zone(dead_zone):
+    """1 mN is 20 Pa a step, 30 kPa have to be crossed: steps that nothing answers double."""
+    forces = np.array([1e-3, 2e-3, 5e-4, 1e-3, 3e-3, 1e-2])
+    found = allocate(dead_zone, forces, ActuationMode.PRESSURE)
+    assert found.error < 1e-9
+    np.testing.assert_allclose(axial_forces(dead_zone, found.inputs), forces, rtol=0, atol=1e-9)

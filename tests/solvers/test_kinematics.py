@@ -1,5 +1,6 @@
 """Equal-curvature inverse kinematics: what is found holds in statics, what is not found is out of reach indeed."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,6 +190,13 @@ class TestTrajectory:
         """A caller that stops, or is stopped, keeps what there is."""
         many = each_configuration(kang, np.repeat(CIRCLE, 1000, axis=0))
         assert [next(many).solved for _ in range(3)] == [True] * 3
+
+    def test_threads_do_not_disturb_each_other(self, kang):
+        """Problems of two modes and loads, mixed: what a thread has copied to C is of its last one."""
+        asked = [(target, MODES[k % 2], [0.0, 0.05 * (k % 3), 0.0]) for k, target in enumerate(np.tile(CIRCLE, (4, 1)))]
+        with ThreadPoolExecutor(4) as pool:
+            together = [found.forces for found in pool.map(lambda one: solve_ik(kang, *one), asked)]
+        np.testing.assert_array_equal(together, [solve_ik(kang, *one).forces for one in asked])
 
     def test_python_finds_the_same(self, kang, kang_python, compiler):
         for mode in MODES:
