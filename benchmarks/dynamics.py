@@ -29,6 +29,8 @@ REST = 1e-4  # s at rest before the pressure steps, which takes ours one more st
 RK4_STEP = 1e-3 / 3
 PEER_STEPS = (20, 10, 5)  # ms, beside the peers
 STEPS = (20, 10, 20 / 3, 5, 4, 2.5, 2)  # ms; each divides a sample
+ERRORS = (10e-3, 5e-3, 3e-3, 1e-3, 1e-4)  # m, asked of adaptive steps beside the peers
+SIZES_ERROR = 1e-3  # m
 SEGMENTS = (2, 4, 6, 12, 24)
 DIRECTIONS = 20
 STEPPER = "tepm_opt model.stepper, rk4"
@@ -78,6 +80,15 @@ class _Step:
             ours=True,
         )
 
+    def adaptive(self, name: str, error: float) -> Contender:
+        """Ours with steps that adapt to an error in m."""
+        return Contender(
+            name,
+            lambda: simulate(self.model, self.setpoints, error=error, hold=True).complete(),
+            lambda found: self.error(found.tip[2:]),
+            ours=True,
+        )
+
     def task(self, key: str, title: str, contenders: Sequence[Contender]) -> Task:
         """Contenders whose answer is their error at every sample."""
         return Task(key, title, np.zeros(len(self.converged)), list(contenders), LARGEST, DURATION)
@@ -106,6 +117,7 @@ class _Step:
 def _beside_peers(scene: Scene, workshop: Workshop, step: _Step, quick: bool) -> Task:
     times = step.setpoints.time[1:]
     contenders = [step.implicit(f"{IMPLICIT}, {_ms(size)}", size) for size in PEER_STEPS]
+    contenders += [step.adaptive(f"{IMPLICIT}, {1e3 * error:g} mm asked for", error) for error in ERRORS]
     contenders += step.explicit()
 
     def tips(states: np.ndarray) -> np.ndarray:
@@ -155,7 +167,7 @@ def _sizes(scene: Scene) -> Task:
         robot = scene.model.robot
         robot = robot.model_copy(update={"geometry": robot.geometry.model_copy(update={"segments_per_module": count})})
         steps.append(_Step.of(compile_model(robot, backend="c"), scene.bent.inputs))
-        contenders.append(steps[-1].implicit(f"n_e = {count}, 10 ms", 10))
+        contenders.append(steps[-1].adaptive(f"n_e = {count}, {1e3 * SIZES_ERROR:g} mm asked for", SIZES_ERROR))
     return steps[0].task("segments", f"The same step with n_e segments a module, {DURATION:g} s", contenders)
 
 
@@ -184,10 +196,11 @@ def _data_set(model: CompiledModel, folder: Path | None) -> Task:
     def errors(simulations: list[Simulation]) -> np.ndarray:
         return np.concatenate([np.linalg.norm(a.tip - b[:, -1], axis=1) for a, b in zip(simulations, points, strict=True)])
 
-    def all_runs(step: float) -> Callable[[], Any]:
-        return lambda: [simulate(model, run, step=step).complete() for run in runs]
+    def all_runs(**how: float) -> Callable[[], Any]:
+        return lambda: [simulate(model, run, **how).complete() for run in runs]
 
-    contenders = [Contender(f"{IMPLICIT}, {_ms(1e3 * step)}", all_runs(step), errors, ours=True) for step in (10e-3, 20e-3, 5e-3)]
+    contenders = [Contender(f"{IMPLICIT}, default: 0.1 mm asked for", all_runs(), errors, ours=True)]
+    contenders += [Contender(f"{IMPLICIT}, {_ms(1e3 * step)}", all_runs(step=step), errors, ours=True) for step in (10e-3, 20e-3)]
     length = sum(float(run.time[-1] - run.time[0]) for run in runs)
     title = f"A data set, {length:g} s: {len(runs)} {kind}"
     return Task("data", title, np.zeros(sum(map(len, points))), contenders, LARGEST, length)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -27,6 +28,9 @@ LEAST_ERROR = 1e-7  # m, above what Newton's residuals leave
 BEND = 30.0  # 1/s: bends of the inputs that change the points' speed by more than this times the error asked for end a step
 SAFETY = 0.9  # of the largest stable RK4 step, for what happens between the samples it is computed at
 CHUNK = 0.5  # s of simulated time between two reports of progress
+
+MOST_LIMITS = 100  # of a model that are remembered
+_LIMITS: WeakKeyDictionary[CompiledModel, dict[bytes, float]] = WeakKeyDictionary()  # stable steps by the rows they are computed at
 
 
 class SimulationError(RuntimeError):
@@ -233,8 +237,13 @@ def _stable_step(model: CompiledModel, setpoints: SetPoints, drive: Drive, step:
     """
     fullest = np.argmax(setpoints.inputs[:, : model.layout.inputs // 2].sum(axis=1))
     rows = sorted({0, int(fullest)})
-    equilibria = [_start(model, setpoints, int(row), drive, strict=row == 0) for row in rows]
-    limit = min(stable_step(found) for found in equilibria if found.solved)
+    known, key = _LIMITS.setdefault(model, {}), drive.rows[rows].tobytes()
+    if key not in known:
+        if len(known) >= MOST_LIMITS:
+            known.clear()
+        equilibria = [_start(model, setpoints, int(row), drive, strict=row == 0) for row in rows]
+        known[key] = min(stable_step(found) for found in equilibria if found.solved)
+    limit = known[key]
     if step is not None and step > limit:
         raise InputError(f"step: {1e3 * step:.4g} ms; valid with 'rk4': at most {1e3 * limit:.4g} ms, or the method 'implicit'")
     return SAFETY * limit if step is None else step

@@ -247,6 +247,22 @@ class TestRk4:
         with pytest.raises(InputError, match=r"step: 0\.5 ms; valid with 'rk4': at most 0\.4\d+ ms, or the method 'implicit'"):
             simulate(kang, gentle(kang, 0.2, 5), "rk4", step=5e-4)
 
+    def test_it_is_computed_once_for_a_model_and_its_rows(self, monkeypatch):
+        """Other rows, other parameters and other effects have limits of their own."""
+        model, computed = compile_model(NOMINAL), []
+        monkeypatch.setattr(module, "stable_step", lambda found: computed.append(found) or stable_step(found))
+        points = gentle(model, 0.02, 3, 0.02)
+        first = simulate(model, points, "rk4")
+        known = len(computed)
+        assert simulate(model, points, "rk4").step == first.step
+        assert len(computed) == known
+        half = SetPoints(points.time, 0.5 * points.inputs, points.tip_force)
+        assert simulate(model, half, "rk4").step != first.step
+        assert len(computed) > known
+        lighter = model.with_theta(np.where([name == "m_d" for name in model.network.parameter_names], 0.8, 1.0) * model.theta)
+        assert simulate(lighter, points, "rk4").step < 0.95 * first.step
+        assert simulate(model, points, "rk4").step == first.step
+
     def test_friction_lowers_it(self, kang):
         sticky = compile_model(in_company(structural_friction={"force": 5.0, "distance": 1e-5}))
         assert stable_step(solve_statics(sticky, np.zeros(12))) < 0.9 * stable_step(solve_statics(kang, np.zeros(12)))

@@ -1,14 +1,22 @@
-/* Add a segment's matrix, (lower, upper level)² column by column, to the blocks. */
-static void scatter(work *w, int s, const double *block) {
-  for (int c = 0; c < NB; c++) {
-    const double *lower = block + c * 2 * NB, *upper = block + (NB + c) * 2 * NB;
-    for (int r = 0; r < NB; r++) {
-      w->diagonal[s][c][r] += lower[r];
-      w->below[s + 1][c][r] = lower[NB + r];
-      w->above[s + 1][c][r] = upper[r];
-      w->diagonal[s + 1][c][r] = upper[NB + r];
-    }
-  }
+/* Add the matrices of a batch of segments, (lower, upper level)² column by column and a segment a lane, to the blocks: rows in groups of
+   LANES, turned so that a segment has them side by side. */
+static void scatter(work *w, int first, int count, const vector *matrix) {
+  for (int k = 0; k < 2 * NB; k++)
+    for (int half = 0; half < 2; half++)
+      for (int part = 0; part < PARTS; part++) {
+        int c = (k + NB) % (2 * NB); /* columns of the upper level first: they begin its block */
+        vector rows[LANES] = {{0}}, turned[LANES];
+        for (int i = 0; i < LANES && part * LANES + i < NB; i++) rows[i] = matrix[c * 2 * NB + half * NB + part * LANES + i];
+        for (int lane = 0; lane < LANES; lane++) for (int i = 0; i < LANES; i++) turned[lane][i] = rows[i][lane];
+        for (int lane = 0; lane < count; lane++) {
+          int s = first + lane;
+          vector *lower = (vector *)(half ? w->below[s + 1] : w->diagonal[s])[c % NB] + part;
+          vector *upper = (vector *)(half ? w->diagonal[s + 1] : w->above[s + 1])[c % NB] + part;
+          if (c >= NB) *upper = turned[lane];
+          else if (half) *lower = turned[lane];
+          else *lower += turned[lane];
+        }
+      }
 }
 
 /* Inverse of a block in place by Gauss-Jordan without pivoting (matrices here are positive definite up to the small asymmetry of
@@ -123,12 +131,11 @@ static void forces(work *w, double step, int with_tangent) {
       int s = first + lane;
       for (int i = 0; i < NB; i++) { w->force[s][i] += force[i][lane]; w->force[s + 1][i] += force[NB + i][lane]; }
       for (int k = 0; k < NEDGE; k++) w->rate[s][k] = rate[k][lane];
-      if (!with_tangent) continue;
-      for (int k = 0; k < 4 * NB * NB; k++) w->block[k] = matrix[k][lane];
-      for (int i = NB; i < 2 * NB; i++) w->block[i * (2 * NB + 1)] += w->P[s][MASS] / step / step;
-      scatter(w, s, w->block);
     }
+    if (with_tangent) scatter(w, first, count, matrix);
   }
+  for (int l = 1; l <= NLEV && with_tangent; l++)
+    for (int i = 0; i < NB; i++) w->diagonal[l][i][i] += w->P[l - 1][MASS] / step / step;
 }
 
 /* Forces, and the factored tangent M / step^2 + d force / d positions of a stage. */

@@ -57,12 +57,11 @@ static int linearise(work *w, double step, const double *a, int resting) {
     segment_by_lanes(arg, res);
     for (int k = 0; k < w->chosen.start[BY_ROWS]; k++)
       for (int lane = 0; lane < count; lane++) w->by[first + lane][k] = by[w->chosen.entry[k]][lane];
-    for (int lane = 0; lane < count && resting; lane++) {
-      memset(w->block, 0, sizeof w->block);
-      for (int k = 0; k < segment_by_nnz; k++)
-        if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) w->block[segment_by_col[k] * 2 * NB + segment_by_row[k]] = by[k][lane];
-      scatter(w, first + lane, w->block);
-    }
+    if (!resting) continue;
+    vector matrix[4 * NB * NB] = {{0}};
+    for (int k = 0; k < segment_by_nnz; k++)
+      if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) matrix[segment_by_col[k] * 2 * NB + segment_by_row[k]] = by[k];
+    scatter(w, first, count, matrix);
   }
   return resting ? factor(w) : 0;
 }

@@ -56,7 +56,7 @@ typedef struct {
   double by[NLEV][segment_by_nnz]; /* segment_by of every segment, as the selection orders it */
   selection chosen;
   vector pull[BATCHES][NEDGES], trusted[BATCHES][NEDGES]; /* of the edges: at the last evaluation, and in the last stage that was solved */
-  double block[4 * NB * NB], by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
+  double by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
   double kernel_work[SZ_W + 1];
   casadi_int kernel_iwork[SZ_IW + 1];
   const double *theta;
