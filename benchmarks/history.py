@@ -75,6 +75,8 @@ def draw(figures: Figures) -> None:
     axes = picture.add_subplot()
     axes.axvspan(1e-3, 1, color="0.94", zorder=0)
     axes.axvline(1, color="0.4", linewidth=1, zorder=1)
+    axes.grid(axis="y", color="0.88", linewidth=0.6)
+    axes.set_axisbelow(True)
     shades = [str(0.75 - 0.75 * (k + 1) / len(versions)) if k + 1 < len(versions) else "C0" for k in range(len(versions))]
     for height, goal in enumerate(rows):
         margins = [(k, goal.margin(figures[v][goal.name])) for k, v in enumerate(versions) if goal.name in figures[v]]
@@ -89,7 +91,7 @@ def draw(figures: Figures) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_yticks(range(len(rows)), [goal.name for goal in rows], fontsize=7)
     axes.set_ylim(-0.7, len(rows) - 0.3)
-    axes.set_xlabel("figure over its target (or target over figure where less is better): met from 1 on")
+    axes.set_xlabel("figure over target; where less is better, target over figure", fontsize=9)
     axes.legend(loc="lower right", fontsize=8)
     picture.savefig(PICTURE)
 
