@@ -92,7 +92,7 @@ def draw(figures: Figures) -> None:
     axes.set_yticks(range(len(rows)), [goal.name for goal in rows], fontsize=7)
     axes.set_ylim(-0.7, len(rows) - 0.3)
     axes.set_xlabel("figure over target; where less is better, target over figure", fontsize=9)
-    axes.legend(loc="lower right", fontsize=8)
+    axes.legend(loc="upper left", fontsize=8)
     picture.savefig(PICTURE)
 
 
