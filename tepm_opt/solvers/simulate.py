@@ -27,7 +27,7 @@ ERROR = 1e-4  # m at which implicit steps aim where nothing else is asked for
 LEAST_ERROR = 1e-7  # m, above what Newton's residuals leave
 BEND = 30.0  # 1/s: bends of the inputs that change the points' speed by more than this times the error asked for end a step
 SAFETY = 0.9  # of the largest stable RK4 step, for what happens between the samples it is computed at
-CHUNK = 0.5  # s of simulated time between two reports of progress
+CHUNK = 1.0  # s of simulated time between two reports of progress
 
 MOST_LIMITS = 100  # of a model that are remembered
 _LIMITS: WeakKeyDictionary[CompiledModel, dict[bytes, float]] = WeakKeyDictionary()  # stable steps by the rows they are computed at
@@ -168,7 +168,7 @@ def simulate(
         loads: further known forces on the reference points in G, (samples, points, 3) in N.
         directions: what to differentiate by; "implicit" only.
         tolerance: residual forces in N to which implicit stages are solved.
-        progress: told the time simulated in s, about twice per simulated second.
+        progress: told the time simulated in s, about once per simulated second.
         error: of the nodes in m at which adaptive steps aim. Default: 0.1 mm.
 
     Raises:

@@ -56,8 +56,8 @@ class TestReferenceRuns:
     def test_implicit(self, kang):
         assert self.errors(kang, step=0.005) < 1e-6
         assert self.errors(kang, step=0.01) < 5e-6
-        assert self.errors(kang) < 5e-5
-        assert self.errors(kang, error=1e-5) < 5e-6
+        assert self.errors(kang) < 5e-6
+        assert self.errors(kang, error=1e-5) < 5e-7
 
     def test_rk4(self, kang):
         assert self.errors(kang, method="rk4") < 1e-7

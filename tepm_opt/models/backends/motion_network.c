@@ -1,3 +1,21 @@
+/* turned[lane][i] = rows[i][lane] */
+static inline void turn(const vector *rows, vector *turned) {
+#if LANES == 4 && defined __has_builtin
+#if __has_builtin(__builtin_shufflevector)
+#define TURNED
+  vector a = __builtin_shufflevector(rows[0], rows[1], 0, 4, 2, 6), b = __builtin_shufflevector(rows[0], rows[1], 1, 5, 3, 7);
+  vector c = __builtin_shufflevector(rows[2], rows[3], 0, 4, 2, 6), d = __builtin_shufflevector(rows[2], rows[3], 1, 5, 3, 7);
+  turned[0] = __builtin_shufflevector(a, c, 0, 1, 4, 5);
+  turned[1] = __builtin_shufflevector(b, d, 0, 1, 4, 5);
+  turned[2] = __builtin_shufflevector(a, c, 2, 3, 6, 7);
+  turned[3] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
+#endif
+#endif
+#ifndef TURNED
+  for (int lane = 0; lane < LANES; lane++) for (int i = 0; i < LANES; i++) turned[lane][i] = rows[i][lane];
+#endif
+}
+
 /* Add the matrices of a batch of segments, (lower, upper level)² column by column and a segment a lane, to the blocks: rows in groups of
    LANES, turned so that a segment has them side by side. */
 static void scatter(work *w, int first, int count, const vector *matrix) {
@@ -7,7 +25,7 @@ static void scatter(work *w, int first, int count, const vector *matrix) {
         int c = (k + NB) % (2 * NB); /* columns of the upper level first: they begin its block */
         vector rows[LANES] = {{0}}, turned[LANES];
         for (int i = 0; i < LANES && part * LANES + i < NB; i++) rows[i] = matrix[c * 2 * NB + half * NB + part * LANES + i];
-        for (int lane = 0; lane < LANES; lane++) for (int i = 0; i < LANES; i++) turned[lane][i] = rows[i][lane];
+        turn(rows, turned);
         for (int lane = 0; lane < count; lane++) {
           int s = first + lane;
           vector *lower = (vector *)(half ? w->below[s + 1] : w->diagonal[s])[c % NB] + part;
@@ -63,13 +81,14 @@ static int factor(work *w) {
   return 0;
 }
 
-/* sum = start + sign * (block times x) */
+/* sum = start + sign * (block times x); columns in two sums that do not wait for each other */
 static void multiply(panel a, const double *x, double sign, const double *start, double *sum) {
-  vector total[PARTS] = {{0}};
-  memcpy(total, start, NB * sizeof(double));
+  vector total[2][PARTS] = {{{0}}};
+  memcpy(total[0], start, NB * sizeof(double));
   for (int c = 0; c < NB; c++)
-    for (int v = 0; v < PARTS; v++) total[v] += ((vector *)a[c])[v] * (sign * x[c]);
-  memcpy(sum, total, NB * sizeof(double));
+    for (int v = 0; v < PARTS; v++) total[c % 2][v] += ((vector *)a[c])[v] * (sign * x[c]);
+  for (int v = 0; v < PARTS; v++) total[0][v] += total[1][v];
+  memcpy(sum, total[0], NB * sizeof(double));
 }
 
 static void multiply_lanes(panel a, const vector *x, double sign, const vector *start, vector *sum) {
@@ -171,8 +190,9 @@ static int newton(stepper *m, work *w, double step, levels x_0, levels v_0, int 
     move(from, w->step, -1, w->x);
     for (int l = 1; l <= NLEV; l++)
       for (int i = 0; i < NB; i++) {
-        corrected = fmax(corrected, fabs(w->x[l][i] - guess[l][i]));
-        size = fmax(size, fabs(w->step[l][i]));
+        double far = fabs(w->x[l][i] - guess[l][i]), long_ = fabs(w->step[l][i]); /* fmax would be a call */
+        corrected = far > corrected ? far : corrected;
+        size = long_ > size ? long_ : size;
       }
     if (corrected > m->max_correction && !last_try) return STUCK; /* too far to trust that this is the solution nearby */
     m->iterations++;

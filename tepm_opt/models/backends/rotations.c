@@ -11,7 +11,7 @@ static rotation rotate_by(const double *by) {
   double square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2];
   if (square < 0.1) {
     double s = 1, c = 1; /* the last terms are below 1e-17 */
-    for (int k = 12; k; k -= 2) { s = 1 - square / (k * (k + 1)) * s; c = 1 - square / ((k + 1) * (k + 2)) * c; }
+    for (int k = 12; k; k -= 2) { s = 1 - square * (1. / (k * (k + 1))) * s; c = 1 - square * (1. / ((k + 1) * (k + 2))) * c; }
     r.s = s; r.c = c / 2;
   } else {
     double angle = sqrt(square);
