@@ -58,7 +58,8 @@ def tasks(session: Session) -> list[Task]:
         return Contender(folder.name, solve, judged, ours=True)
 
     contenders = [contender(folder) for folder in folders[:2] if session.quick] or [contender(folder) for folder in folders]
-    return [Task("verdict", "From data set to verdict, all cores", np.zeros(1), contenders, once=True)]
+    title = "From data set to verdict, all cores" + (" (what is named is not judged)" if session.data else "")
+    return [Task("verdict", title, np.zeros(1), contenders, once=True)]
 
 
 def _median(task: Task, _: Limit) -> float:
