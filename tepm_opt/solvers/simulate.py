@@ -294,7 +294,7 @@ def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float)
         bends = [
             np.diff(np.diff(part, axis=0) / np.diff(drive.time)[:, None], axis=0) @ gain.T for part, gain in zip(parts, gains, strict=True)
         ]
-        speeds = [np.linalg.norm(bend.reshape(len(bend), -1, 3), axis=2).max(axis=1, initial=0.0) for bend in bends]
+        speeds = [np.linalg.norm(bend.reshape(len(bend), points // 3, 3), axis=2).max(axis=1, initial=0.0) for bend in bends]
         found = [drive.time[1:-1][speed > BEND * error] for speed in speeds]
     return np.unique(np.concatenate([times + delay for times, delay in zip(found, late, strict=True)]))
 
