@@ -16,8 +16,8 @@ from tests.tools import in_company, variant
 MACHINES = {
     "kang2017": lambda: Model.of("kang2017"),
     "one module of four actuators": MODELS["one module of four actuators"],
-    "three modules": lambda: Model.of(variant(geometry={"modules": 3, "segments_per_module": 4}, parameters={"m_d": 0.1})),
-    "four modules": lambda: Model.of(variant(geometry={"modules": 4, "segments_per_module": 3}, parameters={"m_d": 0.05})),
+    "three modules": lambda: Model.of(variant(geometry={"modules": 3, "segments_per_module": 4}, parameters={"m_d": 0.05})),
+    "four modules": lambda: Model.of(variant(geometry={"modules": 4, "segments_per_module": 3}, parameters={"m_d": 0.02})),
     "two segments": lambda: Model.of(variant(geometry={"segments_per_module": 2})),
     "twelve segments": lambda: Model.of(variant(geometry={"segments_per_module": 12})),
     "friction": lambda: in_company(structural_friction={"force": 0.5, "distance": 1e-3}),
@@ -54,9 +54,10 @@ def motions(model, rng):
     "name", [pytest.param(name, marks=() if name in ("kang2017", "friction") else pytest.mark.slow) for name in MACHINES]
 )
 def test_the_error_is_below_the_one_stated(name, compiler):
-    """Against steps of 0.5 ms, with the robot's parameters and with random ones."""
+    """Against steps of 0.5 ms, with the robot's parameters and with random ones; fixed steps need a delay of whole samples."""
     rng, model = np.random.default_rng(3), compile_model(MACHINES[name](), backend="c")
-    for machine in (model, model.with_theta(model.theta * rng.uniform(0.8, 1.25, len(model.theta)))):
+    late = np.array([parameter.endswith(".delay") for parameter in model.network.parameter_names])
+    for machine in (model, model.with_theta(model.theta * np.where(late, 1.0, rng.uniform(0.8, 1.25, len(late))))):
         for motion, setpoints, hold in motions(machine, rng):
             exact = simulate(machine, setpoints, step=5e-4, hold=hold, tolerance=1e-9).complete()
             for error in (3e-3, 1e-4):
