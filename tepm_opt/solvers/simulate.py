@@ -24,7 +24,7 @@ from tepm_opt.solvers.text import listed
 Method = Literal["implicit", "rk4"]
 METHODS: tuple[Method, ...] = ("implicit", "rk4")
 ERROR = 1e-4  # m at which implicit steps aim where nothing else is asked for
-LEAST_ERROR = 1e-7  # m, above what Newton's residuals leave
+LEAST_ERROR, MOST_ERROR = 1e-7, 0.1  # m, the least above what Newton's residuals leave
 BEND = 30.0  # 1/s: bends of the inputs that change the points' speed by more than this times the error asked for end a step
 SAFETY = 0.9  # of the largest stable RK4 step, for what happens between the samples it is computed at
 CHUNK = 1.0  # s of simulated time between two reports of progress
@@ -181,8 +181,8 @@ def simulate(
         raise InputError("directions: sensitivities are computed by method 'implicit'")
     if error is not None and (method == "rk4" or step is not None):
         raise InputError("error: steps adapt to it with method 'implicit' and without a step")
-    if error is not None and not error >= LEAST_ERROR:
-        raise InputError(f"error: {error:g} m; valid: at least {LEAST_ERROR:g} m")
+    if error is not None and not LEAST_ERROR <= error <= MOST_ERROR:
+        raise InputError(f"error: {error:g} m; valid: {LEAST_ERROR:g} … {MOST_ERROR:g} m")
     drive = _drive(model, setpoints, hold, loads, directions)
     start = _start(model, setpoints, 0, drive)
     if method == "rk4":
