@@ -196,7 +196,7 @@ def _data_set(model: CompiledModel, folder: Path | None) -> Task:
     def errors(simulations: list[Simulation]) -> np.ndarray:
         return np.concatenate([np.linalg.norm(a.tip - b[:, -1], axis=1) for a, b in zip(simulations, points, strict=True)])
 
-    def all_runs(**how: float) -> Callable[[], Any]:
+    def all_runs(**how: Any) -> Callable[[], Any]:
         return lambda: [simulate(model, run, **how).complete() for run in runs]
 
     contenders = [Contender(f"{IMPLICIT}, default: 0.1 mm asked for", all_runs(), errors, ours=True)]
