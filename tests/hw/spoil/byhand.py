@@ -241,8 +241,8 @@ HOST_SLIPS = (
     Slip(
         "measured pressures may be half as much again",
         _GUARD,
-        "over = values > (1 + self._margin) * limits",
-        "over = values > 1.5 * limits",
+        "self._most = {kind: (1 + margin) * limits for",
+        "self._most = {kind: 1.5 * limits for",
     ),
     Slip("a rig may go on blind", _GUARD, "sample.time - self._seen > self._blind:", "sample.time < self._seen:"),
     Slip("commands below zero pass", "tepm_opt/hw/commands.py", "(values >= -_ROUNDING * limits) & ", "~np.isnan(values) & "),
