@@ -39,6 +39,7 @@ def stops_at(watch: Watch, *, bad: dict[str, Any], good: int = 10, until: float 
     [
         ({"pressures": (1e5, 5.3e5, 1e5)}, 0.0, Ending.LIMIT, "measured pressure_12 is 106 % of its limit"),
         ({"tensions": (1.0, 1.0, 7.4)}, 0.0, Ending.LIMIT, "measured tension_13 is 106 % of its limit"),
+        ({"pressures": (5.3e5, 5.3e5, 5.3e5)}, 0.0, Ending.LIMIT, "measured pressure_11 is 106 % of its limit"),
         ({"tensions": (np.inf, 1.0, 1.0)}, 0.0, Ending.LIMIT, "tension_11"),
         ({"pressures": (np.nan, 5.3e5, np.nan)}, 0.0, Ending.LIMIT, "pressure_12"),
         ({"pressures": (1e5, 5.3e5, 1e5), "tensions": (9.0, 1.0, 1.0)}, 0.0, Ending.LIMIT, "pressure_12"),
@@ -76,3 +77,12 @@ def test_gaps_that_are_short() -> None:
     for k in range(1000):
         pressures = (np.nan if k % 20 < 15 else 5.25e5, 1e5, 1e5)
         watch.check(sample(0.01 * k, pressures, (7.35, 0.0, -0.1), POINTS if k % 100 > 90 else LOST))
+
+
+def test_a_limit_of_time_itself_is_still_allowed() -> None:
+    """A second without points is borne, a millisecond more is not."""
+    watch = Watch(NAMES, LIMITS)
+    watch.check(sample(0.0))
+    watch.check(sample(1.0, points=LOST))
+    with pytest.raises(Stopped, match="no tracked point for 1 s"):
+        watch.check(sample(1.0 + 2**-10, points=LOST))

@@ -7,6 +7,11 @@ from tests.hw.spoil.spoiling import BOARD, FIRMWARE, StaleError, source
 
 EQUIVALENT = {
     (
+        "tepm_opt/hw/guard.py",
+        "if TYPE_CHECKING:",
+        "if (not (TYPE_CHECKING)):",
+    ): "The import is for the types alone; that it is made only costs time.",
+    (
         f"{FIRMWARE}/tepm.cpp",
         "link::receive(); motors::alive();",
         "motors::alive(); link::receive();",
