@@ -42,8 +42,8 @@ class Goal:
         return figure >= self.bound if self.at_least else figure <= self.bound
 
     def margin(self, figure: float) -> float:
-        """The figure over its bound, or the other way round, so that 1 and more is met."""
-        return figure / self.bound if self.at_least else self.bound / figure
+        """The figure over its bound, or the other way round, so that 1 and more is met; at most 10, also where the figure is 0."""
+        return min(figure / self.bound if self.at_least else self.bound / max(figure, self.bound / 10), 10.0)
 
 
 def faster(task: str, name: str, factor: float, peer: str) -> Goal:

@@ -100,7 +100,9 @@ class TestMeasure:
         measure(task, 10, quick=False)
         assert len(calls) == len(once.times) == 1
 
-    @pytest.mark.parametrize(("figure", "met"), [(1.9, (False, True)), (2.1, (True, False)), (2.0, (True, True)), (np.nan, (None, None))])
+    @pytest.mark.parametrize(
+        ("figure", "met"), [(1.9, (False, True)), (2.1, (True, False)), (2.0, (True, True)), (0.0, (False, True)), (np.nan, (None, None))]
+    )
     def test_both_kinds_of_bound(self, figure, met):
         both = [Goal("x", "n", "t", lambda *_: figure, 2.0, at_least) for at_least in (True, False)]
         assert tuple(goal.met(figure) for goal in both) == met
