@@ -208,7 +208,7 @@ class SimulatedRig:
         samples = []
         for k in range(done):
             points = self._lens.look(self._seen(frames, k))
-            lost = self._lost(points) if tracker.dropout_probability else ()
+            lost = self._lost(points) if np.isnan(points).any() else ()
             status = f"tracker lost {', '.join(lost)}" if lost else "ok"
             pressure, tension = (None if of is None else of[k] for of in (pressures, tensions))
             samples.append(Sample(at[k] * step, points, pressure, tension, status=status))
