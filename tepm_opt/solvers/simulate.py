@@ -94,7 +94,8 @@ class Simulation:
         sensitivities: change of points along each direction, (directions, samples, points, 3), in m per unit of the direction.
         directions: their names.
         method, step: how it was done; the longest step in s.
-        error: estimate of the nodes' largest error in m over all samples; NaN where the step was given.
+        error: estimate of the nodes' largest error in m over all samples; NaN where the step was given. Not a bound: of 360 motions of
+            ten machines it was too small in nine, up to eight times where every effect with corners acted at once.
         effort: steps and iterations it took.
         outcome: SOLVED; FAILED where the motion left all bounds or a stage had no solution; INTERRUPTED by Ctrl-C.
     """
