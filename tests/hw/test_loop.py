@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 from tepm_opt.cli import rigs, run
 from tepm_opt.data.run import read_run
 from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.board.link import LinkError
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Command, Rig, Sample
@@ -111,6 +113,15 @@ def script(rig: Rig) -> list[Sample]:
     return samples
 
 
+def undisturbed(work: Callable[[], list[Sample]], attempts: int = 6) -> list[Sample]:
+    """What came of a run in real time in which the test's machine did not stand still: link and board rightly end the others."""
+    for _ in range(attempts - 1):
+        with contextlib.suppress(LinkError):
+            return work()
+        time.sleep(1.0)
+    return work()
+
+
 @pytest.fixture
 def terminal(firmware: Path, program: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """The emulated board as a program of its own, in real time behind a pseudo-terminal."""
@@ -142,7 +153,7 @@ def test_one_script_for_every_rig(terminal: tuple[str, subprocess.Popen[str]], t
     steps.write_text("\n".join([",".join(["time_s", *names]), ",".join(["0", *["0"] * 12]), ",".join(["0.8", *["0"] * 12])]) + "\n")
     assert run(["play", str(steps), "--out", str(out), "--rate", "100", "--json"]) == 0
     played = script(open_rig(f"replay:{out}"))
-    on_hardware = script(open_rig(f"serial:{port}"))
+    on_hardware = undisturbed(lambda: script(open_rig(f"serial:{port}")))
     for samples in (simulated, played, on_hardware):
         assert len(samples) == 61
         assert samples[-1].points.shape == (4, 3)
