@@ -10,10 +10,12 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
+from hypothesis.internal.conjecture import providers
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from tepm_opt.hw.board import protocol
@@ -296,7 +298,8 @@ class Machine(RuleBasedStateMachine):
 def run_episodes(
     make: Callable[..., Board], number: int, count: int, steps: int = STEPS, two_wire: bool = False, shrink: bool = True
 ) -> None:
-    """So many episodes; which ones is decided by the number.
+    """So many episodes; which ones is decided by the number, and not by what else is loaded (hypothesis likes to draw numbers that stand in
+    any module that is).
 
     Args:
         make: a board at power-on, with a seed for the noise in its memory.
@@ -307,19 +310,20 @@ def run_episodes(
         shrink: whether one that fails is made as short as possible.
     """
     machine = seed(number)(type(f"Machine{number}", (Machine,), {"make": staticmethod(make), "two_wire": two_wire}))
-    run_state_machine_as_test(
-        machine,
-        settings=settings(
-            max_examples=count,
-            stateful_step_count=steps,
-            deadline=None,
-            database=None,
-            print_blob=False,
-            report_multiple_bugs=False,
-            suppress_health_check=list(HealthCheck),
-            phases=[Phase.generate, Phase.shrink] if shrink else [Phase.generate],
-        ),
-    )
+    with mock.patch.multiple(providers, _get_local_constants=providers.Constants, CONSTANTS_CACHE=type(providers.CONSTANTS_CACHE)(1024)):
+        run_state_machine_as_test(
+            machine,
+            settings=settings(
+                max_examples=count,
+                stateful_step_count=steps,
+                deadline=None,
+                database=None,
+                print_blob=False,
+                report_multiple_bugs=False,
+                suppress_health_check=list(HealthCheck),
+                phases=[Phase.generate, Phase.shrink] if shrink else [Phase.generate],
+            ),
+        )
 
 
 @dataclass(frozen=True)

@@ -94,3 +94,22 @@ def test_motors_brake_no_earlier_than_they_have_to(armed: Host) -> None:
     print(took)
     assert board.positions.tolist() == [1000] * 6
     assert max(took) <= 0.1066
+
+
+def test_motors_that_go_off_do_not_hold_up_the_others(armed: Host) -> None:
+    """Whenever some go off, the steps of one at full rate stay 100 us apart but for what interrupts may be late."""
+    board, rng = armed.board, np.random.default_rng(0)
+    board.counts_per_step(0)
+    board.steps()
+    apart = []
+    for goal in (6000, 0, 6000):
+        end = board.time + 0.7
+        while board.time < end:
+            armed.set(tendons=[goal] * 6, steps=True, enabled=int(rng.choice([ALL, 1, 3])))
+            armed.run(rng.uniform(0.002, 0.006), step=0.02)
+        steps = board.steps()
+        apart.append(np.diff(steps[steps[:, 1] == 0, 0]).min())
+    print(apart)
+    assert armed.state is State.ARMED
+    assert board.idle_steps == 0
+    assert min(apart) >= 91e-6

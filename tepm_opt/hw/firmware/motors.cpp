@@ -124,12 +124,18 @@ void enable(uint8_t bits) {
   const uint8_t on = bits & ALL, falling = enabled_ & ~on;
   enabled_ = on;
   const uint8_t status = SREG;
+  if (falling) {  // what is left of this pass; tick by tick, as the others' steps must not wait
+    for (Pass &pass : passes) {
+      for (uint8_t tick = 0; tick < TICKS; ++tick) {
+        cli();
+        pass.steps[tick] &= on;
+        __asm__ volatile("" ::: "memory");
+        SREG = status;
+      }
+    }
+  }
   cli();
   ENA_PORT = (ENA_PORT & ~(ALL << ENA_SHIFT)) | (~on & ALL) << ENA_SHIFT;
-  if (falling) {  // what is left of this pass
-    uint8_t *steps = passes[playing].steps;
-    for (uint8_t tick = 0; tick < TICKS; ++tick) steps[tick] &= on;
-  }
   __asm__ volatile("" ::: "memory");
   SREG = status;
 }

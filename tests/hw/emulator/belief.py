@@ -15,7 +15,7 @@ from tepm_opt.hw.board.protocol import ARM, ASK, CONFIG, DISARM, ESTOP, SET, Fau
 from tests.hw.emulator import CHANNELS
 from tests.hw.emulator.causes import LIMITS, Causes
 from tests.hw.emulator.mind import NOBODY, Mind, allowed, configured
-from tests.hw.emulator.trace import MS, Arrival, Heard, Trace
+from tests.hw.emulator.trace import MS, Arrival, Boot, Heard, Trace
 
 CHECK = LIMITS.check
 TIMEOUT_MS = 100
@@ -112,6 +112,13 @@ class Belief:
         kind, values = frame.kind, frame.values
         if kind is None:
             return [mind.counted(frame.torn, bad=1)]
+        if mind.session < 0 and "session" in values:  # HELLO may have told the host what no STATUS has told yet
+            known = mind._replace(session=values["session"])
+            return [then for which in (known, mind) for then in self._done(which, frame, at)]
+        return self._done(mind, frame, at)
+
+    def _done(self, mind: Mind, frame: Arrival, at: int) -> list[Mind]:
+        kind, values = frame.kind, frame.values
         mind = mind.counted(frame.torn, good=1)
         if kind is SET:
             return [self._set(mind, frame, at)]
@@ -235,12 +242,21 @@ class Belief:
             was_armed = {False}
         begin = Mind(boot.frame, self._answer_index(at))
         fresh = {begin.failed(Fault.RESET_WHILE_ARMED) if armed else begin for armed in was_armed}
-        if self._bus_wrong(boot.cycle, 0):
-            fresh = {mind.failed(Fault.BUS) for mind in fresh}
+        fresh = self._bus_at_start(boot, fresh)
         self.sessions |= {mind.session for mind in ends}
         self.story.append(f"{at}: reset by {boot.cause.name}")
         self.goals.append([0] * CHANNELS)
         self.could_arm.append(False)
+        return fresh
+
+    def _bus_at_start(self, boot: Boot, fresh: set[Mind]) -> set[Mind]:
+        """What may be after a start that writes to the two-wire bus, once to each output."""
+        end = max(boot.zero, boot.cycle)  # 0 where the start was not finished
+        for begin, mended in self.trace.bus:
+            if begin is not None and begin <= end and (mended is None or mended >= boot.cycle):
+                failed = {mind.failed(Fault.BUS) for mind in fresh}
+                throughout = begin <= boot.cycle < end and (mended is None or mended >= end)
+                fresh = failed if throughout else fresh | failed
         return fresh
 
     def _answer_index(self, at: int) -> int:
