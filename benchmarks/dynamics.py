@@ -171,10 +171,10 @@ def _sizes(scene: Scene) -> Task:
     return steps[0].task("segments", f"The same step with n_e segments a module, {DURATION:g} s", contenders)
 
 
-def random_runs(model: CompiledModel) -> list[SetPoints]:
-    """Seven runs of 177 s in all whose inputs move linearly every 2 s to random values up to 40 % of their range, from 0."""
+def random_runs(model: CompiledModel, lengths: Sequence[float] = LENGTHS) -> list[SetPoints]:
+    """Runs, of 177 s in all, whose inputs move linearly every 2 s from 0 to random values up to 40 % of their range."""
     random, runs = np.random.default_rng(1), []
-    for length in LENGTHS:
+    for length in lengths:
         time, knots = SAMPLE * np.arange(round(length / SAMPLE) + 1), np.arange(0, length + 2, 2.0)
         values = 0.4 * random.random((len(knots), model.layout.inputs)) * model.input_max
         values[0] = 0.0
