@@ -44,8 +44,8 @@ volatile uint8_t playing;  // index of the pass that the interrupt plays
 volatile bool written, due, hung_;
 volatile uint8_t missed_, patience;
 volatile uint32_t passed;
+volatile uint8_t enabled_;
 
-uint8_t enabled_;
 int16_t position_[MOTORS];
 int32_t speed[MOTORS];      // steps a pass, 16 fractional bits
 uint16_t fraction[MOTORS];  // of a step that is already on its way
@@ -58,7 +58,7 @@ Pass &next() { return passes[playing ^ 1]; }
 
 ISR(TIMER1_COMPA_vect) {
   static uint8_t tick;
-  uint8_t steps = passes[playing].steps[tick];
+  uint8_t steps = passes[playing].steps[tick] & enabled_;  // without what is left of a pass for motors that have gone off
   if (patience && !hung_) {
     --patience;
   } else {
@@ -121,21 +121,10 @@ void enable(uint8_t bits) {
     if (rising & 1 << motor) position_[motor] = 0;
     if (!(bits & 1 << motor)) speed[motor] = fraction[motor] = 0;
   }
-  const uint8_t on = bits & ALL, falling = enabled_ & ~on;
-  enabled_ = on;
+  enabled_ = bits & ALL;
   const uint8_t status = SREG;
-  if (falling) {  // what is left of this pass; tick by tick, as the others' steps must not wait
-    for (Pass &pass : passes) {
-      for (uint8_t tick = 0; tick < TICKS; ++tick) {
-        cli();
-        pass.steps[tick] &= on;
-        __asm__ volatile("" ::: "memory");
-        SREG = status;
-      }
-    }
-  }
   cli();
-  ENA_PORT = (ENA_PORT & ~(ALL << ENA_SHIFT)) | (~on & ALL) << ENA_SHIFT;
+  ENA_PORT = (ENA_PORT & ~(ALL << ENA_SHIFT)) | (~enabled_ & ALL) << ENA_SHIFT;
   __asm__ volatile("" ::: "memory");
   SREG = status;
 }

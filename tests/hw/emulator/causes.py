@@ -9,7 +9,7 @@ import numpy as np
 from tepm_opt.hw.board.limits import Limits
 from tepm_opt.hw.board.protocol import Fault
 from tepm_opt.models.robot import load_robot
-from tests.hw.emulator import CHANNELS
+from tests.hw.emulator import CHANNELS, HZ
 
 LIMITS = Limits.of(load_robot("kang2017"))
 DYNAMOMETER_HIGH = 31130
@@ -64,6 +64,8 @@ class Causes:
         self._monitors = np.zeros((HISTORY, CHANNELS), dtype=int)
         self._dacs = np.zeros((HISTORY, CHANNELS), dtype=int)
         self._runs = {name: np.zeros(CHANNELS, dtype=int) for name in ("dead", "high", "over", "low", "off")}
+        self._gaps: list[int] = []
+        self._last = -1
         self._held = np.zeros(CHANNELS, dtype=bool)
         self._levels = {fault: np.zeros(CHANNELS) for fault in (Fault.PRESSURE_TOO_HIGH, Fault.MONITOR, Fault.REGULATOR)}
 
@@ -89,6 +91,10 @@ class Causes:
             delay: passes until a DAC has what the firmware wrote.
         """
         count = len(records)
+        cycles = records["cycle"].astype(int)
+        since = np.diff(cycles, prepend=cycles[0] - HZ // 1000 if self._last < 0 else self._last)
+        gaps = [*self._gaps, *np.ceil(since / (HZ / 1000) - 0.5).astype(int).tolist()]
+        self._last, self._gaps = int(cycles[-1]), gaps[-ROUND:]
         dyn = np.concatenate([self._dynamometers, records["dynamometers"].astype(int)])
         mon = np.concatenate([self._monitors, records["monitors"].astype(int)])
         dac = np.concatenate([self._dacs, records["dac"].astype(int)])
@@ -132,6 +138,7 @@ class Causes:
             return
         for n in range(count):
             may: dict[Fault, set[int]] = {}
+            gap = max(gaps[max(len(gaps) - count + n - ROUND, 0) : len(gaps) - count + n + 1])  # ms for which one look at a monitor counts
             self._held = (self._held & ~calm[n]) | high[HISTORY + n]
             if self._held.any():
                 may[Fault.TENSION_TOO_HIGH] = set(np.flatnonzero(self._held).tolist())
@@ -143,7 +150,7 @@ class Causes:
                 (Fault.REGULATOR, off_may, 1, 1400, 1520),
             ):
                 level = self._levels[fault]
-                level[:] = np.clip(np.where(wrong[n], level + rise, level - 1), 0, most_of)
+                level[:] = np.clip(np.where(wrong[n], level + rise * gap, level - 1), 0, most_of)
                 if (level >= enough).any():
                     may[fault] = set(np.flatnonzero(level >= enough).tolist())
             armed = 0

@@ -124,7 +124,7 @@ FIRMWARE_SLIPS = (
     Slip("a hung loop keeps the motors on", _MOTORS, "    ENA_PORT |= ALL << ENA_SHIFT;\n    CONTROL_PORT", "    CONTROL_PORT"),
     Slip("a hung loop keeps the outputs on", _MOTORS, "    CONTROL_PORT &= ~_BV(OUTPUTS_BIT);\n", ""),
     Slip("a hung loop goes on stepping", _MOTORS, "    hung_ = true;\n    steps = 0;\n", "    hung_ = true;\n"),
-    Slip("a motor that is switched off ends its millisecond", _MOTORS, "steps[tick] &= on;", "(void)steps;"),
+    Slip("a motor that is switched off ends its millisecond", _MOTORS, "steps[tick] & enabled_;", "steps[tick];"),
     Slip("ENA is an output before it is off", _MOTORS, "  ENA_PORT |= ALL << ENA_SHIFT;  // off, before the pins are outputs\n", ""),
     Slip(
         "a pass that was not written is played again",
