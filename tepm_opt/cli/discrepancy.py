@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +15,7 @@ from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, stdout, warn
 from tepm_opt.cli.progress import shown
+from tepm_opt.solvers.parallel import beside
 
 PAGE = "report.html"
 
@@ -35,7 +37,8 @@ def discrepancy(
 
     try:
         with shown(as_json, told=True) as progress:
-            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress)
+            search = partial(tepm.run_discrepancy, dataset, out, model, seed, despite_errors, progress)
+            result, _ = beside(search, lambda: plots.draw)  # importing Matplotlib takes a second
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             provenance = {

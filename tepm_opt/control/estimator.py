@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.linalg as sla
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from tepm_opt.control.friction import turned
 from tepm_opt.errors import InputError
@@ -305,4 +305,4 @@ class Estimator:
 @lru_cache(maxsize=8)
 def _limit(gate: float) -> float:
     """Largest squared innovation of three coordinates that is believed, by chi-square with the probability `gate`."""
-    return float(chi2.isf(gate, 3))
+    return float(chdtri(3, gate))

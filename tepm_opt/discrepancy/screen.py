@@ -10,7 +10,7 @@ import numpy as np
 from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.solvers.identify import ParameterEstimate, free_parameters
 from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import in_parallel
+from tepm_opt.solvers.parallel import beside, in_parallel
 from tepm_opt.solvers.predict import PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations
 
@@ -44,20 +44,44 @@ def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Sc
     that what those could do as well does not count. Scores order, they do not decide: they are first order. A candidate whose probe the
     model cannot take is left out.
     """
-    free, scores = [parameter.name for parameter in estimate.problem.free], []
-    at_null: list[Residual] = []
-    for block in _blocks(estimate, [candidate for candidate in missing if not candidate.bends]):
-        names = [*free, *(name for candidate in block for name in candidate.parameters)]
-        residuals = estimate.problem.residuals(estimate.values, names)
-        square, slope = normal_equations(residuals)
-        for candidate in block:
-            at = [names.index(name) for name in (*free, *candidate.parameters)]
-            scores.append(_by_slopes(estimate, candidate, square[np.ix_(at, at)], slope[at]))
-        at_null = [replace(r, by=r.by[:, : len(free)].copy(order="K")) for r in residuals]
-    bent = [candidate for candidate in missing if candidate.bends]
-    changes = in_parallel(lambda candidate: _change(estimate, at_null, candidate), bent, threads=estimate.problem.model.is_c)
-    scores += [_by_change(estimate, at_null, c, change) for c, change in zip(bent, changes, strict=True) if change is not None]
+    estimate = _sparse(estimate)
+    problem, threads = estimate.problem, estimate.problem.model.is_c
+    free = [parameter.name for parameter in problem.free]
+    smooth, bent = [c for c in missing if not c.bends], [c for c in missing if c.bends]
+
+    def slopes() -> tuple[list[Score], list[Residual]]:
+        """Scores by derivatives, and the residuals as simulated here with their derivatives by the free parameters."""
+        scores, residuals = [], []
+        for block in _blocks(estimate, smooth):
+            names = [*free, *(name for candidate in block for name in candidate.parameters)]
+            residuals = problem.residuals(estimate.values, names)
+            square, slope = normal_equations([replace(r, by=s.by) for r, s in zip(estimate.residuals, residuals, strict=True)])
+            for candidate in block:
+                at = [names.index(name) for name in (*free, *candidate.parameters)]
+                scores.append(_by_slopes(estimate, candidate, square[np.ix_(at, at)], slope[at]))
+            residuals = [replace(r, by=r.by[:, : len(free)].copy(order="K")) for r in residuals]
+        return scores, residuals
+
+    (scores, simulated), probed = beside(slopes, lambda: in_parallel(lambda c: _probed(estimate, c), bent, threads=threads), threads)
+    at_null = [replace(r, by=s.by) for r, s in zip(estimate.residuals, simulated, strict=True)]
+    for candidate, residuals in zip(bent, probed, strict=True):
+        if residuals is not None:
+            change = [(p.values - s.values).ravel() for p, s in zip(residuals, simulated, strict=True)]
+            scores.append(_by_change(estimate, at_null, candidate, change))
     return sorted(scores, key=lambda score: -score.gain)
+
+
+def _sparse(estimate: ParameterEstimate) -> ParameterEstimate:
+    """The estimate with only those samples at which derivatives are taken: first-order gains need no more."""
+    problem, whole = estimate.problem.sparse, estimate.problem
+    if problem is whole:
+        return estimate
+    rows = [np.searchsorted(run.time, at.time) for run, at in zip(whole.runs, problem.runs, strict=True)]
+    residuals = [
+        replace(r, values=r.values[k], present=r.present[k], by=np.empty((r.values[k].size, 0)), block=r.block[k])
+        for r, k in zip(estimate.residuals, rows, strict=True)
+    ]
+    return replace(estimate, problem=problem, residuals=residuals, cost=sum(r.squares for r in residuals))
 
 
 def _blocks(estimate: ParameterEstimate, candidates: Sequence[Candidate]) -> list[list[Candidate]]:
@@ -85,21 +109,20 @@ def _by_slopes(estimate: ParameterEstimate, candidate: Candidate, square: np.nda
     return Score(candidate, gain, moved | start)
 
 
-def _change(estimate: ParameterEstimate, at_null: Sequence[Residual], candidate: Candidate) -> list[np.ndarray] | None:
-    """How a candidate's probe changes the residuals of every run, (coordinates,) each; None where the model cannot take it."""
+def _probed(estimate: ParameterEstimate, candidate: Candidate) -> list[Residual] | None:
+    """Residuals of every run with a candidate's probe; None where the model cannot take it."""
     moved = estimate.model
     theta = moved.theta.copy()
     for name, value in candidate.probe.items():
         theta[moved.network.parameter_names.index(name)] = value
     try:
-        probed = replace(estimate.problem, model=moved.with_theta(theta)).residuals(estimate.values, [])
+        return replace(estimate.problem, model=moved.with_theta(theta)).residuals(estimate.values, [])
     except PredictionError:
         return None
-    return [(p.values - r.values).ravel() for p, r in zip(probed, at_null, strict=True)]
 
 
 def _by_change(estimate: ParameterEstimate, at_null: Sequence[Residual], candidate: Candidate, change: Sequence[np.ndarray]) -> Score:
-    """Score of a candidate by its probe, as a direction."""
+    """Score of a candidate by how its probe changes the residuals of every run, (coordinates,) each: a direction."""
     picked = [replace(r, by=np.vstack([r.by.T, d]).T) for r, d in zip(at_null, change, strict=True)]
     own = free_parameters(estimate.problem.model, candidate.parameters)
     moved = {f.name: candidate.probe[f.name] - candidate.null[f.name] for f in own}

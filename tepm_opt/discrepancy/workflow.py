@@ -32,6 +32,7 @@ from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
 from tepm_opt.solvers.text import shortened
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
+DERIVATIVES_APART = 0.04  # s
 CLEAR = 0.8  # probability among rivals from which one of them is named
 POSSIBLE = 0.1  # probability from which a rival counts
 
@@ -93,7 +94,8 @@ def discover(
     _refuse_shifted_clock(dataset, nominal)
     own = [name for name in compiled.values if "." in name and not any(name in c.parameters for c in missing)]
     step = _step(compiled, dataset, nominal, noise, settings)
-    problem = Problem(compiled, dataset.fit, free_parameters(compiled, [*model.robot.priors, *own]), noise, dataset.static, step=step)
+    free = free_parameters(compiled, [*model.robot.priors, *own])
+    problem = Problem(compiled, dataset.fit, free, noise, dataset.static, step=step, derivatives_apart=DERIVATIVES_APART)
     try:
         behind = with_measured_inputs(dataset.fit, channels)
         if behind is not None:

@@ -22,9 +22,9 @@ def save(figure: Figure, path: str | Path) -> None:
     Raises:
         InputError: the folder cannot be written to.
     """
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png", metadata={"Software": None})
+        canvas.print_png(temporary, metadata={"Software": None})  # `savefig` would draw twice
 
 
 def backbone_mm(at: Equilibrium) -> np.ndarray:

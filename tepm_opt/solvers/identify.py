@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 import numpy as np
@@ -17,7 +17,7 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict
+from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict, spaced
 from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
 from tepm_opt.solvers.text import html_table, listed
 
@@ -109,6 +109,8 @@ class Problem:
         static: whether rows are equilibria.
         robust: whether outliers are weighted down (Huber's loss at 4 robust standard deviations of the residuals).
         step: longest time step of the simulations in s.
+        derivatives_apart: time in s between the samples at which derivatives are taken, with straight lines between them; 0 takes them at
+            every sample. Derivatives of a motion are smooth: 0.04 s leaves errors of 0.2 % as a rule, of some % where inputs jump.
     """
 
     model: CompiledModel
@@ -118,6 +120,7 @@ class Problem:
     static: bool = False
     robust: bool = False
     step: float = LONGEST_STEP
+    derivatives_apart: float = 0.0
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -163,13 +166,28 @@ class Problem:
         names = [free.name for free in self.free] if names is None else names
         model = self.with_values(values)
         noise = self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(self.runs)
+        sparse = self.sparse if names else self
+        work = [(self.step, run, names if sparse is self else ()) for run in self.runs]
+        work += [(sparse.step, run, names) for run in sparse.runs if sparse is not self]
+        found = in_parallel(
+            lambda piece: predict(model, piece[1], piece[2], self.static, piece[0]),
+            work,
+            lambda piece: piece[1].rows * (1 + len(piece[2])),
+            model.is_c,
+        )
+        slopes = found[-len(self.runs) :]
+        return [
+            Residual.of(run, of.points, by.by, sigma, at.time)
+            for run, of, by, sigma, at in zip(self.runs, found, slopes, noise, sparse.runs, strict=False)
+        ]
 
-        def left(measured: tuple[Run, float]) -> Residual:
-            run, sigma = measured
-            found = predict(model, run, names, self.static, self.step)
-            return Residual.of(run, found.points, found.by, sigma)
-
-        return in_parallel(left, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, model.is_c)
+    @property
+    def sparse(self) -> Problem:
+        """The problem with only those samples at which derivatives are taken; this one where that is every one."""
+        if self.static or not self.derivatives_apart:
+            return self
+        runs = tuple(spaced(run, self.derivatives_apart) for run in self.runs)
+        return replace(self, runs=runs, step=self.derivatives_apart, derivatives_apart=0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,6 +80,16 @@ def predict_all(
         InputError, PredictionError: as for `predict`.
     """
     return in_parallel(lambda run: predict(model, run, names, static, step), runs, lambda run: run.rows, model.is_c)
+
+
+def spaced(run: Run, apart: float) -> Run:
+    """The samples of a run that are at least so many seconds apart, and its last one."""
+    time = run.time
+    first = np.searchsorted(time, np.arange(time[0], time[-1], apart) - 1e-6 * apart)
+    kept = np.unique(np.append(first, run.rows - 1))
+    return replace(
+        run, time=time[kept], inputs=run.inputs[kept], tip_force=run.tip_force[kept], points=run.points[kept], extra={}, lines=()
+    )
 
 
 def _told(stage: str, done: float, of: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +36,7 @@ class Residual:
         return f"Residual({shortened(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
 
     @staticmethod
-    def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float) -> Residual:
+    def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float, at: np.ndarray | None = None) -> Residual:
         """Residuals from a run and its prediction.
 
         Args:
@@ -44,12 +44,15 @@ class Residual:
             points: predicted reference points in G, (rows, points, 3) in m.
             by: their change with each parameter, (parameters, rows, points, 3) in m per its unit.
             noise: of a coordinate, 1 sigma in m.
+            at: time in s of the rows of `by` where these are fewer; straight lines between them.
         """
         present = np.isfinite(run.points)
         values = np.where(present, run.points - points, 0.0) / noise
         slopes = np.empty((len(by), present.size))
+        between = None if at is None or len(at) == run.rows else _between(run.time, at)
         for slope, change in zip(slopes, by, strict=True):  # one by one: all of them at once take several times the memory
-            np.divide(np.where(present, change, 0.0).ravel(), -noise, out=slope)
+            whole = change if between is None else between(change)
+            np.divide(np.where(present, whole, 0.0).ravel(), -noise, out=slope)
         time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // BLOCK
         return Residual(run.file, values, present, slopes.T, time.astype(int))
 
@@ -67,6 +70,13 @@ class Residual:
     def squares(self) -> float:
         """Sum of the squared values: about `count` where only noise is left."""
         return float(np.sum(self.values**2))
+
+
+def _between(time: np.ndarray, at: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Straight lines between values at some times, (times, …), for all times, (rows, …)."""
+    left = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(at) - 2)
+    part = ((time - at[left]) / (at[left + 1] - at[left]))[:, None, None]
+    return lambda values: values[left] * (1 - part) + values[left + 1] * part
 
 
 def weighted(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

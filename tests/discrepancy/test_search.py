@@ -116,8 +116,9 @@ class TestLibrary:
 
 
 class TestScreening:
-    def test_what_is_missing_promises_most(self, library: CompiledModel, runs: list[Run]) -> None:
-        estimate = identify(problem(library, runs))
+    @pytest.mark.parametrize("apart", [0.0, 0.04])
+    def test_what_is_missing_promises_most(self, library: CompiledModel, runs: list[Run], apart: float) -> None:
+        estimate = identify(replace(problem(library, runs), derivatives_apart=apart))
         scores = screen(estimate, candidates(NOMINAL))
         gains = [score.gain for score in scores]
         assert gains == sorted(gains, reverse=True)
@@ -126,6 +127,15 @@ class TestScreening:
         start = [scores[0].start[f"sensor_offset[s3].{axis}"] for axis in "xyz"]
         assert start == pytest.approx(OFFSET, abs=2e-4)
         assert max(gains[1:]) < 0.9
+
+    def test_every_other_sample_says_the_same(self, library: CompiledModel, runs: list[Run]) -> None:
+        """First-order gains of all effects, those that are probed as well."""
+        estimate = identify(problem(library, runs))
+        sparse = replace(estimate, problem=replace(estimate.problem, derivatives_apart=0.04))
+        whole, few = ({s.candidate.label: s for s in screen(each, candidates(NOMINAL))} for each in (estimate, sparse))
+        assert whole.keys() == few.keys()
+        gains = {label: (score.gain, few[label].gain) for label, score in whole.items()}
+        assert all(other == pytest.approx(one, abs=0.02) for one, other in gains.values()), gains
 
 
 @pytest.mark.parametrize(

@@ -91,6 +91,25 @@ class TestPredictions:
             differences = slope(lambda d, n=name, v=value: predict(changed(kang, **{n: v + d}), run, static=True).points, scales[name])
             assert relative(by, differences) < 1e-4, name
 
+    def test_derivatives_of_every_other_sample(self, kang: CompiledModel) -> None:
+        """Values of every sample as before, derivatives nearly, and a gap in time or data changes nothing in that."""
+        (run,) = measured(kang, planned(FILES[2:3]))
+        kept = np.delete(np.arange(run.rows), np.r_[31:40, 77])
+        run = replace(run, **{name: getattr(run, name)[kept] for name in ("time", "inputs", "tip_force", "points")})
+        run.points[50:60, 1] = np.nan
+        whole = Problem(kang, (run,), free_parameters(kang), NOISE)
+        sparse = replace(whole, derivatives_apart=0.04)
+        (one,), (other,) = whole.residuals(whole.start), sparse.residuals(sparse.start)
+        np.testing.assert_allclose(other.values, one.values, atol=1e-4)  # up to the tolerance of the steps
+        assert (other.by.reshape(*run.points.shape, -1)[50:60, 1] == 0).all()
+        for free, by, found in zip(whole.free, one.by.T, other.by.T, strict=True):
+            assert 0 < np.linalg.norm(found - by) / np.linalg.norm(by) < 0.2, free.name
+        (few,) = sparse.sparse.runs
+        assert set(few.time) < set(run.time)
+        assert (few.time[0], few.time[-1]) == (run.time[0], run.time[-1])
+        assert 0.45 < few.rows / run.rows < 0.6
+        assert np.diff(few.time)[:-1].min() > 0.03
+
     def test_what_cannot_be_predicted_names_the_run(self, kang: CompiledModel, runs: tuple[Run, ...]) -> None:
         blown_up = replace(runs[0], inputs=runs[0].inputs + np.repeat([1e6, 0.0], 6))
         for static in (False, True):
