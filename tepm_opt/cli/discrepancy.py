@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from threading import Thread
 from typing import Annotated
 
 import typer
@@ -15,7 +15,6 @@ from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, stdout, warn
 from tepm_opt.cli.progress import shown
-from tepm_opt.solvers.parallel import beside
 
 PAGE = "report.html"
 
@@ -37,8 +36,8 @@ def discrepancy(
 
     try:
         with shown(as_json, told=True) as progress:
-            search = partial(tepm.run_discrepancy, dataset, out, model, seed, despite_errors, progress)
-            result, _ = beside(search, lambda: plots.draw)  # importing Matplotlib takes a second
+            Thread(target=lambda: plots.draw, daemon=True).start()  # importing Matplotlib takes a second, beside the search
+            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             provenance = {

@@ -179,7 +179,7 @@ def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
     """The fit with the precise step, from its values."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
     try:
-        return identify(replace(estimate.problem, free=free, step=PRECISE_STEP), 3)
+        return identify(replace(estimate.problem, free=free, step=PRECISE_STEP), 3, near=True)
     except PredictionError:
         return estimate
 

@@ -265,8 +265,9 @@ class ParameterEstimate:
 
 
 def identify(
-    problem: Problem, max_iterations: int = ITERATIONS, progress: Progress = silent, tolerance: float = 1e-5, reached: float = np.inf
-) -> ParameterEstimate:
+    problem: Problem, max_iterations: int = ITERATIONS, progress: Progress = silent, tolerance: float = 1e-5, reached: float = np.inf,
+    near: bool = False,
+) -> ParameterEstimate:  # fmt: skip
     """Least squares by Gauss-Newton steps within the bounds, damped where they fail (Levenberg-Marquardt; Nocedal and Wright 2006, ch. 10).
 
     Args:
@@ -275,6 +276,7 @@ def identify(
         progress: told of every step.
         tolerance: part of the squared residuals beyond the noise for which no further step is made.
         reached: cost that a rival has: no further step is made where `HOPE` times what it promises would leave more.
+        near: whether the first values are so good that derivatives there serve for all steps and for the estimate.
 
     Raises:
         InputError: no runs, no parameters or no measured sample.
@@ -297,7 +299,8 @@ def identify(
             break
         done += 1
         try:
-            tried = problem.residuals(values + step)
+            tried = problem.residuals(values + step, [] if near else None)
+            tried = [replace(after, by=r.by) for after, r in zip(tried, residuals, strict=True)] if near else tried
             new = _cost(problem, values + step, tried, weights)
         except PredictionError as error:
             tried, new, message = residuals, np.inf, str(error)
