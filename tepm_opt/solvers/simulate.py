@@ -176,6 +176,75 @@ def simulate(
         InputError: set points that do not fit, "rk4" with a step above its stable one, with directions or with an error, both an
             error and a step, no stable equilibrium to start from.
     """
+    return run(prepare(model, setpoints, method, step, hold, loads, directions, tolerance, error), progress)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A simulation that is prepared.
+
+    Attributes:
+        model, setpoints, method: see `simulate`.
+        step: longest of equal steps in s; None where they adapt.
+        start: equilibrium under the first row.
+        drive, scheme, record: what the backend is told, and what it fills.
+        names: of the directions.
+        ends: numbers of the samples at which its parts end, about 1 s each.
+    """
+
+    model: CompiledModel
+    setpoints: SetPoints
+    method: Method
+    step: float | None
+    start: Equilibrium
+    drive: Drive
+    scheme: Scheme
+    record: Record
+    names: tuple[str, ...]
+    ends: np.ndarray
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Job({self.method}, {len(self.drive.time)} samples in {len(self.ends)} parts)"
+
+    def ended(self, status: Status, parts: int, effort: Effort) -> Simulation:
+        """What came out after so many parts."""
+        if status == Status.SOLVED:
+            return self._simulation(len(self.drive.time), effort, Outcome())
+        why = "left all bounds" if status == Status.DIVERGED else "has no solution nearby"
+        hint = "a shorter step may help" if self.method == "rk4" or status == Status.DIVERGED else "inputs may jump too far"
+        message = f"the motion {why} after {effort.reached:.4g} s ({hint}; step {self.step or effort.longest:g} s)"
+        return self._simulation(int(self.ends[parts - 1]) + 1 if parts else 1, effort, Outcome(status.ending, message))
+
+    def interrupted(self, parts: int, effort: Effort) -> Simulation:
+        """What there is after so many parts when the user interrupts it."""
+        rows = int(self.ends[parts - 1]) + 1 if parts else 0
+        return self._simulation(rows, effort, Outcome(Ending.INTERRUPTED, "interrupted by the user"))
+
+    def _simulation(self, rows: int, effort: Effort, outcome: Outcome) -> Simulation:
+        kept, points, setpoints, record = slice(rows), 3 * self.model.layout.points, self.setpoints, self.record
+        observed, directions = record.observed[kept], len(self.names)
+        sensitivities = np.moveaxis(record.d_observed[kept, :points].reshape(rows, points // 3, 3, directions), -1, 0)
+        return Simulation(
+            self.model, self.start, SetPoints(setpoints.time[kept], setpoints.inputs[kept], setpoints.tip_force[kept]),
+            observed[:, :points].reshape(rows, points // 3, 3), observed[:, points:],
+            record.trajectory[kept, 0], record.trajectory[kept, 1], sensitivities, self.names, self.method,
+            *((effort.longest, effort.error) if self.step is None else (self.step, np.nan)), effort, outcome,
+        )  # fmt: skip
+
+
+def prepare(
+    model: CompiledModel, setpoints: SetPoints, method: Method, step: float | None, hold: bool, loads: np.ndarray | None,
+    directions: Directions | None, tolerance: float, error: float | None,
+) -> Job:  # fmt: skip
+    """Check what a simulation is asked for, and find where it starts.
+
+    Args:
+        model, setpoints, method, step, hold, loads, directions, tolerance, error: see `simulate`.
+
+    Raises:
+        InputError: as for `simulate`.
+    """
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
     if directions is not None and method == "rk4":
@@ -195,33 +264,24 @@ def simulate(
         drive = replace(drive, knots=_knots(model, drive, start, scheme.error))
     names = directions.names if directions is not None else ()
     record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
-    state, total, done = model.stepper.start(start.x, len(names)), Effort(), 0
-
-    def result(rows: int, outcome: Outcome) -> Simulation:
-        kept, points = slice(rows), 3 * model.layout.points
-        observed = record.observed[kept]
-        sensitivities = np.moveaxis(record.d_observed[kept, :points].reshape(rows, points // 3, 3, len(names)), -1, 0)
-        return Simulation(
-            model, start, SetPoints(setpoints.time[kept], setpoints.inputs[kept], setpoints.tip_force[kept]),
-            observed[:, :points].reshape(rows, -1, 3), observed[:, points:], record.trajectory[kept, 0], record.trajectory[kept, 1],
-            sensitivities, names, method, *((total.longest, total.error) if step is None else (step, np.nan)), total, outcome,
-        )  # fmt: skip
-
     ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
+    return Job(model, setpoints, method, step, start, drive, scheme, record, names, ends)
+
+
+def run(job: Job, progress: Progress) -> Simulation:
+    """Simulate what is prepared."""
+    time, state, total, done = job.drive.time, job.model.stepper.start(job.start.x, len(job.names)), Effort(), 0
     try:
-        for end in ends:
-            status, effort = model.stepper.integrate(state, drive, done, int(end), scheme, model.theta, record)
+        for part, end in enumerate(job.ends):
+            status, effort = job.model.stepper.integrate(state, job.drive, done, int(end), job.scheme, job.model.theta, job.record)
             total = _sum(total, effort)
             if status != Status.SOLVED:
-                why = "left all bounds" if status == Status.DIVERGED else "has no solution nearby"
-                hint = "a shorter step may help" if method == "rk4" or status == Status.DIVERGED else "inputs may jump too far"
-                message = f"the motion {why} after {total.reached:.4g} s ({hint}; step {step or total.longest:g} s)"
-                return result(done + 1, Outcome(status.ending, message))
+                return job.ended(status, part, total)
             done = int(end)
-            progress("simulation", float(drive.time[done] - drive.time[0]), float(drive.time[-1] - drive.time[0]))
+            progress("simulation", float(time[done] - time[0]), float(time[-1] - time[0]))
     except KeyboardInterrupt:
-        return result(done + 1 if done else 0, Outcome(Ending.INTERRUPTED, "interrupted by the user"))
-    return result(len(drive.time), Outcome())
+        return job.interrupted(int((job.ends <= done).sum()), total)
+    return job.ended(Status.SOLVED, len(job.ends), total)
 
 
 def stable_step(equilibrium: Equilibrium) -> float:

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
-from pathlib import Path
 
 import casadi as ca
 
@@ -16,6 +15,7 @@ from tepm_opt.models.backends import compiler
 
 FLAGS = (
     *("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math"),
+    "-freciprocal-math",  # edges are divided by their lengths, component by component
     "-fno-semantic-interposition",  # calls within the library are calls, or nothing, and no look-ups
 )
 
@@ -30,7 +30,8 @@ class Unit:
         arrays: static arrays of integers by name.
         loops: names of the C files in this package, one after the other.
         symbols: functions that are called from outside.
-        lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments at once.
+        lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments, or motions, at once.
+        stem: with which the name of the library begins.
     """
 
     kernels: Mapping[str, ca.Function]
@@ -39,6 +40,7 @@ class Unit:
     loops: tuple[str, ...]
     symbols: tuple[str, ...]
     lanes: tuple[str, ...] = ()
+    stem: str = "time_stepping"
 
     @cached_property
     def source(self) -> str:
@@ -64,7 +66,11 @@ class Unit:
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
 _WRITTEN = re.compile(r"if \(res\[\d+\]!=0\) ")
 _VECTORS = """
-typedef double vector __attribute__((vector_size(8 * LANES), aligned(8)));
+#if MANY
+typedef double vector __attribute__((vector_size(8 * LANES)));
+#else
+typedef double vector __attribute__((vector_size(8 * LANES), aligned(8))); /* anywhere in arrays of doubles */
+#endif
 static inline vector lanes_sq(vector x) { return x * x; }
 static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }
 static inline vector lanes_fabs(vector x) { for (int i = 0; i < LANES; i++) x[i] = fabs(x[i]); return x; }
@@ -109,4 +115,4 @@ def _in_lanes(text: str, name: str, function: ca.Function) -> str:
 def build(unit: Unit) -> ctypes.CDLL | None:
     """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
     instead = "CasADi's virtual machine is used, with the same results, some 50 times slower"
-    return compiler.build(unit.source, Path(unit.loops[0]).stem, unit.symbols, FLAGS, instead)
+    return compiler.build(unit.source, unit.stem, unit.symbols, FLAGS, instead)

@@ -48,7 +48,14 @@ def statics_unit(network: Network) -> Unit:
         "NLEN": layout.inputs // 2,
     }
     symbols = ("actuation", "statics", "sensitivity", "matrices", "inverse", "response", "allocate", "configurations")
-    return Unit(network.functions, sizes, {"DRIVEN": network.driven}, ("statics.c", "rotations.c", "kinematics.c"), symbols)
+    return Unit(
+        network.functions,
+        sizes,
+        {"DRIVEN": network.driven},
+        ("real.c", "statics.c", "rotations.c", "kinematics.c"),
+        symbols,
+        stem="statics",
+    )
 
 
 class _Arrays(threading.local):
@@ -215,7 +222,8 @@ class CompiledStatics:
 
 
 STEPPING = (
-    "time_stepping.c", "rotations.c", "motion_network.c", "motion_tangents.c", "motion_steps.c", "motion_adaptive.c", "motion_integrate.c",
+    "real.c", "time_stepping.c", "rotations.c", "motion_network.c", "motion_tangents.c", "motion_newton.c", "motion_steps.c",
+    "motion_adaptive.c", "motion_rounds.c", "motion_one.c",
 )  # fmt: skip
 
 

@@ -1,3 +1,5 @@
+/* Forces and the matrix of one motion, its segments side by side. */
+
 /* turned[lane][i] = rows[i][lane] */
 static inline void turn(const vector *rows, vector *turned) {
 #if LANES == 4 && defined __has_builtin
@@ -28,8 +30,8 @@ static void scatter(work *w, int first, int count, const vector *matrix) {
         turn(rows, turned);
         for (int lane = 0; lane < count; lane++) {
           int s = first + lane;
-          vector *lower = (vector *)(half ? w->below[s + 1] : w->diagonal[s])[c % NB] + part;
-          vector *upper = (vector *)(half ? w->diagonal[s + 1] : w->above[s + 1])[c % NB] + part;
+          vector *lower = (vector *)(half ? w->matrix.below[s + 1] : w->matrix.diagonal[s])[c % NB] + part;
+          vector *upper = (vector *)(half ? w->matrix.diagonal[s + 1] : w->matrix.above[s + 1])[c % NB] + part;
           if (c >= NB) *upper = turned[lane];
           else if (half) *lower = turned[lane];
           else *lower += turned[lane];
@@ -39,7 +41,7 @@ static void scatter(work *w, int first, int count, const vector *matrix) {
 
 /* Inverse of a block in place by Gauss-Jordan without pivoting (matrices here are positive definite up to the small asymmetry of
    damping on turning edges). Returns 1 where a pivot is 0 or not a number. */
-static int invert(panel a) {
+static int invert(block a) {
 #pragma GCC unroll 12
   for (int p = 0; p < NB; p++) {
     vector column[PARTS];
@@ -63,26 +65,25 @@ static int invert(panel a) {
 static int factor(work *w) {
   for (int l = 1; l <= NLEV; l++) {
     if (l > 1) {
-      panel product;
+      block product;
       for (int c = 0; c < NB; c++) {
         vector sum[PARTS] = {{0}};
         for (int k = 0; k < NB; k++)
-          for (int v = 0; v < PARTS; v++) sum[v] += ((vector *)w->below[l][k])[v] * w->diagonal[l - 1][c][k];
+          for (int v = 0; v < PARTS; v++) sum[v] += ((vector *)w->matrix.below[l][k])[v] * w->matrix.diagonal[l - 1][c][k];
         memcpy(product[c], sum, sizeof sum);
       }
       for (int c = 0; c < NB; c++)
         for (int k = 0; k < NB; k++)
-          for (int v = 0; v < PARTS; v++) ((vector *)w->diagonal[l][c])[v] -= ((vector *)product[k])[v] * w->above[l][c][k];
-      memcpy(w->below[l], product, sizeof product);
+          for (int v = 0; v < PARTS; v++) ((vector *)w->matrix.diagonal[l][c])[v] -= ((vector *)product[k])[v] * w->matrix.above[l][c][k];
+      memcpy(w->matrix.below[l], product, sizeof product);
     }
-    if (invert(w->diagonal[l])) return 1;
+    if (invert(w->matrix.diagonal[l])) return 1;
   }
-  w->factored = 1;
   return 0;
 }
 
 /* sum = start + sign * (block times x); columns in two sums that do not wait for each other */
-static void multiply(panel a, const double *x, double sign, const double *start, double *sum) {
+static void multiply(block a, const double *x, double sign, const double *start, double *sum) {
   vector total[2][PARTS] = {{{0}}};
   memcpy(total[0], start, NB * sizeof(double));
   for (int c = 0; c < NB; c++)
@@ -91,7 +92,7 @@ static void multiply(panel a, const double *x, double sign, const double *start,
   memcpy(sum, total[0], NB * sizeof(double));
 }
 
-static void multiply_lanes(panel a, const vector *x, double sign, const vector *start, vector *sum) {
+static void multiply_lanes(block a, const vector *x, double sign, const vector *start, vector *sum) {
   vector total[NB];
   memcpy(total, start, sizeof total);
   for (int c = 0; c < NB; c++) {
@@ -105,10 +106,10 @@ static void multiply_lanes(panel a, const vector *x, double sign, const vector *
 #define SOLVE(name, type, multiply)                                                        \
   static void name(work *w, type (*b)[NB]) {                                               \
     static const type zero[NB];                                                            \
-    for (int l = 2; l <= NLEV; l++) multiply(w->below[l], b[l - 1], -1, b[l], b[l]);       \
+    for (int l = 2; l <= NLEV; l++) multiply(w->matrix.below[l], b[l - 1], -1, b[l], b[l]);       \
     for (int l = NLEV; l >= 1; l--) {                                                      \
-      if (l < NLEV) multiply(w->above[l + 1], b[l + 1], -1, b[l], b[l]);                   \
-      multiply(w->diagonal[l], b[l], 1, zero, b[l]);                                       \
+      if (l < NLEV) multiply(w->matrix.above[l + 1], b[l + 1], -1, b[l], b[l]);                   \
+      multiply(w->matrix.diagonal[l], b[l], 1, zero, b[l]);                                       \
     }                                                                                      \
   }
 SOLVE(solve, double, multiply)
@@ -130,79 +131,40 @@ static int gather(const work *w, int first, batch *b) {
   return count;
 }
 
-/* Velocities of a stage that began at x_0. */
-static void velocities(work *w, double step, levels x_0) {
-  for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) w->v[l][i] = (w->x[l][i] - x_0[l][i]) / step;
-}
-
 /* Forces of all segments at w->x, w->v (w->force), rates of the edge states and, with `with_tangent`, the stage's matrix in the blocks. */
 static void forces(work *w, double step, int with_tangent) {
-  vector time = (vector){0} + step, force[2 * NB], rate[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB];
+  double rate = 1 / step;
+  vector time = (vector){0} + step, force[2 * NB], states[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB];
   memset(w->force, 0, sizeof w->force);
   for (int first = 0; first < NLEV; first += LANES) {
     batch b;
     int count = gather(w, first, &b);
     const vector *arg[] = {b.x[0], b.x[1], b.v[0], b.v[1], b.y, &time, w->packed_P[first / LANES], w->packed_theta, w->trusted[first / LANES]};
-    vector *res[] = {force, rate, w->pull[first / LANES], matrix};
+    vector *res[] = {force, states, w->pull[first / LANES], matrix};
     if (with_tangent) segment_tangent_lanes(arg, res);
     else segment_motion_lanes(arg, res);
     for (int lane = 0; lane < count; lane++) {
       int s = first + lane;
       for (int i = 0; i < NB; i++) { w->force[s][i] += force[i][lane]; w->force[s + 1][i] += force[NB + i][lane]; }
-      for (int k = 0; k < NEDGE; k++) w->rate[s][k] = rate[k][lane];
+      for (int k = 0; k < NEDGE; k++) w->rate[s][k] = states[k][lane];
     }
     if (with_tangent) scatter(w, first, count, matrix);
   }
   for (int l = 1; l <= NLEV && with_tangent; l++)
-    for (int i = 0; i < NB; i++) w->diagonal[l][i][i] += w->P[l - 1][MASS] / step / step;
+    for (int i = 0; i < NB; i++) w->matrix.diagonal[l][i][i] += w->P[l - 1][MASS] * rate * rate;
 }
 
-/* Forces, and the factored tangent M / step^2 + d force / d positions of a stage. */
-static int assemble(stepper *m, work *w, double step) {
+/* Forces, and the factored tangent M / step^2 + d force / d positions of a stage; returns whether that has failed. */
+static mask assemble(stepper *m, work *w, double step, mask on, int all) {
   forces(w, step, 1);
   m->factors++;
-  return factor(w);
+  return WHERE(factor(w) != 0);
 }
 
-/* Solve M (v - v_0) / step + force = 0 with v = (x - x_0) / step for w->x and w->v, from w->x. The matrix, written where the solution
-   is expected but with the edges' pulls of the last stage that was solved, serves while it contracts. */
-static int newton(stepper *m, work *w, double step, levels x_0, levels v_0, int last_try) {
-  double contraction = INFINITY, before = INFINITY;
-  levels guess, from;
-  memcpy(guess, w->x, sizeof guess);
-  w->factored = 0;
-  for (int iteration = 0; iteration < STAGE_ITERATIONS; iteration++) {
-    velocities(w, step, x_0);
-    if (w->factored) forces(w, step, 0);
-    else if (assemble(m, w, step)) return STUCK;
-    double largest = 0, size = 0, corrected = 0;
-    for (int l = 1; l <= NLEV; l++) {
-      double mass = w->P[l - 1][MASS] / step;
-      for (int i = 0; i < NB; i++) {
-        double r = w->step[l][i] = w->force[l][i] + mass * (w->v[l][i] - v_0[l][i]);
-        if (!(fabs(r) <= largest)) largest = fabs(r);
-      }
-    }
-    if (largest < m->tolerance) return SOLVED;
-    if (!(largest < 1e12)) return STUCK;
-    solve(w, w->step);
-    memcpy(from, w->x, sizeof from);
-    move(from, w->step, -1, w->x);
-    for (int l = 1; l <= NLEV; l++)
-      for (int i = 0; i < NB; i++) {
-        double far = fabs(w->x[l][i] - guess[l][i]), long_ = fabs(w->step[l][i]); /* fmax would be a call */
-        corrected = far > corrected ? far : corrected;
-        size = long_ > size ? long_ : size;
-      }
-    if (corrected > m->max_correction && !last_try) return STUCK; /* too far to trust that this is the solution nearby */
-    m->iterations++;
-    contraction = iteration ? size / before : 1;
-    before = size;
-    if (contraction > SLOW && iteration) { /* the next iteration has a matrix of its own */
-      w->factored = 0;
-      memcpy(w->trusted, w->pull, sizeof w->pull);
-    }
-    if (size * contraction < m->close || (iteration && largest * contraction < m->tolerance)) { /* the step just taken has done it */ velocities(w, step, x_0); if (NEDGE) forces(w, step, 0); return SOLVED; }
-  }
-  return STUCK;
+/* The edges' pulls at the last evaluation are trusted from now on. */
+static void trust(work *w, mask on) { if (on) memcpy(w->trusted, w->pull, sizeof w->pull); }
+
+static void pack(work *w) {
+  for (int s = 0; s < BATCHES * LANES; s++)
+    for (int k = 0; k < NPROP; k++) w->packed_P[s / LANES][k][s % LANES] = w->P[s < NLEV ? s : NLEV - 1][k];
 }

@@ -1,11 +1,44 @@
+/* How the inputs at that time change in the directions of a group; `late` where the delay moves the time. */
+static void look_along(history *h, double t, int left, int from, int count, int late, int group, vector *values) {
+  double part = place(h, t, left), slope = part > 0 && part < 1 ? 1 / (h->time[h->at + 1] - h->time[h->at]) : 0;
+  const double *row = h->rows + h->at * NINPUT + from;
+  const vector *d = h->d_rows ? h->d_rows + (h->at * h->groups + group) * NINPUT + from : 0;
+  vector sooner = {0};
+  if (late) for (int k = 0; k < delay_by_nnz; k++) sooner -= h->by_delay[k] * h->d_theta[group * NTHETA + delay_by_col[k]];
+  for (int k = 0; k < count; k++) {
+    values[k] = sooner * slope * (row[NINPUT + k] - row[k]);
+    if (d) values[k] += d[k] + part * (d[h->groups * NINPUT + k] - d[k]);
+  }
+}
+
+/* Move the inputs along the directions with those of the motion itself. */
+static void move_inputs_along(stepper *m, work *w, const double **arg, double until, double duration, int left) {
+  if (!m->groups) return;
+  history *h = &m->motion->inputs;
+  double *by[] = {w->by_inputs};
+  run(input_motion_by, w, arg, by);
+  for (int g = 0; g < m->groups; g++) {
+    tangent *d = m->d + g;
+    vector in[2 * NU + NIN + NTHETA], out[NU + NIN];
+    look_along(h, until - h->delay, left, 0, NU, 1, g, in);
+    for (int k = 0; k < NU; k++) { in[NU + k] = (in[k] - d->u[k]) / duration; d->u[k] = in[k]; }
+    memcpy(in + 2 * NU, d->y_inputs, NIN * sizeof(vector));
+    memcpy(in + 2 * NU + NIN, h->d_theta + g * NTHETA, NTHETA * sizeof(vector));
+    memset(out, 0, sizeof out);
+    for (int k = 0; k < input_motion_by_nnz; k++) out[input_motion_by_row[k]] += w->by_inputs[k] * in[input_motion_by_col[k]];
+    memcpy(d->a, out, sizeof d->a);
+    memcpy(d->y_inputs, out + NU, NIN * sizeof(vector));
+  }
+}
+
 /* Parts of a direction that enter a segment: levels, velocities, edge states, properties, parameters. */
 enum { AT_V = 2 * NB, AT_Y = 4 * NB, AT_P = AT_Y + NEDGE, AT_THETA = AT_P + NPROP, SEGMENT = AT_THETA + NTHETA };
 
 static void properties_along(stepper *m, work *w, double t, const vector *a, int group, vector *P_level_0) {
   vector in[NU + NEXT + NTHETA];
   memcpy(in, a, NU * sizeof(vector));
-  look_along(m->inputs, t, 0, NU, NEXT, 0, group, in + NU);
-  memcpy(in + NU + NEXT, m->inputs->d_theta + group * NTHETA, NTHETA * sizeof(vector));
+  look_along(&m->motion->inputs, t, 0, NU, NEXT, 0, group, in + NU);
+  memcpy(in + NU + NEXT, m->motion->inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
   memset(P_level_0, 0, (NLEV * NPROP + NB) * sizeof(vector));
   for (int k = 0; k < properties_by_nnz; k++) P_level_0[properties_by_row[k]] += w->by_properties[k] * in[properties_by_col[k]];
 }
@@ -74,7 +107,7 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
   properties_along(m, w, t, a, group, P);
   memcpy(d->x[0], P + NLEV * NPROP, sizeof d->x[0]);
   memset(d->v[0], 0, sizeof d->v[0]);
-  memcpy(in + AT_THETA, m->inputs->d_theta + group * NTHETA, NTHETA * sizeof(vector));
+  memcpy(in + AT_THETA, m->motion->inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
   for (int s = 0; s < NLEV; s++) {
     memcpy(in, d->x[s], 2 * NB * sizeof(vector));
     memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
@@ -102,3 +135,75 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
   memcpy(d->x[1], rhs[1], NLEV * sizeof rhs[0]); /* rates: velocity, acceleration, dy/dt */
 }
 
+static void copy(stepper *m, tangent *to, const tangent *from) { if (m->groups) memcpy(to, from, m->groups * sizeof *to); }
+
+/* The actuation at a stage of the step begun. */
+static void keep_actuation_along(stepper *m, int i) { for (int g = 0; g < m->groups; g++) memcpy(m->d_a[g][i], m->d[g].a, sizeof m->d[g].a); }
+
+/* Directions through stage i at time t, of length `step`, that starts `before` s after the first; returns whether that failed. */
+static mask stage_along(stepper *m, work *w, int i, double t, double step, double before, const double *a, levels v_0) {
+  if (!m->groups) return 0;
+  forces(w, step, 0); /* the pulls at the solution, for the exact matrix */
+  trust(w, -1);
+  if (assemble(m, w, step, -1, 1) || linearise(w, step, a, 0)) return -1;
+  for (int g = 0; g < m->groups; g++) {
+    lane_rates *d = m->stage[i] + g;
+    tangent *d_s = m->d + g;
+    for (int l = 1; l <= NLEV; l++)
+      for (int k = 0; k < NB; k++) {
+        d->x[l][k] = d_s->x[l][k] + (i ? before * m->stage[0][g].x[l][k] : (vector){0});
+        d->v[l][k] = d_s->v[l][k] + (i ? before * m->stage[0][g].v[l][k] : (vector){0});
+      }
+    for (int e = 0; e < NLEV; e++)
+      for (int k = 0; k < NEDGE; k++) d->y[e][k] = d_s->y_edges[e][k] + (i ? before * m->stage[0][g].y[e][k] : (vector){0});
+    differentiate(m, w, g, t, step, m->d_a[g][i], d, v_0);
+  }
+  return 0;
+}
+
+/* A step of length h from its two stages. */
+static void step_along(stepper *m, double h) {
+  for (int g = 0; g < m->groups; g++) {
+    lane_rates *first = m->stage[0] + g, *second = m->stage[1] + g;
+    tangent *d = m->d + g;
+    for (int l = 1; l <= NLEV; l++)
+      for (int k = 0; k < NB; k++) { d->x[l][k] += h / 2 * (first->x[l][k] + second->x[l][k]); d->v[l][k] += h / 2 * (first->v[l][k] + second->v[l][k]); }
+    for (int e = 0; e < NLEV; e++) for (int k = 0; k < NEDGE; k++) d->y_edges[e][k] += h / 2 * (first->y[e][k] + second->y[e][k]);
+  }
+}
+
+/* Directions of the equilibrium under the inputs at time t. */
+static void begin_along(stepper *m, double t) {
+  for (int g = 0; g < m->groups; g++) {
+    memset(m->d + g, 0, sizeof m->d[g]);
+    look_along(&m->motion->inputs, t, 0, 0, NU, 0, g, m->d[g].u);
+  }
+}
+static mask rest_along(stepper *m, work *w, const state *s, double t) {
+  if (!m->groups) return 0;
+  memcpy(w->x, s->x, sizeof w->x);
+  memcpy(w->v, s->v, sizeof w->v);
+  memcpy(w->y, s->y_edges, sizeof w->y);
+  if (linearise(w, 0, w->a, 1)) return -1;
+  for (int g = 0; g < m->groups; g++) {
+    lane_rates *d = m->stage[0] + g;
+    memset(d, 0, sizeof *d);
+    differentiate(m, w, g, t, 0, m->d[g].a, d, w->v);
+    memcpy(m->d[g].x, d->x, sizeof d->x);
+  }
+  return 0;
+}
+
+/* Row k of what is observed along the directions d, at levels x. */
+static void record_along(stepper *m, work *w, const double **arg, const tangent *d, long k) {
+  if (!m->groups) return;
+  double by[observe_by_nnz], *res_by[] = {by};
+  run(observe_by, w, arg, res_by);
+  for (int g = 0; g < m->groups; g++) {
+    vector *out = m->motion->records.d_observed + (k * m->groups + g) * NOBS, in[(NLEV + 1) * NB + NTHETA];
+    memcpy(in, d[g].x, (NLEV + 1) * NB * sizeof(vector));
+    memcpy(in + (NLEV + 1) * NB, m->motion->inputs.d_theta + g * NTHETA, NTHETA * sizeof(vector));
+    memset(out, 0, NOBS * sizeof(vector));
+    for (int i = 0; i < observe_by_nnz; i++) out[observe_by_row[i]] += by[i] * in[observe_by_col[i]];
+  }
+}

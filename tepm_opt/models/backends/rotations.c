@@ -1,29 +1,32 @@
 /* Levels moved by rotations: what statics and time stepping share. */
-static void cross(const double *a, const double *b, double *c) {
+static void cross(const real *a, const real *b, real *c) {
   c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
 }
 
 /* A rotation vector with sin(angle) / angle and (1 - cos(angle)) / angle^2, where small by their series. */
-typedef struct { double by[3], s, c; } rotation;
+typedef struct { real by[3], s, c; } rotation;
 
-static rotation rotate_by(const double *by) {
-  rotation r = {{by[0], by[1], by[2]}, 1, 0.5};
-  double square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2];
-  if (square < 0.1) {
-    double s = 1, c = 1; /* the last terms are below 1e-17 */
-    for (int k = 12; k; k -= 2) { s = 1 - square * (1. / (k * (k + 1))) * s; c = 1 - square * (1. / ((k + 1) * (k + 2))) * c; }
-    r.s = s; r.c = c / 2;
-  } else {
-    double angle = sqrt(square);
-    r.s = sin(angle) / angle;
-    r.c = (1 - cos(angle)) / square;
+static rotation rotate_by(const real *by) {
+  rotation r = {{by[0], by[1], by[2]}};
+  real square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2], s = (real){0} + 1, c = (real){0} + 1;
+  for (int k = 12; k; k -= 2) { /* the last terms are below 1e-17 */
+    s = 1 - square * (1. / (k * (k + 1))) * s;
+    c = 1 - square * (1. / ((k + 1) * (k + 2))) * c;
   }
+  r.s = s; r.c = c / 2;
+  if (!any(WHERE(square >= 0.1))) return r;
+  for (int lane = 0; lane < WIDTH; lane++)
+    if (LANE(square, lane) >= 0.1) {
+      double angle = sqrt(LANE(square, lane));
+      LANE(r.s, lane) = sin(angle) / angle;
+      LANE(r.c, lane) = (1 - cos(angle)) / LANE(square, lane);
+    }
   return r;
 }
 
 /* target += a vector v rotated, after its linear change dv less what the rotation accounts for. */
-static void add_rotated(double *target, const rotation *r, const double *v, const double *dv) {
-  double turned[3], e[3], once[3], twice[3];
+static void add_rotated(real *target, const rotation *r, const real *v, const real *dv) {
+  real turned[3], e[3], once[3], twice[3];
   cross(r->by, v, turned);
   for (int k = 0; k < 3; k++) e[k] = v[k] + dv[k] - turned[k];
   cross(r->by, e, once);
@@ -32,10 +35,10 @@ static void add_rotated(double *target, const rotation *r, const double *v, cons
 }
 
 /* Rotation vector that fits the changes d of the points r best, both about their centres. */
-static void fit_rotation(double r[][3], double d[][3], double *turn) {
-  double I[3][3] = {{0}}, m[3] = {0}, part[3], cofactor[3][3], determinant;
+static void fit_rotation(real r[][3], real d[][3], real *turn) {
+  real I[3][3] = {}, m[3] = {}, part[3], cofactor[3][3], determinant;
   for (int i = 0; i < NB / 3; i++) {
-    double square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
+    real square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
     cross(r[i], d[i], part);
     for (int p = 0; p < 3; p++) {
       m[p] += part[p];
@@ -49,15 +52,15 @@ static void fit_rotation(double r[][3], double d[][3], double *turn) {
 }
 
 /* moved = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
-static void move(double (*x)[NB], double (*step)[NB], double t, double (*moved)[NB]) {
-  double before[3] = {0}, d_before[3] = {0}, turn_before[3] = {0}, centre[3] = {0};
+static void move(real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]) {
+  real before[3] = {}, d_before[3] = {}, turn_before[3] = {}, centre[3];
   for (int k = 0; k < 3; k++) {
     for (int i = 0; i < NB / 3; i++) before[k] += x[0][3 * i + k] / (NB / 3);
     centre[k] = before[k];
   }
   memcpy(moved[0], x[0], sizeof *x);
   for (int l = 1; l <= NLEV; l++) {
-    double here[3] = {0}, d_here[3] = {0}, turn[3], middle[3], r[NB / 3][3], d[NB / 3][3], link[3], d_link[3];
+    real here[3] = {}, d_here[3] = {}, turn[3], middle[3], r[NB / 3][3], d[NB / 3][3], link[3], d_link[3];
     for (int k = 0; k < 3; k++) {
       for (int i = 0; i < NB / 3; i++) { here[k] += x[l][3 * i + k] / (NB / 3); d_here[k] += t * step[l][3 * i + k] / (NB / 3); }
       for (int i = 0; i < NB / 3; i++) { r[i][k] = x[l][3 * i + k] - here[k]; d[i][k] = t * step[l][3 * i + k] - d_here[k]; }

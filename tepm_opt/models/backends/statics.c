@@ -175,7 +175,7 @@ static void newton_step(work *w) {
   }
 }
 
-static void move(double (*x)[NB], double (*step)[NB], double t, double (*moved)[NB]); /* rotations.c */
+static void move(real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]); /* rotations.c */
 
 /* Factor the stiffness at w->x, or a positive definite stand-in where it is indefinite (returns 1 then). */
 static int factor_safely(work *w) {
