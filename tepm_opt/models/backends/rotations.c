@@ -1,44 +1,54 @@
-/* Levels moved by rotations: what statics and time stepping share. */
-static void cross(const real *a, const real *b, real *c) {
+/* Levels moved by rotations: what statics and time stepping share. A lane is a level, or where there are many motions one of these. */
+#if MANY
+#define TOGETHER 1 /* levels */
+#define OF(v, l) (v)
+#else
+#define TOGETHER LANES
+#define OF(v, l) (v)[((l) - 1) % LANES]
+#endif
+#define AT(of, k, l) (*(vector *)&(of)[k][l])
+enum { ROOM = (NLEV + TOGETHER - 1) / TOGETHER * TOGETHER + 1 }; /* levels from 0 on, in whole vectors from 1 on */
+typedef real along[3][ROOM]; /* a vector in space for every level */
+
+static void cross(const vector *a, const vector *b, vector *c) {
   c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
 }
 
 /* A rotation vector with sin(angle) / angle and (1 - cos(angle)) / angle^2, where small by their series. */
-typedef struct { real by[3], s, c; } rotation;
+typedef struct { vector by[3], s, c; } rotation;
 
-static rotation rotate_by(const real *by) {
+static rotation rotate_by(const vector *by) {
   rotation r = {{by[0], by[1], by[2]}};
-  real square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2], s = (real){0} + 1, c = (real){0} + 1;
+  vector square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2], s = (vector){0} + 1, c = s;
   for (int k = 12; k; k -= 2) { /* the last terms are below 1e-17 */
     s = 1 - square * (1. / (k * (k + 1))) * s;
     c = 1 - square * (1. / ((k + 1) * (k + 2))) * c;
   }
   r.s = s; r.c = c / 2;
-  if (!any(WHERE(square >= 0.1))) return r;
-  for (int lane = 0; lane < WIDTH; lane++)
-    if (LANE(square, lane) >= 0.1) {
-      double angle = sqrt(LANE(square, lane));
-      LANE(r.s, lane) = sin(angle) / angle;
-      LANE(r.c, lane) = (1 - cos(angle)) / LANE(square, lane);
+  for (int lane = 0; lane < LANES; lane++)
+    if (square[lane] >= 0.1) {
+      double angle = sqrt(square[lane]);
+      r.s[lane] = sin(angle) / angle;
+      r.c[lane] = (1 - cos(angle)) / square[lane];
     }
   return r;
 }
 
-/* target += a vector v rotated, after its linear change dv less what the rotation accounts for. */
-static void add_rotated(real *target, const rotation *r, const real *v, const real *dv) {
-  real turned[3], e[3], once[3], twice[3];
+/* A vector v rotated, after its linear change dv less what the rotation accounts for. */
+static void rotate(const rotation *r, const vector *v, const vector *dv, vector *rotated) {
+  vector turned[3], e[3], once[3], twice[3];
   cross(r->by, v, turned);
   for (int k = 0; k < 3; k++) e[k] = v[k] + dv[k] - turned[k];
   cross(r->by, e, once);
   cross(r->by, once, twice);
-  for (int k = 0; k < 3; k++) target[k] += e[k] + r->s * once[k] + r->c * twice[k];
+  for (int k = 0; k < 3; k++) rotated[k] = e[k] + r->s * once[k] + r->c * twice[k];
 }
 
 /* Rotation vector that fits the changes d of the points r best, both about their centres. */
-static void fit_rotation(real r[][3], real d[][3], real *turn) {
-  real I[3][3] = {}, m[3] = {}, part[3], cofactor[3][3], determinant;
+static void fit_rotation(const vector r[][3], const vector d[][3], vector *turn) {
+  vector I[3][3] = {}, m[3] = {}, part[3], cofactor[3][3], determinant;
   for (int i = 0; i < NB / 3; i++) {
-    real square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
+    vector square = r[i][0] * r[i][0] + r[i][1] * r[i][1] + r[i][2] * r[i][2];
     cross(r[i], d[i], part);
     for (int p = 0; p < 3; p++) {
       m[p] += part[p];
@@ -51,32 +61,63 @@ static void fit_rotation(real r[][3], real d[][3], real *turn) {
   for (int p = 0; p < 3; p++) turn[p] = (cofactor[0][p] * m[0] + cofactor[1][p] * m[1] + cofactor[2][p] * m[2]) / determinant;
 }
 
+/* Coordinate k of the levels from l on, side by side; what goes beyond the last repeats it. */
+static inline vector levels_from(real (*x)[NB], int l, int k) {
+#if MANY
+  return x[l][k];
+#else
+  vector v;
+  for (int lane = 0; lane < LANES; lane++) v[lane] = x[l + lane < NLEV ? l + lane : NLEV][k];
+  return v;
+#endif
+}
+
 /* moved = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
 static void move(real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]) {
-  real before[3] = {}, d_before[3] = {}, turn_before[3] = {}, centre[3];
+  along centre, d_centre, turn, link;
+  vector node[(NLEV + TOGETHER - 1) / TOGETHER][NB / 3][3];
   for (int k = 0; k < 3; k++) {
-    for (int i = 0; i < NB / 3; i++) before[k] += x[0][3 * i + k] / (NB / 3);
-    centre[k] = before[k];
+    real sum = x[0][k];
+    for (int i = 1; i < NB / 3; i++) sum += x[0][3 * i + k];
+    centre[k][0] = sum / (NB / 3);
+    d_centre[k][0] = turn[k][0] = sum - sum;
+  }
+  for (int l = 1; l <= NLEV; l += TOGETHER) {
+    vector r[NB / 3][3], d[NB / 3][3], turned[3];
+    for (int k = 0; k < 3; k++) {
+      vector here = {}, d_here = {};
+      for (int i = 0; i < NB / 3; i++) {
+        here += r[i][k] = levels_from(x, l, 3 * i + k);
+        d_here += d[i][k] = t * levels_from(step, l, 3 * i + k);
+      }
+      here /= NB / 3;
+      d_here /= NB / 3;
+      for (int i = 0; i < NB / 3; i++) { r[i][k] -= here; d[i][k] -= d_here; }
+      AT(centre, k, l) = here;
+      AT(d_centre, k, l) = d_here;
+    }
+    fit_rotation(r, d, turned);
+    rotation of_level = rotate_by(turned);
+    for (int k = 0; k < 3; k++) AT(turn, k, l) = turned[k];
+    for (int i = 0; i < NB / 3; i++) rotate(&of_level, r[i], d[i], node[(l - 1) / TOGETHER][i]);
+  }
+  for (int l = 1; l <= NLEV; l += TOGETHER) {
+    vector middle[3], v[3], dv[3], rotated[3];
+    for (int k = 0; k < 3; k++) {
+      middle[k] = (AT(turn, k, l) + AT(turn, k, l - 1)) / 2;
+      v[k] = AT(centre, k, l) - AT(centre, k, l - 1);
+      dv[k] = AT(d_centre, k, l) - AT(d_centre, k, l - 1);
+    }
+    rotation of_link = rotate_by(middle);
+    rotate(&of_link, v, dv, rotated);
+    for (int k = 0; k < 3; k++) AT(link, k, l) = rotated[k];
   }
   memcpy(moved[0], x[0], sizeof *x);
-  for (int l = 1; l <= NLEV; l++) {
-    real here[3] = {}, d_here[3] = {}, turn[3], middle[3], r[NB / 3][3], d[NB / 3][3], link[3], d_link[3];
-    for (int k = 0; k < 3; k++) {
-      for (int i = 0; i < NB / 3; i++) { here[k] += x[l][3 * i + k] / (NB / 3); d_here[k] += t * step[l][3 * i + k] / (NB / 3); }
-      for (int i = 0; i < NB / 3; i++) { r[i][k] = x[l][3 * i + k] - here[k]; d[i][k] = t * step[l][3 * i + k] - d_here[k]; }
+  for (int k = 0; k < 3; k++) {
+    real at = centre[k][0];
+    for (int l = 1; l <= NLEV; l++) {
+      at += link[k][l];
+      for (int i = 0; i < NB / 3; i++) moved[l][3 * i + k] = at + OF(node[(l - 1) / TOGETHER][i][k], l);
     }
-    fit_rotation(r, d, turn);
-    for (int k = 0; k < 3; k++) {
-      middle[k] = (turn[k] + turn_before[k]) / 2;
-      link[k] = here[k] - before[k];
-      d_link[k] = d_here[k] - d_before[k];
-    }
-    rotation of_link = rotate_by(middle), of_level = rotate_by(turn);
-    add_rotated(centre, &of_link, link, d_link);
-    for (int i = 0; i < NB / 3; i++) {
-      for (int k = 0; k < 3; k++) moved[l][3 * i + k] = centre[k];
-      add_rotated(moved[l] + 3 * i, &of_level, r[i], d[i]);
-    }
-    memcpy(before, here, sizeof before); memcpy(d_before, d_here, sizeof before); memcpy(turn_before, turn, sizeof before);
   }
 }
