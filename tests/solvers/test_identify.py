@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
 from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.predict import PredictionError, predict, predict_all
+from tepm_opt.solvers.predict import Prediction, PredictionError, predict, predict_all
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
@@ -183,6 +185,26 @@ class TestRecovery:
         assert found.count == sum(int(np.isfinite(run.points).sum()) for run in holey)
         assert largest(missed := misses(found, true_values(kang))) < DEVIATIONS, missed
         assert (found.std > 0.9 * estimate.std).all(), "fewer samples cannot tell more"
+
+    def test_from_nearby_first_derivatives_serve(
+        self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """From two standard deviations aside, with derivatives of every other sample, to where all of them at every step lead."""
+        asked: list[int] = []
+
+        def watched(model: CompiledModel, run: Run, names: Sequence[str] = (), *others: Any) -> Prediction:
+            asked.append(len(names))
+            return predict(model, run, names, *others)
+
+        monkeypatch.setattr("tepm_opt.solvers.identify.predict", watched)
+        aside = estimate.values + 2 * estimate.std * np.array([1, -1, 1, -1])
+        free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, aside, strict=True))
+        found = identify(replace(estimate.problem, free=free, derivatives_apart=0.04), near=True)
+        assert found.solved
+        assert found.iterations >= 1
+        assert (np.abs(found.values - estimate.values) < 0.05 * estimate.std).all()
+        np.testing.assert_allclose(found.std, estimate.std, rtol=0.05)
+        assert sum(count > 0 for count in asked) == len(runs), "once a run"
 
     def test_robust_against_outliers(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate) -> None:
         """3 % of the poses are of another marker, 20 mm aside and below."""
