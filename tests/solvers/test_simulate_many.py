@@ -71,11 +71,11 @@ def test_effects_with_memory(how):
             pressure_hysteresis={"width": 1e4, "distance": 2e4},
         )
     )  # fmt: skip
-    motions = drawn(model, 6, 2)
+    motions = drawn(model, 10, 2)
     assert_same(simulate_many(model, motions, **how), alone(model, motions, **how))
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5, 9])
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5, 9, 17])
 def test_lanes_need_not_be_filled(kang, count):
     motions = drawn(kang, count, 3)
     assert_same(simulate_many(kang, motions, step=0.01), alone(kang, motions, step=0.01))

@@ -26,7 +26,7 @@ class Unit:
 
     Attributes:
         kernels: CasADi functions; of one with a sparse result the C text also gets `<name>_nnz`, `<name>_row` and `<name>_col`.
-        sizes: macros by name; LANES, the doubles in a vector, is one of them.
+        sizes: macros by name; LANES, the doubles in a vector, is what the target has without it.
         arrays: static arrays of integers by name.
         loops: names of the C files in this package, one after the other.
         symbols: functions that are called from outside.
@@ -66,13 +66,23 @@ class Unit:
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
 _WRITTEN = re.compile(r"if \(res\[\d+\]!=0\) ")
 _VECTORS = """
+#if !defined LANES && defined __AVX512F__
+#define LANES 8
+#elif !defined LANES
+#define LANES 4
+#endif
 #if MANY
 typedef double vector __attribute__((vector_size(8 * LANES)));
 #else
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8))); /* anywhere in arrays of doubles */
 #endif
 static inline vector lanes_sq(vector x) { return x * x; }
+#if LANES == 8 && defined __AVX512F__
+#include <immintrin.h>
+static inline vector lanes_sqrt(vector x) { return (vector)_mm512_sqrt_pd((__m512d)x); } /* the loop would be put together in memory */
+#else
 static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }
+#endif
 static inline vector lanes_fabs(vector x) { for (int i = 0; i < LANES; i++) x[i] = fabs(x[i]); return x; }
 static inline vector lanes_sign(vector x) { for (int i = 0; i < LANES; i++) x[i] = x[i] < 0 ? -1 : x[i] > 0 ? 1 : x[i]; return x; }
 """

@@ -24,8 +24,8 @@ ROUNDS = 200  # steps or pairs of steps that a call takes: some milliseconds, so
 
 
 def many_unit(dynamics: Dynamics) -> Unit:
-    """The C of `ManyStepper`. Eight lanes, where there are, are no faster: a level's blocks leave the nearest cache."""
-    sizes = {**stepping_unit(dynamics).sizes, "MANY": 1}
+    """The C of `ManyStepper`, with as many lanes as the vectors of the compiler's target have."""
+    sizes = {name: size for name, size in stepping_unit(dynamics).sizes.items() if name != "LANES"} | {"MANY": 1}
     kernels = {name: dynamics.functions[name] for name in ("delay", *KERNELS)}
     return Unit(kernels, sizes, {}, LOOPS, SYMBOLS, KERNELS, "many_motions")
 

@@ -35,7 +35,7 @@ typedef struct { /* what is carried from call to call; steps that do not adapt o
 
 #if MANY
 #define BATCHES NLEV
-typedef real block[NB][NB]; /* column by column */
+typedef real front[2 * NB][2 * NB]; /* of a segment's lower and upper level, column by column */
 typedef struct tangent tangent; /* many motions go without directions */
 #else
 #define PARTS ((NB + LANES - 1) / LANES)          /* vectors that hold a column of a block */
@@ -43,6 +43,7 @@ typedef struct tangent tangent; /* many motions go without directions */
 #define BY_ROWS (2 * NB + NEDGE)
 typedef vector lanes[NLEV + 2][NB];
 typedef double block[NB][PARTS * LANES]; /* column by column, padded to whole vectors */
+typedef struct { block diagonal[NLEV + 1], below[NLEV + 1], above[NLEV + 1]; } blocks; /* rows l by columns l, l - 1; rows l - 1 by columns l */
 
 typedef struct { /* a state, differentiated in LANES directions */
   lanes x, v;
@@ -59,19 +60,17 @@ typedef struct { /* entries of segment_by that the directions need, row by row, 
 } selection;
 #endif
 
-typedef struct { block diagonal[NLEV + 1], below[NLEV + 1], above[NLEV + 1]; } blocks; /* rows l by columns l, l - 1; rows l - 1 by columns l */
-
 typedef struct {
   levels x, v, force;
   edge_states y, rate; /* edge states before a stage, their rates at its end */
   real P[NLEV][NPROP], level_0[NB], a[NU], external[AT_LEAST_1(NEXT)];
-  blocks matrix;
   levels step;
   vector pull[BATCHES][NEDGES], trusted[BATCHES][NEDGES]; /* of the edges: at the last evaluation, and in the last stage that was solved */
 #if MANY
-  blocks spare;
+  front matrix[NLEV], spare[NLEV];
   real theta[NTHETA];
 #else
+  blocks matrix;
   const double *theta;
   vector packed_P[BATCHES][NPROP], packed_theta[NTHETA]; /* a segment is a lane of a batch */
   double by[NLEV][segment_by_nnz]; /* segment_by of every segment, as the selection orders it */
