@@ -175,10 +175,10 @@ class Problem:
             lambda piece: piece[1].rows * (1 + len(piece[2])),
             model.is_c,
         )
-        slopes = found[-len(self.runs) :]
+        points, slopes = found[: len(self.runs)], found[-len(self.runs) :]
         return [
-            Residual.of(run, of.points, by.by, sigma, at.time)
-            for run, of, by, sigma, at in zip(self.runs, found, slopes, noise, sparse.runs, strict=False)
+            Residual.of(run, modelled.points, change.by, sigma, at.time)
+            for run, modelled, change, sigma, at in zip(self.runs, points, slopes, noise, sparse.runs, strict=True)
         ]
 
     @property
