@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from threading import Thread
@@ -17,6 +18,12 @@ from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, stdout, warn
 from tepm_opt.cli.progress import shown
 
 PAGE = "report.html"
+
+
+def _import_what_comes_last() -> None:
+    """Import what draws and what learns without physics."""
+    import_module("sklearn.gaussian_process")
+    _ = plots.draw
 
 
 def discrepancy(
@@ -36,7 +43,7 @@ def discrepancy(
 
     try:
         with shown(as_json, told=True) as progress:
-            Thread(target=lambda: plots.draw, daemon=True).start()  # importing Matplotlib takes a second, beside the search
+            Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
             result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)

@@ -15,7 +15,7 @@ import tepm_opt
 from tepm_opt import plots
 from tepm_opt.cli.program import app
 
-HEAVY = {"casadi", "control", "matplotlib", "mujoco", "scipy"}
+HEAVY = {"casadi", "control", "matplotlib", "mujoco", "scipy", "sklearn"}
 IMPORTED = """
 import sys
 from tepm_opt.cli import run

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import black_box as module
 from tepm_opt.discrepancy.black_box import black_box
 
 NOISE = 1e-4  # m
@@ -58,23 +56,3 @@ def test_remembers_the_past() -> None:
     learnt = [black_box(runs, [late(run) for run in runs], np.ones(2), [other], static)[0] for static in (False, True)]
     with_past, without = (np.sqrt(np.mean((guess - late(other)) ** 2)) for guess in learnt)
     assert with_past < 0.2 * without
-
-
-def test_kernel_is_the_most_likely_one() -> None:
-    """No kernel nearby makes the samples more likely, by the density of the normal distribution itself."""
-    random, run = np.random.default_rng(2), moving(0, 60)
-    y = hidden(run).reshape(60, -1)[:, :3] / 1e-3 + 0.1 * random.normal(size=(60, 3))
-    squares = module._squares(run.inputs, run.inputs)
-    np.testing.assert_allclose(squares, ((run.inputs[:, None] - run.inputs) ** 2).sum(axis=2), atol=1e-12)
-    (variance, length), weights = module._learnt(run.inputs, y)
-
-    def likelihood(variance: float, length: float, noise: float) -> float:
-        covariance = variance * np.exp(-squares / (2 * length**2)) + noise * np.eye(60)
-        return sum(float(multivariate_normal.logpdf(column, cov=covariance)) for column in y.T)  # pyright: ignore[reportArgumentType]
-
-    smooth = variance * np.exp(-squares / (2 * length**2))
-    noise = float(np.sum((y - smooth @ weights) * weights) / np.sum(weights**2))  # (K + noise I) weights = y
-    best = likelihood(variance, length, noise)
-    for factors in np.eye(3)[:, :, None] * [0.1, -0.1]:
-        for change in factors.T:
-            assert likelihood(*(np.array([variance, length, noise]) * np.exp(change))) < best
