@@ -10,11 +10,18 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers import simulate as module
+from tepm_opt.solvers import simulate_many as many
 from tepm_opt.solvers.simulate import Directions, simulate
 from tepm_opt.solvers.simulate_many import Motion, simulate_many
 from tests.solvers.dynamics import with_dynamics
 
 SAME = 1e-12  # m, rounding
+
+
+@pytest.fixture
+def one_core(monkeypatch):
+    """One core, so that lanes that are over take further motions."""
+    monkeypatch.setattr(many, "cores", lambda: 1)
 
 
 def drawn(model, count, seed, held=False, scatter=0.1):
@@ -54,16 +61,16 @@ def assert_same(found, expected):
 
 @pytest.mark.parametrize("held", [False, True], ids=["ramps", "jumps"])
 @pytest.mark.parametrize("how", [{}, {"error": 1e-3}, {"step": 0.01}, {"step": 0.02}, {"method": "rk4"}], ids=str)
-def test_each_is_as_it_is_alone(kang, how, held):
-    motions = drawn(kang, 11, 1, held)
+def test_each_is_as_it_is_alone(kang, one_core, how, held):
+    motions = drawn(kang, 13, 1, held)
     found = simulate_many(kang, motions, hold=held, **how)
     assert_same(found, alone(kang, motions, hold=held, **how))
     assert all(one.solved for one in found)
     assert max(abs(one.levels[-1] - found[0].levels[-1]).max() for one in found[1:]) > 1e-3
 
 
-@pytest.mark.parametrize("how", [{"step": 0.01}, {}], ids=str)
-def test_effects_with_memory(how):
+@pytest.mark.parametrize("how", [{"step": 0.01}, {}, {"hold": True}, {"method": "rk4", "hold": True}], ids=str)
+def test_effects_with_memory(one_core, how):
     model = compile_model(
         with_dynamics(
             structural_friction={"force": 0.3, "distance": 1e-3}, creep={"share": 0.2, "relaxation_time": 0.5},
@@ -71,7 +78,7 @@ def test_effects_with_memory(how):
             pressure_hysteresis={"width": 1e4, "distance": 2e4},
         )
     )  # fmt: skip
-    motions = drawn(model, 10, 2)
+    motions = drawn(model, 13, 2, "hold" in how)
     assert_same(simulate_many(model, motions, **how), alone(model, motions, **how))
 
 

@@ -6,18 +6,18 @@
 
 #if MANY
 typedef vector real;
-typedef long mask __attribute__((vector_size(8 * LANES)));
+typedef long long mask __attribute__((vector_size(8 * LANES)));
 #define WIDTH LANES
 #define LANE(value, lane) (value)[lane]
 #define WHERE(comparison) ((mask)(comparison))
 #define CALL(kernel, w, arg, res) kernel##_lanes(arg, res)
-static inline int any(mask m) { long all = 0; for (int lane = 0; lane < WIDTH; lane++) all |= m[lane]; return all != 0; }
+static inline int any(mask m) { long long all = 0; for (int lane = 0; lane < WIDTH; lane++) all |= m[lane]; return all != 0; }
 static inline real pick(mask m, real a, real b) { return (real)((m & (mask)a) | (~m & (mask)b)); }
 static inline real absolute(real x) { return (real)((mask)x & ((mask){0} + 0x7fffffffffffffff)); }
 static inline real root(real x) { return lanes_sqrt(x); }
 #else
 typedef double real;
-typedef long mask;
+typedef long long mask;
 #define WIDTH 1
 #define LANE(value, lane) (value)
 #define WHERE(comparison) (-(mask)(comparison))
