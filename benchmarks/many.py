@@ -14,7 +14,7 @@ from benchmarks.timing import Contender, Task
 from tepm_opt.solvers.simulate import Simulation, simulate
 from tepm_opt.solvers.simulate_many import Motion, simulate_many
 
-SETS, SCATTER = 24, 0.05  # parameter sets, and how far they are spread
+SETS, SCATTER = 32, 0.05  # parameter sets, and how far they are spread
 RUN = 2  # of the made-up runs
 MANY, ALONE = "tepm_opt simulate_many", "tepm_opt simulate, one after the other"
 WAYS = {"many": ("steps that adapt", {}), "many_equal": ("equal steps of 10 ms", {"step": 10e-3})}

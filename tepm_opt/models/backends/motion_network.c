@@ -65,7 +65,7 @@ static int invert(block a) {
 static int factor(work *w) {
   for (int l = 1; l <= NLEV; l++) {
     if (l > 1) {
-      block product;
+      block product ALIGNED;
       for (int c = 0; c < NB; c++) {
         vector sum[PARTS] = {{0}};
         for (int k = 0; k < NB; k++)
@@ -134,10 +134,10 @@ static int gather(const work *w, int first, batch *b) {
 /* Forces of all segments at w->x, w->v (w->force), rates of the edge states and, with `with_tangent`, the stage's matrix in the blocks. */
 static void forces(work *w, double step, int with_tangent) {
   double rate = 1 / step;
-  vector time = (vector){0} + step, force[2 * NB], states[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB];
+  vector time = (vector){0} + step, force[2 * NB], states[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB] ALIGNED;
   memset(w->force, 0, sizeof w->force);
   for (int first = 0; first < NLEV; first += LANES) {
-    batch b;
+    batch b ALIGNED;
     int count = gather(w, first, &b);
     const vector *arg[] = {b.x[0], b.x[1], b.v[0], b.v[1], b.y, &time, w->packed_P[first / LANES], w->packed_theta, w->trusted[first / LANES]};
     vector *res[] = {force, states, w->pull[first / LANES], matrix};
