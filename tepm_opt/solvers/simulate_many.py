@@ -61,7 +61,7 @@ def simulate_many(
         InputError: as for `simulate`, with the number of the motion, before any of them moves.
     """
     jobs: list[Job] = []
-    assert model.stepper  # compiled now, models with other parameters share it
+    _ = model.stepper  # compiled now: models with other parameters share it
     for number, motion in enumerate(motions, start=1):
         try:
             its = model if motion.theta is None else model.with_theta(motion.theta)
