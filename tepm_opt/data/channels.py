@@ -10,9 +10,11 @@ from math import inf
 
 import numpy as np
 
-from tepm_opt.data.setpoints import FORCE_COLUMNS, input_columns, point_columns
+from tepm_opt.data.setpoints import AXES, FORCE_COLUMNS, input_columns, point_columns
+from tepm_opt.data.signals import Part, Regime, Signals
 
 TIME = "time_s"
+LOW_PRESSURE, HIGH_TENSION = 0.15, 0.60  # of their ranges
 _ACTUATOR = re.compile(r"(?:pressure|tension)_(\d+(?:_\d+)?)_(?:Pa|N)")
 _POINT = re.compile(r"s(\d+)_[xyz]_m")
 
@@ -62,6 +64,22 @@ class Channels:
     def coordinates(self) -> tuple[str, ...]:
         """Columns of the reference points."""
         return tuple(point_columns(self.points))
+
+    @cached_property
+    def signals(self) -> Signals:
+        """Inputs and outputs as the search for missing effects takes them."""
+        count, parts = len(self.actuators), []
+        pressures, tensions = tuple(range(count)), tuple(range(count, 2 * count))
+        for k, name in enumerate(self.actuators):
+            parts += [Part("actuator", f"{name} pressure", (k,), pressures), Part("actuator", f"{name} tension", (count + k,), tensions)]
+        modules = [name.partition("_")[0] if "_" in name else name[:-1] for name in self.actuators]
+        for module in dict.fromkeys(modules):
+            parts.append(Part("module", f"module {module}", tuple(k for k, other in enumerate(2 * modules) if other == module)))
+        regimes = (
+            Regime("low pressure", "at low pressure", pressures, high=LOW_PRESSURE, used=True),
+            Regime("high tension", "at high tension", tensions, low=HIGH_TENSION),
+        )
+        return Signals(self.inputs, tuple(self.limits.tolist()), self.points, AXES, "m", tuple(parts), regimes)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:

@@ -14,8 +14,8 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.documents import Section, between, explain, read_toml, refusal, toml_string, validated
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.markup import html_table
-from tepm_opt.data.run import Role, Run, read_run_table, refuse_unusable, run_of, write_run
-from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.data.run import Role, Run, RunSet, read_run_table, refuse_unusable, run_of, write_run
+from tepm_opt.errors import InputError
 
 DESCRIPTION = "dataset.toml"
 ChannelsOf = Callable[[str], Channels]
@@ -56,7 +56,7 @@ class Description(Section):
 
 
 @dataclass(frozen=True, eq=False)
-class DataSet:
+class DataSet(RunSet):
     """Runs of one robot.
 
     Attributes:
@@ -96,27 +96,6 @@ class DataSet:
         """The runs, for notebooks."""
         rows = [(run.file, run.role, str(run.rows), f"{run.duration:g}" if run.rows else "") for run in self.runs]
         return html_table(("run", "role", "rows", "duration in s"), rows, repr(self))
-
-    @property
-    def fit(self) -> tuple[Run, ...]:
-        """The runs to fit to."""
-        return tuple(run for run in self.runs if run.role == "fit")
-
-    @property
-    def validation(self) -> tuple[Run, ...]:
-        """The runs that judge a fit."""
-        return tuple(run for run in self.runs if run.role == "validation")
-
-    def run(self, file: str) -> Run:
-        """The run of this file name.
-
-        Raises:
-            InputError: there is none.
-        """
-        for run in self.runs:
-            if run.file == file:
-                return run
-        raise unknown_name("run", file, [run.file for run in self.runs], self.name)
 
 
 def read_description(folder: str | Path) -> Description:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -56,7 +56,7 @@ class Run:
             "time": (rows,),
             "inputs": (rows, self.inputs.shape[-1]),
             "tip_force": (rows, 3),
-            "points": (rows, *self.points.shape[1:2], 3),
+            "points": (rows, *self.points.shape[1:3]),
         }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
@@ -85,6 +85,49 @@ class Run:
     def line(self, row: int) -> int:
         """Line of a row (from 0) in the file; the header is line 1."""
         return self.lines[row] if self.lines else row + 2
+
+
+class RunSet:
+    """Runs of one machine: what data sets of whatever kind have in common.
+
+    Attributes:
+        name: for people.
+        runs: in the order of their description.
+    """
+
+    name: str
+    runs: tuple[Run, ...]
+
+    @property
+    def fit(self) -> tuple[Run, ...]:
+        """The runs to fit to."""
+        return tuple(run for run in self.runs if run.role == "fit")
+
+    @property
+    def validation(self) -> tuple[Run, ...]:
+        """The runs that judge a fit."""
+        return tuple(run for run in self.runs if run.role == "validation")
+
+    def run(self, file: str) -> Run:
+        """The run of this file name.
+
+        Raises:
+            InputError: there is none.
+        """
+        for run in self.runs:
+            if run.file == file:
+                return run
+        raise unknown_name("run", file, [run.file for run in self.runs], self.name)
+
+
+def spaced(run: Run, apart: float) -> Run:
+    """The samples of a run that are at least so many seconds apart, and its last one."""
+    time = run.time
+    first = np.searchsorted(time, np.arange(time[0], time[-1], apart) - 1e-6 * apart)
+    kept = np.unique(np.append(first, run.rows - 1))
+    return replace(
+        run, time=time[kept], inputs=run.inputs[kept], tip_force=run.tip_force[kept], points=run.points[kept], extra={}, lines=()
+    )
 
 
 def read_run(path: str | Path, role: Role = "fit", channels: Channels | None = None, static: bool = False) -> Run:

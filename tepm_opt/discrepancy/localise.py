@@ -10,11 +10,10 @@ import numpy as np
 from scipy.fft import dct
 from scipy.special import chdtrc
 
-from tepm_opt.data.channels import Channels
 from tepm_opt.data.run import Run
-from tepm_opt.data.setpoints import AXES
+from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.verdict import Place
-from tepm_opt.solvers.text import in_mm
+from tepm_opt.solvers.text import quantity
 
 PERMUTATIONS = 999
 CHUNK = 2_000_000  # numbers permuted at a time
@@ -27,10 +26,10 @@ RECENT = 1.0  # s that an input or a point counts as moving after it did
 IN_USE, MOVED = 0.02, 0.005  # of an input's range; the latter is the way gone within RECENT
 TURNED = 0.01  # of an input's range that it must come back by
 POINTS_MOVED = 1e-3  # m gone within RECENT by the point that moves most
-LOW_PRESSURE, HIGH_TENSION = 0.15, 0.60  # of their ranges
 EDGES = (0.3, 2.0)  # Hz
 BANDS = ("below 0.3 Hz", "0.3 to 2 Hz", "above 2 Hz")
 ALONE = ", no other"
+TIMES_NOISE = "times the noise"
 LEAST_BAND_SHARE = 0.2  # every error that varies smoothly is densest in the slow band
 
 
@@ -72,6 +71,7 @@ class _Samples:
         block: number of each row's block of time, (rows,).
         starts: first row of every run, and the number of rows, (runs + 1,).
         variance: of the noise in m².
+        unit: of residuals; m unless what is measured has another.
     """
 
     excess: np.ndarray
@@ -79,6 +79,12 @@ class _Samples:
     block: np.ndarray
     starts: np.ndarray
     variance: float
+    unit: str = "m"
+
+    @cached_property
+    def axes(self) -> int:
+        """Coordinates of a point."""
+        return self.excess.shape[2]
 
     @cached_property
     def count(self) -> int:
@@ -105,7 +111,7 @@ class _Samples:
         """A place with a sum of squares beyond the noise's, in m², in so many coordinates."""
         density = max(excess / count, 0.0)
         share = min(density * count / (self.scale * self.count), 1.0)
-        rms = float(np.sqrt(3 * density)) if rms is None else rms
+        rms = float(np.sqrt(self.axes * density)) if rms is None else rms
         return _Found(Place(by, name, rms, share, density / self.scale, p), self.clear(density, count))
 
     def clear(self, density: float, count: float) -> bool:
@@ -128,7 +134,9 @@ class _Found:
         return self.clear and place.p <= SIGNIFICANT and place.ratio >= LEAST_RATIO and place.share >= least
 
 
-def localise(runs: Sequence[Run], points: Sequence[np.ndarray], noise: float, channels: Channels, static: bool, seed: int) -> Localisation:
+def localise(
+    runs: Sequence[Run], points: Sequence[np.ndarray], noise: float | np.ndarray, signals: Signals, static: bool, seed: int
+) -> Localisation:
     """Find the parts of the data in which measured and modelled positions differ by more than noise.
 
     Significance is against data with permuted blocks of time (for points and axes: with their order permuted within every block; for
@@ -137,21 +145,23 @@ def localise(runs: Sequence[Run], points: Sequence[np.ndarray], noise: float, ch
     Args:
         runs: measured.
         points: modelled reference points of every run, (rows, points, 3) in m.
-        noise: standard deviation of the measured positions per axis in m.
-        channels: names and ranges.
+        noise: standard deviation of what is measured, per axis in m; or of each point, (points, 1).
+        signals: names and ranges.
         static: whether rows are equilibria: each is a block, and there are no places in time.
         seed: of the permutations.
     """
-    residuals = [run.points - modelled for run, modelled in zip(runs, points, strict=True)]
-    samples, random = _samples(runs, residuals, noise, static), np.random.default_rng(seed)
+    residuals, unit = [run.points - modelled for run, modelled in zip(runs, points, strict=True)], signals.unit
+    if np.ndim(noise):  # quantities of different kinds are compared by their noise
+        residuals, noise, unit = [residual / noise for residual in residuals], 1.0, TIMES_NOISE
+    samples, random = _samples(runs, residuals, float(noise), static, unit), np.random.default_rng(seed)
     found = []
     if samples.count:
-        found = _rows(samples, list(_row_labels(runs, points, channels, static)), random) + _columns(samples, channels, random)
+        found = _rows(samples, list(_row_labels(runs, points, signals, static)), random) + _columns(samples, signals, random)
         found += [] if static else _bands(samples, runs, residuals)
-    return _localisation(found, samples, runs, channels)
+    return _localisation(found, samples, runs, signals)
 
 
-def _samples(runs: Sequence[Run], residuals: Sequence[np.ndarray], noise: float, static: bool) -> _Samples:
+def _samples(runs: Sequence[Run], residuals: Sequence[np.ndarray], noise: float, static: bool, unit: str) -> _Samples:
     every = np.concatenate(residuals)
     present = np.isfinite(every)
     excess = np.where(present, np.where(present, every, 0.0) ** 2 - noise**2, 0.0)
@@ -161,16 +171,16 @@ def _samples(runs: Sequence[Run], residuals: Sequence[np.ndarray], noise: float,
         number = np.unique(number, return_inverse=True)[1]
         blocks.append(first + number)
         first += int(number.max(initial=-1)) + 1
-    return _Samples(excess, present, np.concatenate(blocks), np.cumsum([0, *(run.rows for run in runs)]), noise**2)
+    return _Samples(excess, present, np.concatenate(blocks), np.cumsum([0, *(run.rows for run in runs)]), noise**2, unit)
 
 
-def _localisation(found: list[_Found], samples: _Samples, runs: Sequence[Run], channels: Channels) -> Localisation:
+def _localisation(found: list[_Found], samples: _Samples, runs: Sequence[Run], signals: Signals) -> Localisation:
     ordered = sorted(found, key=lambda entry: (not entry.tells, -entry.place.rms))
     places = tuple(entry.place for entry in ordered)
     telling = [entry.place for entry in ordered if entry.tells]
-    rms, structured = float(np.sqrt(3 * max(samples.density, 0.0))), samples.clear(samples.density, samples.count)
-    sentence = _sentence(rms, telling, places) if telling or structured else _nothing(samples)
-    return Localisation(places, len(telling), _heat(samples), tuple(run.file for run in runs), channels.points, rms, sentence)
+    rms, structured = float(np.sqrt(samples.axes * max(samples.density, 0.0))), samples.clear(samples.density, samples.count)
+    sentence = _sentence(rms, telling, places, samples.unit, signals) if telling or structured else _nothing(samples)
+    return Localisation(places, len(telling), _heat(samples), tuple(run.file for run in runs), signals.points, rms, sentence)
 
 
 def _heat(samples: _Samples) -> np.ndarray:
@@ -178,7 +188,7 @@ def _heat(samples: _Samples) -> np.ndarray:
     parts = [slice(*pair) for pair in zip(samples.starts[:-1], samples.starts[1:], strict=True)]
     excess = np.array([samples.excess[rows].sum(axis=(0, 2)) for rows in parts])
     count = np.array([samples.present[rows].sum(axis=(0, 2)) for rows in parts])
-    return np.where(count > 0, np.sqrt(3 * np.maximum(excess, 0.0) / np.maximum(count, 1)), np.nan)
+    return np.where(count > 0, np.sqrt(samples.axes * np.maximum(excess, 0.0) / np.maximum(count, 1)), np.nan)
 
 
 def _rows(samples: _Samples, labels: list[_Label], random: np.random.Generator) -> list[_Found]:
@@ -206,10 +216,12 @@ def _chances_of_rows(samples: _Samples, masks: np.ndarray, random: np.random.Gen
     return (1 + exceeded) / (1 + PERMUTATIONS)
 
 
-def _columns(samples: _Samples, channels: Channels, random: np.random.Generator) -> list[_Found]:
+def _columns(samples: _Samples, signals: Signals, random: np.random.Generator) -> list[_Found]:
     """Places by reference point and by axis."""
     found = []
-    for by, names, axis in (("point", channels.points, 2), ("axis", AXES, 1)):
+    for by, names, axis in (("point", signals.points, 2), ("axis", signals.axes, 1)):
+        if len(names) < 2:
+            continue
         excess, count = (values.sum(axis=axis) for values in samples.blocks)
         chances = _chances_of_columns(excess, count, random)
         for name, e, n, p in zip(names, excess.sum(axis=0), count.sum(axis=0), chances, strict=True):
@@ -240,17 +252,17 @@ def _chunks(size: int) -> Iterator[int]:
 _Label = tuple[str, str, np.ndarray]
 
 
-def _row_labels(runs: Sequence[Run], points: Sequence[np.ndarray], channels: Channels, static: bool) -> Iterator[_Label]:
+def _row_labels(runs: Sequence[Run], points: Sequence[np.ndarray], signals: Signals, static: bool) -> Iterator[_Label]:
     """(by, name, mask (rows of all runs,)) of every place that is a choice of rows."""
     lengths = [run.rows for run in runs]
     for k, run in enumerate(runs):
         yield "run", run.file, np.repeat(np.arange(len(runs)) == k, lengths)
-    levels = _levels(runs, channels)
+    levels = _levels(runs, signals)
     moves = [np.zeros_like(level, dtype=bool) if static else _moves(run, level) for run, level in zip(runs, levels, strict=True)]
     level, moving = np.concatenate(levels), np.concatenate(moves)
     used = (level > IN_USE) | moving
-    yield from _input_labels(used, channels)
-    yield from _level_labels(level, used, len(channels.actuators))
+    yield from _input_labels(used, signals)
+    yield from _regime_labels(level, used, points, signals)
     if not static:
         yield from _time_labels(runs)
         rest = ~moving.max(axis=1) & ~np.concatenate([_points_move(run, at) for run, at in zip(runs, points, strict=True)])
@@ -258,30 +270,30 @@ def _row_labels(runs: Sequence[Run], points: Sequence[np.ndarray], channels: Cha
         yield from (("regime", "at rest", rest), ("regime", "moving", ~rest), ("regime", "after a reversal", turned))
 
 
-def _levels(runs: Sequence[Run], channels: Channels) -> list[np.ndarray]:
+def _levels(runs: Sequence[Run], signals: Signals) -> list[np.ndarray]:
     """Inputs over their ranges, (rows, inputs) each; over their own maxima where ranges are unknown."""
     largest = np.abs(np.concatenate([run.inputs for run in runs])).max(axis=0, initial=0.0)
-    ranges = np.where(np.isfinite(channels.limits), channels.limits, largest)
+    ranges = np.where(np.isfinite(signals.ranges), signals.ranges, largest)
     return [run.inputs / np.where(ranges > 0, ranges, 1.0) for run in runs]
 
 
-def _input_labels(used: np.ndarray, channels: Channels) -> Iterator[_Label]:
-    """By pressures and tensions in use, by those that are the only one of their kind, and by module."""
-    count = len(channels.actuators)
-    for k, name in enumerate(channels.actuators):
-        for kind, column, alike in (("pressure", k, used[:, :count]), ("tension", count + k, used[:, count:])):
-            alone = used[:, column] & (alike.sum(axis=1) == 1)
-            yield from (("actuator", f"{name} {kind}", used[:, column]), ("actuator", f"{name} {kind}{ALONE}", alone))
-    modules = [name.partition("_")[0] if "_" in name else name[:-1] for name in channels.actuators]
-    for module in dict.fromkeys(modules):
-        own = np.tile([other == module for other in modules], 2)
-        yield "module", f"module {module}", used[:, own].max(axis=1)
+def _input_labels(used: np.ndarray, signals: Signals) -> Iterator[_Label]:
+    """By parts of the inputs in use, and by those that are the only ones of their kind."""
+    for part in signals.parts:
+        own = used[:, part.columns].max(axis=1)
+        yield part.by, part.name, own
+        if part.alike:
+            yield part.by, f"{part.name}{ALONE}", own & (used[:, part.alike].sum(axis=1) == len(part.columns))
 
 
-def _level_labels(level: np.ndarray, used: np.ndarray, actuators: int) -> Iterator[_Label]:
-    low = (used & (level < LOW_PRESSURE))[:, :actuators].max(axis=1)
-    high = (level > HIGH_TENSION)[:, actuators:].max(axis=1)
-    yield from (("regime", "low pressure", low), ("regime", "high tension", high))
+def _regime_labels(level: np.ndarray, used: np.ndarray, points: Sequence[np.ndarray], signals: Signals) -> Iterator[_Label]:
+    every = np.concatenate(points)
+    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    measured = ((every - low) / np.where(high > low, high - low, 1.0)).max(axis=-1)
+    for regime in signals.regimes:
+        values = (measured if regime.measured else level)[:, regime.columns]
+        inside = (values > regime.low) & (values < regime.high)
+        yield "regime", regime.name, (inside & used[:, regime.columns] if regime.used else inside).max(axis=1)
 
 
 def _time_labels(runs: Sequence[Run]) -> Iterator[_Label]:
@@ -333,7 +345,7 @@ def _bands(samples: _Samples, runs: Sequence[Run], residuals: Sequence[np.ndarra
         if n:
             chance = float(chdtrc(n, e / samples.variance)) if samples.variance > 0 else float(e <= 0)
             excess = float(e - n * samples.variance)
-            rms = float(np.sqrt(3 * max(excess, 0.0) / samples.count))  # squares of the bands add up to the whole
+            rms = float(np.sqrt(samples.axes * max(excess, 0.0) / samples.count))  # squares of the bands add up to the whole
             found.append(samples.found("band", name, excess, float(n), max(chance, 1 / (1 + PERMUTATIONS)), rms))
     return found
 
@@ -352,22 +364,22 @@ def _spectrum(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _nothing(samples: _Samples) -> str:
     if not samples.count:
         return "No sample can be compared with the model."
-    return f"No structure above the noise ({1e3 * np.sqrt(3 * samples.variance):.2g} mm in Eq. (5))."
+    return f"No structure above the noise ({quantity(float(np.sqrt(samples.axes * samples.variance)), samples.unit)})."
 
 
-def _sentence(rms: float, telling: Sequence[Place], found: Sequence[Place]) -> str:
+def _sentence(rms: float, telling: Sequence[Place], found: Sequence[Place], unit: str, signals: Signals) -> str:
     best = {by: max((t for t in telling if t.by == by), key=_weight) for by in {t.by for t in telling}}
-    spots = [f"in {best['run'].name} ({in_mm(best['run'].rms)})"] if "run" in best else []
-    spots += [f"at {best['point'].name}" + ("" if spots else f" ({in_mm(best['point'].rms)})")] if "point" in best else []
-    parts = [f"The model misses by {in_mm(rms)} beyond the noise" + (f", most {' and '.join(spots)}" if spots else "")]
+    spots = [f"in {best['run'].name} ({quantity(best['run'].rms, unit)})"] if "run" in best else []
+    spots += [f"at {best['point'].name}" + ("" if spots else f" ({quantity(best['point'].rms, unit)})")] if "point" in best else []
+    parts = [f"The model misses by {quantity(rms, unit)} beyond the noise" + (f", most {' and '.join(spots)}" if spots else "")]
     parts += [f"along {best['axis'].name}"] if "axis" in best else []
     if "actuator" in best:
         name, _, kind = best["actuator"].name.removesuffix(ALONE).partition(" ")
         alone = " and no other" if best["actuator"].name.endswith(ALONE) else ""
         parts.append(f"while {name}'s {kind}{alone} is in use")
-    elif "module" in best:
-        parts.append(f"while {best['module'].name} is in use")
-    parts += [*_regimes(telling, found), *_times(best)]
+    elif used := best.get("module") or best.get("input"):
+        parts.append(f"while {used.name} is in use")
+    parts += [*_regimes(telling, found, unit, signals), *_times(best)]
     parts += [f"{100 * best['band'].share:.0f} % of it {best['band'].name}"] if "band" in best else []
     return "; ".join(parts if len(parts) > 1 or spots else [parts[0] + ", everywhere alike"]) + "."
 
@@ -377,18 +389,26 @@ def _weight(place: Place) -> float:
     return place.share * float(np.log(max(place.ratio, 1e-9)))
 
 
-def _regimes(telling: Sequence[Place], found: Sequence[Place]) -> list[str]:
+def _regimes(telling: Sequence[Place], found: Sequence[Place], unit: str, signals: Signals) -> list[str]:
     regimes = {place.name: place for place in found if place.by == "regime"}
     words = []
     if "at rest" in regimes and "moving" in regimes:
         rest, moving = regimes["at rest"], regimes["moving"]
         if rest.rms > 1.5 * moving.rms:
-            words = [f"more at rest ({in_mm(rest.rms)}) than in motion ({in_mm(moving.rms)})"] if rest.p <= SIGNIFICANT else []
+            words = (
+                [f"more at rest ({quantity(rest.rms, unit)}) than in motion ({quantity(moving.rms, unit)})"]
+                if rest.p <= SIGNIFICANT
+                else []
+            )
         elif moving.rms > 1.5 * rest.rms:
-            words = [f"more in motion ({in_mm(moving.rms)}) than at rest ({in_mm(rest.rms)})"] if moving.p <= SIGNIFICANT else []
+            words = (
+                [f"more in motion ({quantity(moving.rms, unit)}) than at rest ({quantity(rest.rms, unit)})"]
+                if moving.p <= SIGNIFICANT
+                else []
+            )
         else:
             words = ["at rest as much as in motion"]
-    named = {"after a reversal": "after reversals", "low pressure": "at low pressure", "high tension": "at high tension"}
+    named = {"after a reversal": "after reversals", **{regime.name: regime.when for regime in signals.regimes}}
     return words + [f"more {when}" for name, when in named.items() if any(t.by == "regime" and t.name == name for t in telling)]
 
 

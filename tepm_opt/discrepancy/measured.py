@@ -7,19 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from tepm_opt.data.channels import Channels
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.search import Explanation, SearchSettings
 
 
-def with_measured_inputs(runs: Sequence[Run], channels: Channels) -> tuple[Run, ...] | None:
+def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ...] | None:
     """The runs with measured pressures and tensions in the place of commanded ones, where a channel is measured in all of them.
 
     Values outside the robot's limits (a gauge's noise at zero) are put on them, missing samples are interpolated. None where no channel
     is measured in all runs.
     """
-    columns = {k: name for k, column in enumerate(channels.inputs) if all((name := measured_column(column)) in run.extra for run in runs)}
+    columns = {k: name for k, column in enumerate(signals.inputs) if all((name := measured_column(column)) in run.extra for run in runs)}
     columns = {k: name for k, name in columns.items() if all(_usable(run.extra[name]) for run in runs)}
     if not columns:
         return None
@@ -29,7 +29,7 @@ def with_measured_inputs(runs: Sequence[Run], channels: Channels) -> tuple[Run, 
         for k, name in columns.items():
             values = run.extra[name]
             seen = np.isfinite(values)
-            inputs[:, k] = np.clip(np.interp(np.arange(run.rows), np.flatnonzero(seen), values[seen]), 0.0, channels.limits[k])
+            inputs[:, k] = np.clip(np.interp(np.arange(run.rows), np.flatnonzero(seen), values[seen]), 0.0, signals.limits[k])
         found.append(replace(run, inputs=inputs))
     return tuple(found)
 
@@ -51,4 +51,4 @@ def separated(body: Explanation, missing: Sequence[Candidate], settings: SearchS
     """
     if body.best.excess > settings.max_noise_excess and not body.best.effects:
         return tuple(missing)
-    return tuple(c for c in missing if c in body.best.effects or c.acts_on_inputs)
+    return tuple(c for c in missing if c in body.best.effects or c.stage == "input")

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.discrepancy.library import Candidate
-from tepm_opt.solvers.identify import ParameterEstimate, free_parameters
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import beside, in_parallel
-from tepm_opt.solvers.predict import PredictionError
+from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations
 
 MEMORY = 60_000_000  # B, of the derivatives taken in one pass
@@ -45,9 +45,9 @@ def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Sc
     model cannot take is left out.
     """
     estimate = _sparse(estimate)
-    problem, threads = estimate.problem, estimate.problem.model.is_c
+    problem, threads = estimate.problem, estimate.problem.plant.concurrent
     free = [parameter.name for parameter in problem.free]
-    smooth, bent = [c for c in missing if not c.bends], [c for c in missing if c.bends]
+    smooth, bent = [c for c in missing if c.smooth], [c for c in missing if not c.smooth]
 
     def slopes() -> tuple[list[Score], list[Residual]]:
         """Scores by derivatives, and the residuals as simulated here with their derivatives by the free parameters."""
@@ -101,7 +101,7 @@ def _blocks(estimate: ParameterEstimate, candidates: Sequence[Candidate]) -> lis
 
 def _by_slopes(estimate: ParameterEstimate, candidate: Candidate, square: np.ndarray, slope: np.ndarray) -> Score:
     """Score of a candidate from the normal equations of the free parameters and its own."""
-    own = free_parameters(estimate.problem.model, candidate.parameters)
+    own = estimate.problem.plant.free(candidate.parameters)
     low, high = np.array([[f.low - f.start, f.high - f.start] for f in own]).T
     gain, step = _gain(estimate, square, slope, low, high, np.array([f.scale for f in own]))
     start = {f.name: f.start + float(d) for f, d in zip(own, step[-len(own) :], strict=True)}
@@ -111,12 +111,8 @@ def _by_slopes(estimate: ParameterEstimate, candidate: Candidate, square: np.nda
 
 def _probed(estimate: ParameterEstimate, candidate: Candidate) -> list[Residual] | None:
     """Residuals of every run with a candidate's probe; None where the model cannot take it."""
-    moved = estimate.model
-    theta = moved.theta.copy()
-    for name, value in candidate.probe.items():
-        theta[moved.network.parameter_names.index(name)] = value
     try:
-        return replace(estimate.problem, model=moved.with_theta(theta)).residuals(estimate.values, [])
+        return replace(estimate.problem, plant=estimate.plant.with_values(candidate.probes[0])).residuals(estimate.values, [])
     except PredictionError:
         return None
 
@@ -124,8 +120,8 @@ def _probed(estimate: ParameterEstimate, candidate: Candidate) -> list[Residual]
 def _by_change(estimate: ParameterEstimate, at_null: Sequence[Residual], candidate: Candidate, change: Sequence[np.ndarray]) -> Score:
     """Score of a candidate by how its probe changes the residuals of every run, (coordinates,) each: a direction."""
     picked = [replace(r, by=np.vstack([r.by.T, d]).T) for r, d in zip(at_null, change, strict=True)]
-    own = free_parameters(estimate.problem.model, candidate.parameters)
-    moved = {f.name: candidate.probe[f.name] - candidate.null[f.name] for f in own}
+    own = estimate.problem.plant.free(candidate.parameters)
+    moved = {f.name: candidate.probes[0][f.name] - candidate.null[f.name] for f in own}
     room = min((f.high - candidate.null[f.name]) / moved[f.name] for f in own if moved[f.name])
     gain, step = _gain(estimate, *normal_equations(picked), np.zeros(1), np.array([room]), np.ones(1))
     size = float(np.clip(step[-1], 0.1, room))

@@ -13,13 +13,13 @@ import numpy as np
 
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
-from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import MEMORY, Score, screen
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import OUT_OF_REACH, Free, ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
 from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.predict import PredictionError
+from tepm_opt.solvers.plant import Free, PredictionError
 from tepm_opt.solvers.text import listed, shortened
 
 CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
@@ -194,7 +194,7 @@ class Fits:
         """Whether fits may run at the same time: in C, and with derivatives that take little memory."""
         problem = self.problem
         most = len(problem.free) + max((sum(len(c.parameters) for c in effects) for effects in hypotheses), default=0)
-        return problem.model.is_c and 8 * most * sum(run.points.size for run in problem.runs) < MEMORY
+        return problem.plant.concurrent and 8 * most * sum(run.points.size for run in problem.runs) < MEMORY
 
     def _fitted(self, effects: Effects, start: dict[str, float], reached: float) -> Hypothesis | None:
         """A fit from where an earlier one ended, else from `start`; an earlier search's fit as it was."""
@@ -203,7 +203,7 @@ class Fits:
         kept = self._kept.get(f"early {label}" if early else f"fit {label}")
         begun = self.done[effects].estimate.named if effects in self.done else start
         names = [parameter for c in effects for parameter in c.parameters]
-        free = (*self.problem.free, *free_parameters(self.problem.model, names))
+        free = (*self.problem.free, *self.problem.plant.free(names))
         free = tuple(_starting(f, (kept or begun).get(f.name, f.start)) for f in free)
         try:
             found = identify(
@@ -344,10 +344,7 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
 def _output(hypothesis: Hypothesis, effect: Candidate) -> float:
     """Mean square of what one effect of a hypothesis changes in the modelled positions, over the noise's; 0 where that cannot be told."""
     estimate = hypothesis.estimate
-    theta = estimate.model.theta.copy()
-    for name, value in effect.null.items():
-        theta[estimate.model.network.parameter_names.index(name)] = value
-    problem = replace(estimate.problem, model=estimate.model.with_theta(theta), free=())
+    problem = replace(estimate.problem, plant=estimate.plant.with_values(effect.null), free=())
     try:
         without = problem.residuals(np.zeros(0))
     except PredictionError:  # the model cannot do the runs without it

@@ -8,7 +8,7 @@ from enum import Enum
 from html import escape
 from typing import Any
 
-from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.text import html_table, listed, shortened
 

@@ -7,10 +7,11 @@ from itertools import combinations
 
 import numpy as np
 
-from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.metrics import error_over_time
-from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.data.run import Run, RunSet
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.localise import TIMES_NOISE
+from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation, Hypothesis
 from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus
@@ -22,66 +23,78 @@ COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 
 
 def paragraph(
-    status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation
-) -> str:
+    status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation,
+    unit: str,
+) -> str:  # fmt: skip
     """The answer in one paragraph.
 
     Args:
         status: kind of answer.
         named: effects that the answer names, with their parameters.
-        errors: of the models on validation runs, in m.
+        errors: of the models on validation runs.
         where: a sentence that says where the model misses.
         known: recalibrated parameters by full name.
         explanation: what the search found.
+        unit: of the errors.
     """
-    shrinks = f"On validation runs the error falls from {_mm(errors.nominal)} (nominal) over {_mm(errors.recalibrated)} (recalibrated)"
-    floor = f"noise {_mm(errors.noise_floor)}"
+
+    def size(error: float) -> str:
+        return _shown(error, unit)
+
+    shrinks = f"On validation runs the error falls from {size(errors.nominal)} (nominal) over {size(errors.recalibrated)} (recalibrated)"
+    floor = f"noise {size(errors.noise_floor)}"
     if status is VerdictStatus.NO_DISCREPANCY:
         return (
             f"Nothing is missing: with the known parameters recalibrated within their priors ({_moved(known)}) only noise is left. "
-            f"On validation runs the error falls from {_mm(errors.nominal)} to {_mm(errors.recalibrated)} ({floor})."
+            f"On validation runs the error falls from {size(errors.nominal)} to {size(errors.recalibrated)} ({floor})."
         )
     if status is VerdictStatus.NAMED:
         names = " and ".join(f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f})" for each in named)
         return (
-            f"Missing: {names}. {where} {shrinks} to {_mm(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
+            f"Missing: {names}. {where} {shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
             f"in the model ({floor}), which closes {100 * errors.closed:.0f} % of the gap."
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
-        return f"{_groups(named, explanation)}. {where} {shrinks} to {_mm(errors.corrected)} with the most probable in the model ({floor})."
+        return (
+            f"{_groups(named, explanation)}. {where} {shrinks} to {size(errors.corrected)} with the most probable in the model ({floor})."
+        )
     best = max((h for h in explanation.tried if len(h.effects) == 1), key=explanation.closes, default=None)
     nearest = f"; {best.effects[0].label} alone would close {_percent(explanation.closes(best))}" if best else ""
     return (
         f"Unexplained: structure above the noise remains that no known effect explains{nearest}. {where} On validation runs the error is "
-        f"{_mm(errors.nominal)} (nominal) and {_mm(errors.recalibrated)} (recalibrated); a black box without physics reaches "
-        f"{_mm(errors.black_box)} ({floor})."
+        f"{size(errors.nominal)} (nominal) and {size(errors.recalibrated)} (recalibrated); a black box without physics reaches "
+        f"{size(errors.black_box)} ({floor})."
     )
 
 
-def notes(dataset: DataSet, explanation: Explanation, best: ParameterEstimate, noise: float) -> tuple[str, ...]:
+def notes(
+    dataset: RunSet, signals: Signals, explanation: Explanation, best: ParameterEstimate, noise: float | np.ndarray
+) -> tuple[str, ...]:
     """Sentences that a reader should know besides the answer.
 
     Args:
         dataset: the data.
+        signals: what they are of.
         explanation: what the search found.
         best: parameters of the best hypothesis.
-        noise: of a coordinate, 1 sigma in m.
+        noise: of what is measured, 1 sigma per axis.
     """
     found = []
     if not dataset.validation:
         found.append("No run is kept for validation: errors are on the runs fitted to and flatter the model.")
     if len(dataset.fit) < 3:
         found.append("Fewer than three runs to fit to: held-out data are quarters of runs, not whole ones.")
-    silent = [
-        name for k, name in enumerate(dataset.channels.points) if not any(np.isfinite(run.points[:, k]).any() for run in dataset.runs)
-    ]
+    silent = [name for k, name in enumerate(signals.points) if not any(np.isfinite(run.points[:, k]).any() for run in dataset.runs)]
     if silent:
         found.append(f"{', '.join(silent)}: not measured in any run.")
-    found += repeats(dataset.runs, noise)
+    alike = noise if np.ndim(noise) == 0 else 1.0
+    unit = signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
+    found += repeats(dataset.runs, noise, unit)
     left = explanation.best.excess
     if explanation.best.effects and left > 0.1:
         found.append(
-            f"Structure of {_mm(np.sqrt(3 * left) * noise)} is left in the runs fitted to: the effect's form differs from the machine's, "
+            f"Structure of {_shown(float(np.sqrt(len(signals.axes) * left) * alike), unit)} is left in the runs fitted to: "
+            "the effect's form differs from the machine's, "
             "or something small is missing besides."
         )
     found += [f"{text}." for text in unidentifiable(best)]
@@ -91,15 +104,17 @@ def notes(dataset: DataSet, explanation: Explanation, best: ParameterEstimate, n
     return tuple(found)
 
 
-def repeats(runs: Sequence[Run], noise: float) -> list[str]:
+def repeats(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> list[str]:
     """How well the machine repeats itself, a line for each pair of runs with the same inputs and tip forces."""
     found = []
     for one, other in combinations(runs, 2):
         same = one.inputs.shape == other.inputs.shape and np.array_equal(one.inputs, other.inputs)
         if same and np.array_equal(one.tip_force, other.tip_force):
-            differ = error_over_time(one.points, other.points) / np.sqrt(2)
+            size = noise if np.ndim(noise) else 1.0
+            differ = error_over_time(one.points / size, other.points / size) / np.sqrt(2)
+            alone = float(np.sqrt(one.points.shape[-1]) * (1.0 if np.ndim(noise) else noise))
             found.append(
-                f"{one.file} and {other.file} repeat the same inputs: {_mm(differ)} each (noise alone: {_mm(np.sqrt(3) * noise)})."
+                f"{one.file} and {other.file} repeat the same inputs: {_shown(differ, unit)} each (noise alone: {_shown(alone, unit)})."
             )
     return found
 
@@ -160,8 +175,8 @@ def _values(named: Named) -> str:
     return ", ".join(parts)
 
 
-def _mm(value: float) -> str:
-    return f"{1e3 * value:.2f} mm"
+def _shown(value: float, unit: str) -> str:
+    return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}".strip()
 
 
 def _percent(part: float) -> str:

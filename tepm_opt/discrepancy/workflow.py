@@ -10,25 +10,22 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.data.channels import Channels
-from tepm_opt.data.checks.findings import Subject
-from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.metrics import error_over_time
+from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy import words
 from tepm_opt.discrepancy.black_box import black_box
 from tepm_opt.discrepancy.clock import shifts
-from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
-from tepm_opt.discrepancy.localise import Localisation, localise
+from tepm_opt.discrepancy.localise import TIMES_NOISE, Localisation, localise
 from tepm_opt.discrepancy.measured import separated, with_measured_inputs
+from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, SearchSettings, explain
 from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.errors import InputError
-from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.model import Model
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.parallel import beside
-from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict_all
+from tepm_opt.solvers.plant import Plant, PredictionError, predictions
+from tepm_opt.solvers.predict import LONGEST_STEP
 from tepm_opt.solvers.text import shortened
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
@@ -44,15 +41,15 @@ class Discovery:
     Attributes:
         verdict: the answer.
         dataset: what it is about.
-        noise: of a coordinate, 1 sigma in m.
+        noise: of what is measured, 1 sigma per axis.
         localisation: where the model misses.
         predictions: modelled points of every run by "nominal", "recalibrated" and "corrected", (rows, points, 3) in m each.
         explanation: all fits.
     """
 
     verdict: Verdict
-    dataset: DataSet
-    noise: float
+    dataset: RunSet
+    noise: float | np.ndarray
     localisation: Localisation
     predictions: dict[str, list[np.ndarray]]
     explanation: Explanation
@@ -64,15 +61,15 @@ class Discovery:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def discover(
-    dataset: DataSet, model: Model, channels: Channels, seed: int = 0, store: Path | None = None, key: str = "",
+    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
     settings: SearchSettings | None = None, progress: Progress = silent,
 ) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
     Args:
         dataset: checked data.
-        model: what is known of the machine; the effects it has are fitted anew with the known parameters.
-        channels: magnitudes of the robot's channels.
+        plant: what is known of the machine, with the effects that may be missing at their null values.
+        noise: of what is measured, 1 sigma per axis, or of each point, (points, 1).
         seed: of all random draws.
         store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
         key: what `store` must have been made from to be used.
@@ -85,19 +82,15 @@ def discover(
     began, settings = time.monotonic(), settings or SearchSettings()
     if not dataset.fit:
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
-    noise = noise_of(dataset)
-    missing = candidates(model)
-    progress(f"compiling a model with {len(missing)} effects at their null values", 0, 0)
-    compiled = compile_model(wide(model, missing))
+    missing = plant.candidates
     progress("simulating the runs with the model as it is", 0, 0)
-    nominal = _predict(compiled, dataset)
-    _refuse_shifted_clock(dataset, nominal)
-    own = [name for name in compiled.values if "." in name and not any(name in c.parameters for c in missing)]
-    step = _step(compiled, dataset, nominal, noise, settings)
-    free = free_parameters(compiled, [*model.robot.priors, *own])
-    problem = Problem(compiled, dataset.fit, free, noise, dataset.static, step=step, derivatives_apart=DERIVATIVES_APART)
+    nominal = _predict(plant, dataset)
+    if not plant.static:
+        _refuse_shifted_clock(dataset, nominal)
+    step = _step(plant, dataset, nominal, noise, settings)
+    problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=DERIVATIVES_APART)
     try:
-        behind = with_measured_inputs(dataset.fit, channels)
+        behind = with_measured_inputs(dataset.fit, plant.signals)
         if behind is not None:
             progress("with measured inputs, for what happens behind them", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-measured")
@@ -111,61 +104,44 @@ def discover(
 
     def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
         best = _refined(explanation.best.estimate)
-        return best, _predict(best.model, dataset)
+        return best, _predict(best.plant, dataset)
 
     def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
-        recalibrated = _predict(explanation.without.estimate.model, dataset)
+        recalibrated = _predict(explanation.without.estimate.plant, dataset)
         compared = nominal if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else recalibrated
-        place = localise(dataset.runs, compared, noise, channels, dataset.static, seed)
-        return recalibrated, place, _bounded(dataset, recalibrated)
+        place = localise(dataset.runs, compared, noise, plant.signals, plant.static, seed)
+        return recalibrated, place, _bounded(dataset, recalibrated, plant.static)
 
-    (recalibrated, localisation, bound), (best, points) = beside(looked_at, corrected, compiled.is_c)
+    (recalibrated, localisation, bound), (best, points) = beside(looked_at, corrected, plant.concurrent)
     predictions = {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}
     errors = _errors(dataset, noise, predictions, bound)
-    verdict = _verdict(dataset, model, noise, explanation, best, errors, localisation, settings)
+    verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, settings)
     verdict = replace(verdict, seconds=time.monotonic() - began)
     return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
 
 
-def noise_of(dataset: DataSet) -> float:
-    """Noise of a coordinate, 1 sigma in m: what the data set declares, else what the samples' second differences show.
-
-    Raises:
-        InputError: it declares none and the samples show none (data of equilibria, or without noise).
-    """
-    if dataset.position_noise:
-        return dataset.position_noise
-    levels = [Subject(run, dataset.channels, dataset.sample_rate).noise for run in dataset.runs if not dataset.static]
-    seen = [float(np.nanmedian(level)) for level in levels if np.isfinite(level).any()]
-    if not seen or not max(seen) > 0:
-        raise InputError(
-            f"{dataset.name}: position_noise_m is missing and cannot be estimated; give the tracker's noise, 1 sigma per axis in m"
-        )
-    return float(np.median(seen))
-
-
-def _predict(model: CompiledModel, dataset: DataSet) -> list[np.ndarray]:
+def _predict(plant: Plant, dataset: RunSet) -> list[np.ndarray]:
     try:
-        return [found.points for found in predict_all(model, dataset.runs, (), dataset.static, PRECISE_STEP)]
+        return [found.points for found in predictions(plant, dataset.runs, PRECISE_STEP)]
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
 
 
-def _step(model: CompiledModel, dataset: DataSet, precise: Sequence[np.ndarray], noise: float, settings: SearchSettings) -> float:
+def _step(plant: Plant, dataset: RunSet, precise: Sequence[np.ndarray], noise: float | np.ndarray, settings: SearchSettings) -> float:
     """The longest time step whose errors do not count beside the noise."""
-    if dataset.static:
+    if plant.static:
         return PRECISE_STEP
     try:
-        coarse = predict_all(model, dataset.fit)
+        coarse = predictions(plant, dataset.fit, LONGEST_STEP)
     except PredictionError:
         return PRECISE_STEP
     fit = [points for run, points in zip(dataset.runs, precise, strict=True) if run.role == "fit"]
-    square = np.mean([np.mean((a.points - b) ** 2) for a, b in zip(coarse, fit, strict=True)])
-    return LONGEST_STEP if square < settings.max_noise_excess / 5 * noise**2 else PRECISE_STEP
+    square = np.mean([np.mean(((a.points - b) / noise) ** 2) for a, b in zip(coarse, fit, strict=True)])
+    return LONGEST_STEP if square < settings.max_noise_excess / 5 else PRECISE_STEP
 
 
-def _refuse_shifted_clock(dataset: DataSet, nominal: Sequence[np.ndarray]) -> None:
-    found = {} if dataset.static else shifts(dataset.runs, nominal)
+def _refuse_shifted_clock(dataset: RunSet, nominal: Sequence[np.ndarray]) -> None:
+    found = shifts(dataset.runs, nominal)
     if found:
         file, shift = max(found.items(), key=lambda item: abs(item[1]))
         how = f"lead the inputs by {-shift:.2f} s" if shift < 0 else f"trail the inputs by {shift:.2f} s"
@@ -197,7 +173,7 @@ def _belief(share: float, settings: SearchSettings) -> float:
 
 
 def _verdict(
-    dataset: DataSet, model: Model, noise: float, explanation: Explanation, best: ParameterEstimate,
+    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, explanation: Explanation, best: ParameterEstimate,
     errors: Errors, localisation: Localisation, settings: SearchSettings,
 ) -> Verdict:  # fmt: skip
     status = _status(explanation, settings)
@@ -213,11 +189,13 @@ def _verdict(
                 )
     named.sort(key=lambda each: -each.probability)
     rivals = _rivals(explanation, named, settings)
-    corrected = narrow(model, best.model.values, explanation.best.effects)
-    notes = words.notes(dataset, explanation, best, noise)
+    corrected = plant.with_values(best.plant.values).corrected(explanation.best.effects)
+    notes = words.notes(dataset, plant.signals, explanation, best, noise)
     form_error = explanation.best.form_error
-    known = {f.name: _value(best, form_error, f.name, model.values[f.name]) for f in best.problem.free if f.name in model.values}
-    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation)
+    known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
+    text = words.paragraph(
+        status, named, errors, localisation.sentence, known, explanation, plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
+    )
     where = tuple(place for place in localisation.places if place.p <= 0.01)
     return Verdict(status, text, tuple(named), rivals, where, known, errors, corrected, notes)
 
@@ -262,24 +240,26 @@ def _rivals(explanation: Explanation, named: Sequence[Named], settings: SearchSe
     return tuple(sorted(found.values(), key=lambda rival: (-rival.probability, -(rival.closes or -1.0), rival.candidate.label)))
 
 
-def _judged(dataset: DataSet) -> list[int]:
+def _judged(dataset: RunSet) -> list[int]:
     """Numbers of the validation runs; of the runs fitted to where there are no others."""
     roles = [run.role for run in dataset.runs]
     return [k for k, role in enumerate(roles) if role == "validation"] or list(range(len(roles)))
 
 
-def _bounded(dataset: DataSet, recalibrated: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _bounded(dataset: RunSet, recalibrated: Sequence[np.ndarray], static: bool) -> list[np.ndarray]:
     """Points of the judged runs as a black box has them that learns from the runs fitted to, (rows, points, 3) in m each."""
     learnt, judged = [k for k, run in enumerate(dataset.runs) if run.role == "fit"], _judged(dataset)
     left = [dataset.runs[k].points - recalibrated[k] for k in learnt]
     size = np.maximum(np.max([np.abs(run.inputs).max(axis=0) for run in dataset.runs], axis=0), 1e-12)
-    guessed = black_box([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], dataset.static)
+    guessed = black_box([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], static)
     return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
 
 
-def _errors(dataset: DataSet, noise: float, predictions: dict[str, list[np.ndarray]], bound: Sequence[np.ndarray]) -> Errors:
+def _errors(dataset: RunSet, noise: float | np.ndarray, predictions: dict[str, list[np.ndarray]], bound: Sequence[np.ndarray]) -> Errors:
     """Of the predictions, and of a black box's for the judged runs."""
     judged = _judged(dataset)
-    measured = np.concatenate([dataset.runs[k].points for k in judged])
-    found = {name: error_over_time(measured, np.concatenate([points[k] for k in judged])) for name, points in predictions.items()}
-    return Errors(noise_floor=float(np.sqrt(3) * noise), black_box=error_over_time(measured, np.concatenate(bound)), **found)
+    size, alone = (noise, 1.0) if np.ndim(noise) else (1.0, float(noise))  # quantities of different kinds are compared by their noise
+    measured = np.concatenate([dataset.runs[k].points for k in judged]) / size
+    found = {name: error_over_time(measured, np.concatenate([points[k] for k in judged]) / size) for name, points in predictions.items()}
+    floor = float(np.sqrt(measured.shape[-1]) * alone)
+    return Errors(noise_floor=floor, black_box=error_over_time(measured, np.concatenate(bound) / size), **found)

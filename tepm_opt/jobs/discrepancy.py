@@ -10,6 +10,8 @@ from pathlib import Path
 from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.noise import noise_of
+from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
 from tepm_opt.models.channels import channels_of, read
@@ -70,7 +72,10 @@ def run_discrepancy(
         raise InputError(f"{model}: its robot has other actuators or reference points than {dataset.robot}, which {folder} names")
     out = output_folder(out)
     key = _fingerprint(folder, known, seed)
-    result = discover(dataset, known, channels, seed, out / FITS, key, progress=progress)
+    noise = noise_of(dataset)
+    progress("compiling a model with all effects at their null values", 0, 0)
+    plant = SearchableNetwork.of(known, channels, dataset.static)
+    result = discover(dataset, plant, noise, seed, out / FITS, key, progress=progress)
     write_model(result.verdict.model, out / MODEL)
     content = result.verdict.as_json()
     content["notes"] += [f"data: {line}" for line in warnings]

@@ -14,17 +14,18 @@ from threadpoolctl import threadpool_limits
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.metrics import error_over_time
+from tepm_opt.data.noise import noise_of
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.library import narrow
-from tepm_opt.discrepancy.workflow import noise_of
+from tepm_opt.discrepancy.network import narrow
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import MODEL, checked_dataset
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import write_model
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters
-from tepm_opt.solvers.predict import PredictionError, predict_all
+from tepm_opt.solvers.identify import ParameterEstimate, Problem
+from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.plant import Plant, PredictionError, predictions
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 
 SUMMARY = "identified.json"
@@ -115,7 +116,7 @@ class IdentifyRun:
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        write_model(narrow(self.before.model, self.estimate.model.values, ()), folder / MODEL)
+        write_model(narrow(self.before.model, self.estimate.plant.values, ()), folder / MODEL)
         write_atomically(folder / SUMMARY, json.dumps(self.summary(), indent=2) + "\n")
 
 
@@ -152,14 +153,15 @@ def run_identify(
         raise InputError(f"robot {model.robot.name} has no priors: name the parameters to fit")
     runs = [(run, noise_of(dataset)) for dataset in datasets for run in dataset.fit]
     noise, static = tuple(sigma for _, sigma in runs), datasets[0].static
-    problem = Problem(model, tuple(run for run, _ in runs), free, noise, static, robust, STEP)
+    plant = NetworkPlant(model, static)
+    problem = Problem(plant, tuple(run for run, _ in runs), free, noise, robust, STEP)
     judged = [run for dataset in datasets for run in dataset.validation]
     try:
         progress("compiling the motion", 0, 0)
         estimate = multi_start(problem, starts, seed, progress=progress)
         progress("judging", 0, 0)
         intervals = _intervals(estimate, profiles)
-        validation = {name: _error(which, judged, static) for name, which in (("before", model), ("after", estimate.model))}
+        validation = {name: _error(which, judged) for name, which in (("before", plant), ("after", estimate.plant))}
         return IdentifyRun(model, estimate, intervals, validation, unidentifiable(estimate))
     except PredictionError as error:
         raise InputError(f"the model cannot do the runs: {error}") from error
@@ -174,9 +176,9 @@ def _intervals(estimate: ParameterEstimate, profiles: bool) -> dict[str, tuple[f
     return found
 
 
-def _error(model: CompiledModel, runs: Sequence[Run], static: bool) -> float | None:
+def _error(plant: Plant, runs: Sequence[Run]) -> float | None:
     """Eq. (5) over time on runs not fitted to; None where there are none."""
     if not runs:
         return None
-    found = predict_all(model, runs, (), static)
+    found = predictions(plant, runs)
     return error_over_time(np.concatenate([run.points for run in runs]), np.concatenate([each.points for each in found]))

@@ -8,16 +8,13 @@ from html import escape
 
 import numpy as np
 
-from tepm_opt.data.run import Run
-from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.compile import CompiledModel
-from tepm_opt.models.effects import find_effect
-from tepm_opt.models.robot import UNITS, Parameters
+from tepm_opt.data.run import Run, spaced
+from tepm_opt.errors import InputError
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.predict import LONGEST_STEP, PredictionError, predict, spaced
+from tepm_opt.solvers.plant import Free, Plant, PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
 from tepm_opt.solvers.text import html_table, listed
 
@@ -27,110 +24,36 @@ HOPE = 2.0  # how many times what a step promises to first order a fit may still
 OUT_OF_REACH = "a rival cannot be reached any more"
 
 
-@dataclass(frozen=True)
-class Free:
-    """A parameter to be found.
-
-    Attributes:
-        name: full name ("K_a", "payload.mass").
-        unit: SI.
-        start: first value.
-        low, high: its range; for a robot parameter with a prior the prior's (SPEC section 4: uniform).
-        scale: a small but visible change of it.
-        prior_mean, prior_std: of a normal prior besides the range; infinite standard deviation for none.
-    """
-
-    name: str
-    unit: str
-    start: float
-    low: float
-    high: float
-    scale: float
-    prior_mean: float = 0.0
-    prior_std: float = np.inf
-
-    @property
-    def spread(self) -> float:
-        """Standard deviation of what is known before any data: of a uniform distribution over a finite range, else wide."""
-        width = self.high - self.low
-        if np.isfinite(self.prior_std):
-            return self.prior_std
-        return width / np.sqrt(12) if np.isfinite(width) else 1e3 * self.scale
-
-
-def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) -> tuple[Free, ...]:
-    """Parameters by full name with their ranges; without names those that the robot file has priors for.
-
-    A robot parameter with a prior keeps to it, around the robot file's value; one without is believed to be right to 100 %. A
-    parameter of an effect keeps to the effect's range.
-
-    Raises:
-        InputError: no such parameter; a value outside its prior.
-    """
-    robot, known = model.robot, model.values
-    effects = {f"{effect.label}.{p.name}": p for effect in model.model.effects for p in find_effect(effect.name).parameters}
-    found = []
-    for name in robot.priors if names is None else names:
-        if name not in known:
-            raise unknown_name("parameter", name, known)
-        value = known[name]
-        if name in effects:
-            kind = effects[name]
-            scale = abs(kind.probe - kind.null) or 0.3 * abs(kind.probe)
-            found.append(Free(name, kind.unit, value, kind.low, kind.high, scale))
-            continue
-        nominal = float(getattr(robot.parameters, name))
-        low, high = _physical_range(name)
-        half = robot.priors.get(name)
-        scale = abs(nominal) * (half or 0.05)
-        if half is not None:
-            low, high = max(low, nominal - abs(nominal) * half), min(high, nominal + abs(nominal) * half)
-        if not low - 1e-9 * scale <= value <= high + 1e-9 * scale:
-            raise InputError(f"parameter {name} = {value:g} {UNITS[name]} is outside its prior; valid: {low:g} … {high:g}")
-        doubt = np.inf if half is not None or not nominal else abs(nominal)
-        found.append(Free(name, UNITS[name], min(max(value, low), high), low, high, scale, nominal, doubt))
-    return tuple(found)
-
-
-def _physical_range(name: str) -> tuple[float, float]:
-    limits = {type(rule).__name__: rule for rule in Parameters.model_fields[name].metadata}
-    return float(limits["Ge"].ge), float(limits["Le"].le)
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What to fit to what.
 
     Attributes:
-        model: compiled model; its values hold for all that is not free.
+        plant: a model of the machine; its values hold for all that is not free.
         runs: to fit to.
         free: the parameters to be found.
         noise: of a coordinate, 1 sigma in m; of all runs alike or of each.
-        static: whether rows are equilibria.
         robust: whether outliers are weighted down (Huber's loss at 4 robust standard deviations of the residuals).
         step: longest time step of the simulations in s.
         derivatives_apart: time in s between the samples at which derivatives are taken, with straight lines between them; 0 takes them at
             every sample. Derivatives of a motion are smooth: 0.04 s leaves errors of 0.2 % as a rule, of some % where inputs jump.
     """
 
-    model: CompiledModel
+    plant: Plant
     runs: tuple[Run, ...]
     free: tuple[Free, ...]
     noise: float | tuple[float, ...]
-    static: bool = False
     robust: bool = False
-    step: float = LONGEST_STEP
+    step: float = np.inf
     derivatives_apart: float = 0.0
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
         return f"Problem({len(self.runs)} runs, free: {listed([free.name for free in self.free]) or 'nothing'})"
 
-    def with_values(self, values: np.ndarray) -> CompiledModel:
+    def with_values(self, values: np.ndarray) -> Plant:
         """The model with these values of the free parameters."""
-        theta = self.model.theta.copy()
-        theta[[self.model.network.parameter_names.index(free.name) for free in self.free]] = values
-        return self.model.with_theta(theta)
+        return self.plant.with_values({free.name: float(value) for free, value in zip(self.free, values, strict=True)})
 
     @property
     def start(self) -> np.ndarray:
@@ -164,16 +87,16 @@ class Problem:
             PredictionError: the model cannot do a run with these values.
         """
         names = [free.name for free in self.free] if names is None else names
-        model = self.with_values(values)
+        plant = self.with_values(values)
         noise = self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(self.runs)
         sparse = self.sparse if names else self
         work = [(self.step, run, names if sparse is self else ()) for run in self.runs]
         work += [(sparse.step, run, names) for run in sparse.runs if sparse is not self]
         found = in_parallel(
-            lambda piece: predict(model, piece[1], piece[2], self.static, piece[0]),
+            lambda piece: plant.predict(piece[1], piece[2], piece[0]),
             work,
             lambda piece: piece[1].rows * (1 + len(piece[2])),
-            model.is_c,
+            plant.concurrent,
         )
         points, slopes = found[: len(self.runs)], found[-len(self.runs) :]
         return [
@@ -184,7 +107,7 @@ class Problem:
     @property
     def sparse(self) -> Problem:
         """The problem with only those samples at which derivatives are taken; this one where that is every one."""
-        if self.static or not self.derivatives_apart:
+        if self.plant.static or not self.derivatives_apart:
             return self
         runs = tuple(spaced(run, self.derivatives_apart) for run in self.runs)
         return replace(self, runs=runs, step=self.derivatives_apart, derivatives_apart=0.0)
@@ -248,7 +171,7 @@ class ParameterEstimate:
         return {free.name: float(value) for free, value in zip(self.problem.free, self.values, strict=True)}
 
     @property
-    def model(self) -> CompiledModel:
+    def plant(self) -> Plant:
         """The model with the values found."""
         return self.problem.with_values(self.values)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,31 +11,11 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.parallel import give_way, in_parallel
+from tepm_opt.solvers.plant import Prediction, PredictionError
 from tepm_opt.solvers.simulate import Directions, SimulationError, simulate
 from tepm_opt.solvers.statics import solve_statics
 
 LONGEST_STEP = 0.02  # s: 0.01 mm RMS on the reference runs, up to 0.1 mm where inputs jump within a sample
-
-
-class PredictionError(RuntimeError):
-    """A model cannot say what a run measured: it has no equilibrium or no motion there; the message names run and place."""
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What a model says of a run.
-
-    Attributes:
-        points: reference points in G, (rows, points, 3) in m.
-        by: their change with each parameter asked for, (parameters, rows, points, 3) in m per its unit.
-    """
-
-    points: np.ndarray
-    by: np.ndarray
-
-    def __repr__(self) -> str:
-        """The main numbers, in a line."""
-        return f"Prediction({len(self.points)} rows of {self.points.shape[1]} points, by {len(self.by)} parameters)"
 
 
 def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: bool = False, step: float = LONGEST_STEP) -> Prediction:
@@ -80,16 +59,6 @@ def predict_all(
         InputError, PredictionError: as for `predict`.
     """
     return in_parallel(lambda run: predict(model, run, names, static, step), runs, lambda run: run.rows, model.is_c)
-
-
-def spaced(run: Run, apart: float) -> Run:
-    """The samples of a run that are at least so many seconds apart, and its last one."""
-    time = run.time
-    first = np.searchsorted(time, np.arange(time[0], time[-1], apart) - 1e-6 * apart)
-    kept = np.unique(np.append(first, run.rows - 1))
-    return replace(
-        run, time=time[kept], inputs=run.inputs[kept], tip_force=run.tip_force[kept], points=run.points[kept], extra={}, lines=()
-    )
 
 
 def _told(stage: str, done: float, of: float) -> None:

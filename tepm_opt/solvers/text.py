@@ -13,9 +13,11 @@ def millimetres(position: Sequence[float] | np.ndarray) -> str:
     return f"({', '.join(f'{round(1e3 * value, 2) + 0.0:.2f}' for value in position)}) mm"
 
 
-def in_mm(metres: float) -> str:
-    """A length in m as "1.2 mm", with two digits below 1 mm."""
-    return f"{1e3 * metres:.1f} mm" if metres >= 1e-3 else f"{1e3 * metres:.2g} mm"
+def quantity(value: float, unit: str) -> str:
+    """A value in its unit, lengths in m as "1.2 mm", with two digits below 1 mm."""
+    if unit != "m":
+        return f"{value:.3g} {unit}".strip()
+    return f"{1e3 * value:.1f} mm" if value >= 1e-3 else f"{1e3 * value:.2g} mm"
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:

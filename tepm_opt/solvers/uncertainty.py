@@ -9,7 +9,7 @@ import numpy as np
 from tepm_opt.errors import unknown_name
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
-from tepm_opt.solvers.predict import PredictionError
+from tepm_opt.solvers.plant import PredictionError
 
 
 def unidentifiable(estimate: ParameterEstimate, max_relative_std: float = 0.5) -> list[str]:
@@ -124,6 +124,6 @@ def _held(estimate: ParameterEstimate, at: int, value: float) -> float:
     others = tuple(replace(f, start=float(v)) for k, (f, v) in enumerate(zip(problem.free, estimate.values, strict=True)) if k != at)
     held = replace(problem, free=(replace(problem.free[at], start=value),)).with_values(np.array([value]))
     try:
-        return identify(replace(problem, model=held, free=others), max_iterations=4).cost
+        return identify(replace(problem, plant=held, free=others), max_iterations=4).cost
     except PredictionError:
         return np.inf

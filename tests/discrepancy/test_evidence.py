@@ -10,7 +10,8 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tests.discrepancy.small import FILES, NOISE, STEP, changed, cut, measured, planned, true_values
 
 BLOCKS, SAMPLES = 40, 600
@@ -31,7 +32,7 @@ def runs(kang: CompiledModel) -> list[Run]:
 
 
 def fitted(kang: CompiledModel, runs: list[Run]) -> ParameterEstimate:
-    return identify(Problem(kang, tuple(runs), free_parameters(kang), NOISE, step=STEP))
+    return identify(Problem(NetworkPlant(kang), tuple(runs), free_parameters(kang), NOISE, step=STEP))
 
 
 class TestLeaveOut:

@@ -42,7 +42,7 @@ def found(*changes: Change, runs: list[Run] | None = None, seed: int = 1, noise:
     for run in measured:
         for change in changes:
             change(run)
-    return localise(measured, [run.points for run in modelled], noise, CHANNELS, static, seed=3)
+    return localise(measured, [run.points for run in modelled], noise, CHANNELS.signals, static, seed=3)
 
 
 def place(localisation: Localisation, by: str, name: str) -> Place:
@@ -173,7 +173,7 @@ def test_nothing_measured() -> None:
 
 def test_exact_agreement_without_noise() -> None:
     runs = modelled_runs()
-    localisation = localise(runs, [run.points for run in runs], 0.0, CHANNELS, False, 0)
+    localisation = localise(runs, [run.points for run in runs], 0.0, CHANNELS.signals, False, 0)
     assert localisation.telling == 0
     assert localisation.rms == 0.0
     assert localisation.sentence.startswith("No structure")
@@ -183,5 +183,5 @@ def test_ranges_unknown() -> None:
     unknown = Channels(CHANNELS.actuators, CHANNELS.points)
     runs = modelled_runs()
     measured = [replace(run, points=run.points + np.where(run.inputs[:, 4] > 1e4, 2e-3, 0.0)[:, None, None]) for run in runs]
-    localisation = localise(measured, [run.points for run in runs], NOISE, unknown, False, 0)
+    localisation = localise(measured, [run.points for run in runs], NOISE, unknown.signals, False, 0)
     assert ("actuator", "22 pressure") in telling(localisation)

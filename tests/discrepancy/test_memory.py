@@ -10,10 +10,11 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy import black_box, localise, screen, search
+from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.workflow import discover
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import Model
-from tests.discrepancy.small import changed, cut, dataset_of, measured, planned, true_values
+from tests.discrepancy.small import NOISE, changed, cut, dataset_of, measured, planned, true_values
 
 PER_SAMPLE = 2500  # B; 150 MB for 20 minutes
 
@@ -33,7 +34,7 @@ def test_of_a_verdict_per_sample(kang: CompiledModel, monkeypatch: pytest.Monkey
         dataset = dataset_of(kang, every)
         tracemalloc.start()
         try:
-            discover(dataset, Model.of("kang2017"), dataset.channels)
+            discover(dataset, SearchableNetwork.of(Model.of("kang2017"), dataset.channels), NOISE)
             return sum(run.rows for run in every), tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

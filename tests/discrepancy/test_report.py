@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.library import Candidate
 from tepm_opt.discrepancy.localise import Localisation
+from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.verdict import Errors, Named, Place, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
@@ -39,11 +39,11 @@ LOCALISATION = Localisation(
 VERDICT = Verdict(
     status=VerdictStatus.NAMED,
     paragraph="Muscle 13 is 12 % weaker than the others & nothing else is missing.",
-    effects=(Named(Candidate("actuator_gain", "13"), 0.997, {"loss": Value(0.1203, 0.0007, "1", 0.0)}, 0.94),),
+    effects=(Named(candidate("actuator_gain", "13"), 0.997, {"loss": Value(0.1203, 0.0007, "1", 0.0)}, 0.94),),
     rivals=(
-        Rival(Candidate("pressure_crosstalk"), 0.003, "closes 55 % <less> than half the rest", 0.55),
-        Rival(Candidate("sensor_offset", "s4"), 0.0, "not worth a fit", None),
-        *(Rival(Candidate("sensor_offset", f"s{k}"), 0.0, "no gain to first order", None) for k in (1, 2, 3)),
+        Rival(candidate("pressure_crosstalk"), 0.003, "closes 55 % <less> than half the rest", 0.55),
+        Rival(candidate("sensor_offset", "s4"), 0.0, "not worth a fit", None),
+        *(Rival(candidate("sensor_offset", f"s{k}"), 0.0, "no gain to first order", None) for k in (1, 2, 3)),
     ),
     where=PLACES,
     recalibrated={"K_a": Value(364.2, 0.8, "N/m", 358.86), "c_a": Value(2.4, 0.0, "N s/m", 2.583)},

@@ -12,7 +12,7 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy import search
-from tepm_opt.discrepancy.library import Candidate, candidates, narrow, wide
+from tepm_opt.discrepancy.network import candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.screen import screen
 from tepm_opt.discrepancy.search import Fits, SearchSettings, explain
 from tepm_opt.discrepancy.verdict import VerdictStatus
@@ -25,7 +25,8 @@ from tepm_opt.models.effects import effects
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model, read_model
 from tepm_opt.solvers import parallel
-from tepm_opt.solvers.identify import Problem, free_parameters, identify
+from tepm_opt.solvers.identify import Problem, identify
+from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.predict import predict
 from tests.discrepancy.small import NOISE, STEP, changed, cut, dataset_of, measured, planned, true_values, write
 from tests.tools import stages_into
@@ -68,7 +69,7 @@ def library() -> CompiledModel:
 
 
 def problem(library: CompiledModel, runs: list[Run]) -> Problem:
-    return Problem(library, tuple(run for run in runs if run.role == "fit"), free_parameters(library), NOISE)
+    return Problem(NetworkPlant(library), tuple(run for run in runs if run.role == "fit"), free_parameters(library), NOISE)
 
 
 def contents(folder: Path) -> tuple[dict[str, Any], str]:
@@ -103,16 +104,16 @@ class TestLibrary:
         known = NOMINAL.with_effect("payload", mass=0.01)
         missing = candidates(known)
         values = {**wide(known, missing).values, "K_a": 350.0, "payload.mass": 0.02, "sensor_offset[s3].x": 1e-3}
-        found = narrow(known, values, [Candidate("sensor_offset", "s3")])
+        found = narrow(known, values, [candidate("sensor_offset", "s3")])
         assert found.parameters == {"K_a": 350.0}
         assert found == NOMINAL.with_parameters(K_a=350.0).with_effect("payload", mass=0.02).with_effect(
             "sensor_offset", "s3", x=1e-3, y=0.0, z=0.0
         )
 
     def test_probes_differ_from_nulls(self) -> None:
-        for candidate in candidates(NOMINAL):
-            assert candidate.probe.keys() == candidate.null.keys() == set(candidate.parameters)
-            assert candidate.probe != candidate.null, candidate.label
+        for missing in candidates(NOMINAL):
+            assert missing.probes[0].keys() == missing.null.keys() == set(missing.parameters)
+            assert missing.probes[0] != missing.null, missing.label
 
 
 class TestScreening:
@@ -148,7 +149,7 @@ class TestScreening:
     ids=["no effects", "all of it noise", "no fits"],
 )
 def test_a_search_that_may_not_try_fits_known_parameters_only(library: CompiledModel, runs: list[Run], settings: SearchSettings) -> None:
-    missing = [Candidate("sensor_offset", "s3")]
+    missing = [candidate("sensor_offset", "s3")]
     found = explain(Fits(problem(library, runs), settings), missing, 0)
     assert found.tried == [found.without]
     assert found.best is found.without
@@ -177,7 +178,7 @@ class TestFits:
 
     def test_that_ended_early_go_on_when_asked_for(self, library: CompiledModel, runs: list[Run]) -> None:
         fits = Fits(problem(library, runs), SearchSettings())
-        right, wrong = (fits.fit((Candidate(name, detail),), {}) for name, detail in (("sensor_offset", "s3"), ("sensor_offset", "s1")))
+        right, wrong = (fits.fit((candidate(name, detail),), {}) for name, detail in (("sensor_offset", "s3"), ("sensor_offset", "s1")))
         assert right is not None
         assert wrong is not None
         hasty = Fits(problem(library, runs), SearchSettings())
@@ -202,9 +203,9 @@ class TestFits:
         early, whole = found
         ended = [hypothesis for hypothesis in early.tried if hypothesis.estimate.out_of_reach]
         assert ended
-        assert all("leaves at most " in beaten(early, Candidate("sensor_offset", "s3"), hypothesis) for hypothesis in ended)
+        assert all("leaves at most " in beaten(early, candidate("sensor_offset", "s3"), hypothesis) for hypothesis in ended)
         assert not any(hypothesis.estimate.out_of_reach for hypothesis in whole.tried)
-        assert early.best.effects == whole.best.effects == (Candidate("sensor_offset", "s3"),)
+        assert early.best.effects == whole.best.effects == (candidate("sensor_offset", "s3"),)
         np.testing.assert_array_equal(early.best.estimate.values, whole.best.estimate.values)
         np.testing.assert_array_equal(early.best.evidence.squares, whole.best.evidence.squares)
         assert early.shares == whole.shares
@@ -226,7 +227,7 @@ class TestAnswer:
         verdict = result.verdict
         assert verdict.status is VerdictStatus.NAMED, verdict.paragraph
         (named,) = verdict.effects
-        assert named.candidate == Candidate("sensor_offset", "s3")
+        assert named.candidate == candidate("sensor_offset", "s3")
         assert named.probability > 0.9
         found = np.array([named.parameters[axis].value for axis in "xyz"])
         std = np.array([named.parameters[axis].std for axis in "xyz"])

@@ -13,12 +13,12 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy import search
 from tepm_opt.discrepancy.evidence import Evidence, weights
-from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Effects, Explanation, Hypothesis, SearchSettings, explain
 
 BLOCKS, SAMPLES, NOISE = 20, 90, 3e-4
-EFFECTS = {label: Candidate("sensor_offset", label) for label in ("s1", "s2", "s3", "s4")}
+EFFECTS = {label: candidate("sensor_offset", label) for label in ("s1", "s2", "s3", "s4")}
 ROWS, MOTION = 100, 20.0  # samples, and how many times the noise the measured motion is, RMS
 
 

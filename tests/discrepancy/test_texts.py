@@ -10,18 +10,19 @@ import pytest
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.evidence import leave_out
-from tepm_opt.discrepancy.library import Candidate
+from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.workflow import Discovery
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.gain import input_curve, solve_gain, workspace_map
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.kinematics import solve_ik
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.modes import modes
+from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.planning.family import FamilyFit, make_family
 from tepm_opt.solvers.planning.plan import plan_move
 from tepm_opt.solvers.predict import predict
@@ -53,7 +54,7 @@ class Subjects:
         return simulate(self.model, SetPoints(TIME, np.zeros((2, 12)), np.zeros((2, 3))))
 
     def hypothesis(self) -> Hypothesis:
-        effects = tuple(Candidate("sensor_offset", f"s{k}") for k in range(1, 5))
+        effects = tuple(candidate("sensor_offset", f"s{k}") for k in range(1, 5))
         return Hypothesis(effects, self.estimate, leave_out(self.estimate))
 
     def explanation(self) -> Explanation:
@@ -64,7 +65,7 @@ class Subjects:
 @pytest.fixture(scope="module")
 def subjects(kang: CompiledModel) -> Subjects:
     runs = [replace(cut(run, 2.0), file=f"{'long ' * 40}{run.file}") for run in measured(kang, planned()[:2])]
-    return Subjects(kang, identify(Problem(kang, tuple(runs), free_parameters(kang), NOISE), 1))
+    return Subjects(kang, identify(Problem(NetworkPlant(kang), tuple(runs), free_parameters(kang), NOISE), 1))
 
 
 SHOWN: dict[str, Callable[[Subjects], object]] = {
@@ -95,7 +96,7 @@ SHOWN: dict[str, Callable[[Subjects], object]] = {
         solve_ik(s.model, REACHED).equilibrium,
         FamilyFit(degree=1, nodes=2, dynamics_degree=1, dynamics_nodes=2, validation_samples=1),
     ),
-    "Score(": lambda s: Score(Candidate("payload"), 0.5, {}),
+    "Score(": lambda s: Score(candidate("payload"), 0.5, {}),
     "Evidence(": lambda s: leave_out(s.estimate),
     "Hypothesis(": lambda s: s.hypothesis(),
     "Explanation(": lambda s: s.explanation(),

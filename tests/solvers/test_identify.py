@@ -13,9 +13,11 @@ from scipy.optimize import lsq_linear
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, free_parameters, identify
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.predict import Prediction, PredictionError, predict, predict_all
+from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.plant import Prediction, PredictionError
+from tepm_opt.solvers.predict import predict, predict_all
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
@@ -38,9 +40,9 @@ def estimate(kang: CompiledModel, runs: tuple[Run, ...]) -> ParameterEstimate:
     return identify(problem(kang, runs))
 
 
-def problem(model: CompiledModel, runs: tuple[Run, ...], *names: str, **settings: bool) -> Problem:
+def problem(model: CompiledModel, runs: tuple[Run, ...], *names: str, static: bool = False, **settings: bool) -> Problem:
     """Parameters by name, or those with priors, to be found with steps as short as the runs were made with."""
-    return Problem(model, runs, free_parameters(model, names or None), NOISE, step=STEP, **settings)
+    return Problem(NetworkPlant(model, static), runs, free_parameters(model, names or None), NOISE, step=STEP, **settings)
 
 
 def misses(estimate: ParameterEstimate, truth: dict[str, float], std: np.ndarray | None = None) -> dict[str, float]:
@@ -99,7 +101,7 @@ class TestPredictions:
         kept = np.delete(np.arange(run.rows), np.r_[31:40, 77])
         run = replace(run, **{name: getattr(run, name)[kept] for name in ("time", "inputs", "tip_force", "points")})
         run.points[50:60, 1] = np.nan
-        whole = Problem(kang, (run,), free_parameters(kang), NOISE)
+        whole = Problem(NetworkPlant(kang), (run,), free_parameters(kang), NOISE)
         sparse = replace(whole, derivatives_apart=0.04)
         (one,), (other,) = whole.residuals(whole.start), sparse.residuals(sparse.start)
         np.testing.assert_allclose(other.values, one.values, atol=1e-4)  # up to the tolerance of the steps
@@ -171,7 +173,7 @@ class TestRecovery:
         runs = tuple(measured(changed(model, **truth), planned(FILES[:2])))
         found = identify(problem(model, runs, *truth))
         assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
-        assert found.model.values["payload.mass"] == found.named["payload.mass"]
+        assert found.plant.values["payload.mass"] == found.named["payload.mass"]
 
     def test_missing_samples_and_a_missing_sensor(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate) -> None:
         random = np.random.default_rng(2)

@@ -1,0 +1,113 @@
+"""What identification and the search for missing effects ask of a model of a machine, whichever machine it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tepm_opt.data.run import Run
+from tepm_opt.solvers.parallel import in_parallel
+
+
+class PredictionError(RuntimeError):
+    """A model cannot say what a run measured: it has no equilibrium or no motion there; the message names run and place."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter to be found.
+
+    Attributes:
+        name: full name ("K_a", "payload.mass").
+        unit: SI.
+        start: first value.
+        low, high: its range; for a robot parameter with a prior the prior's (SPEC section 4: uniform).
+        scale: a small but visible change of it.
+        prior_mean, prior_std: of a normal prior besides the range; infinite standard deviation for none.
+    """
+
+    name: str
+    unit: str
+    start: float
+    low: float
+    high: float
+    scale: float
+    prior_mean: float = 0.0
+    prior_std: float = np.inf
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of what is known before any data: of a uniform distribution over a finite range, else wide."""
+        width = self.high - self.low
+        if np.isfinite(self.prior_std):
+            return self.prior_std
+        return width / np.sqrt(12) if np.isfinite(width) else 1e3 * self.scale
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a model says of a run.
+
+    Attributes:
+        points: what is measured, as in the run, (rows, points, axes), in its units.
+        by: its change with each parameter asked for, (parameters, rows, points, axes) per the parameter's unit.
+    """
+
+    points: np.ndarray
+    by: np.ndarray
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Prediction({len(self.points)} rows of {self.points.shape[1]} points, by {len(self.by)} parameters)"
+
+
+class Plant(Protocol):
+    """A model of a machine with values of its parameters.
+
+    The network of masses and springs is one (`network_plant.NetworkPlant`); anything that can be simulated is another. The effects that
+    may be missing in it are parameters at values at which they vanish.
+
+    Attributes:
+        values: of all parameters, by full name.
+        concurrent: whether runs may be predicted at the same time, in threads.
+        static: whether rows of its runs are equilibria, not samples of a motion.
+    """
+
+    @property
+    def values(self) -> Mapping[str, float]: ...
+
+    @property
+    def concurrent(self) -> bool: ...
+
+    @property
+    def static(self) -> bool: ...
+
+    def with_values(self, values: Mapping[str, float]) -> Plant:
+        """The model with other values of some parameters."""
+
+    def free(self, names: Sequence[str]) -> tuple[Free, ...]:
+        """These parameters, to be found within their ranges from the values they have.
+
+        Raises:
+            InputError: no such parameter; a value outside its range.
+        """
+
+    def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
+        """What a run should have measured.
+
+        Args:
+            run: what was done; what it measured is not looked at.
+            by: parameters by full name by which to differentiate.
+            step: longest time step in s that the caller's use of the answer bears; the model may take shorter ones.
+
+        Raises:
+            PredictionError: the model cannot do the run.
+        """
+
+
+def predictions(plant: Plant, runs: Sequence[Run], step: float = np.inf) -> list[Prediction]:
+    """Predictions of several runs, at once on the machine's cores where the plant allows it."""
+    return in_parallel(lambda run: plant.predict(run, (), step), runs, lambda run: run.rows, plant.concurrent)
