@@ -16,6 +16,7 @@ from tepm_opt.data.tables import Table, read_table, write_columns
 from tepm_opt.errors import InputError, unknown_name
 
 Role = Literal["fit", "validation"]
+Start = Literal["equilibrium", "measured", "free"]
 ROLES: tuple[Role, ...] = ("fit", "validation")
 
 
@@ -31,6 +32,9 @@ class Run:
         tip_force: known external force on the tip in G, (rows, 3) in N.
         points: reference points in G, (rows, points, 3) in m; NaN where a sample is missing.
         extra: further columns by name, (rows,) each, numbers or text: `pressure_11_measured_Pa`, …
+        start: how it begins: at rest under its first row, or in a state that its first samples tell, or all of them ("free").
+        group: what runs of one condition have in common.
+        state: of the machine at the first row where it is known, or guessed; None for rest.
         lines: line of each row in the file it was read from; empty where there is none.
     """
 
@@ -42,6 +46,9 @@ class Run:
     points: np.ndarray
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     lines: tuple[int, ...] = ()
+    start: Start = "equilibrium"
+    group: str = ""
+    state: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not fit together.

@@ -35,9 +35,9 @@ def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ..
 
 
 def measured_column(column: str) -> str:
-    """Name of the column with the measured value of an input: "pressure_11_Pa" to "pressure_11_measured_Pa"."""
-    stem, unit = column.rsplit("_", 1)
-    return f"{stem}_measured_{unit}"
+    """Name of the column with the measured value of an input: "pressure_11_Pa" to "pressure_11_measured_Pa", "force" to "force_measured"."""
+    stem, _, unit = column.rpartition("_")
+    return f"{stem}_measured_{unit}" if stem else f"{unit}_measured"
 
 
 def _usable(values: np.ndarray) -> bool:

@@ -82,6 +82,11 @@ class SearchableNetwork(NetworkPlant):
         )
 
     @property
+    def derivatives_apart(self) -> float:
+        """Derivatives of its motion are smooth."""
+        return 0.04
+
+    @property
     def known(self) -> tuple[str, ...]:
         """The robot's parameters with priors and those of the effects that it has."""
         missing = {name for candidate in self.candidates for name in candidate.parameters}

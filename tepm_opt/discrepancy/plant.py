@@ -59,7 +59,11 @@ class SearchablePlant(Plant, Protocol):
         signals: what is put in and what is measured.
         known: full names of the parameters that are known within their ranges; they are fitted with whatever effects.
         candidates: effects that may be missing.
+        derivatives_apart: time in s between samples at which derivatives say enough; 0: every one.
     """
+
+    @property
+    def derivatives_apart(self) -> float: ...
 
     @property
     def signals(self) -> Signals: ...

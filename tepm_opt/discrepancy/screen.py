@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,11 @@ from tepm_opt.solvers.parallel import beside, in_parallel
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations
 
+FURTHER = 100.0  # times the values that a candidate's own score found
 MEMORY = 60_000_000  # B, of the derivatives taken in one pass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Score:
     """What screening says of a candidate.
 
@@ -40,7 +41,7 @@ def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Sc
     """Scores of candidates, largest gain first.
 
     Effects that are nearly linear in their parameters are judged by the outputs' derivatives at the null, all from one pass through the
-    runs, others by a finite probe of which any multiple may act. Both are taken together with the parameters that are free already, so
+    runs, others by finite probes, of the best of which any multiple may act. Both are taken together with the parameters that are free already, so
     that what those could do as well does not count. Scores order, they do not decide: they are first order. A candidate whose probe the
     model cannot take is left out.
     """
@@ -62,13 +63,18 @@ def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Sc
             residuals = [replace(r, by=r.by[:, : len(free)].copy(order="K")) for r in residuals]
         return scores, residuals
 
-    (scores, simulated), probed = beside(slopes, lambda: in_parallel(lambda c: _probed(estimate, c), bent, threads=threads), threads)
+    probes = [(candidate, probe) for candidate in bent for probe in candidate.probes]
+    (scores, simulated), probed = beside(
+        slopes, lambda: in_parallel(lambda each: _probed(estimate, each[1]), probes, threads=threads), threads
+    )
     at_null = [replace(r, by=s.by) for r, s in zip(estimate.residuals, simulated, strict=True)]
-    for candidate, residuals in zip(bent, probed, strict=True):
+    best: dict[Candidate, Score] = {}
+    for (candidate, probe), residuals in zip(probes, probed, strict=True):
         if residuals is not None:
             change = [(p.values - s.values).ravel() for p, s in zip(residuals, simulated, strict=True)]
-            scores.append(_by_change(estimate, at_null, candidate, change))
-    return sorted(scores, key=lambda score: -score.gain)
+            score = _by_change(estimate, at_null, candidate, probe, change)
+            best[candidate] = max(score, best.get(candidate, score), key=lambda each: each.gain)
+    return sorted([*scores, *best.values()], key=lambda score: -score.gain)
 
 
 def _sparse(estimate: ParameterEstimate) -> ParameterEstimate:
@@ -109,23 +115,67 @@ def _by_slopes(estimate: ParameterEstimate, candidate: Candidate, square: np.nda
     return Score(candidate, gain, moved | start)
 
 
-def _probed(estimate: ParameterEstimate, candidate: Candidate) -> list[Residual] | None:
-    """Residuals of every run with a candidate's probe; None where the model cannot take it."""
+def _probed(estimate: ParameterEstimate, probe: Mapping[str, float]) -> list[Residual] | None:
+    """Residuals of every run with the values of a probe; None where the model cannot take it."""
     try:
-        return replace(estimate.problem, plant=estimate.plant.with_values(candidate.probes[0])).residuals(estimate.values, [])
+        return replace(estimate.problem, plant=estimate.plant.with_values(probe)).residuals(estimate.values, [])
     except PredictionError:
         return None
 
 
-def _by_change(estimate: ParameterEstimate, at_null: Sequence[Residual], candidate: Candidate, change: Sequence[np.ndarray]) -> Score:
-    """Score of a candidate by how its probe changes the residuals of every run, (coordinates,) each: a direction."""
+def _by_change(
+    estimate: ParameterEstimate, at_null: Sequence[Residual], candidate: Candidate, probe: Mapping[str, float], change: Sequence[np.ndarray]
+) -> Score:
+    """Score of a candidate by how a probe changes the residuals of every run, (coordinates,) each: a direction.
+
+    Args:
+        estimate: with the parameters that are free already.
+        at_null: its residuals.
+        candidate: the effect.
+        probe: values of its parameters.
+        change: of the residuals.
+    """
     picked = [replace(r, by=np.vstack([r.by.T, d]).T) for r, d in zip(at_null, change, strict=True)]
     own = estimate.problem.plant.free(candidate.parameters)
-    moved = {f.name: candidate.probes[0][f.name] - candidate.null[f.name] for f in own}
+    moved = {f.name: probe[f.name] - candidate.null[f.name] for f in own}
     room = min((f.high - candidate.null[f.name]) / moved[f.name] for f in own if moved[f.name])
     gain, step = _gain(estimate, *normal_equations(picked), np.zeros(1), np.array([room]), np.ones(1))
     size = float(np.clip(step[-1], 0.1, room))
     return Score(candidate, gain, {f.name: candidate.null[f.name] + size * moved[f.name] for f in own})
+
+
+def screen_pairs(estimate: ParameterEstimate, scores: Sequence[Score], most: int) -> list[tuple[tuple[Candidate, Candidate], float, dict[str, float]]]:
+    """Pairs of candidates by what the two could take away together, largest first: (pair, gain, values to fit from).
+
+    Only the direction from null to start of each is looked at, as its own score found it; any multiple of it may act.
+
+    Args:
+        estimate: with the parameters that are free already.
+        scores: of single candidates, largest gain first; so many of them, and those that need another, are paired.
+        most: how many.
+    """
+    picked = [score for k, score in enumerate(scores) if k < most or score.candidate.beside]
+    free = [parameter.name for parameter in estimate.problem.free]
+    simulated = estimate.problem.residuals(estimate.values, free)
+    own = {score: {name: score.start[name] for name in score.candidate.parameters} for score in picked}
+    changes = in_parallel(lambda score: _probed(estimate, own[score]), picked, threads=estimate.problem.plant.concurrent)
+    able = [(score, change) for score, change in zip(picked, changes, strict=True) if change is not None]
+    columns = [
+        np.stack([(change[k].values - r.values).ravel() for _, change in able], axis=1) for k, r in enumerate(simulated)
+    ]
+    whole = [replace(r, by=np.hstack([s.by, c])) for r, s, c in zip(estimate.residuals, simulated, columns, strict=True)]
+    square, slope = normal_equations(whole)
+    found = []
+    for i, (one, _) in enumerate(able):
+        for j, (other, _) in enumerate(able[:i]):
+            at = [*range(len(free)), len(free) + i, len(free) + j]
+            gain, step = _gain(estimate, square[np.ix_(at, at)], slope[at], -np.ones(2) * FURTHER, np.ones(2) * FURTHER, np.ones(2))
+            start = {}
+            for score, size in ((one, step[-2]), (other, step[-1])):
+                null = score.candidate.null
+                start |= {name: null[name] + float(size) * (value - null[name]) for name, value in own[score].items()}
+            found.append(((one.candidate, other.candidate), gain, start))
+    return sorted(found, key=lambda pair: -pair[1])
 
 
 def _gain(

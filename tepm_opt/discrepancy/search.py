@@ -14,7 +14,7 @@ import numpy as np
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.screen import MEMORY, Score, screen
+from tepm_opt.discrepancy.screen import MEMORY, Score, screen, screen_pairs
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
@@ -27,6 +27,7 @@ CLOSE = 2e-3  # part of the structure left for which a fit that only competes ma
 # beside them may only mend their forms
 FORM_ERROR_RATIO = 0.0025
 MIN_SHARE_CLOSED = 0.1  # part of the excess left on held-out data that one more effect must take away to be tried along
+PAIRED = 10  # candidates, those that promise most alone, that are tried in pairs where none of them helps alone
 LOST = 2.0  # how many times the squares of a rival a fit must be sure to leave to be ended early
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
 Effects = tuple[Candidate, ...]
@@ -257,13 +258,12 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         raise PredictionError("the model cannot do the runs")
     best = without
     while len(best.effects) < settings.max_effects and best.left > settings.max_noise_excess:
-        trials = _round(fits, best, missing)
-        winner = fits.finished(_most_probable([best, *trials], seed))
-        if (
-            winner is best
-            or winner.excess > (1 - MIN_SHARE_CLOSED) * best.excess
-            or not _beats(winner, best, seed, settings.min_probability)
-        ):
+        for trials in (_round, _pairs):
+            winner = fits.finished(_most_probable([best, *trials(fits, best, missing)], seed))
+            better = winner is not best and winner.excess <= (1 - MIN_SHARE_CLOSED) * best.excess
+            if better := better and _beats(winner, best, seed, settings.min_probability):
+                break
+        if not better:
             break
         best = winner
     widest = best
@@ -307,6 +307,16 @@ def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hy
     trials = [] if rival else fits.fit_all(asked[:1])
     trials += fits.fit_all(asked[len(trials) :], rival or next(iter(trials), None))
     return [trial for trial in trials if trial is not None]
+
+
+def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fits of pairs that promise most together beside the effects of `base`, where no single one helps."""
+    scores = [score for score in fits.screen(base, missing) if score.candidate not in base.effects]
+    if len(scores) < 2 or len(base.effects) + 2 > fits.settings.max_effects:
+        return []
+    found = screen_pairs(base.estimate, scores, PAIRED)[: fits.settings.fits_first_round]
+    asked = [((*base.effects, *pair), {**base.estimate.named, **start}) for pair, _, start in found]
+    return [trial for trial in fits.fit_all(asked) if trial is not None]
 
 
 def _most_probable(hypotheses: Sequence[Hypothesis], seed: int) -> Hypothesis:

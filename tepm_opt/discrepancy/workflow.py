@@ -24,12 +24,12 @@ from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.parallel import beside
-from tepm_opt.solvers.plant import Plant, PredictionError, predictions
+from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.predict import LONGEST_STEP
+from tepm_opt.solvers.start import predictions as predicted
 from tepm_opt.solvers.text import shortened
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
-DERIVATIVES_APART = 0.04  # s
 CLEAR = 0.8  # probability among rivals from which one of them is named
 POSSIBLE = 0.1  # probability from which a rival counts
 
@@ -84,11 +84,11 @@ def discover(
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
     missing = plant.candidates
     progress("simulating the runs with the model as it is", 0, 0)
-    nominal = _predict(plant, dataset)
-    if not plant.static:
+    nominal = _predict(plant, dataset, noise)
+    if not plant.static and all(run.start == "equilibrium" for run in dataset.runs):
         _refuse_shifted_clock(dataset, nominal)
     step = _step(plant, dataset, nominal, noise, settings)
-    problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=DERIVATIVES_APART)
+    problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     try:
         behind = with_measured_inputs(dataset.fit, plant.signals)
         if behind is not None:
@@ -104,10 +104,10 @@ def discover(
 
     def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
         best = _refined(explanation.best.estimate)
-        return best, _predict(best.plant, dataset)
+        return best, _predict(best.plant, dataset, noise)
 
     def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
-        recalibrated = _predict(explanation.without.estimate.plant, dataset)
+        recalibrated = _predict(explanation.without.estimate.plant, dataset, noise)
         compared = nominal if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else recalibrated
         place = localise(dataset.runs, compared, noise, plant.signals, plant.static, seed)
         return recalibrated, place, _bounded(dataset, recalibrated, plant.static)
@@ -120,9 +120,9 @@ def discover(
     return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
 
 
-def _predict(plant: Plant, dataset: RunSet) -> list[np.ndarray]:
+def _predict(plant: Plant, dataset: RunSet, noise: float | np.ndarray) -> list[np.ndarray]:
     try:
-        return [found.points for found in predictions(plant, dataset.runs, PRECISE_STEP)]
+        return [found.points for found in predicted(plant, dataset.runs, noise, PRECISE_STEP)]
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
 
@@ -132,7 +132,7 @@ def _step(plant: Plant, dataset: RunSet, precise: Sequence[np.ndarray], noise: f
     if plant.static:
         return PRECISE_STEP
     try:
-        coarse = predictions(plant, dataset.fit, LONGEST_STEP)
+        coarse = predicted(plant, dataset.fit, noise, LONGEST_STEP)
     except PredictionError:
         return PRECISE_STEP
     fit = [points for run, points in zip(dataset.runs, precise, strict=True) if run.role == "fit"]

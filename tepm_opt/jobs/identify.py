@@ -25,7 +25,8 @@ from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
 from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.plant import Plant, PredictionError, predictions
+from tepm_opt.solvers.plant import Plant, PredictionError
+from tepm_opt.solvers.start import predictions
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 
 SUMMARY = "identified.json"
@@ -180,5 +181,5 @@ def _error(plant: Plant, runs: Sequence[Run]) -> float | None:
     """Eq. (5) over time on runs not fitted to; None where there are none."""
     if not runs:
         return None
-    found = predictions(plant, runs)
+    found = predictions(plant, runs, 1.0)
     return error_over_time(np.concatenate([run.points for run in runs]), np.concatenate([each.points for each in found]))

@@ -14,8 +14,9 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import Free, Plant, PredictionError
+from tepm_opt.solvers.plant import START, Free, Plant, PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
+from tepm_opt.solvers.start import begun, without_start
 from tepm_opt.solvers.text import html_table, listed
 
 ITERATIONS = 15
@@ -89,6 +90,8 @@ class Problem:
         names = [free.name for free in self.free] if names is None else names
         plant = self.with_values(values)
         noise = self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(self.runs)
+        if any(run.start != "equilibrium" for run in self.runs):
+            return self._from_states(plant, names, noise)
         sparse = self.sparse if names else self
         work = [(self.step, run, names if sparse is self else ()) for run in self.runs]
         work += [(sparse.step, run, names) for run in sparse.runs if sparse is not self]
@@ -104,10 +107,23 @@ class Problem:
             for run, modelled, change, sigma, at in zip(self.runs, points, slopes, noise, sparse.runs, strict=True)
         ]
 
+    def _from_states(self, plant: Plant, names: Sequence[str], noise: tuple[float, ...]) -> list[Residual]:
+        """Residuals of runs that begin with states of their own, each the best one for these parameters where it is free."""
+        own = [START + name for name in plant.states]
+
+        def left(measured: tuple[Run, float]) -> Residual:
+            run, sigma = begun(plant, *measured, self.step), measured[1]
+            free = own if run.start == "free" else []
+            found = plant.predict(run, [*names, *free], self.step)
+            residual = Residual.of(run, found.points, found.by, sigma)
+            return without_start(residual, len(free)) if free else residual
+
+        return in_parallel(left, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, plant.concurrent)
+
     @property
     def sparse(self) -> Problem:
         """The problem with only those samples at which derivatives are taken; this one where that is every one."""
-        if self.plant.static or not self.derivatives_apart:
+        if self.plant.static or not self.derivatives_apart or any(run.start != "equilibrium" for run in self.runs):
             return self
         runs = tuple(spaced(run, self.derivatives_apart) for run in self.runs)
         return replace(self, runs=runs, step=self.derivatives_apart, derivatives_apart=0.0)

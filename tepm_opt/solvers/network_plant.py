@@ -38,6 +38,11 @@ class NetworkPlant:
         return self.model.values
 
     @property
+    def states(self) -> tuple[str, ...]:
+        """None: its runs begin at rest."""
+        return ()
+
+    @property
     def concurrent(self) -> bool:
         """Whether it is C, which lets other threads run."""
         return self.model.is_c

@@ -9,7 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from tepm_opt.data.run import Run
-from tepm_opt.solvers.parallel import in_parallel
+
+
+START = "start: "
+"""Before the name of a state: its value at the first row of a run."""
 
 
 class PredictionError(RuntimeError):
@@ -74,7 +77,11 @@ class Plant(Protocol):
         values: of all parameters, by full name.
         concurrent: whether runs may be predicted at the same time, in threads.
         static: whether rows of its runs are equilibria, not samples of a motion.
+        states: names of the states with which a run may begin that does not begin at rest.
     """
+
+    @property
+    def states(self) -> tuple[str, ...]: ...
 
     @property
     def values(self) -> Mapping[str, float]: ...
@@ -100,14 +107,9 @@ class Plant(Protocol):
 
         Args:
             run: what was done; what it measured is not looked at.
-            by: parameters by full name by which to differentiate.
+            by: parameters by full name by which to differentiate, or `START` with the name of a state.
             step: longest time step in s that the caller's use of the answer bears; the model may take shorter ones.
 
         Raises:
             PredictionError: the model cannot do the run.
         """
-
-
-def predictions(plant: Plant, runs: Sequence[Run], step: float = np.inf) -> list[Prediction]:
-    """Predictions of several runs, at once on the machine's cores where the plant allows it."""
-    return in_parallel(lambda run: plant.predict(run, (), step), runs, lambda run: run.rows, plant.concurrent)

@@ -1,0 +1,271 @@
+"""A machine given by ẋ = f(x, u, θ), y = h(x, u, θ), simulated with its sensitivities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+
+from tepm_opt.data.run import Run
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.solvers.parallel import give_way
+from tepm_opt.solvers.plant import START, Free, Prediction, PredictionError
+
+NEWTON_STEPS, AT_REST = 50, 1e-10
+BOUND = 1e12  # what is beyond it has diverged
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The equations.
+
+    Attributes:
+        states: names of x.
+        x, rates: states and their rates.
+        u, y: inputs and what is measured.
+        theta: all parameters.
+        h: time step in s.
+        settled: states that begin as a signal does, with that signal; later ones may depend on earlier ones.
+    """
+
+    states: tuple[str, ...]
+    x: ca.SX
+    rates: ca.SX
+    u: ca.SX
+    y: ca.SX
+    theta: ca.SX
+    h: ca.SX
+    settled: tuple[tuple[str, ca.SX], ...]
+
+    @cached_property
+    def free_states(self) -> tuple[str, ...]:
+        """Names of the states that do not begin as a signal does."""
+        taken = {name for name, _ in self.settled}
+        return tuple(name for name in self.states if name not in taken)
+
+    @cached_property
+    def begin(self) -> ca.Function:
+        """(x, u, θ) → x with the states that begin as a signal does where they begin."""
+        x = list(ca.vertsplit(self.x))
+        for name, signal in self.settled:
+            at = self.states.index(name)
+            x[at] = ca.substitute([signal], [self.x], [ca.vertcat(*x)])[0]
+        return ca.Function("begin", [self.x, self.u, self.theta, self.h], [ca.vertcat(*x)])
+
+    @cached_property
+    def rest(self) -> ca.Function:
+        """(x, u, θ) → rates of the free states with their derivatives by them and by θ, all others where they begin."""
+        free = [self.states.index(name) for name in self.free_states]
+        rates = ca.substitute([self.rates], [self.x], [self.begin(self.x, self.u, self.theta, self.h)])[0][free]
+        jacobians = [ca.jacobian(rates, self.x)[:, free], ca.jacobian(rates, self.theta)]
+        return ca.Function("rest", [self.x, self.u, self.theta, self.h], [rates, *jacobians])
+
+    @cached_property
+    def measured(self) -> ca.Function:
+        """(x, u, θ) → what is measured, with its derivatives by x and θ."""
+        jacobians = [ca.jacobian(self.y, self.x), ca.jacobian(self.y, self.theta)]
+        return ca.Function("measured", [self.x, self.u, self.theta, self.h], [self.y, *jacobians])
+
+    @lru_cache(maxsize=64)  # noqa: B019 - a plant lives as long as its functions
+    def sampled(self, directions: int, substeps: int, held: bool) -> ca.Function:
+        """(x and its change along the directions, u now, u a sample later, θ, its change, time step) → x, its change, what is measured, ….
+
+        Runge-Kutta of order 4 in so many equal steps; inputs go in straight lines, or stay where they are `held`.
+        """
+        x, theta, h = self.x, self.theta, self.h
+        first, last = ca.SX.sym("u_0", self.u.shape[0]), ca.SX.sym("u_1", self.u.shape[0])
+        field = ca.Function("field", [x, self.u, theta, h], [self.rates])
+        part = ca.SX.sym("part")  # of the sample that is over
+        u = [first if held else first + (part + share / substeps) * (last - first) for share in (0.0, 0.5, 1.0)]
+        k_1 = field(x, u[0], theta, h)
+        k_2 = field(x + h / 2 * k_1, u[1], theta, h)
+        k_3 = field(x + h / 2 * k_2, u[1], theta, h)
+        k_4 = field(x + h * k_3, u[2], theta, h)
+        after = x + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
+        moved, turned = ca.SX.sym("dx", x.shape[0], directions), ca.SX.sym("dtheta", theta.shape[0], directions)
+        change = ca.jtimes(after, ca.vertcat(x, theta), ca.vertcat(moved, turned)) if directions else ca.SX(x.shape[0], 0)
+        one = ca.Function("one", [x, moved, first, last, theta, turned, h, part], [after, change])
+        at, along = x, moved
+        for k in range(substeps):
+            at, along = one(at, along, first, last, theta, turned, h, k / substeps)
+        seen = ca.Function("seen", [x, self.u, theta, h], [self.y])
+        y = seen(at, last, theta, h)
+        # derivatives of what is measured, at the end of the sample
+        at_end = ca.SX.sym("x_1", x.shape[0])
+        along_end = ca.SX.sym("dx_1", x.shape[0], directions)
+        y_end = seen(at_end, last, theta, h)
+        d_y = ca.jtimes(y_end, ca.vertcat(at_end, theta), ca.vertcat(along_end, turned)) if directions else ca.SX(y.shape[0], 0)
+        slope = ca.Function("slope", [at_end, along_end, last, theta, turned, h], [d_y])
+        return ca.Function("sampled", [x, moved, first, last, theta, turned, h], [at, along, y, slope(at, along, last, theta, turned, h)])
+
+
+@dataclass(frozen=True, eq=False)
+class CasadiPlant:
+    """A machine given by equations, see `solvers.plant.Plant` and `plant.SearchablePlant`; made by `equations.Equations`.
+
+    Attributes:
+        name: of the machine.
+        motion: its equations.
+        parameters: by full name with their ranges; `start` is the value they have.
+        guess: of the states at rest.
+        signals: inputs and outputs.
+        known: names of the parameters that are known within their ranges.
+        candidates: effects that may be missing.
+        substeps: Runge-Kutta steps from sample to sample.
+        held: whether inputs stay from sample to sample; they go in straight lines otherwise.
+    """
+
+    name: str
+    motion: Motion
+    parameters: Mapping[str, Free]
+    guess: Mapping[str, float]
+    signals: Signals
+    known: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    substeps: int = 1
+    held: bool = False
+
+    concurrent = True
+    static = False
+    derivatives_apart = 0.0
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"CasadiPlant({self.name}, {len(self.motion.states)} states, {len(self.candidates)} effects)"
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Of all parameters by full name."""
+        return {name: free.start for name, free in self.parameters.items()}
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states that a run may begin with."""
+        return self.motion.free_states
+
+    def with_values(self, values: Mapping[str, float]) -> CasadiPlant:
+        """The same machine with other values of some parameters."""
+        changed = {name: replace(self.parameters[name], start=value) for name, value in values.items()}
+        return replace(self, parameters={**self.parameters, **changed})
+
+    def free(self, names: Sequence[str]) -> tuple[Free, ...]:
+        """Parameters by full name with their ranges.
+
+        Raises:
+            InputError: no such parameter; a value outside its range.
+        """
+        for name in names:
+            if name not in self.parameters:
+                raise unknown_name("parameter", name, self.parameters)
+            free = self.parameters[name]
+            if not free.low - 1e-9 * free.scale <= free.start <= free.high + 1e-9 * free.scale:
+                raise InputError(f"parameter {name} = {free.start:g} is outside its range; valid: {free.low:g} … {free.high:g}")
+        return tuple(self.parameters[name] for name in names)
+
+    def corrected(self, kept: Sequence[Candidate]) -> dict[str, float]:
+        """Values by full name of what is known and of the parameters of these effects."""
+        names = [*self.known, *(name for candidate in kept for name in candidate.parameters)]
+        return {name: self.parameters[name].start for name in names}
+
+    def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
+        """What a run should have measured, from the state it begins with or from rest.
+
+        Args:
+            run: what was done.
+            by: parameters by full name, or `START` + a state's name, by which to differentiate.
+            step: of no consequence: steps are parts of the samples'.
+
+        Raises:
+            PredictionError: no equilibrium to begin from, or a motion without bounds.
+        """
+        theta, names = np.array(list(self.values.values())), list(self.parameters)
+        turned = np.zeros((len(theta), len(by)))
+        for k, name in enumerate(by):
+            if not name.startswith(START):
+                turned[names.index(name), k] = 1.0
+        h = self._step(run) / self.substeps
+        x, moved = self._begin(run, theta, turned, by, h)
+        y, d_y = self._first(x, moved, run.inputs[0], theta, turned, h)
+        points, change = np.empty((run.rows, len(y))), np.zeros((run.rows, len(by), len(y)))
+        points[0], change[0] = y, d_y.T
+        whole = self._whole(len(by), run.rows - 1)
+        give_way()
+        with np.errstate(all="ignore"):
+            _, _, ys, d_ys = whole(
+                x, moved, run.inputs[:-1].T, run.inputs[1:].T, np.repeat(theta[:, None], 1, axis=1), turned, h
+            )
+        points[1:] = np.asarray(ys).T
+        if by:
+            change[1:] = np.asarray(d_ys).reshape(len(y), run.rows - 1, len(by)).transpose(1, 2, 0)
+        if not (np.abs(points).max() < BOUND and np.isfinite(change).all()):
+            raise PredictionError(f"{run.file}: the motion has no bounds")
+        return Prediction(points[..., None], np.moveaxis(change, 1, 0)[..., None])
+
+    def _step(self, run: Run) -> float:
+        steps = np.diff(run.time)
+        if np.ptp(steps) > 1e-3 * steps.mean():
+            raise PredictionError(f"{run.file}: samples are not equally far apart")
+        return float(steps.mean())
+
+    def _whole(self, directions: int, samples: int) -> ca.Function:
+        return _accumulated(self.motion, directions, self.substeps, self.held, samples)
+
+    def _begin(
+        self, run: Run, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """State at the first sample and its change along the directions."""
+        states, u = self.motion.states, run.inputs[0]
+        x, moved = np.array([self.guess[name] for name in states]), np.zeros((len(states), len(by)))
+        free = [states.index(name) for name in self.states]
+        if run.state is None:
+            by_theta = self._settle(run, x, free, theta, h)
+            moved[free] = by_theta @ turned
+        else:
+            x[free] = run.state
+            for k, name in enumerate(by):
+                if name.startswith(START):
+                    moved[states.index(name.removeprefix(START)), k] = 1.0
+        function = _settling(self.motion, len(by))
+        x, moved = (np.asarray(part) for part in function(x, moved, u, theta, turned, h))
+        return x.ravel(), moved
+
+    def _settle(self, run: Run, x: np.ndarray, free: list[int], theta: np.ndarray, h: float) -> np.ndarray:
+        """Put the free states of x to rest under the first row; their change with the parameters, (states, parameters)."""
+        for _ in range(NEWTON_STEPS):
+            rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, run.inputs[0], theta, h))
+            change = np.linalg.lstsq(by_x, -rates.ravel(), rcond=1e-12)[0]
+            x[free] += change
+            if np.abs(change).max() <= AT_REST * (1 + np.abs(x).max()):
+                break
+        still = np.abs(rates).max() <= 1e-6 * (1 + np.abs(by_x).max())
+        if not still or np.linalg.matrix_rank(by_x) < len(free):
+            what = "comes to rest wherever it is" if still else "does not come to rest"
+            raise PredictionError(f'{run.file}: {self.name} {what} under the first inputs; valid: start = "measured" or "free"')
+        return -np.linalg.solve(by_x, by_theta)
+
+    def _first(
+        self, x: np.ndarray, moved: np.ndarray, u: np.ndarray, theta: np.ndarray, turned: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        y, by_x, by_theta = (np.asarray(part) for part in self.motion.measured(x, u, theta, h))
+        return y.ravel(), by_x @ moved + by_theta @ turned
+
+
+@lru_cache(maxsize=64)
+def _settling(motion: Motion, directions: int) -> ca.Function:
+    """`Motion.begin` with its change along directions."""
+    x, u, theta, h = motion.x, motion.u, motion.theta, motion.h
+    moved, turned = ca.SX.sym("dx", x.shape[0], directions), ca.SX.sym("dtheta", theta.shape[0], directions)
+    at = motion.begin(x, u, theta, h)
+    change = ca.jtimes(at, ca.vertcat(x, theta), ca.vertcat(moved, turned)) if directions else ca.SX(x.shape[0], 0)
+    return ca.Function("settling", [x, moved, u, theta, turned, h], [at, change])
+
+
+@lru_cache(maxsize=256)
+def _accumulated(motion: Motion, directions: int, substeps: int, held: bool, samples: int) -> ca.Function:
+    """All samples of a run in one call."""
+    return motion.sampled(directions, substeps, held).mapaccum("whole", samples, 2, {"base": 10})

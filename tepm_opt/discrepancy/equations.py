@@ -1,0 +1,182 @@
+"""A machine written down by its equations ẋ = f(x, u, θ), y = h(x, u, θ), with whatever effects may be missing in it.
+
+    m = Equations("a mass on a spring")
+    q, v = m.state("q"), m.state("v")
+    force = m.input("force", size=10.0)
+    mass, spring = m.known("mass", 2.0, "kg"), m.known("spring", 500.0, "N/m")
+    m.rate(q, v)
+    m.rate(v, (force - spring * q + m.axis("guide", q, v, force=10.0, speed=0.5, position=0.02)) / mass)
+    m.output("position", q, "m", size=0.02)
+    plant = m.plant()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf
+
+import casadi as ca
+
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.casadi_plant import CasadiPlant, Motion
+from tepm_opt.discrepancy.library.axis import AXIS
+from tepm_opt.discrepancy.library.effect import At, Law
+from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.solvers.plant import Free
+
+
+@dataclass
+class Equations:
+    """What a machine is, noted down piece by piece; `plant` is made of it.
+
+    Attributes:
+        name: of the machine.
+        time: its own time in s: of a swing, of a filling; lags worth a try are parts of it.
+        laws: effects that may be missing; all of the library where not said otherwise.
+    """
+
+    name: str
+    time: float = 1.0
+    laws: Sequence[Law] = (*INPUT, *AXIS, *OUTPUT)
+    _states: dict[str, tuple[ca.SX, float]] = field(default_factory=dict)
+    _rates: dict[str, ca.SX] = field(default_factory=dict)
+    _inputs: dict[str, tuple[ca.SX, ca.SX, float]] = field(default_factory=dict)
+    _outputs: dict[str, tuple[ca.SX, str]] = field(default_factory=dict)
+    _free: dict[str, tuple[ca.SX, Free]] = field(default_factory=dict)
+    _settled: dict[str, ca.SX] = field(default_factory=dict)  # what states of effects begin as
+    _candidates: list[Candidate] = field(default_factory=list)
+    _step: ca.SX = field(default_factory=lambda: ca.SX.sym("h"))
+
+    def state(self, name: str, start: float = 0.0) -> ca.SX:
+        """A state; `start` is a guess of its value at rest."""
+        self._new(name, self._states)
+        self._states[name] = ca.SX.sym(name), start
+        return self._states[name][0]
+
+    def rate(self, state: ca.SX, rate: ca.SX | float) -> None:
+        """The rate of a state, per s."""
+        if state.name() not in self._states:
+            raise unknown_name("state", state.name(), self._states)
+        self._rates[state.name()] = ca.SX(rate)
+
+    def known(self, name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None) -> ca.SX:  # fmt: skip # noqa: E501
+        """A parameter that is known within a part of its value, or between two values.
+
+        Args:
+            name: of the parameter.
+            value: the best guess.
+            unit: of it.
+            within: how far it may be off, in parts of the value.
+            low, high: how small and large it may be, instead.
+        """
+        self._new(name, self._free)
+        off = abs(value) * within
+        low, high = value - off if low is None else low, value + off if high is None else high
+        if not low <= value <= high:
+            raise InputError(f"{self.name}: {name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
+        free = Free(name, unit, value, low, high, max((high - low) / 4, 1e-3 * abs(value)) or 1.0)
+        self._free[name] = ca.SX.sym(name), free
+        return self._free[name][0]
+
+    def input(self, name: str, size: float, limit: float = inf) -> ca.SX:
+        """A signal that goes in, after whatever effects stand between the command and what acts; `size`: as large as it usually is."""
+        self._new(name, self._inputs)
+        command = ca.SX.sym(name)
+        self._inputs[name] = command, command, limit
+        acts, sizes = command, {"signal": size, "time": self.time, "1": 1.0}
+        for law in (law for law in self.laws if law.stage == "input"):
+            acts = self._filtered(law, name, acts, sizes)
+        self._inputs[name] = command, acts, limit
+        return acts
+
+    def axis(self, name: str, q: ca.SX, v: ca.SX, force: float, speed: float, position: float = 1.0) -> ca.SX:
+        """The force of whatever effects act on an axis, along q.
+
+        Args:
+            name: of the axis.
+            q, v: its position and speed.
+            force, speed, position: as large as they usually are there.
+        """
+        sizes, total = {"force": force, "speed": speed, "position": position, "1": 1.0}, ca.SX(0)
+        for law in (law for law in self.laws if law.stage == "body"):
+            p = self._parameters(law, name, sizes)
+            z = [self.state(f"{law.name}[{name}] {k}") for k in range(law.states)]
+            acts, rates = law.act(At(p, z, sizes, position=q, speed=v))
+            for state, rate in zip(z, rates, strict=True):
+                self.rate(state, rate)
+                self._settled[state.name()] = ca.SX(0)
+            total += acts
+        return total
+
+    def output(self, name: str, value: ca.SX, unit: str = "", size: float = 1.0) -> None:
+        """What is measured, after whatever effects stand between it and what is written down; `size`: as large as it usually is."""
+        self._new(name, self._outputs)
+        sizes = {"signal": size, "time": self.time, "1": 1.0}
+        for law in (law for law in self.laws if law.stage == "output"):
+            value = self._filtered(law, name, value, sizes)
+        self._outputs[name] = ca.SX(value), unit
+
+    def plant(self) -> CasadiPlant:
+        """The machine with its parameters at these values and all effects at their nulls.
+
+        Raises:
+            InputError: a state without a rate, nothing that is measured.
+        """
+        if lacking := [name for name in self._states if name not in self._rates]:
+            raise InputError(f"{self.name}: state {lacking[0]!r} has no rate; valid: m.rate({lacking[0]}, …) for each state")
+        if not self._outputs:
+            raise InputError(f"{self.name}: nothing is measured; valid: at least one m.output(…)")
+        motion = Motion(
+            states=tuple(self._states),
+            x=ca.vertcat(*(x for x, _ in self._states.values())),
+            rates=ca.vertcat(*(self._rates[name] for name in self._states)),
+            u=ca.vertcat(*(u for u, _, _ in self._inputs.values())),
+            y=ca.vertcat(*(y for y, _ in self._outputs.values())),
+            theta=ca.vertcat(*(p for p, _ in self._free.values())),
+            h=self._step,
+            settled=tuple((name, self._settled[name]) for name in self._states if name in self._settled),
+        )
+        units = {unit for _, unit in self._outputs.values()}
+        signals = Signals.of(
+            tuple(self._inputs), tuple(self._outputs), units.pop() if len(units) == 1 else "", tuple(limit for *_, limit in self._inputs.values())
+        )
+        free = {name: each for name, (_, each) in self._free.items()}
+        missing = {name for candidate in self._candidates for name in candidate.parameters}
+        known = tuple(name for name in free if name not in missing)
+        start = {name: value for name, (_, value) in self._states.items()}
+        return CasadiPlant(self.name, motion, free, start, signals, known, tuple(self._candidates))
+
+    def _new(self, name: str, taken: Mapping[str, object]) -> None:
+        if name in taken:
+            raise InputError(f"{self.name}: {name!r} is there twice; valid: a name of its own for each")
+
+    def _parameters(self, law: Law, part: str, sizes: Mapping[str, float]) -> dict[str, ca.SX]:
+        """The parameters of an effect on a part of the machine, noted with the candidate that they make."""
+        label, found, null, probes = f"{law.name}[{part}]", {}, {}, []
+        for quantity in (q.in_units(sizes) for q in law.quantities):
+            name = f"{label}.{quantity.name}"
+            found[quantity.name] = ca.SX.sym(name)
+            null[name] = quantity.null
+            probes.append((name, quantity.probes))
+            scale = abs(quantity.probes[0] - quantity.null) or 0.3 * abs(quantity.probes[0]) or 1.0
+            self._free[name] = found[quantity.name], Free(name, quantity.size, quantity.null, quantity.low, quantity.high, scale)
+        count = max(len(values) for _, values in probes)
+        sets = tuple({name: values[min(k, len(values) - 1)] for name, values in probes} for k in range(count))
+        kind = {"input": "input", "body": "axis", "output": "output"}[law.stage]
+        self._candidates.append(
+            Candidate(law.name, part, null, sets, law.stage, law.smooth, law.beside, law.explains, kind, law.reference)
+        )
+        return found
+
+    def _filtered(self, law: Law, part: str, signal: ca.SX, sizes: Mapping[str, float]) -> ca.SX:
+        """What an effect makes of a signal."""
+        p = self._parameters(law, part, sizes)
+        z = [self.state(f"{law.name}[{part}] {k}") for k in range(law.states)]
+        after, rates = law.act(At(p, z, sizes, self._step, signal=signal))
+        for state, rate in zip(z, rates, strict=True):
+            self.rate(state, rate)
+            self._settled[state.name()] = signal
+        return after

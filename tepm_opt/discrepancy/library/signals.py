@@ -1,0 +1,77 @@
+"""What happens to signals on their way in and out: lags, gains, offsets, dead zones, limits."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from tepm_opt.discrepancy.library.effect import At, Law, Quantity
+
+TIMES = (0.01, 0.1, 1.0)  # of the machine's own time
+PARTS = (0.01, 0.1)
+
+
+def _lagged(at: At, time: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
+    """First order; the signal itself where the time is too short for the steps to resolve."""
+    shortest = 2 * at.step
+    return ca.if_else(time < shortest, at.signal, at.z[0]), [(at.signal - at.z[0]) / ca.fmax(time, shortest)]
+
+
+def _time(name: str) -> Quantity:
+    return Quantity(name, "time", 0.0, TIMES, 0.0, 30.0)
+
+
+def _dead(at: At) -> tuple[ca.SX, list[ca.SX]]:
+    width = at.p["width"]
+    return at.signal - ca.fmin(ca.fmax(at.signal, -width), width), []
+
+
+def _limited(at: At) -> tuple[ca.SX, list[ca.SX]]:
+    """Nothing above a highest value, of which the parameter is the reciprocal: 0 leaves the signal alone."""
+    highest = at.sizes["signal"] / ca.fmax(at.p["tightness"], 1e-9)
+    return ca.fmin(at.signal, highest), []
+
+
+INPUT = (
+    Law(
+        "input_lag", "input", (_time("time"),), lambda at: _lagged(at, at.p["time"]), states=1, smooth=False,
+        explains="what acts follows the command like a first-order lag",
+    ),
+    Law(
+        "unequal_lag", "input", (_time("filling"), _time("exhausting")),
+        lambda at: _lagged(at, ca.if_else(at.signal > at.z[0], at.p["filling"], at.p["exhausting"])), states=1, smooth=False,
+        explains="what acts follows the command like a lag, with another time when it rises than when it falls",
+    ),
+    Law(
+        "input_gain", "input", (Quantity("loss", "1", 0.0, PARTS, -1.0, 1.0),), lambda at: ((1 - at.p["loss"]) * at.signal, []),
+        explains="the command acts with another gain",
+    ),
+    Law(
+        "input_offset", "input", (Quantity("offset", "signal", 0.0, PARTS, -1.0, 1.0),), lambda at: (at.signal + at.p["offset"], []),
+        explains="the command's zero is off",
+    ),
+    Law(
+        "input_dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),), _dead, smooth=False,
+        explains="small commands do nothing",
+    ),
+)  # fmt: skip
+"""Effects on what goes in."""
+
+OUTPUT = (
+    Law(
+        "sensor_lag", "output", (_time("time"),), lambda at: _lagged(at, at.p["time"]), states=1, smooth=False,
+        explains="the sensor follows like a first-order lag",
+    ),
+    Law(
+        "sensor_gain", "output", (Quantity("gain", "1", 0.0, PARTS, -1.0, 1.0),), lambda at: ((1 + at.p["gain"]) * at.signal, []),
+        explains="the sensor's gain is off",
+    ),
+    Law(
+        "sensor_offset", "output", (Quantity("offset", "signal", 0.0, PARTS, -1.0, 1.0),), lambda at: (at.signal + at.p["offset"], []),
+        explains="the sensor's zero is off",
+    ),
+    Law(
+        "sensor_saturation", "output", (Quantity("tightness", "1", 0.0, (0.8, 1.0, 1.25, 1.6), 0.0, 10.0),), _limited, smooth=False,
+        explains="the sensor, or what it looks at, cannot show more than so much",
+    ),
+)  # fmt: skip
+"""Effects on what is measured."""

@@ -1,0 +1,81 @@
+"""Runs that do not begin at rest: the state that they begin with, from what they measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tepm_opt.data.run import Run
+from tepm_opt.solvers.parallel import in_parallel
+from tepm_opt.solvers.plant import START, Plant, Prediction
+from tepm_opt.solvers.residuals import Residual
+
+FIRST = 20  # samples that tell a state where a run begins as "measured"
+STEPS, HALVINGS = 8, 4  # of Gauss and Newton
+STILL = 1e-3  # of the noise's squares, gained in a step that is the last
+
+
+def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.inf) -> Run:
+    """The run with the state that explains its first samples best, or all of them where it is free; as it is where it begins at rest.
+
+    Raises:
+        PredictionError: the model cannot do the run.
+    """
+    if run.start == "equilibrium" or not plant.states:
+        return run
+    state = np.zeros(len(plant.states)) if run.state is None else run.state
+    state = _fitted(plant, first(run, FIRST), noise, step, state)
+    return replace(run, state=_fitted(plant, run, noise, step, state) if run.start == "free" else state)
+
+
+def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray) -> np.ndarray:
+    """The first state that explains a run best, from a guess: Gauss and Newton, steps halved where they fail."""
+    names = [START + name for name in plant.states]
+    left = _left(plant, run, noise, step, state, names)
+    for _ in range(STEPS):
+        scale = np.maximum(np.linalg.norm(left.by, axis=0), 1e-300)
+        change = -np.linalg.lstsq(left.by / scale, left.values.ravel(), rcond=1e-10)[0] / scale
+        for _ in range(HALVINGS):
+            tried = _left(plant, run, noise, step, state + change, names)
+            if tried.squares < left.squares:
+                break
+            change = change / 4
+        else:
+            break
+        gained, state, left = left.squares - tried.squares, state + change, tried
+        if gained < STILL * max(left.count, 1):
+            break
+    return state
+
+
+def _left(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, names: Sequence[str]) -> Residual:
+    """Residuals from a state with their derivatives by it."""
+    found = plant.predict(replace(run, state=state), names, step)
+    return Residual.of(run, found.points, found.by, noise)
+
+
+def first(run: Run, rows: int) -> Run:
+    """The first rows of a run."""
+    return replace(
+        run, time=run.time[:rows], inputs=run.inputs[:rows], tip_force=run.tip_force[:rows], points=run.points[:rows], extra={}, lines=()
+    )
+
+
+def without_start(residual: Residual, states: int) -> Residual:
+    """Residuals whose last derivatives are those by the run's first state, as they are with the best state for whatever parameters.
+
+    Variable projection (Golub and Pereyra 1973): what a change of the state can do is taken out of residuals and derivatives.
+    """
+    by, own = residual.by[:, :-states], residual.by[:, -states:]
+    basis, size, _ = np.linalg.svd(own, full_matrices=False)
+    basis = basis[:, size > 1e-9 * size.max(initial=1e-300)]
+    values = residual.values.ravel()
+    values = values - basis @ (basis.T @ values)
+    return replace(residual, values=values.reshape(residual.values.shape), by=by - basis @ (basis.T @ by))
+
+
+def predictions(plant: Plant, runs: Sequence[Run], noise: float | np.ndarray, step: float = np.inf) -> list[Prediction]:
+    """Predictions of several runs, each from where it begins, at once on the machine's cores where the plant allows it."""
+    return in_parallel(lambda run: plant.predict(begun(plant, run, noise, step), (), step), runs, lambda run: run.rows, plant.concurrent)
