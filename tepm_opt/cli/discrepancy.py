@@ -30,6 +30,7 @@ def discrepancy(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder with dataset.toml and a CSV file a run.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("discrepancy"),
     model: Annotated[Path | None, typer.Option("--model", help="Model file instead of the data set's robot as it is.")] = None,
+    plant: Annotated[Path | None, typer.Option("--plant", help="Python file of another machine, which the data set is of.")] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,
     as_json: JsonOption = False,
@@ -39,18 +40,18 @@ def discrepancy(
     Writes verdict.json, model.toml (for --model of every command), report.html and its figures. An interrupted run goes on where it
     was when started again. Exit status: 0 named or nothing missing, 1 indistinguishable or unexplained.
     """
-    from tepm_opt.jobs.discrepancy import MODEL, VERDICT
+    from tepm_opt.jobs.discrepancy import MODEL, VALUES, VERDICT
 
     try:
         with shown(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress)
+            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             provenance = {
                 "data set": f"{result.dataset.name} ({dataset})",
-                "robot": result.dataset.robot,
-                "model": str(model or "the robot as it is"),
+                "machine": result.verdict.machine,
+                "model": str(plant or model or "the robot as it is"),
                 "tepm_opt": version("tepm-opt"),
                 "seed": str(seed),
             }
@@ -64,6 +65,10 @@ def discrepancy(
         print((out / VERDICT).read_text(encoding="utf-8"), end="")
     else:
         stdout.print(f"[bold {'green' if found else 'yellow'}]{verdict.status.value}[/]")
-        for line in (verdict.paragraph, *verdict.notes, f"{verdict.seconds:.0f} s; {out / PAGE}, {out / MODEL}, {out / VERDICT}"):
+        for line in (
+            verdict.paragraph,
+            *verdict.notes,
+            f"{verdict.seconds:.0f} s; {out / PAGE}, {out / (VALUES if plant else MODEL)}, {out / VERDICT}",
+        ):
             stdout.print(escape(line), soft_wrap=True, highlight=False)
     return SOLVED if found else UNSOLVED

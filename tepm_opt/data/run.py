@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -104,6 +104,13 @@ class RunSet:
 
     name: str
     runs: tuple[Run, ...]
+
+    @staticmethod
+    def of(name: str, runs: Iterable[Run]) -> RunSet:
+        """Some runs."""
+        found = RunSet()
+        found.name, found.runs = name, tuple(runs)
+        return found
 
     @property
     def fit(self) -> tuple[Run, ...]:

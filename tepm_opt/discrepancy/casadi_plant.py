@@ -196,9 +196,7 @@ class CasadiPlant:
         whole = self._whole(len(by), run.rows - 1)
         give_way()
         with np.errstate(all="ignore"):
-            _, _, ys, d_ys = whole(
-                x, moved, run.inputs[:-1].T, run.inputs[1:].T, np.repeat(theta[:, None], 1, axis=1), turned, h
-            )
+            _, _, ys, d_ys = whole(x, moved, run.inputs[:-1].T, run.inputs[1:].T, np.repeat(theta[:, None], 1, axis=1), turned, h)
         points[1:] = np.asarray(ys).T
         if by:
             change[1:] = np.asarray(d_ys).reshape(len(y), run.rows - 1, len(by)).transpose(1, 2, 0)
@@ -215,9 +213,7 @@ class CasadiPlant:
     def _whole(self, directions: int, samples: int) -> ca.Function:
         return _accumulated(self.motion, directions, self.substeps, self.held, samples)
 
-    def _begin(
-        self, run: Run, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _begin(self, run: Run, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float) -> tuple[np.ndarray, np.ndarray]:
         """State at the first sample and its change along the directions."""
         states, u = self.motion.states, run.inputs[0]
         x, moved = np.array([self.guess[name] for name in states]), np.zeros((len(states), len(by)))

@@ -1,13 +1,13 @@
 """A machine written down by its equations ẋ = f(x, u, θ), y = h(x, u, θ), with whatever effects may be missing in it.
 
-    m = Equations("a mass on a spring")
-    q, v = m.state("q"), m.state("v")
-    force = m.input("force", size=10.0)
-    mass, spring = m.known("mass", 2.0, "kg"), m.known("spring", 500.0, "N/m")
-    m.rate(q, v)
-    m.rate(v, (force - spring * q + m.axis("guide", q, v, force=10.0, speed=0.5, position=0.02)) / mass)
-    m.output("position", q, "m", size=0.02)
-    plant = m.plant()
+m = Equations("a mass on a spring")
+q, v = m.state("q"), m.state("v")
+force = m.input("force", size=10.0)
+mass, spring = m.known("mass", 2.0, "kg"), m.known("spring", 500.0, "N/m")
+m.rate(q, v)
+m.rate(v, (force - spring * q + m.axis("guide", q, v, force=10.0, speed=0.5, position=0.02)) / mass)
+m.output("position", q, "m", size=0.02)
+plant = m.plant()
 """
 
 from __future__ import annotations
@@ -141,7 +141,10 @@ class Equations:
         )
         units = {unit for _, unit in self._outputs.values()}
         signals = Signals.of(
-            tuple(self._inputs), tuple(self._outputs), units.pop() if len(units) == 1 else "", tuple(limit for *_, limit in self._inputs.values())
+            tuple(self._inputs),
+            tuple(self._outputs),
+            units.pop() if len(units) == 1 else "",
+            tuple(limit for *_, limit in self._inputs.values()),
         )
         free = {name: each for name, (_, each) in self._free.items()}
         missing = {name for candidate in self._candidates for name in candidate.parameters}
@@ -166,9 +169,7 @@ class Equations:
         count = max(len(values) for _, values in probes)
         sets = tuple({name: values[min(k, len(values) - 1)] for name, values in probes} for k in range(count))
         kind = {"input": "input", "body": "axis", "output": "output"}[law.stage]
-        self._candidates.append(
-            Candidate(law.name, part, null, sets, law.stage, law.smooth, law.beside, law.explains, kind, law.reference)
-        )
+        self._candidates.append(Candidate(law.name, part, null, sets, law.stage, law.smooth, law.beside, law.explains, kind, law.reference))
         return found
 
     def _filtered(self, law: Law, part: str, signal: ca.SX, sizes: Mapping[str, float]) -> ca.SX:

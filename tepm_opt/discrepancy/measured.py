@@ -35,7 +35,7 @@ def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ..
 
 
 def measured_column(column: str) -> str:
-    """Name of the column with the measured value of an input: "pressure_11_Pa" to "pressure_11_measured_Pa", "force" to "force_measured"."""
+    """Column of the measured value of an input: "pressure_11_Pa" to "pressure_11_measured_Pa", "force" to "force_measured"."""
     stem, _, unit = column.rpartition("_")
     return f"{stem}_measured_{unit}" if stem else f"{unit}_measured"
 

@@ -82,6 +82,11 @@ class SearchableNetwork(NetworkPlant):
         )
 
     @property
+    def name(self) -> str:
+        """The robot's."""
+        return self.known_model.robot.name
+
+    @property
     def derivatives_apart(self) -> float:
         """Derivatives of its motion are smooth."""
         return 0.04

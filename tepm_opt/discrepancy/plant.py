@@ -56,6 +56,7 @@ class SearchablePlant(Plant, Protocol):
     """A plant with the effects that may be missing in it, all at their null values.
 
     Attributes:
+        name: of the machine.
         signals: what is put in and what is measured.
         known: full names of the parameters that are known within their ranges; they are fitted with whatever effects.
         candidates: effects that may be missing.
@@ -64,6 +65,9 @@ class SearchablePlant(Plant, Protocol):
 
     @property
     def derivatives_apart(self) -> float: ...
+
+    @property
+    def name(self) -> str: ...
 
     @property
     def signals(self) -> Signals: ...

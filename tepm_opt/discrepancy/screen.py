@@ -41,9 +41,9 @@ def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Sc
     """Scores of candidates, largest gain first.
 
     Effects that are nearly linear in their parameters are judged by the outputs' derivatives at the null, all from one pass through the
-    runs, others by finite probes, of the best of which any multiple may act. Both are taken together with the parameters that are free already, so
-    that what those could do as well does not count. Scores order, they do not decide: they are first order. A candidate whose probe the
-    model cannot take is left out.
+    runs, others by finite probes, of the best of which any multiple may act. Both are taken together with the parameters that are free
+    already, so that what those could do as well does not count. Scores order, they do not decide: they are first order. A candidate
+    whose probes the model cannot take is left out.
     """
     estimate = _sparse(estimate)
     problem, threads = estimate.problem, estimate.problem.plant.concurrent
@@ -144,7 +144,9 @@ def _by_change(
     return Score(candidate, gain, {f.name: candidate.null[f.name] + size * moved[f.name] for f in own})
 
 
-def screen_pairs(estimate: ParameterEstimate, scores: Sequence[Score], most: int) -> list[tuple[tuple[Candidate, Candidate], float, dict[str, float]]]:
+def screen_pairs(
+    estimate: ParameterEstimate, scores: Sequence[Score], most: int
+) -> list[tuple[tuple[Candidate, Candidate], float, dict[str, float]]]:
     """Pairs of candidates by what the two could take away together, largest first: (pair, gain, values to fit from).
 
     Only the direction from null to start of each is looked at, as its own score found it; any multiple of it may act.
@@ -160,9 +162,7 @@ def screen_pairs(estimate: ParameterEstimate, scores: Sequence[Score], most: int
     own = {score: {name: score.start[name] for name in score.candidate.parameters} for score in picked}
     changes = in_parallel(lambda score: _probed(estimate, own[score]), picked, threads=estimate.problem.plant.concurrent)
     able = [(score, change) for score, change in zip(picked, changes, strict=True) if change is not None]
-    columns = [
-        np.stack([(change[k].values - r.values).ravel() for _, change in able], axis=1) for k, r in enumerate(simulated)
-    ]
+    columns = [np.stack([(change[k].values - r.values).ravel() for _, change in able], axis=1) for k, r in enumerate(simulated)]
     whole = [replace(r, by=np.hstack([s.by, c])) for r, s, c in zip(estimate.residuals, simulated, columns, strict=True)]
     square, slope = normal_equations(whole)
     found = []

@@ -9,7 +9,6 @@ from html import escape
 from typing import Any
 
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.models.model import Model
 from tepm_opt.solvers.text import html_table, listed, shortened
 
 
@@ -120,7 +119,9 @@ class Verdict:
         where: where the recalibrated model misses (the nominal one where nothing is missing), largest first.
         recalibrated: the known parameters by name, as found together with the effects.
         errors: on validation runs (on fit runs where the data set has no others).
-        model: with effects and values.
+        model: with effects and values: a `Model`, or the values by name where the machine is given by equations.
+        machine: its name.
+        unit: of errors.
         notes: what a reader should know: doubts about the data, directions the runs cannot tell, structure left.
         seconds: it took.
     """
@@ -132,9 +133,11 @@ class Verdict:
     where: tuple[Place, ...]
     recalibrated: Mapping[str, Value]
     errors: Errors
-    model: Model
+    model: Any
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
+    machine: str = ""
+    unit: str = "m"
 
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
@@ -166,9 +169,16 @@ class Verdict:
             ],
             "rivals": [{"name": r.candidate.label, "probability": _rounded(r.probability), "why": r.why} for r in self.rivals],
             "where": [
-                {"by": p.by, "name": p.name, "rms_m": _rounded(p.rms), "share": _rounded(p.share), "p": _rounded(p.p)} for p in self.where
+                {
+                    "by": p.by,
+                    "name": p.name,
+                    "rms_m" if self.unit == "m" else "rms": _rounded(p.rms),
+                    "share": _rounded(p.share),
+                    "p": _rounded(p.p),
+                }
+                for p in self.where
             ],
-            "rmse_m": {name: _rounded(value) for name, value in vars(self.errors).items()},
+            "rmse_m" if self.unit == "m" else "rmse": {name: _rounded(value) for name, value in vars(self.errors).items()},
             "recalibrated": {name: _value(value) for name, value in self.recalibrated.items()},
             "paragraph": self.paragraph,
             "notes": list(self.notes),

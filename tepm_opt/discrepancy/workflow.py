@@ -176,7 +176,7 @@ def _verdict(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, explanation: Explanation, best: ParameterEstimate,
     errors: Errors, localisation: Localisation, settings: SearchSettings,
 ) -> Verdict:  # fmt: skip
-    status = _status(explanation, settings)
+    status, unit = _status(explanation, settings), plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
     named: list[Named] = []
     for effect in explanation.best.effects:
         belief = _belief(explanation.shares[effect], settings)
@@ -193,11 +193,9 @@ def _verdict(
     notes = words.notes(dataset, plant.signals, explanation, best, noise)
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
-    text = words.paragraph(
-        status, named, errors, localisation.sentence, known, explanation, plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
-    )
+    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation, unit)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
-    return Verdict(status, text, tuple(named), rivals, where, known, errors, corrected, notes)
+    return Verdict(status, text, tuple(named), rivals, where, known, errors, corrected, notes, machine=plant.name, unit=unit)
 
 
 def _only(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:

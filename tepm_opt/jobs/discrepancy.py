@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+
+import numpy as np
 
 from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
+from tepm_opt.data.trials import read_trials
 from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
 
-VERDICT, MODEL, FITS = "verdict.json", "model.toml", ".fits.json"
+VERDICT, MODEL, VALUES, FITS = "verdict.json", "model.toml", "values.json", ".fits.json"
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet, list[str]]:
@@ -47,9 +52,9 @@ def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet
 
 def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
-    progress: Progress = silent,
+    progress: Progress = silent, plant: str | Path | None = None,
 ) -> Discovery:  # fmt: skip
-    """Explain a data set and write `verdict.json` and `model.toml` into a folder.
+    """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file says what the machine is.
 
     What was fitted is kept in the folder while the search runs: the same command after an interruption goes on where it was.
 
@@ -60,34 +65,55 @@ def run_discrepancy(
         seed: of all random draws.
         despite_errors: whether to go on where the check of the data finds errors.
         progress: told of every piece of work.
+        plant: Python file of another machine, which the data set is of.
 
     Raises:
         InputError: data or model cannot be used; the message says why.
     """
     folder, out = Path(folder), Path(out)
+    if plant is not None:
+        return _of_plant(folder, out, Path(plant), seed, progress)
     dataset, warnings = checked_dataset(folder, despite_errors)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:
         raise InputError(f"{model}: its robot has other actuators or reference points than {dataset.robot}, which {folder} names")
     out = output_folder(out)
-    key = _fingerprint(folder, known, seed)
     noise = noise_of(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
-    plant = SearchableNetwork.of(known, channels, dataset.static)
-    result = discover(dataset, plant, noise, seed, out / FITS, key, progress=progress)
+    network = SearchableNetwork.of(known, channels, dataset.static)
+    key = _fingerprint(folder, known.robot.model_dump_json(), str(known.values), str(seed))
+    result = discover(dataset, network, noise, seed, out / FITS, key, progress=progress)
     write_model(result.verdict.model, out / MODEL)
+    _write(result, out, warnings)
+    return result
+
+
+def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress) -> Discovery:
+    """Explain a data set of a plant file's machine."""
+    plant = load_plant(file)
+    dataset = read_trials(folder, plant.signals)
+    alike = plant.signals.unit and np.ptp(dataset.noise) == 0
+    out = output_folder(out)
+    key = _fingerprint(folder, file.read_text(encoding="utf-8"), str(seed))
+    result = discover(dataset, plant, float(dataset.noise[0, 0]) if alike else dataset.noise, seed, out / FITS, key, progress=progress)
+    write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
+    _write(result, out, [])
+    return result
+
+
+def _write(result: Discovery, out: Path, warnings: Sequence[str]) -> None:
+    """Write `verdict.json`; what was kept in case of an interruption goes."""
     content = result.verdict.as_json()
     content["notes"] += [f"data: {line}" for line in warnings]
     write_atomically(out / VERDICT, json.dumps(content, indent=2) + "\n")
     for kept in out.glob(f"{FITS}*"):
         kept.unlink()
-    return result
 
 
-def _fingerprint(folder: Path, model: Model, seed: int) -> str:
-    """Changes with the data, the model, the seed and the version of this package."""
-    digest = hashlib.sha256(repr((model.robot.model_dump_json(), model.values, seed, version("tepm-opt"))).encode())
+def _fingerprint(folder: Path, *parts: str) -> str:
+    """Changes with the data, these parts and the version of this package."""
+    digest = hashlib.sha256(repr((*parts, version("tepm-opt"))).encode())
     for path in sorted(folder.glob("*")):
         if path.is_file():
             digest.update(path.name.encode() + path.read_bytes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from tepm_opt.data.metrics import point_errors, shape_error
-from tepm_opt.data.run import Run
+from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.discrepancy.search import Hypothesis
 from tepm_opt.discrepancy.workflow import Discovery
@@ -31,6 +32,8 @@ SHOWN = 20  # candidates shown of the evidence
 
 def discovery_figures(result: Discovery) -> dict[str, Figure]:
     """All figures of an answer by the names that its page gives them; "evidence" only where something was fitted."""
+    result = _comparable(result)
+    unit = result.verdict.unit
     verdict, place = result.verdict, result.localisation
     runs = result.dataset.validation or result.dataset.runs
     data = "validation runs" if result.dataset.validation else "fit runs"
@@ -39,11 +42,11 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
     by_point = {name: _rms_by_point([run.points for run in runs], points) for name, points in predictions.items()}
     errors = {name.replace("_", " "): value for name, value in vars(verdict.errors).items()}
     found = {
-        "heat": heat_figure(place.heat, place.runs, place.points),
-        "gap": gap_figure(errors, data=data),
-        "points": points_figure(place.points, by_point, verdict.errors.noise_floor, data=data),
-        "over_time": over_time_figure(runs, predictions, verdict.errors.noise_floor),
-        "tip": tip_figure(runs, predictions),
+        "heat": heat_figure(place.heat, place.runs, place.points, unit),
+        "gap": gap_figure(errors, data, unit),
+        "points": points_figure(place.points, by_point, verdict.errors.noise_floor, data, unit),
+        "over_time": over_time_figure(runs, predictions, verdict.errors.noise_floor, unit),
+        "tip": tip_figure(runs, predictions, result.localisation.points[-1] if unit != "m" else "tip", unit),
     }
     explanation = result.explanation
     fitted = [h for h in explanation.tried if len(h.effects) == 1] + [explanation.best] * (len(explanation.best.effects) > 1)
@@ -53,6 +56,26 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
         named = {each.candidate.label for each in verdict.effects}
         found["evidence"] = evidence_figure(closes, sure & closes.keys(), (named - sure) & closes.keys())
     return found
+
+
+def _comparable(result: Discovery) -> Discovery:
+    """The answer with quantities of different kinds over their noise."""
+    noise = result.noise
+    if not np.ndim(noise):
+        return result
+    runs = RunSet.of(result.dataset.name, [replace(run, points=run.points / noise) for run in result.dataset.runs])
+    predictions = {name: [points / noise for points in each] for name, each in result.predictions.items()}
+    return replace(result, dataset=runs, predictions=predictions, noise=1.0)
+
+
+def _shown(unit: str) -> tuple[float, str]:
+    """Factor to, and name of, the unit that figures have."""
+    return (1e3, "mm") if unit == "m" else (1.0, unit or "its unit")
+
+
+def _error(unit: str) -> str:
+    """What errors are called."""
+    return "Eq. (5)" if unit == "m" else "error"
 
 
 def _label(hypothesis: Hypothesis) -> str:
@@ -65,9 +88,10 @@ def _rms_by_point(measured: list[np.ndarray], modelled: list[np.ndarray]) -> np.
     return np.sqrt(np.where(count, np.nansum(squares, axis=0) / np.maximum(count, 1), np.nan))
 
 
-def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str]) -> Figure:
+def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str], unit: str = "m") -> Figure:
     """Where the model misses: structure beyond the noise by run and reference point, (runs, points) in m, NaN where not measured."""
-    values = 1e3 * np.asarray(heat)
+    factor, shown = _shown(unit)
+    values = factor * np.asarray(heat)
     figure = Figure(figsize=(3.6 + 0.75 * min(len(points), ENOUGH_ROOM), 1.5 + 0.36 * len(runs)), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     top = float(np.nanmax(values, initial=0.0)) or 1.0
@@ -78,14 +102,15 @@ def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str]) ->
     for (row, column), value in np.ndenumerate(values):
         color = "white" if value > 0.65 * top else "black"
         axes.text(column, row, _digits(value) if np.isfinite(value) else "–", ha="center", va="center", fontsize=9, color=color)
-    figure.colorbar(image, ax=axes, label="mm", pad=0.03)
-    axes.set_title("RMS error beyond the noise, in mm", fontsize=11)
+    figure.colorbar(image, ax=axes, label=shown, pad=0.03)
+    axes.set_title(f"RMS error beyond the noise, in {shown}", fontsize=11)
     return figure
 
 
-def gap_figure(errors: Mapping[str, float], data: str = "validation runs") -> Figure:
+def gap_figure(errors: Mapping[str, float], data: str = "validation runs", unit: str = "m") -> Figure:
     """How the gap shrinks: root mean square of Eq. (5) in m by model ("noise floor", "nominal", …; NaN leaves one out)."""
-    shown = {name: 1e3 * value for name, value in errors.items() if np.isfinite(value)}
+    factor, label = _shown(unit)
+    shown = {name: factor * value for name, value in errors.items() if np.isfinite(value)}
     figure = Figure(figsize=(7.5, 1.3 + 0.42 * len(shown)), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     logarithmic = _scale_of_x(axes, list(shown.values()))
@@ -95,7 +120,7 @@ def gap_figure(errors: Mapping[str, float], data: str = "validation runs") -> Fi
         color = COLORS.get(name, PRESSURE)
         axes.plot([left, value], [row, row], color=color, linewidth=3, alpha=0.45, solid_capstyle="butt")
         axes.plot(value, row, "o", color=color, markersize=9)
-        axes.annotate(f"{value:.3g} mm", (value, row), (9, 0), textcoords="offset points", va="center", fontsize=9)
+        axes.annotate(f"{value:.3g} {label}", (value, row), (9, 0), textcoords="offset points", va="center", fontsize=9)
     if floor:
         axes.axvline(floor, color=TARGET, linewidth=1, linestyle="--", zorder=0)
     axes.set_yticks(range(len(shown)), list(shown))
@@ -103,13 +128,15 @@ def gap_figure(errors: Mapping[str, float], data: str = "validation runs") -> Fi
     axes.margins(x=0.18 if logarithmic else 0.12)
     if not logarithmic:
         axes.set_xlim(left=0.0)
-    axes.set_xlabel("Eq. (5), RMS over time in mm")
+    axes.set_xlabel(f"{_error(unit)}, RMS over time in {label}")
     axes.set_title(f"{data}: the gap between model and machine", fontsize=11)
     axes.grid(alpha=0.3, axis="x", which="both")
     return figure
 
 
-def points_figure(points: Sequence[str], errors: Mapping[str, np.ndarray], floor: float, data: str = "validation runs") -> Figure:
+def points_figure(
+    points: Sequence[str], errors: Mapping[str, np.ndarray], floor: float, data: str = "validation runs", unit: str = "m"
+) -> Figure:
     """Error of every reference point by model, against the noise floor.
 
     Args:
@@ -117,20 +144,22 @@ def points_figure(points: Sequence[str], errors: Mapping[str, np.ndarray], floor
         errors: root mean square distances by the model's name, (points,) in m each.
         floor: what noise alone makes of it in m.
         data: what the errors are taken over, for the title.
+        unit: of the errors.
     """
+    factor, label = _shown(unit)
     figure = Figure(figsize=(max(6.5, 1.1 * len(points) + 2.5), 3.6), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     width = 0.8 / max(len(errors), 1)
     for k, (name, values) in enumerate(errors.items()):
         at = np.arange(len(points)) + (k - (len(errors) - 1) / 2) * width
-        heights = 1e3 * np.asarray(values)
+        heights = factor * np.asarray(values)
         axes.bar(at, heights, 0.92 * width, color=COLORS.get(name, PRESSURE), label=name)
         if len(points) * len(errors) <= 30:
             for x, height in zip(at[np.isfinite(heights)], heights[np.isfinite(heights)], strict=True):
                 axes.annotate(_digits(height), (x, height), (0, 2), textcoords="offset points", ha="center", fontsize=7)
-    axes.axhline(1e3 * floor, color="black", linewidth=1, linestyle="--", label=f"noise, {1e3 * floor:.2g} mm")
+    axes.axhline(factor * floor, color="black", linewidth=1, linestyle="--", label=f"noise, {factor * floor:.2g} {label}")
     axes.set_xticks(range(len(points)), list(points))
-    axes.set_ylabel("distance, RMS in mm")
+    axes.set_ylabel(f"distance, RMS in {label}")
     axes.margins(y=0.1)
     axes.set_title(f"{data}: error by reference point", fontsize=11)
     axes.grid(alpha=0.3, axis="y")
@@ -139,26 +168,29 @@ def points_figure(points: Sequence[str], errors: Mapping[str, np.ndarray], floor
     return figure
 
 
-def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float) -> Figure:
+def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float, unit: str = "m") -> Figure:
     """Eq. (5) of every model at every instant, a panel a run; over the rows where there is no time. `floor` in m."""
+    factor, shown = _shown(unit)
     figure = Figure(figsize=(10.0, 1.0 + 1.9 * len(runs)), **STYLE)  # type: ignore[arg-type]
     panels: list[Axes] = list(figure.subplots(len(runs), 1, sharey=True, squeeze=False)[:, 0])
-    errors = {name: [1e3 * shape_error(run.points, at) for run, at in zip(runs, each, strict=True)] for name, each in predictions.items()}
-    every = np.concatenate([series[np.isfinite(series)] for each in errors.values() for series in each] + [np.array([1e3 * floor])])
+    errors = {
+        name: [factor * shape_error(run.points, at) for run, at in zip(runs, each, strict=True)] for name, each in predictions.items()
+    }
+    every = np.concatenate([series[np.isfinite(series)] for each in errors.values() for series in each] + [np.array([factor * floor])])
     typical = [float(np.median(series[np.isfinite(series)])) for each in errors.values() for series in each if np.isfinite(series).any()]
     for k, (axes, run) in enumerate(zip(panels, runs, strict=True)):
         across, label, mark = _across(run)
         for name, each in errors.items():
             axes.plot(across, each[k], mark, color=COLORS.get(name, PRESSURE), linewidth=1.0, markersize=4, label=name)
-        axes.axhline(1e3 * floor, color="black", linewidth=0.9, linestyle="--", label=f"noise, {1e3 * floor:.2g} mm")
+        axes.axhline(factor * floor, color="black", linewidth=0.9, linestyle="--", label=f"noise, {factor * floor:.2g} {shown}")
         axes.set_title(run.file, fontsize=10, loc="left")
-        axes.set_ylabel("Eq. (5) in mm")
+        axes.set_ylabel(f"{_error(unit)} in {shown}")
         axes.margins(x=0.01)
         axes.grid(alpha=0.3)
         axes.set_xlabel(label if k == len(runs) - 1 or run.duration != runs[-1].duration else "")
     if floor > 0 and typical and max(typical) > SPREAD * floor:
         panels[0].set_yscale("log")
-        panels[0].set_ylim(0.3 * 1e3 * floor, 1.3 * float(every.max()))
+        panels[0].set_ylim(0.3 * factor * floor, 1.3 * float(every.max()))
         for axes in panels:
             _plain_decades(axes.yaxis)
     else:
@@ -195,23 +227,24 @@ def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals:
     return figure
 
 
-def tip_figure(runs: Sequence[Run], predictions: Predictions) -> Figure:
+def tip_figure(runs: Sequence[Run], predictions: Predictions, name: str = "tip", unit: str = "m") -> Figure:
     """One coordinate of the tip, measured and modelled, in the run and the seconds in which correction matters most."""
-    k, rows, axis = _most(runs, predictions)
+    (k, rows, axis), (factor, label_of) = _most(runs, predictions), _shown(unit)
     run, shown = runs[k], [name for name in MODELS if name in predictions]
     across, label, mark = _across(run)
-    measured = 1e3 * run.points[rows, -1, axis]
-    modelled = {name: 1e3 * predictions[name][k][rows, -1, axis] for name in shown}
+    measured = factor * run.points[rows, -1, axis]
+    modelled = {name: factor * predictions[name][k][rows, -1, axis] for name in shown}
     figure = Figure(figsize=(9.5, 5.2), **STYLE)  # type: ignore[arg-type]
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.2, 1.0])
     above.plot(across[rows], measured, ".", color="0.35", markersize=4, label="measured", zorder=1)
     for name, values in modelled.items():
         above.plot(across[rows], values, mark, color=COLORS[name], linewidth=1.3, markersize=5, label=name)
         below.plot(across[rows], values - measured, mark, color=COLORS[name], linewidth=1.0, markersize=5, label=name)
-    _span(above, [measured, *modelled.values()])
-    _span(below, [values - measured for values in modelled.values()])
-    above.set_ylabel(f"tip {AXES[axis]} in mm")
-    below.set_ylabel("modelled − measured\nin mm")
+    least = SMALLEST_SPAN if unit == "m" else 0.0
+    _span(above, [measured, *modelled.values()], least)
+    _span(below, [values - measured for values in modelled.values()], least)
+    above.set_ylabel(f"{name} {AXES[axis]} in {label_of}" if run.points.shape[-1] > 1 else f"{name} in {label_of}")
+    below.set_ylabel(f"modelled − measured\nin {label_of}")
     below.set_xlabel(label)
     below.axhline(0.0, color="black", linewidth=0.8)
     for axes in (above, below):
@@ -223,11 +256,11 @@ def tip_figure(runs: Sequence[Run], predictions: Predictions) -> Figure:
     return figure
 
 
-def _span(axes: Axes, values: Sequence[np.ndarray]) -> None:
+def _span(axes: Axes, values: Sequence[np.ndarray], least: float) -> None:
     """Limits that hold all values, never narrower than what can be told from noise."""
     every = np.concatenate(values)
     every = every[np.isfinite(every)] if np.isfinite(every).any() else np.zeros(1)
-    middle, half = (every.max() + every.min()) / 2, max(float(np.ptp(every)), SMALLEST_SPAN) / 2
+    middle, half = (every.max() + every.min()) / 2, max(float(np.ptp(every)), least, 1e-12) / 2
     axes.set_ylim(middle - 1.08 * half, middle + 1.08 * half)
 
 
@@ -236,7 +269,7 @@ def _most(runs: Sequence[Run], predictions: Predictions) -> tuple[int, slice, in
     best, found = -np.inf, (0, slice(0, runs[0].rows), 0)
     for k, run in enumerate(runs):
         before, after = (run.points[:, -1] - predictions[name][k][:, -1] for name in ("nominal", "corrected"))
-        less = np.vstack([np.zeros((1, 3)), np.cumsum(np.nan_to_num(before**2 - after**2), axis=0)])
+        less = np.vstack([np.zeros((1, run.points.shape[-1])), np.cumsum(np.nan_to_num(before**2 - after**2), axis=0)])
         if np.isfinite(run.time).all():
             ends = np.searchsorted(run.time, run.time + WINDOW, side="right")
             starts = np.flatnonzero(ends < run.rows) if ends[0] < run.rows else np.array([0])

@@ -91,7 +91,7 @@ def write_discrepancy_page(
 
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters |= {"mm": _mm, "percent": _percent, "spread": _spread}
+    environment.filters |= {"mm": _mm, "sized": _sized, "percent": _percent, "spread": _spread}
     return environment
 
 
@@ -99,6 +99,13 @@ def _images(figures: Mapping[str, Path | bytes]) -> dict[str, str]:
     """Contents of PNG files as HTML takes them."""
     contents = {name: figure if isinstance(figure, bytes) else figure.read_bytes() for name, figure in figures.items()}
     return {name: base64.b64encode(content).decode() for name, content in contents.items()}
+
+
+def _sized(value: float, unit: str) -> str:
+    """A value with three digits, lengths in mm; a dash where there is none."""
+    if unit == "m":
+        return _mm(value)
+    return f"{value:#.3g}".rstrip(".") + f" {unit}" if np.isfinite(value) else "–"
 
 
 def _mm(metres: float) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 
-
 START = "start: "
 """Before the name of a state: its value at the first row of a run."""
 

@@ -1,0 +1,40 @@
+"""A user's machine: a Python file that ends with `plant = …`."""
+
+from __future__ import annotations
+
+import importlib.util
+import traceback
+from pathlib import Path
+
+from tepm_opt.discrepancy.plant import SearchablePlant
+from tepm_opt.errors import InputError
+
+NEEDED = ("signals", "known", "candidates", "values", "states", "predict", "with_values", "free", "corrected")
+
+
+def load_plant(path: str | Path) -> SearchablePlant:
+    """The plant of a Python file, which is run: `plant`, or what a function of this name gives.
+
+    Raises:
+        InputError: no such file, it fails, or it has no plant.
+    """
+    path = Path(path)
+    spec = importlib.util.spec_from_file_location("plant_file", path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise InputError(f"{path}: no such Python file; valid: a file that ends with plant = …")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        plant = getattr(module, "plant", None)
+        plant = plant() if callable(plant) else plant
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except Exception as error:
+        line = next((frame.lineno for frame in reversed(traceback.extract_tb(error.__traceback__)) if frame.filename == str(path)), None)
+        raise InputError(f"{path}: line {line}: {type(error).__name__}: {error}") from error
+    if plant is None:
+        raise InputError(f"{path}: has no plant; valid: a file that ends with plant = …")
+    if lacking := [name for name in NEEDED if not hasattr(plant, name)]:
+        raise InputError(f"{path}: plant is a {type(plant).__name__} without {lacking[0]!r}; valid: what Equations(…).plant() gives")
+    found: SearchablePlant = plant
+    return found
