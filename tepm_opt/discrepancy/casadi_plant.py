@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Literal
 
 import casadi as ca
 import numpy as np
+from scipy.signal import resample_poly
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
@@ -16,6 +18,7 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.solvers.parallel import give_way
 from tepm_opt.solvers.plant import START, Free, Prediction, PredictionError
 
+Between = Literal["hold", "line", "band"]
 NEWTON_STEPS, AT_REST = 50, 1e-10
 BOUND = 1e12  # what is beyond it has diverged
 
@@ -71,37 +74,39 @@ class Motion:
         jacobians = [ca.jacobian(self.y, self.x), ca.jacobian(self.y, self.theta)]
         return ca.Function("measured", [self.x, self.u, self.theta, self.h], [self.y, *jacobians])
 
-    @lru_cache(maxsize=64)  # noqa: B019 - a plant lives as long as its functions
-    def sampled(self, directions: int, substeps: int, held: bool) -> ca.Function:
-        """(x and its change along the directions, u now, u a sample later, θ, its change, time step) → x, its change, what is measured, ….
+    def sampled(self, directions: int, substeps: int) -> ca.Function:
+        """(x, its change along the directions, inputs at the steps' ends, θ, its change, time step) → x a sample later, ….
 
-        Runge-Kutta of order 4 in so many equal steps; inputs go in straight lines, or stay where they are `held`.
+        The outcome is x and its change, and what is measured and its change. Runge-Kutta of order 4 in so many equal steps; within a step
+        inputs go in straight lines.
         """
         x, theta, h = self.x, self.theta, self.h
-        first, last = ca.SX.sym("u_0", self.u.shape[0]), ca.SX.sym("u_1", self.u.shape[0])
+        inputs = self.u.shape[0]
+        first, last = ca.SX.sym("u_0", inputs), ca.SX.sym("u_1", inputs)
         field = ca.Function("field", [x, self.u, theta, h], [self.rates])
-        part = ca.SX.sym("part")  # of the sample that is over
-        u = [first if held else first + (part + share / substeps) * (last - first) for share in (0.0, 0.5, 1.0)]
-        k_1 = field(x, u[0], theta, h)
-        k_2 = field(x + h / 2 * k_1, u[1], theta, h)
-        k_3 = field(x + h / 2 * k_2, u[1], theta, h)
-        k_4 = field(x + h * k_3, u[2], theta, h)
+        middle = (first + last) / 2
+        k_1 = field(x, first, theta, h)
+        k_2 = field(x + h / 2 * k_1, middle, theta, h)
+        k_3 = field(x + h / 2 * k_2, middle, theta, h)
+        k_4 = field(x + h * k_3, last, theta, h)
         after = x + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
         moved, turned = ca.SX.sym("dx", x.shape[0], directions), ca.SX.sym("dtheta", theta.shape[0], directions)
-        change = ca.jtimes(after, ca.vertcat(x, theta), ca.vertcat(moved, turned)) if directions else ca.SX(x.shape[0], 0)
-        one = ca.Function("one", [x, moved, first, last, theta, turned, h, part], [after, change])
-        at, along = x, moved
+        step = ca.Function("step", [x, moved, first, last, theta, turned, h], [after, _along(after, x, theta, moved, turned)])
+        seen = ca.Function("seen", [x, moved, self.u, theta, turned, h], [self.y, _along(self.y, x, theta, moved, turned)])
+        u = ca.SX.sym("u", inputs * (substeps + 1))
+        at, change, now = x, moved, u[:inputs]
         for k in range(substeps):
-            at, along = one(at, along, first, last, theta, turned, h, k / substeps)
-        seen = ca.Function("seen", [x, self.u, theta, h], [self.y])
-        y = seen(at, last, theta, h)
-        # derivatives of what is measured, at the end of the sample
-        at_end = ca.SX.sym("x_1", x.shape[0])
-        along_end = ca.SX.sym("dx_1", x.shape[0], directions)
-        y_end = seen(at_end, last, theta, h)
-        d_y = ca.jtimes(y_end, ca.vertcat(at_end, theta), ca.vertcat(along_end, turned)) if directions else ca.SX(y.shape[0], 0)
-        slope = ca.Function("slope", [at_end, along_end, last, theta, turned, h], [d_y])
-        return ca.Function("sampled", [x, moved, first, last, theta, turned, h], [at, along, y, slope(at, along, last, theta, turned, h)])
+            then = u[(k + 1) * inputs : (k + 2) * inputs]
+            at, change = step(at, change, now, then, theta, turned, h)
+            now = then
+        return ca.Function("sampled", [x, moved, u, theta, turned, h], [at, change, *seen(at, change, now, theta, turned, h)])
+
+
+def _along(value: ca.SX, x: ca.SX, theta: ca.SX, moved: ca.SX, turned: ca.SX) -> ca.SX:
+    """Change of a value where x and θ change."""
+    if not moved.shape[1]:
+        return ca.SX(value.shape[0], 0)
+    return ca.jtimes(value, ca.vertcat(x, theta), ca.vertcat(moved, turned))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +122,8 @@ class CasadiPlant:
         known: names of the parameters that are known within their ranges.
         candidates: effects that may be missing.
         substeps: Runge-Kutta steps from sample to sample.
-        held: whether inputs stay from sample to sample; they go in straight lines otherwise.
+        between: how inputs go from sample to sample: they stay ("hold"), go in straight lines ("line"), or have nothing faster than half
+            the samples' rate ("band").
     """
 
     name: str
@@ -128,7 +134,7 @@ class CasadiPlant:
     known: tuple[str, ...]
     candidates: tuple[Candidate, ...]
     substeps: int = 1
-    held: bool = False
+    between: Between = "line"
 
     concurrent = True
     static = False
@@ -193,10 +199,10 @@ class CasadiPlant:
         y, d_y = self._first(x, moved, run.inputs[0], theta, turned, h)
         points, change = np.empty((run.rows, len(y))), np.zeros((run.rows, len(by), len(y)))
         points[0], change[0] = y, d_y.T
-        whole = self._whole(len(by), run.rows - 1)
+        whole = _accumulated(self.motion, len(by), self.substeps, run.rows - 1)
         give_way()
         with np.errstate(all="ignore"):
-            _, _, ys, d_ys = whole(x, moved, run.inputs[:-1].T, run.inputs[1:].T, np.repeat(theta[:, None], 1, axis=1), turned, h)
+            _, _, ys, d_ys = whole(x, moved, self._inputs(run).T, theta, turned, h)
         points[1:] = np.asarray(ys).T
         if by:
             change[1:] = np.asarray(d_ys).reshape(len(y), run.rows - 1, len(by)).transpose(1, 2, 0)
@@ -210,8 +216,19 @@ class CasadiPlant:
             raise PredictionError(f"{run.file}: samples are not equally far apart")
         return float(steps.mean())
 
-    def _whole(self, directions: int, samples: int) -> ca.Function:
-        return _accumulated(self.motion, directions, self.substeps, self.held, samples)
+    def _inputs(self, run: Run) -> np.ndarray:
+        """Inputs at the ends of all steps of each sample, (rows - 1, (substeps + 1) · inputs)."""
+        u, count = run.inputs, self.substeps
+        if self.between == "hold":
+            fine = np.repeat(u[:-1, None], count + 1, axis=1)
+        else:
+            if self.between == "band" and count > 1:
+                every = resample_poly(u, count, 1, axis=0, padtype="line")[: (run.rows - 1) * count + 1]
+            else:
+                at = np.arange((run.rows - 1) * count + 1) / count
+                every = np.stack([np.interp(at, np.arange(run.rows), column) for column in u.T], axis=1)
+            fine = np.stack([every[k : len(every) - count + k : count] for k in range(count + 1)], axis=1)
+        return fine.reshape(run.rows - 1, -1)
 
     def _begin(self, run: Run, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float) -> tuple[np.ndarray, np.ndarray]:
         """State at the first sample and its change along the directions."""
@@ -257,11 +274,11 @@ def _settling(motion: Motion, directions: int) -> ca.Function:
     x, u, theta, h = motion.x, motion.u, motion.theta, motion.h
     moved, turned = ca.SX.sym("dx", x.shape[0], directions), ca.SX.sym("dtheta", theta.shape[0], directions)
     at = motion.begin(x, u, theta, h)
-    change = ca.jtimes(at, ca.vertcat(x, theta), ca.vertcat(moved, turned)) if directions else ca.SX(x.shape[0], 0)
+    change = _along(at, x, theta, moved, turned)
     return ca.Function("settling", [x, moved, u, theta, turned, h], [at, change])
 
 
 @lru_cache(maxsize=256)
-def _accumulated(motion: Motion, directions: int, substeps: int, held: bool, samples: int) -> ca.Function:
+def _accumulated(motion: Motion, directions: int, substeps: int, samples: int) -> ca.Function:
     """All samples of a run in one call."""
-    return motion.sampled(directions, substeps, held).mapaccum("whole", samples, 2, {"base": 10})
+    return motion.sampled(directions, substeps).mapaccum("whole", samples, 2, {"base": 10})

@@ -19,7 +19,7 @@ from math import inf
 import casadi as ca
 
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.casadi_plant import CasadiPlant, Motion
+from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant, Motion
 from tepm_opt.discrepancy.library.axis import AXIS
 from tepm_opt.discrepancy.library.effect import At, Law
 from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
@@ -119,8 +119,8 @@ class Equations:
             value = self._filtered(law, name, value, sizes)
         self._outputs[name] = ca.SX(value), unit
 
-    def plant(self) -> CasadiPlant:
-        """The machine with its parameters at these values and all effects at their nulls.
+    def plant(self, substeps: int = 1, between: Between = "line") -> CasadiPlant:
+        """The machine with its parameters at these values and all effects at their nulls, see `CasadiPlant`.
 
         Raises:
             InputError: a state without a rate, nothing that is measured.
@@ -150,7 +150,7 @@ class Equations:
         missing = {name for candidate in self._candidates for name in candidate.parameters}
         known = tuple(name for name in free if name not in missing)
         start = {name: value for name, (_, value) in self._states.items()}
-        return CasadiPlant(self.name, motion, free, start, signals, known, tuple(self._candidates))
+        return CasadiPlant(self.name, motion, free, start, signals, known, tuple(self._candidates), substeps, between)
 
     def _new(self, name: str, taken: Mapping[str, object]) -> None:
         if name in taken:
