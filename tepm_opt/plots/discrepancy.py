@@ -227,7 +227,7 @@ def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals:
     return figure
 
 
-def tip_figure(runs: Sequence[Run], predictions: Predictions, name: str = "tip", unit: str = "m") -> Figure:
+def tip_figure(runs: Sequence[Run], predictions: Predictions, of: str = "tip", unit: str = "m") -> Figure:
     """One coordinate of the tip, measured and modelled, in the run and the seconds in which correction matters most."""
     (k, rows, axis), (factor, label_of) = _most(runs, predictions), _shown(unit)
     run, shown = runs[k], [name for name in MODELS if name in predictions]
@@ -243,7 +243,7 @@ def tip_figure(runs: Sequence[Run], predictions: Predictions, name: str = "tip",
     least = SMALLEST_SPAN if unit == "m" else 0.0
     _span(above, [measured, *modelled.values()], least)
     _span(below, [values - measured for values in modelled.values()], least)
-    above.set_ylabel(f"{name} {AXES[axis]} in {label_of}" if run.points.shape[-1] > 1 else f"{name} in {label_of}")
+    above.set_ylabel(f"{of} {AXES[axis]} in {label_of}" if run.points.shape[-1] > 1 else f"{of} in {label_of}")
     below.set_ylabel(f"modelled − measured\nin {label_of}")
     below.set_xlabel(label)
     below.axhline(0.0, color="black", linewidth=0.8)

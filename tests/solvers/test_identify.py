@@ -198,7 +198,7 @@ class TestRecovery:
             asked.append(len(names))
             return predict(model, run, names, *others)
 
-        monkeypatch.setattr("tepm_opt.solvers.identify.predict", watched)
+        monkeypatch.setattr("tepm_opt.solvers.network_plant.predict", watched)
         aside = estimate.values + 2 * estimate.std * np.array([1, -1, 1, -1])
         free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, aside, strict=True))
         found = identify(replace(estimate.problem, free=free, derivatives_apart=0.04), near=True)
