@@ -54,7 +54,7 @@ def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
     progress: Progress = silent, plant: str | Path | None = None,
 ) -> Discovery:  # fmt: skip
-    """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file says what the machine is.
+    """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file gives the machine.
 
     What was fitted is kept in the folder while the search runs: the same command after an interruption goes on where it was.
 
