@@ -74,7 +74,13 @@ class Signals:
 
     @staticmethod
     def of(inputs: Sequence[str], outputs: Sequence[str], unit: str = "", limits: Sequence[float] = ()) -> Signals:
-        """Single inputs and outputs, each of its own kind; all outputs in the same unit, or in none."""
+        """Single inputs and outputs, each of its own kind.
+
+        Args:
+            inputs, outputs: names of their columns.
+            unit: of all outputs; none where they have several.
+            limits: upper limits of the inputs; none where unknown.
+        """
         parts = tuple(Part("input", name, (k,)) for k, name in enumerate(inputs))
         regimes = [Regime(f"high {name}", f"at high {name}", (k,), low=HIGH) for k, name in enumerate(inputs)]
         for k, name in enumerate(outputs):

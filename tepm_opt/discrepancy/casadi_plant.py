@@ -146,7 +146,7 @@ class CasadiPlant:
 
     @property
     def values(self) -> dict[str, float]:
-        """Of all parameters by full name."""
+        """Values of all parameters by full name."""
         return {name: free.start for name, free in self.parameters.items()}
 
     @property

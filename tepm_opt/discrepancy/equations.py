@@ -112,7 +112,14 @@ class Equations:
         return total
 
     def output(self, name: str, value: ca.SX, unit: str = "", size: float = 1.0) -> None:
-        """What is measured, after whatever effects stand between it and what is written down; `size`: as large as it usually is."""
+        """What is measured, after whatever effects stand between it and what is written down.
+
+        Args:
+            name: of its column.
+            value: what the machine has.
+            unit: of it.
+            size: as large as it usually is.
+        """
         self._new(name, self._outputs)
         sizes = {"signal": size, "time": self.time, "1": 1.0}
         for law in (law for law in self.laws if law.stage == "output"):

@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.choices import ALONE, Choice, choices
 from tepm_opt.discrepancy.verdict import Place
 from tepm_opt.solvers.text import quantity
 
@@ -22,13 +23,8 @@ SIGNIFICANT = 0.01
 LEAST_RATIO, LEAST_SHARE = 1.25, 0.05  # below these a place says little although it is significant
 LEAST_EXCESS, SIGMAS = 0.05, 5.0  # squared structure over the noise's that counts: at least this, and this many deviations of the noise
 
-RECENT = 1.0  # s that an input or a point counts as moving after it did
-IN_USE, MOVED = 0.02, 0.005  # of an input's range; the latter is the way gone within RECENT
-TURNED = 0.01  # of an input's range that it must come back by
-POINTS_MOVED = 1e-3  # m gone within RECENT by the point that moves most
 EDGES = (0.3, 2.0)  # Hz
 BANDS = ("below 0.3 Hz", "0.3 to 2 Hz", "above 2 Hz")
-ALONE = ", no other"
 TIMES_NOISE = "times the noise"
 LEAST_BAND_SHARE = 0.2  # every error that varies smoothly is densest in the slow band
 
@@ -156,7 +152,7 @@ def localise(
     samples, random = _samples(runs, residuals, float(noise), static, unit), np.random.default_rng(seed)
     found = []
     if samples.count:
-        found = _rows(samples, list(_row_labels(runs, points, signals, static)), random) + _columns(samples, signals, random)
+        found = _rows(samples, list(choices(runs, points, signals, static)), random) + _columns(samples, signals, random)
         found += [] if static else _bands(samples, runs, residuals)
     return _localisation(found, samples, runs, signals)
 
@@ -191,7 +187,7 @@ def _heat(samples: _Samples) -> np.ndarray:
     return np.where(count > 0, np.sqrt(samples.axes * np.maximum(excess, 0.0) / np.maximum(count, 1)), np.nan)
 
 
-def _rows(samples: _Samples, labels: list[_Label], random: np.random.Generator) -> list[_Found]:
+def _rows(samples: _Samples, labels: list[Choice], random: np.random.Generator) -> list[_Found]:
     """Places that are a choice of rows."""
     masks = np.array([rows for _, _, rows in labels])
     chances = _chances_of_rows(samples, masks, random)
@@ -247,88 +243,6 @@ def _chunks(size: int) -> Iterator[int]:
     while left:
         yield min(most, left)
         left -= min(most, left)
-
-
-_Label = tuple[str, str, np.ndarray]
-
-
-def _row_labels(runs: Sequence[Run], points: Sequence[np.ndarray], signals: Signals, static: bool) -> Iterator[_Label]:
-    """(by, name, mask (rows of all runs,)) of every place that is a choice of rows."""
-    lengths = [run.rows for run in runs]
-    for k, run in enumerate(runs):
-        yield "run", run.file, np.repeat(np.arange(len(runs)) == k, lengths)
-    levels = _levels(runs, signals)
-    moves = [np.zeros_like(level, dtype=bool) if static else _moves(run, level) for run, level in zip(runs, levels, strict=True)]
-    level, moving = np.concatenate(levels), np.concatenate(moves)
-    used = (level > IN_USE) | moving
-    yield from _input_labels(used, signals)
-    yield from _regime_labels(level, used, points, signals)
-    if not static:
-        yield from _time_labels(runs)
-        rest = ~moving.max(axis=1) & ~np.concatenate([_points_move(run, at) for run, at in zip(runs, points, strict=True)])
-        turned = np.concatenate([_turned(run, level) for run, level in zip(runs, levels, strict=True)])
-        yield from (("regime", "at rest", rest), ("regime", "moving", ~rest), ("regime", "after a reversal", turned))
-
-
-def _levels(runs: Sequence[Run], signals: Signals) -> list[np.ndarray]:
-    """Inputs over their ranges, (rows, inputs) each; over their own maxima where ranges are unknown."""
-    largest = np.abs(np.concatenate([run.inputs for run in runs])).max(axis=0, initial=0.0)
-    ranges = np.where(np.isfinite(signals.ranges), signals.ranges, largest)
-    return [run.inputs / np.where(ranges > 0, ranges, 1.0) for run in runs]
-
-
-def _input_labels(used: np.ndarray, signals: Signals) -> Iterator[_Label]:
-    """By parts of the inputs in use, and by those that are the only ones of their kind."""
-    for part in signals.parts:
-        own = used[:, part.columns].max(axis=1)
-        yield part.by, part.name, own
-        if part.alike:
-            yield part.by, f"{part.name}{ALONE}", own & (used[:, part.alike].sum(axis=1) == len(part.columns))
-
-
-def _regime_labels(level: np.ndarray, used: np.ndarray, points: Sequence[np.ndarray], signals: Signals) -> Iterator[_Label]:
-    every = np.concatenate(points)
-    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-    measured = ((every - low) / np.where(high > low, high - low, 1.0)).max(axis=-1)
-    for regime in signals.regimes:
-        values = (measured if regime.measured else level)[:, regime.columns]
-        inside = (values > regime.low) & (values < regime.high)
-        yield "regime", regime.name, (inside & used[:, regime.columns] if regime.used else inside).max(axis=1)
-
-
-def _time_labels(runs: Sequence[Run]) -> Iterator[_Label]:
-    parts = [np.minimum(3 * (run.time - run.time[:1]) / max(run.duration, 1e-9), 2.0).astype(int) for run in runs]
-    for k, name in enumerate(("early", "middle", "late")):
-        yield "time", name, np.concatenate(parts) == k
-
-
-def _way(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Way gone within the last second by every column of (rows, columns)."""
-    gone = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(np.abs(np.diff(values, axis=0)), axis=0)])
-    return gone - gone[np.searchsorted(time, time - RECENT)]
-
-
-def _moves(run: Run, level: np.ndarray) -> np.ndarray:
-    """Whether inputs move or did within the last second, (rows, inputs)."""
-    return np.asarray(_way(run.time, level) > MOVED)
-
-
-def _points_move(run: Run, modelled: np.ndarray) -> np.ndarray:
-    """Whether a point moves or did within the last second, in the model since that has no noise, (rows,)."""
-    return np.asarray(_way(run.time, np.nan_to_num(modelled).reshape(run.rows, -1)).max(axis=1) > POINTS_MOVED)
-
-
-def _turned(run: Run, level: np.ndarray) -> np.ndarray:
-    """Whether some input has changed direction within the last second, (rows,); coming back by less than TURNED is no change."""
-    dragged = level.copy()  # follows with play, so that jitter does not move it
-    for k in range(1, run.rows):
-        dragged[k] = np.clip(dragged[k - 1], level[k] - TURNED / 2, level[k] + TURNED / 2)
-    direction = np.sign(np.diff(dragged, axis=0, prepend=dragged[:1]))
-    last = np.maximum.accumulate(np.where(direction != 0, np.arange(run.rows)[:, None], 0), axis=0)
-    heading = np.take_along_axis(direction, last, axis=0)
-    before = np.vstack([np.zeros((1, level.shape[1])), heading[:-1]])
-    changed = np.cumsum((heading * before < 0).any(axis=1))
-    return np.asarray(changed > np.append(0, changed)[np.searchsorted(run.time, run.time - RECENT)])
 
 
 def _bands(samples: _Samples, runs: Sequence[Run], residuals: Sequence[np.ndarray]) -> list[_Found]:

@@ -89,7 +89,13 @@ def _rms_by_point(measured: list[np.ndarray], modelled: list[np.ndarray]) -> np.
 
 
 def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str], unit: str = "m") -> Figure:
-    """Where the model misses: structure beyond the noise by run and reference point, (runs, points) in m, NaN where not measured."""
+    """Where the model misses.
+
+    Args:
+        heat: structure beyond the noise by run and reference point, (runs, points); NaN where not measured.
+        runs, points: names of its rows and columns.
+        unit: of it.
+    """
     factor, shown = _shown(unit)
     values = factor * np.asarray(heat)
     figure = Figure(figsize=(3.6 + 0.75 * min(len(points), ENOUGH_ROOM), 1.5 + 0.36 * len(runs)), **STYLE)  # type: ignore[arg-type]
@@ -169,7 +175,14 @@ def points_figure(
 
 
 def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float, unit: str = "m") -> Figure:
-    """Eq. (5) of every model at every instant, a panel a run; over the rows where there is no time. `floor` in m."""
+    """Eq. (5) of every model at every instant, a panel a run; over the rows where there is no time.
+
+    Args:
+        runs: measured.
+        predictions: of every model.
+        floor: what noise alone leaves.
+        unit: of what is measured.
+    """
     factor, shown = _shown(unit)
     figure = Figure(figsize=(10.0, 1.0 + 1.9 * len(runs)), **STYLE)  # type: ignore[arg-type]
     panels: list[Axes] = list(figure.subplots(len(runs), 1, sharey=True, squeeze=False)[:, 0])
@@ -228,7 +241,14 @@ def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals:
 
 
 def tip_figure(runs: Sequence[Run], predictions: Predictions, of: str = "tip", unit: str = "m") -> Figure:
-    """One coordinate of the tip, measured and modelled, in the run and the seconds in which correction matters most."""
+    """One coordinate of the tip, measured and modelled, in the run and the seconds in which correction matters most.
+
+    Args:
+        runs: measured.
+        predictions: of every model.
+        of: what the last point is called.
+        unit: of what is measured.
+    """
     (k, rows, axis), (factor, label_of) = _most(runs, predictions), _shown(unit)
     run, shown = runs[k], [name for name in MODELS if name in predictions]
     across, label, mark = _across(run)

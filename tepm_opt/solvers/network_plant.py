@@ -34,7 +34,7 @@ class NetworkPlant:
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Of all parameters by full name."""
+        """Values of all parameters by full name."""
         return self.model.values
 
     @property

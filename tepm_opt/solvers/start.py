@@ -20,6 +20,12 @@ STILL = 1e-3  # of the noise's squares, gained in a step that is the last
 def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.inf) -> Run:
     """The run with the state that explains its first samples best, or all of them where it is free; as it is where it begins at rest.
 
+    Args:
+        plant: a model with values.
+        run: measured.
+        noise: of what is measured, 1 sigma.
+        step: longest time step in s.
+
     Raises:
         PredictionError: the model cannot do the run.
     """
@@ -77,5 +83,12 @@ def without_start(residual: Residual, states: int) -> Residual:
 
 
 def predictions(plant: Plant, runs: Sequence[Run], noise: float | np.ndarray, step: float = np.inf) -> list[Prediction]:
-    """Predictions of several runs, each from where it begins, at once on the machine's cores where the plant allows it."""
+    """Predictions of several runs, each from where it begins, at once on the machine's cores where the plant allows it.
+
+    Args:
+        plant: a model with values.
+        runs: measured.
+        noise: of what is measured, 1 sigma.
+        step: longest time step in s.
+    """
     return in_parallel(lambda run: plant.predict(begun(plant, run, noise, step), (), step), runs, lambda run: run.rows, plant.concurrent)
