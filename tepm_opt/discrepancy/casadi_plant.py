@@ -138,6 +138,7 @@ class CasadiPlant:
 
     concurrent = True
     static = False
+    quick = True
     derivatives_apart = 0.0
 
     def __repr__(self) -> str:

@@ -24,7 +24,10 @@ class Candidate:
         stage: whether it stands between the commands and what presses and pulls (so that measured inputs may show it), in the body, or
             between the body and what is measured.
         smooth: whether outputs are differentiable at the null and nearly linear in the parameters from there; false: probes tell more.
-        beside: names of effects without which it may not show: the two are tried together.
+        shapes: full names of the parameters that say how it acts, not how strongly; a probe is tried in any strength with its shape.
+        beside: names of effects one of which it needs: it is tried only with one of them.
+        family: what it is one form of, besides others that do nearly the same: "friction". Forms neither stand beside each other nor are
+            rivals; the form that fits best stands for all.
         explains: what it is, in words.
         part: what the detail is: "actuator".
         reference: where its form is from.
@@ -36,7 +39,9 @@ class Candidate:
     probes: tuple[Mapping[str, float], ...] = field(default=(), compare=False, repr=False)
     stage: Stage = field(default="body", compare=False, repr=False)
     smooth: bool = field(default=True, compare=False, repr=False)
+    shapes: tuple[str, ...] = field(default=(), compare=False, repr=False)
     beside: tuple[str, ...] = field(default=(), compare=False, repr=False)
+    family: str = field(default="", compare=False, repr=False)
     explains: str = field(default="", compare=False, repr=False)
     part: str = field(default="", compare=False, repr=False)
     reference: str = field(default="", compare=False, repr=False)
@@ -45,6 +50,11 @@ class Candidate:
     def label(self) -> str:
         """Name of the candidate with its detail: "actuator_gain[13]"."""
         return self.name if self.detail is None else f"{self.name}[{self.detail}]"
+
+    @property
+    def form_of(self) -> str:
+        """What forms of the same thing at the same place have in common: "friction[slide]"; its label where it is of no family."""
+        return f"{self.family}[{self.detail}]" if self.family else self.label
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -61,7 +71,11 @@ class SearchablePlant(Plant, Protocol):
         known: full names of the parameters that are known within their ranges; they are fitted with whatever effects.
         candidates: effects that may be missing.
         derivatives_apart: time in s between samples at which derivatives say enough; 0: every one.
+        quick: whether a run takes so little time that fits may take many steps and left-out data are judged by fits of their own.
     """
+
+    @property
+    def quick(self) -> bool: ...
 
     @property
     def derivatives_apart(self) -> float: ...

@@ -28,13 +28,14 @@ AXIS = (
     Law(
         "dry_friction", "body", (_force(signed=False),), lambda at: (-at.p["force"] * _way(at), []),
         explains="a force against the motion that does not grow with speed", reference="Coulomb; smoothed by a hyperbolic tangent",
+        family="friction",
     ),
     Law(
         "constant_force", "body", (_force(),), lambda at: (at.p["force"], []),
         explains="a force that is always there: an amplifier's zero, a slope, a weight",
     ),
     Law(
-        "stribeck_friction", "body", (_force(signed=False), Quantity("speed", "speed", 0.1, (0.1,), 0.01, 1.0)),
+        "stribeck_friction", "body", (_force(signed=False), Quantity("speed", "speed", 0.1, (0.03, 0.1, 0.3), 0.01, 1.0, shape=True)),
         lambda at: (-at.p["force"] * _way(at) * ca.exp(-((at.speed / at.p["speed"]) ** 2)), []),
         smooth=False, explains="friction that is larger near standstill", reference="Stribeck 1902", beside=("dry_friction",),
     ),
@@ -55,11 +56,11 @@ AXIS = (
         "hysteresis", "body",
         (
             Quantity("stiffness", "force/position", 0.0, (0.1, 1.0), 0.0, 100.0),
-            Quantity("closing", "1/position", 1.0, (0.3, 3.0), 0.0, 1e3),
-            Quantity("opening", "1/position", 0.0, (0.0,), -1e3, 1e3),
+            Quantity("closing", "1/position", 1.0, (0.1, 1.0, 10.0), 0.0, 1e3, shape=True),
+            Quantity("opening", "1/position", 0.0, (0.0,), -1e3, 1e3, shape=True),
         ),
         _bouc_wen, states=1, smooth=False,
-        explains="a force that depends on the way gone before", reference="Bouc 1967, Wen 1976, exponent 1",
+        explains="a force that depends on the way gone before", reference="Bouc 1967, Wen 1976, exponent 1", family="friction",
     ),
 )  # fmt: skip
 """Effects on an axis."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
@@ -20,6 +20,7 @@ class Quantity:
         null: value at which the effect vanishes; where another parameter makes it vanish, a usual value.
         probes: values worth a try: decades where nobody knows.
         low, high: its range.
+        shape: whether it says how the effect acts, not how strongly.
     """
 
     name: str
@@ -28,12 +29,14 @@ class Quantity:
     probes: tuple[float, ...]
     low: float
     high: float
+    shape: bool = False
 
     def in_units(self, sizes: Mapping[str, float]) -> Quantity:
         """The same in units, for sizes by name."""
         above, _, below = self.size.partition("/")
         unit = sizes[above] / (sizes[below] if below else 1.0)
-        return Quantity(self.name, self.size, self.null * unit, tuple(p * unit for p in self.probes), self.low * unit, self.high * unit)
+        probes = tuple(p * unit for p in self.probes)
+        return replace(self, null=self.null * unit, probes=probes, low=self.low * unit, high=self.high * unit)
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ class Law:
         smooth: whether the outcome is nearly linear in the parameters from the null on.
         explains: what it is.
         reference: where the law is from.
-        beside: effects without which it may not show.
+        beside: effects one of which it needs.
+        family: what it is one form of.
     """
 
     name: str
@@ -83,3 +87,4 @@ class Law:
     explains: str = ""
     reference: str = ""
     beside: tuple[str, ...] = ()
+    family: str = ""
