@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from math import inf
 
 import casadi as ca
@@ -22,7 +21,7 @@ import casadi as ca
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant, Motion
 from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.library.effect import At, Law, Quantity
+from tepm_opt.discrepancy.library.effect import At, Law
 from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.errors import InputError, unknown_name
@@ -166,21 +165,10 @@ class Equations:
 
     def _parameters(self, law: Law, part: str, sizes: Mapping[str, float]) -> dict[str, ca.SX]:
         """The parameters of an effect on a part of the machine, noted with the candidate that they make."""
-        label, found, null = f"{law.name}[{part}]", {}, {}
-        quantities = {f"{label}.{q.name}": q.in_units(sizes) for q in law.quantities}
-        for name, quantity in quantities.items():
-            found[quantity.name] = ca.SX.sym(name)
-            null[name] = quantity.null
-            scale = abs(quantity.probes[0] - quantity.null) or 0.3 * abs(quantity.probes[0]) or 1.0
-            self._free[name] = found[quantity.name], Free(name, quantity.size, quantity.null, quantity.low, quantity.high, scale)
-        shapes = tuple(name for name, quantity in quantities.items() if quantity.shape)
-        kind = {"input": "input", "body": "axis", "output": "output"}[law.stage]
-        self._candidates.append(
-            Candidate(
-                law.name, part, null, _probes(quantities), law.stage, law.smooth, shapes, law.beside, law.family, law.explains, kind,
-                law.reference,
-            )
-        )  # fmt: skip
+        candidate, free = law.on(part, sizes)
+        found = {name: ca.SX.sym(each.name) for name, each in free.items()}
+        self._free |= {each.name: (found[name], each) for name, each in free.items()}
+        self._candidates.append(candidate)
         return found
 
     def _filtered(self, law: Law, part: str, signal: ca.SX, sizes: Mapping[str, float]) -> ca.SX:
@@ -192,12 +180,3 @@ class Equations:
             self.rate(state, rate)
             self._settled[state.name()] = signal
         return after
-
-
-def _probes(quantities: Mapping[str, Quantity]) -> tuple[dict[str, float], ...]:
-    """Sets of values worth a try: every strength in every shape; what tells the strength goes up together."""
-    strengths = {name: q.probes for name, q in quantities.items() if not q.shape}
-    shapes = {name: q.probes for name, q in quantities.items() if q.shape}
-    count = max(len(values) for values in strengths.values())
-    strong = [{name: values[min(k, len(values) - 1)] for name, values in strengths.items()} for k in range(count)]
-    return tuple(dict(zip(shapes, shape, strict=True)) | probe for shape in product(*shapes.values()) for probe in strong)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import casadi as ca
 
-from tepm_opt.discrepancy.plant import Stage
+from tepm_opt.discrepancy.plant import Candidate, Stage
+from tepm_opt.solvers.plant import Free
+
+PARTS: Mapping[Stage, str] = {"input": "input", "body": "axis", "output": "output"}
 
 
 @dataclass(frozen=True)
@@ -88,3 +92,28 @@ class Law:
     reference: str = ""
     beside: tuple[str, ...] = ()
     family: str = ""
+
+    def on(self, part: str, sizes: Mapping[str, float]) -> tuple[Candidate, dict[str, Free]]:
+        """The effect on a part of a machine, for sizes of its quantities by name; and its parameters by their names within it."""
+        label = f"{self.name}[{part}]"
+        quantities = {f"{label}.{q.name}": q.in_units(sizes) for q in self.quantities}
+        free = {}
+        for name, q in quantities.items():
+            scale = abs(q.probes[0] - q.null) or 0.3 * abs(q.probes[0]) or 1.0
+            free[q.name] = Free(name, q.size, q.null, q.low, q.high, scale)
+        null = {name: q.null for name, q in quantities.items()}
+        shapes = tuple(name for name, q in quantities.items() if q.shape)
+        candidate = Candidate(
+            self.name, part, null, _probes(quantities), self.stage, self.smooth, shapes, self.beside, self.family, self.explains,
+            PARTS[self.stage], self.reference,
+        )  # fmt: skip
+        return candidate, free
+
+
+def _probes(quantities: Mapping[str, Quantity]) -> tuple[dict[str, float], ...]:
+    """Sets of values worth a try: every strength in every shape; what tells the strength goes up together."""
+    strengths = {name: q.probes for name, q in quantities.items() if not q.shape}
+    shapes = {name: q.probes for name, q in quantities.items() if q.shape}
+    count = max(len(values) for values in strengths.values())
+    strong = [{name: values[min(k, len(values) - 1)] for name, values in strengths.items()} for k in range(count)]
+    return tuple(dict(zip(shapes, shape, strict=True)) | probe for shape in product(*shapes.values()) for probe in strong)
