@@ -80,7 +80,7 @@ def read_trials(folder: str | Path, signals: Signals) -> Trials:
     description = validated(TrialsDescription, read_toml(path), str(path))
     if unknown := [name for name in description.noise if name not in signals.points]:
         raise unknown_name("output", unknown[0], signals.points, f"{path}: noise")
-    if silent := [name for name in signals.points if not description.noise.get(name, 0.0) > 0]:
+    if silent := [name for name in signals.points if not 0 < description.noise.get(name, 0.0) < np.inf]:
         raise InputError(f"{path}: noise of {silent[0]!r} is missing or not positive; valid: [noise] with 1 sigma of each output")
     runs = [_read(folder / entry.file, entry, description, signals) for entry in description.runs]
     if description.piece_s is not None:
@@ -90,18 +90,20 @@ def read_trials(folder: str | Path, signals: Signals) -> Trials:
 
 
 def _read(path: Path, entry: TrialEntry, description: TrialsDescription, signals: Signals) -> Run:
-    table = read_table(path)
-    if missing := [name for name in (TIME, *signals.inputs, *signals.points) if name not in table.columns]:
+    needed = (TIME, *signals.inputs, *signals.points)
+    table = read_table(path, text=lambda name: name not in needed)
+    if missing := [name for name in needed if name not in table.columns]:
         more = f" (and {', '.join(missing[1:])})" if len(missing) > 1 else ""
         raise InputError(f"{path}: column {missing[0]!r} is missing{more}; found: {', '.join(table.columns)}")
     table.increasing(TIME)
     for name in signals.inputs:
         table.column(name)
+    for name in signals.points:
+        table.refuse(np.isinf(table.columns[name]), name, "a finite number, or an empty field where the sample is missing")
     rows = len(table.lines)
     inputs = np.stack([table.columns[name] for name in signals.inputs], axis=1) if signals.inputs else np.zeros((rows, 0))
     outputs = np.stack([table.columns[name] for name in signals.points], axis=1)[..., None]
-    known = {TIME, *signals.inputs, *signals.points}
-    extra = {name: values for name, values in table.columns.items() if name not in known}
+    extra = {name: values for name, values in table.columns.items() if name not in needed}
     start = entry.start or description.start
     return Run(entry.file, entry.role, table.columns[TIME], inputs, np.zeros((rows, 3)), outputs, extra, table.lines, start, entry.group)
 
@@ -114,7 +116,7 @@ def pieces(run: Run, seconds: float) -> list[Run]:
     found = []
     for k in range(last):
         rows = np.flatnonzero(number == k)
-        if len(rows) > 1:
+        if len(rows) > 1 or run.rows == 1:
             found.append(replace(_part(run, rows), file=f"{run.file} from {run.time[rows[0]]:g} s"))
     return found
 

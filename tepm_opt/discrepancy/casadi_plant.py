@@ -75,10 +75,10 @@ class Motion:
         return ca.Function("measured", [self.x, self.u, self.theta, self.h], [self.y, *jacobians])
 
     def sampled(self, directions: int, substeps: int) -> ca.Function:
-        """(x, its change along the directions, inputs at the steps' ends, θ, its change, time step) → x a sample later, ….
+        """(x, its change along the directions, inputs, θ, its change, time step) → x a sample later, ….
 
         The outcome is x and its change, and what is measured and its change. Runge-Kutta of order 4 in so many equal steps; within a step
-        inputs go in straight lines.
+        inputs go in straight lines. Inputs are those at the steps' ends and, last, at the sample.
         """
         x, theta, h = self.x, self.theta, self.h
         inputs = self.u.shape[0]
@@ -93,13 +93,15 @@ class Motion:
         moved, turned = ca.SX.sym("dx", x.shape[0], directions), ca.SX.sym("dtheta", theta.shape[0], directions)
         step = ca.Function("step", [x, moved, first, last, theta, turned, h], [after, _along(after, x, theta, moved, turned)])
         seen = ca.Function("seen", [x, moved, self.u, theta, turned, h], [self.y, _along(self.y, x, theta, moved, turned)])
-        u = ca.SX.sym("u", inputs * (substeps + 1))
+        u = ca.SX.sym("u", inputs * (substeps + 2))
         at, change, now = x, moved, u[:inputs]
         for k in range(substeps):
             then = u[(k + 1) * inputs : (k + 2) * inputs]
             at, change = step(at, change, now, then, theta, turned, h)
             now = then
-        return ca.Function("sampled", [x, moved, u, theta, turned, h], [at, change, *seen(at, change, now, theta, turned, h)])
+        return ca.Function(
+            "sampled", [x, moved, u, theta, turned, h], [at, change, *seen(at, change, u[-inputs:] if inputs else now, theta, turned, h)]
+        )
 
 
 def _along(value: ca.SX, x: ca.SX, theta: ca.SX, moved: ca.SX, turned: ca.SX) -> ca.SX:
@@ -185,7 +187,7 @@ class CasadiPlant:
         Args:
             run: what was done.
             by: parameters by full name, or `START` + a state's name, by which to differentiate.
-            step: of no consequence: steps are parts of the samples'.
+            step: of no consequence: steps are parts of those from sample to sample.
 
         Raises:
             PredictionError: no equilibrium to begin from, or a motion without bounds.
@@ -195,30 +197,34 @@ class CasadiPlant:
         for k, name in enumerate(by):
             if not name.startswith(START):
                 turned[names.index(name), k] = 1.0
-        h = self._step(run) / self.substeps
+        steps = self._steps(run)
+        h = float(steps[0]) if len(steps) else 1.0  # a single sample has no step
         x, moved = self._begin(run, theta, turned, by, h)
         y, d_y = self._first(x, moved, run.inputs[0], theta, turned, h)
         points, change = np.empty((run.rows, len(y))), np.zeros((run.rows, len(by), len(y)))
         points[0], change[0] = y, d_y.T
-        whole = _accumulated(self.motion, len(by), self.substeps, run.rows - 1)
         give_way()
-        with np.errstate(all="ignore"):
-            _, _, ys, d_ys = whole(x, moved, self._inputs(run).T, theta, turned, h)
-        points[1:] = np.asarray(ys).T
-        if by:
-            change[1:] = np.asarray(d_ys).reshape(len(y), run.rows - 1, len(by)).transpose(1, 2, 0)
+        if len(steps):
+            whole = _accumulated(self.motion, len(by), self.substeps, len(steps))
+            _, _, ys, d_ys = whole(x, moved, self._inputs(run).T, theta, turned, steps[None])
+            points[1:] = np.asarray(ys).T
+            if by:
+                change[1:] = np.asarray(d_ys).reshape(len(y), len(steps), len(by)).transpose(1, 2, 0)
         if not (np.abs(points).max() < BOUND and np.isfinite(change).all()):
-            raise PredictionError(f"{run.file}: the motion has no bounds")
+            raise PredictionError(f"{run.file}: the motion has no bounds; where only its steps are too long, plant(substeps=…) helps")
         return Prediction(points[..., None], np.moveaxis(change, 1, 0)[..., None])
 
-    def _step(self, run: Run) -> float:
+    def _steps(self, run: Run) -> np.ndarray:
+        """Time steps from sample to sample, (rows - 1,) in s: all the same where they differ by nothing but the file's digits."""
         steps = np.diff(run.time)
-        if np.ptp(steps) > 1e-3 * steps.mean():
-            raise PredictionError(f"{run.file}: samples are not equally far apart")
-        return float(steps.mean())
+        if not len(steps) or np.ptp(steps) <= 1e-3 * steps.mean():
+            return np.full(len(steps), steps.mean() if len(steps) else 0.0) / self.substeps
+        if self.between == "band":
+            raise PredictionError(f'{run.file}: samples are not equally far apart; valid: between = "line" or "hold"')
+        return steps / self.substeps
 
     def _inputs(self, run: Run) -> np.ndarray:
-        """Inputs at the ends of all steps of each sample, (rows - 1, (substeps + 1) · inputs)."""
+        """Inputs at the ends of all steps to each sample and at the sample, (rows - 1, (substeps + 2) · inputs)."""
         u, count = run.inputs, self.substeps
         if self.between == "hold":
             fine = np.repeat(u[:-1, None], count + 1, axis=1)
@@ -227,9 +233,9 @@ class CasadiPlant:
                 every = resample_poly(u, count, 1, axis=0, padtype="line")[: (run.rows - 1) * count + 1]
             else:
                 at = np.arange((run.rows - 1) * count + 1) / count
-                every = np.stack([np.interp(at, np.arange(run.rows), column) for column in u.T], axis=1)
+                every = np.array([np.interp(at, np.arange(run.rows), column) for column in u.T]).reshape(-1, len(at)).T
             fine = np.stack([every[k : len(every) - count + k : count] for k in range(count + 1)], axis=1)
-        return fine.reshape(run.rows - 1, -1)
+        return np.concatenate([fine, u[1:, None]], axis=1).reshape(run.rows - 1, -1)
 
     def _begin(self, run: Run, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float) -> tuple[np.ndarray, np.ndarray]:
         """State at the first sample and its change along the directions."""
@@ -250,14 +256,18 @@ class CasadiPlant:
 
     def _settle(self, run: Run, x: np.ndarray, free: list[int], theta: np.ndarray, h: float) -> np.ndarray:
         """Put the free states of x to rest under the first row; their change with the parameters, (states, parameters)."""
+        if not free:
+            return np.zeros((0, len(theta)))
+        size, first = np.abs(x[free]), 0.0
         for _ in range(NEWTON_STEPS):
             rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, run.inputs[0], theta, h))
-            change = np.linalg.lstsq(by_x, -rates.ravel(), rcond=1e-12)[0]
+            change, rank = _solved(by_x, -rates.ravel())
             x[free] += change
-            if np.abs(change).max() <= AT_REST * (1 + np.abs(x).max()):
+            size, first = np.fmax(size, np.abs(change)), np.fmax(first, np.abs(rates.ravel()))
+            if (np.abs(change) <= AT_REST * size).all():
                 break
-        still = np.abs(rates).max() <= 1e-6 * (1 + np.abs(by_x).max())
-        if not still or np.linalg.matrix_rank(by_x) < len(free):
+        still = (np.abs(rates.ravel()) <= 1e-6 * np.fmax(first, np.abs(by_x) @ size)).all()
+        if not still or rank < len(free):
             what = "comes to rest wherever it is" if still else "does not come to rest"
             raise PredictionError(f'{run.file}: {self.name} {what} under the first inputs; valid: start = "measured" or "free"')
         return -np.linalg.solve(by_x, by_theta)
@@ -267,6 +277,18 @@ class CasadiPlant:
     ) -> tuple[np.ndarray, np.ndarray]:
         y, by_x, by_theta = (np.asarray(part) for part in self.motion.measured(x, u, theta, h))
         return y.ravel(), by_x @ moved + by_theta @ turned
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, int]:
+    """Least squares with the rank of the matrix, whatever the units of its rows and columns."""
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        return np.full(len(right), np.nan), 0
+    rows = np.abs(matrix).max(axis=1, keepdims=True)
+    rows[rows == 0] = 1.0
+    columns = np.abs(matrix / rows).max(axis=0)
+    columns[columns == 0] = 1.0
+    found, _, rank, _ = np.linalg.lstsq(matrix / rows / columns, right / rows[:, 0], rcond=1e-12)
+    return found / columns, int(rank)
 
 
 @lru_cache(maxsize=64)

@@ -18,6 +18,7 @@ from math import inf
 
 import casadi as ca
 
+from tepm_opt.data.channels import TIME
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant, Motion
 from tepm_opt.discrepancy.library.axis import AXIS
@@ -26,6 +27,9 @@ from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.solvers.plant import Free
+
+FORCES = {"m": "N", "rad": "N m"}
+"""What acts along a coordinate of this unit."""
 
 
 @dataclass
@@ -75,34 +79,45 @@ class Equations:
         self._new(name, self._free)
         off = abs(value) * within
         low, high = value - off if low is None else low, value + off if high is None else high
+        if not low < high:
+            raise InputError(f"{self.name}: {name} has no range ({low:g} … {high:g}); valid: low and high, low below high")
         if not low <= value <= high:
             raise InputError(f"{self.name}: {name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
         free = Free(name, unit, value, low, high, max((high - low) / 4, 1e-3 * abs(value)) or 1.0)
         self._free[name] = ca.SX.sym(name), free
         return self._free[name][0]
 
-    def input(self, name: str, size: float, limit: float = inf) -> ca.SX:
-        """A signal that goes in, after whatever effects stand between the command and what acts; `size`: as large as it usually is."""
-        self._new(name, self._inputs)
+    def input(self, name: str, size: float, limit: float = inf, unit: str = "") -> ca.SX:
+        """A signal that goes in, after whatever effects stand between the command and what acts.
+
+        Args:
+            name: of its column.
+            size: as large as it usually is.
+            limit: above which it cannot go.
+            unit: of it.
+        """
+        self._new(name, {TIME: None, **self._inputs, **self._outputs})
         command = ca.SX.sym(name)
         self._inputs[name] = command, command, limit
-        acts, sizes = command, {"signal": size, "time": self.time, "1": 1.0}
+        acts, sizes = command, self._sizes(name, signal=size, time=self.time)
         for law in (law for law in self.laws if law.stage == "input"):
-            acts = self._filtered(law, name, acts, sizes)
+            acts = self._filtered(law, name, acts, sizes, unit)
         self._inputs[name] = command, acts, limit
         return acts
 
-    def axis(self, name: str, q: ca.SX, v: ca.SX, force: float, speed: float, position: float = 1.0) -> ca.SX:
+    def axis(self, name: str, q: ca.SX, v: ca.SX, force: float, speed: float, position: float = 1.0, unit: str = "m") -> ca.SX:
         """The force of whatever effects act on an axis, along q.
 
         Args:
             name: of the axis.
             q, v: its position and speed.
             force, speed, position: as large as they usually are there.
+            unit: of q; where it is "rad" forces are torques.
         """
-        sizes, total = {"force": force, "speed": speed, "position": position, "1": 1.0}, ca.SX(0)
+        units = {"force": FORCES.get(unit, ""), "speed": f"{unit}/s" if unit else "", "position": unit}
+        sizes, total = self._sizes(name, force=force, speed=speed, position=position), ca.SX(0)
         for law in (law for law in self.laws if law.stage == "body"):
-            p = self._parameters(law, name, sizes)
+            p = self._parameters(law, name, sizes, units)
             z = [self.state(f"{law.name}[{name}] {k}") for k in range(law.states)]
             acts, rates = law.act(At(p, z, sizes, position=q, speed=v))
             for state, rate in zip(z, rates, strict=True):
@@ -120,10 +135,10 @@ class Equations:
             unit: of it.
             size: as large as it usually is.
         """
-        self._new(name, self._outputs)
-        sizes = {"signal": size, "time": self.time, "1": 1.0}
+        self._new(name, {TIME: None, **self._inputs, **self._outputs})
+        sizes = self._sizes(name, signal=size, time=self.time)
         for law in (law for law in self.laws if law.stage == "output"):
-            value = self._filtered(law, name, value, sizes)
+            value = self._filtered(law, name, value, sizes, unit)
         self._outputs[name] = ca.SX(value), unit
 
     def plant(self, substeps: int = 1, between: Between = "line") -> CasadiPlant:
@@ -159,21 +174,40 @@ class Equations:
         start = {name: value for name, (_, value) in self._states.items()}
         return CasadiPlant(self.name, motion, free, start, signals, known, tuple(self._candidates), substeps, between)
 
+    def _sizes(self, of: str, **sizes: float) -> dict[str, float]:
+        if wrong := [name for name, size in sizes.items() if not 0 < size < inf]:
+            raise InputError(f"{self.name}: {of}: {wrong[0]} = {sizes[wrong[0]]:g}; valid: a size above 0")
+        return {**sizes, "1": 1.0}
+
     def _new(self, name: str, taken: Mapping[str, object]) -> None:
         if name in taken:
             raise InputError(f"{self.name}: {name!r} is there twice; valid: a name of its own for each")
 
-    def _parameters(self, law: Law, part: str, sizes: Mapping[str, float]) -> dict[str, ca.SX]:
-        """The parameters of an effect on a part of the machine, noted with the candidate that they make."""
-        candidate, free = law.on(part, sizes)
+    def _parameters(self, law: Law, part: str, sizes: Mapping[str, float], units: Mapping[str, str]) -> dict[str, ca.SX]:
+        """The parameters of an effect on a part of the machine, noted with the candidate that they make.
+
+        Args:
+            law: the effect.
+            part: of the machine.
+            sizes, units: of the quantities there.
+        """
+        candidate, free = law.on(part, sizes, {"time": "s", "1": "1", **units})
         found = {name: ca.SX.sym(each.name) for name, each in free.items()}
         self._free |= {each.name: (found[name], each) for name, each in free.items()}
         self._candidates.append(candidate)
         return found
 
-    def _filtered(self, law: Law, part: str, signal: ca.SX, sizes: Mapping[str, float]) -> ca.SX:
-        """What an effect makes of a signal."""
-        p = self._parameters(law, part, sizes)
+    def _filtered(self, law: Law, part: str, signal: ca.SX, sizes: Mapping[str, float], unit: str) -> ca.SX:
+        """What an effect makes of a signal.
+
+        Args:
+            law: the effect.
+            part: name of the signal.
+            signal: before the effect.
+            sizes: of the quantities there.
+            unit: of the signal.
+        """
+        p = self._parameters(law, part, sizes, {"signal": unit})
         z = [self.state(f"{law.name}[{part}] {k}") for k in range(law.states)]
         after, rates = law.act(At(p, z, sizes, self._step, signal=signal))
         for state, rate in zip(z, rates, strict=True):

@@ -42,6 +42,13 @@ class Quantity:
         probes = tuple(p * unit for p in self.probes)
         return replace(self, null=self.null * unit, probes=probes, low=self.low * unit, high=self.high * unit)
 
+    def unit(self, units: Mapping[str, str]) -> str:
+        """The parameter's unit, for units of sizes by name; empty where one is not known."""
+        above, _, below = self.size.partition("/")
+        if not units[above] or (below and not units[below]):
+            return ""
+        return f"{units[above]}/{units[below]}" if below else units[above]
+
 
 @dataclass(frozen=True)
 class At:
@@ -93,14 +100,14 @@ class Law:
     beside: tuple[str, ...] = ()
     family: str = ""
 
-    def on(self, part: str, sizes: Mapping[str, float]) -> tuple[Candidate, dict[str, Free]]:
+    def on(self, part: str, sizes: Mapping[str, float], units: Mapping[str, str]) -> tuple[Candidate, dict[str, Free]]:
         """The effect on a part of a machine, for sizes of its quantities by name; and its parameters by their names within it."""
         label = f"{self.name}[{part}]"
         quantities = {f"{label}.{q.name}": q.in_units(sizes) for q in self.quantities}
         free = {}
         for name, q in quantities.items():
             scale = abs(q.probes[0] - q.null) or 0.3 * abs(q.probes[0]) or 1.0
-            free[q.name] = Free(name, q.size, q.null, q.low, q.high, scale)
+            free[q.name] = Free(name, q.unit(units), q.null, q.low, q.high, scale)
         null = {name: q.null for name, q in quantities.items()}
         shapes = tuple(name for name, q in quantities.items() if q.shape)
         candidate = Candidate(
