@@ -73,20 +73,29 @@ class Signals:
     regimes: tuple[Regime, ...] = ()
 
     @staticmethod
-    def of(inputs: Sequence[str], outputs: Sequence[str], unit: str = "", limits: Sequence[float] = ()) -> Signals:
+    def of(
+        inputs: Sequence[str], outputs: Sequence[str], unit: str = "", limits: Sequence[float] = (), axes: Sequence[str] = ("",)
+    ) -> Signals:
         """Single inputs and outputs, each of its own kind.
 
         Args:
-            inputs, outputs: names of their columns.
+            inputs: names of their columns.
+            outputs: names of their columns; of points, whose columns are those of their axes: "p1_x".
             unit: of all outputs; none where they have several.
             limits: upper limits of the inputs; none where unknown.
+            axes: of points: "x", "y", "z".
         """
         parts = tuple(Part("input", name, (k,)) for k, name in enumerate(inputs))
         regimes = [Regime(f"high {name}", f"at high {name}", (k,), low=HIGH) for k, name in enumerate(inputs)]
         for k, name in enumerate(outputs):
             regimes.append(Regime(f"high {name}", f"at high {name}", (k,), low=HIGH, measured=True))
             regimes.append(Regime(f"low {name}", f"at low {name}", (k,), high=1 - HIGH, measured=True))
-        return Signals(tuple(inputs), tuple(limits) or (inf,) * len(inputs), tuple(outputs), ("",), unit, parts, tuple(regimes))
+        return Signals(tuple(inputs), tuple(limits) or (inf,) * len(inputs), tuple(outputs), tuple(axes), unit, parts, tuple(regimes))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of what is measured, those of a point one after the other."""
+        return tuple(f"{point}_{axis}" if axis else point for point in self.points for axis in self.axes)
 
     @property
     def ranges(self) -> np.ndarray:

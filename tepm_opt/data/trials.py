@@ -31,6 +31,7 @@ class TrialsDescription(Section):
 
     name: Annotated[str, Field(min_length=1, description="any text")]
     noise: Annotated[dict[str, float], Field(description="1 sigma of each output, in its unit")]
+    static: bool = False
     start: Start = "equilibrium"
     piece_s: Annotated[float, between(1e-6, 1e6, "s")] | None = None
     runs: list[TrialEntry]
@@ -63,49 +64,56 @@ class Trials(RunSet):
         return f"Trials({self.name}: {len(self.fit)} runs to fit to, {len(self.validation)} to judge by)"
 
 
-def read_trials(folder: str | Path, signals: Signals) -> Trials:
+def read_trials(folder: str | Path, signals: Signals, static: bool = False) -> Trials:
     """Read a data set of a machine.
 
     Args:
         folder: of `dataset.toml`.
         signals: the machine's inputs and outputs: the names of the columns, besides `time_s`.
+        static: whether the machine is one whose rows are equilibria, which need no time.
 
     Raises:
-        InputError: unreadable file, missing column, input that is not finite, time that does not increase, output without noise.
+        InputError: unreadable file, missing column, input that is not finite, time that does not increase, output without noise;
+            equilibria of a machine that moves.
     """
     folder = Path(folder)
     path = folder / DESCRIPTION
     if not path.is_file():
         raise InputError(f"data set {folder} has no {DESCRIPTION}")
     description = validated(TrialsDescription, read_toml(path), str(path))
+    if description.static and not static:
+        raise InputError(f"{path}: static = true, but the machine's runs are motions; valid: a plant with static = True")
+    if static and description.piece_s is not None:
+        raise InputError(f"{path}: piece_s cuts runs in time, which equilibria do not have; valid: without it")
     if unknown := [name for name in description.noise if name not in signals.points]:
         raise unknown_name("output", unknown[0], signals.points, f"{path}: noise")
     if silent := [name for name in signals.points if not 0 < description.noise.get(name, 0.0) < np.inf]:
         raise InputError(f"{path}: noise of {silent[0]!r} is missing or not positive; valid: [noise] with 1 sigma of each output")
-    runs = [_read(folder / entry.file, entry, description, signals) for entry in description.runs]
+    runs = [_read(folder / entry.file, entry, description.start, signals, static) for entry in description.runs]
     if description.piece_s is not None:
         runs = [piece for run in runs for piece in (pieces(run, description.piece_s) if run.role == "fit" else [run])]
     noise = np.array([[description.noise[name]] for name in signals.points])
     return Trials(description.name, tuple(runs), noise)
 
 
-def _read(path: Path, entry: TrialEntry, description: TrialsDescription, signals: Signals) -> Run:
-    needed = (TIME, *signals.inputs, *signals.points)
+def _read(path: Path, entry: TrialEntry, start: Start, signals: Signals, static: bool) -> Run:
+    needed = (*(() if static else (TIME,)), *signals.inputs, *signals.columns)
     table = read_table(path, text=lambda name: name not in needed)
     if missing := [name for name in needed if name not in table.columns]:
         more = f" (and {', '.join(missing[1:])})" if len(missing) > 1 else ""
         raise InputError(f"{path}: column {missing[0]!r} is missing{more}; found: {', '.join(table.columns)}")
-    table.increasing(TIME)
+    if not static:
+        table.increasing(TIME)
     for name in signals.inputs:
         table.column(name)
-    for name in signals.points:
+    for name in signals.columns:
         table.refuse(np.isinf(table.columns[name]), name, "a finite number, or an empty field where the sample is missing")
     rows = len(table.lines)
+    time = np.full(rows, np.nan) if static else table.columns[TIME]
     inputs = np.stack([table.columns[name] for name in signals.inputs], axis=1) if signals.inputs else np.zeros((rows, 0))
-    outputs = np.stack([table.columns[name] for name in signals.points], axis=1)[..., None]
+    outputs = np.stack([table.columns[name] for name in signals.columns], axis=1).reshape(rows, len(signals.points), len(signals.axes))
     extra = {name: values for name, values in table.columns.items() if name not in needed}
-    start = entry.start or description.start
-    return Run(entry.file, entry.role, table.columns[TIME], inputs, np.zeros((rows, 3)), outputs, extra, table.lines, start, entry.group)
+    return Run(entry.file, entry.role, time, inputs, np.zeros((rows, 3)), outputs, extra, table.lines, entry.start or start, entry.group)
 
 
 def pieces(run: Run, seconds: float) -> list[Run]:

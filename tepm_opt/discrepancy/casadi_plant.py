@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal
 
@@ -12,11 +12,9 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from tepm_opt.data.run import Run
-from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.discrepancy.parameters import Described
 from tepm_opt.solvers.parallel import give_way
-from tepm_opt.solvers.plant import START, Free, Prediction, PredictionError
+from tepm_opt.solvers.plant import START, Prediction, PredictionError
 
 Between = Literal["hold", "line", "band"]
 NEWTON_STEPS, AT_REST = 50, 1e-10
@@ -112,29 +110,19 @@ def _along(value: ca.SX, x: ca.SX, theta: ca.SX, moved: ca.SX, turned: ca.SX) ->
 
 
 @dataclass(frozen=True, eq=False)
-class CasadiPlant:
+class CasadiPlant(Described):
     """A machine given by equations, see `solvers.plant.Plant` and `plant.SearchablePlant`; made by `equations.Equations`.
 
     Attributes:
-        name: of the machine.
         motion: its equations.
-        parameters: by full name with their ranges; `start` is the value they have.
         guess: of the states at rest.
-        signals: inputs and outputs.
-        known: names of the parameters that are known within their ranges.
-        candidates: effects that may be missing.
         substeps: Runge-Kutta steps from sample to sample.
         between: how inputs go from sample to sample: they stay ("hold"), go in straight lines ("line"), or have nothing faster than half
             the samples' rate ("band").
     """
 
-    name: str
     motion: Motion
-    parameters: Mapping[str, Free]
     guess: Mapping[str, float]
-    signals: Signals
-    known: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
     substeps: int = 1
     between: Between = "line"
 
@@ -148,38 +136,9 @@ class CasadiPlant:
         return f"CasadiPlant({self.name}, {len(self.motion.states)} states, {len(self.candidates)} effects)"
 
     @property
-    def values(self) -> dict[str, float]:
-        """Values of all parameters by full name."""
-        return {name: free.start for name, free in self.parameters.items()}
-
-    @property
     def states(self) -> tuple[str, ...]:
         """Names of the states that a run may begin with."""
         return self.motion.free_states
-
-    def with_values(self, values: Mapping[str, float]) -> CasadiPlant:
-        """The same machine with other values of some parameters."""
-        changed = {name: replace(self.parameters[name], start=value) for name, value in values.items()}
-        return replace(self, parameters={**self.parameters, **changed})
-
-    def free(self, names: Sequence[str]) -> tuple[Free, ...]:
-        """Parameters by full name with their ranges.
-
-        Raises:
-            InputError: no such parameter; a value outside its range.
-        """
-        for name in names:
-            if name not in self.parameters:
-                raise unknown_name("parameter", name, self.parameters)
-            free = self.parameters[name]
-            if not free.low - 1e-9 * free.scale <= free.start <= free.high + 1e-9 * free.scale:
-                raise InputError(f"parameter {name} = {free.start:g} is outside its range; valid: {free.low:g} … {free.high:g}")
-        return tuple(self.parameters[name] for name in names)
-
-    def corrected(self, kept: Sequence[Candidate]) -> dict[str, float]:
-        """Values by full name of what is known and of the parameters of these effects."""
-        names = [*self.known, *(name for candidate in kept for name in candidate.parameters)]
-        return {name: self.parameters[name].start for name in names}
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured, from the state it begins with or from rest.

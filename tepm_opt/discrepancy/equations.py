@@ -24,6 +24,7 @@ from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant, Motion
 from tepm_opt.discrepancy.library.axis import AXIS
 from tepm_opt.discrepancy.library.effect import At, Law
 from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
+from tepm_opt.discrepancy.parameters import known_within
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.solvers.plant import Free
@@ -66,7 +67,10 @@ class Equations:
             raise unknown_name("state", state.name(), self._states)
         self._rates[state.name()] = ca.SX(rate)
 
-    def known(self, name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None) -> ca.SX:  # fmt: skip # noqa: E501
+    def known(
+        self, name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None,
+        std: float = inf,
+    ) -> ca.SX:  # fmt: skip
         """A parameter that is known within a part of its value, or between two values.
 
         Args:
@@ -75,15 +79,10 @@ class Equations:
             unit: of it.
             within: how far it may be off, in parts of the value.
             low, high: how small and large it may be, instead.
+            std: standard deviation of the guess.
         """
         self._new(name, self._free)
-        off = abs(value) * within
-        low, high = value - off if low is None else low, value + off if high is None else high
-        if not low < high:
-            raise InputError(f"{self.name}: {name} has no range ({low:g} … {high:g}); valid: low and high, low below high")
-        if not low <= value <= high:
-            raise InputError(f"{self.name}: {name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
-        free = Free(name, unit, value, low, high, max((high - low) / 4, 1e-3 * abs(value)) or 1.0)
+        free = known_within(name, value, unit, within, low, high, std)
         self._free[name] = ca.SX.sym(name), free
         return self._free[name][0]
 
@@ -172,7 +171,7 @@ class Equations:
         missing = {name for candidate in self._candidates for name in candidate.parameters}
         known = tuple(name for name in free if name not in missing)
         start = {name: value for name, (_, value) in self._states.items()}
-        return CasadiPlant(self.name, motion, free, start, signals, known, tuple(self._candidates), substeps, between)
+        return CasadiPlant(self.name, signals, free, known, tuple(self._candidates), motion, start, substeps, between)
 
     def _sizes(self, of: str, **sizes: float) -> dict[str, float]:
         if wrong := [name for name, size in sizes.items() if not 0 < size < inf]:

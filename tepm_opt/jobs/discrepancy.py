@@ -92,7 +92,7 @@ def run_discrepancy(
 def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress) -> Discovery:
     """Explain a data set of a plant file's machine."""
     plant = load_plant(file)
-    dataset = read_trials(folder, plant.signals)
+    dataset = read_trials(folder, plant.signals, plant.static)
     alike = plant.signals.unit and np.ptp(dataset.noise) == 0
     out = output_folder(out)
     key = _fingerprint(folder, file.read_text(encoding="utf-8"), str(seed))

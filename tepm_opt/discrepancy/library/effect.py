@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import casadi as ca
 
@@ -52,24 +53,28 @@ class Quantity:
 
 @dataclass(frozen=True)
 class At:
-    """Where and when a law is asked.
+    """Where and when a law is asked: in symbols of CasADi, or in arrays.
 
     Attributes:
-        signal: what goes in, or what is measured.
+        signal: what goes in, or what is measured; of a long body what varies along it.
         position, speed: of an axis.
+        along: parts of the body's length from its base, 0 … 1.
+        turned: angle in rad by which the body has bent from its base to there.
         p: the effect's parameters by name.
         z: its states.
         step: the time step in s: what is faster is not resolved.
         sizes: of quantities there, by name.
     """
 
-    p: Mapping[str, ca.SX]
+    p: Mapping[str, Any]
     z: list[ca.SX]
     sizes: Mapping[str, float]
-    step: ca.SX = field(default_factory=lambda: ca.SX(0))
-    signal: ca.SX = field(default_factory=lambda: ca.SX(0))
-    position: ca.SX = field(default_factory=lambda: ca.SX(0))
-    speed: ca.SX = field(default_factory=lambda: ca.SX(0))
+    step: Any = 0.0
+    signal: Any = 0.0
+    position: Any = 0.0
+    speed: Any = 0.0
+    along: Any = 0.0
+    turned: Any = 0.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,8 @@ class Law:
         name: of the effect.
         stage: "input" (of a signal that goes in), "body" (a force on an axis) or "output" (of a signal that is measured).
         quantities: its parameters.
-        act: what becomes of the signal, or the force on the axis; and the rates of the states.
+        act: what becomes of the signal, or the force on the axis; and the rates of the states. The signal itself where absent: the
+            machine's own function asks for the parameters.
         states: how many it has; states of signals begin as the signal, those of axes at 0.
         smooth: whether the outcome is nearly linear in the parameters from the null on.
         explains: what it is.
@@ -92,7 +98,7 @@ class Law:
     name: str
     stage: Stage
     quantities: tuple[Quantity, ...]
-    act: Callable[[At], tuple[ca.SX, list[ca.SX]]]
+    act: Callable[[At], tuple[Any, list[Any]]] = lambda at: (at.signal, [])
     states: int = 0
     smooth: bool = True
     explains: str = ""
