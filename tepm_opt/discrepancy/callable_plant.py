@@ -128,7 +128,7 @@ class CallablePlant(Described):
         else:
             found = np.stack([self._asked(run, values) for values in sets])
         whole = (len(sets), *shape)
-        if found.size != np.prod(whole) or found.shape[: 1 + (run.rows > 1)] != whole[: 1 + (run.rows > 1)]:
+        if found.shape[:2] != whole[:2] or found.size != np.prod(whole):
             raise InputError(f"{self.name}: the function gives outputs of the shape {found.shape}; valid: {whole if self.many else shape}")
         if not np.isfinite(found).all():
             raise PredictionError(f"{run.file}: {self.name} gives numbers that are not finite")

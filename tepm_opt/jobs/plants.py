@@ -35,6 +35,8 @@ def load_plant(path: str | Path) -> SearchablePlant:
     if plant is None:
         raise InputError(f"{path}: has no plant; valid: a file that ends with plant = …")
     if lacking := [name for name in NEEDED if not hasattr(plant, name)]:
-        raise InputError(f"{path}: plant is a {type(plant).__name__} without {lacking[0]!r}; valid: what Equations(…).plant() gives")
+        raise InputError(
+            f"{path}: plant is a {type(plant).__name__} without {lacking[0]!r}; valid: Equations(…).plant() or Simulator(…).plant(…)"
+        )
     found: SearchablePlant = plant
     return found
