@@ -87,11 +87,14 @@ def read_trials(folder: str | Path, signals: Signals, static: bool = False) -> T
         raise InputError(f"{path}: piece_s cuts runs in time, which equilibria do not have; valid: without it")
     if unknown := [name for name in description.noise if name not in signals.points]:
         raise unknown_name("output", unknown[0], signals.points, f"{path}: noise")
-    if silent := [name for name in signals.points if not 0 < description.noise.get(name, 0.0) < np.inf]:
+    if silent := [name for name in signals.points if not description.noise.get(name, 0.0) > 0]:
         raise InputError(f"{path}: noise of {silent[0]!r} is missing or not positive; valid: [noise] with 1 sigma of each output")
     runs = [_read(folder / entry.file, entry, description.start, signals, static) for entry in description.runs]
     if description.piece_s is not None:
-        runs = [piece for run in runs for piece in (pieces(run, description.piece_s) if run.role == "fit" else [run])]
+        cut = [pieces(run, description.piece_s) if run.role == "fit" else [run] for run in runs]
+        if short := [run.file for run, found in zip(runs, cut, strict=True) if not found]:
+            raise InputError(f"{path}: piece_s = {description.piece_s:g} is shorter than the steps of {short[0]}; valid: many of them")
+        runs = [piece for found in cut for piece in found]
     noise = np.array([[description.noise[name]] for name in signals.points])
     return Trials(description.name, tuple(runs), noise)
 
@@ -117,7 +120,10 @@ def _read(path: Path, entry: TrialEntry, start: Start, signals: Signals, static:
 
 
 def pieces(run: Run, seconds: float) -> list[Run]:
-    """A run in pieces of so many seconds, each a run of its own that begins as it will; what is left at the end is part of the last."""
+    """A run in pieces of so many seconds, each a run of its own that begins as it will; what is left at the end is part of the last.
+
+    A row that is alone in its piece says nothing of a motion and is left out.
+    """
     number = np.floor((run.time - run.time[0]) / seconds + 1e-9).astype(int)
     last = max(int(np.floor((run.time[-1] - run.time[0]) / seconds + 1e-9)), 1)
     number = np.minimum(number, last - 1)
