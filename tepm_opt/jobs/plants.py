@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 import traceback
 from pathlib import Path
 
@@ -23,15 +24,17 @@ def load_plant(path: str | Path) -> SearchablePlant:
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(f"{path}: no such Python file; valid: a file that ends with plant = …")
     module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.resolve().parent))
     try:
         spec.loader.exec_module(module)
         plant = getattr(module, "plant", None)
         plant = plant() if callable(plant) else plant
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except Exception as error:
-        line = next((frame.lineno for frame in reversed(traceback.extract_tb(error.__traceback__)) if frame.filename == str(path)), None)
-        raise InputError(f"{path}: line {line}: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{path}: {_failure(error, path)}") from error
+    finally:
+        sys.path.remove(str(path.resolve().parent))
     if plant is None:
         raise InputError(f"{path}: has no plant; valid: a file that ends with plant = …")
     if lacking := [name for name in NEEDED if not hasattr(plant, name)]:
@@ -40,3 +43,12 @@ def load_plant(path: str | Path) -> SearchablePlant:
         )
     found: SearchablePlant = plant
     return found
+
+
+def _failure(error: BaseException, path: Path) -> str:
+    """Where in the file and how it failed, in a line."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    syntax = isinstance(error, SyntaxError) and error.filename == str(path)
+    line = error.lineno if syntax else next(reversed(lines), None)
+    text = error.msg if syntax else " ".join(str(error).split())
+    return f"{f'line {line}: ' if line else ''}{type(error).__name__}: {text}"
