@@ -100,10 +100,12 @@ class RunSet:
     Attributes:
         name: for people.
         runs: in the order of their description.
+        gauges: names of the inputs that gauges show behind the actuators; the others are commands.
     """
 
     name: str
     runs: tuple[Run, ...]
+    gauges: tuple[str, ...] = ()
 
     @staticmethod
     def of(name: str, runs: Iterable[Run]) -> RunSet:

@@ -34,6 +34,7 @@ class TrialsDescription(Section):
     static: bool = False
     start: Start = "equilibrium"
     piece_s: Annotated[float, between(1e-6, 1e6, "s")] | None = None
+    gauges: list[str] = Field(default_factory=list)
     runs: list[TrialEntry]
 
     @model_validator(mode="after")
@@ -54,11 +55,13 @@ class Trials(RunSet):
         name: for people.
         runs: in the order of `dataset.toml`; those to fit to in pieces where it says so.
         noise: 1 sigma of what is measured: of each output, (outputs, 1).
+        gauges: names of the inputs that gauges show behind the actuators; the others are commands.
     """
 
     name: str
     runs: tuple[Run, ...]
     noise: np.ndarray
+    gauges: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Trials({self.name}: {len(self.fit)} runs to fit to, {len(self.validation)} to judge by)"
@@ -89,6 +92,8 @@ def read_trials(folder: str | Path, signals: Signals, static: bool = False) -> T
         raise unknown_name("output", unknown[0], signals.points, f"{path}: noise")
     if silent := [name for name in signals.points if not description.noise.get(name, 0.0) > 0]:
         raise InputError(f"{path}: noise of {silent[0]!r} is missing or not positive; valid: [noise] with 1 sigma of each output")
+    if unknown := [name for name in description.gauges if name not in signals.inputs]:
+        raise unknown_name("input", unknown[0], signals.inputs, f"{path}: gauges")
     runs = [_read(folder / entry.file, entry, description.start, signals, static) for entry in description.runs]
     if description.piece_s is not None:
         cut = [pieces(run, description.piece_s) if run.role == "fit" else [run] for run in runs]
@@ -96,7 +101,7 @@ def read_trials(folder: str | Path, signals: Signals, static: bool = False) -> T
             raise InputError(f"{path}: piece_s = {description.piece_s:g} is shorter than the steps of {short[0]}; valid: many of them")
         runs = [piece for found in cut for piece in found]
     noise = np.array([[description.noise[name]] for name in signals.points])
-    return Trials(description.name, tuple(runs), noise)
+    return Trials(description.name, tuple(runs), noise, tuple(description.gauges))
 
 
 def _read(path: Path, entry: TrialEntry, start: Start, signals: Signals, static: bool) -> Run:

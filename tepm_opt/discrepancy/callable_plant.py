@@ -68,9 +68,9 @@ class CallablePlant(Described):
         return f"CallablePlant({self.name}, {len(self.known)} known parameters, {len(self.candidates)} effects)"
 
     @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the states that a run may begin with."""
-        return tuple(self.sizes)
+    def states(self) -> dict[str, float]:
+        """The states that a run may begin with, 0 for all that is known."""
+        return dict.fromkeys(self.sizes, 0.0)
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured.

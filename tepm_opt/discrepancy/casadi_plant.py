@@ -19,6 +19,7 @@ from tepm_opt.solvers.plant import START, Prediction, PredictionError
 Between = Literal["hold", "line", "band"]
 NEWTON_STEPS, AT_REST = 50, 1e-10
 BOUND = 1e12  # what is beyond it has diverged
+GAP = 1.5  # times the usual time between samples: what is longer is gone in several steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +116,8 @@ class CasadiPlant(Described):
 
     Attributes:
         motion: its equations.
-        guess: of the states at rest.
-        substeps: Runge-Kutta steps from sample to sample.
+        guess: of the states at rest, or where a run begins.
+        substeps: Runge-Kutta steps from sample to sample; where samples are missing, more of them, none much longer than usual.
         between: how inputs go from sample to sample: they stay ("hold"), go in straight lines ("line"), or have nothing faster than half
             the samples' rate ("band").
     """
@@ -136,9 +137,9 @@ class CasadiPlant(Described):
         return f"CasadiPlant({self.name}, {len(self.motion.states)} states, {len(self.candidates)} effects)"
 
     @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the states that a run may begin with."""
-        return self.motion.free_states
+    def states(self) -> dict[str, float]:
+        """The states that a run may begin with, with a guess of each."""
+        return {name: self.guess[name] for name in self.motion.free_states}
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured, from the state it begins with or from rest.
@@ -156,45 +157,62 @@ class CasadiPlant(Described):
         for k, name in enumerate(by):
             if not name.startswith(START):
                 turned[names.index(name), k] = 1.0
-        steps = self._steps(run)
+        time, inputs, rows = self._grid(run)
+        steps = self._steps(time)
         h = float(steps[0]) if len(steps) else 1.0  # a single sample has no step
         x, moved = self._begin(run, theta, turned, by, h)
         y, d_y = self._first(x, moved, run.inputs[0], theta, turned, h)
-        points, change = np.empty((run.rows, len(y))), np.zeros((run.rows, len(by), len(y)))
+        points, change = np.empty((len(time), len(y))), np.zeros((len(time), len(by), len(y)))
         points[0], change[0] = y, d_y.T
         give_way()
         if len(steps):
             whole = _accumulated(self.motion, len(by), self.substeps, len(steps))
-            _, _, ys, d_ys = whole(x, moved, self._inputs(run).T, theta, turned, steps[None])
+            _, _, ys, d_ys = whole(x, moved, self._inputs(inputs).T, theta, turned, steps[None])
             points[1:] = np.asarray(ys).T
             if by:
                 change[1:] = np.asarray(d_ys).reshape(len(y), len(steps), len(by)).transpose(1, 2, 0)
         if not (np.abs(points).max() < BOUND and np.isfinite(change).all()):
             raise PredictionError(f"{run.file}: the motion has no bounds; where only its steps are too long, plant(substeps=…) helps")
-        return Prediction(points[..., None], np.moveaxis(change, 1, 0)[..., None])
+        return Prediction(points[rows][..., None], np.moveaxis(change[rows], 1, 0)[..., None])
 
-    def _steps(self, run: Run) -> np.ndarray:
-        """Time steps from sample to sample, (rows - 1,) in s: all the same where they differ by nothing but the file's digits."""
-        steps = np.diff(run.time)
+    def _grid(self, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times that are simulated, in s, the inputs there, and which of them are samples: all, where no sample is missing.
+
+        Raises:
+            PredictionError: samples are not equally far apart, but only all samples together tell the inputs between them.
+        """
+        apart = np.diff(run.time)
+        usual = float(np.median(apart)) if len(apart) else 1.0
+        if self.between == "band" and np.abs(apart - usual).max(initial=0.0) > 1e-3 * usual:
+            raise PredictionError(f'{run.file}: samples are not equally far apart; valid: between = "line" or "hold"')
+        rows = np.append(0, np.cumsum(np.ceil(apart / (GAP * usual)).astype(int)))
+        if len(rows) == rows[-1] + 1:
+            return run.time, run.inputs, rows
+        steps = np.arange(rows[-1] + 1)
+        time = np.interp(steps, rows, run.time)
+        if self.between == "hold":
+            return time, run.inputs[np.searchsorted(rows, steps, side="right") - 1], rows
+        return time, _interpolated(time, run.time, run.inputs), rows
+
+    def _steps(self, time: np.ndarray) -> np.ndarray:
+        """Time steps, (times - 1,) in s: all the same where they differ by nothing but the file's digits."""
+        steps = np.diff(time)
         if not len(steps) or np.ptp(steps) <= 1e-3 * steps.mean():
             return np.full(len(steps), steps.mean() if len(steps) else 0.0) / self.substeps
-        if self.between == "band":
-            raise PredictionError(f'{run.file}: samples are not equally far apart; valid: between = "line" or "hold"')
         return steps / self.substeps
 
-    def _inputs(self, run: Run) -> np.ndarray:
-        """Inputs at the ends of all steps to each sample and at the sample, (rows - 1, (substeps + 2) · inputs)."""
-        u, count = run.inputs, self.substeps
+    def _inputs(self, u: np.ndarray) -> np.ndarray:
+        """Inputs at the ends of all steps between times and at the later one, (times - 1, (substeps + 2) · inputs)."""
+        count, gaps = self.substeps, len(u) - 1
         if self.between == "hold":
             fine = np.repeat(u[:-1, None], count + 1, axis=1)
         else:
             if self.between == "band" and count > 1:
-                every = resample_poly(u, count, 1, axis=0, padtype="line")[: (run.rows - 1) * count + 1]
+                every = resample_poly(u, count, 1, axis=0, padtype="line")[: gaps * count + 1]
             else:
-                at = np.arange((run.rows - 1) * count + 1) / count
-                every = np.array([np.interp(at, np.arange(run.rows), column) for column in u.T]).reshape(-1, len(at)).T
+                every = _interpolated(np.arange(gaps * count + 1) / count, np.arange(len(u)), u)
             fine = np.stack([every[k : len(every) - count + k : count] for k in range(count + 1)], axis=1)
-        return np.concatenate([fine, u[1:, None]], axis=1).reshape(run.rows - 1, -1)
+        return np.concatenate([fine, u[1:, None]], axis=1).reshape(gaps, -1)
 
     def _begin(self, run: Run, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float) -> tuple[np.ndarray, np.ndarray]:
         """State at the first sample and its change along the directions."""
@@ -248,6 +266,11 @@ def _solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, int]:
     columns[columns == 0] = 1.0
     found, _, rank, _ = np.linalg.lstsq(matrix / rows / columns, right / rows[:, 0], rcond=1e-12)
     return found / columns, int(rank)
+
+
+def _interpolated(at: np.ndarray, time: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Columns (times, columns) at other times."""
+    return np.array([np.interp(at, time, column) for column in columns.T]).reshape(-1, len(at)).T
 
 
 @lru_cache(maxsize=64)

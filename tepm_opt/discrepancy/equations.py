@@ -24,6 +24,7 @@ from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant, Motion
 from tepm_opt.discrepancy.library.axis import AXIS
 from tepm_opt.discrepancy.library.effect import At, Law
 from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
+from tepm_opt.discrepancy.library.vessels import VESSEL
 from tepm_opt.discrepancy.parameters import known_within
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.errors import InputError, unknown_name
@@ -45,7 +46,7 @@ class Equations:
 
     name: str
     time: float = 1.0
-    laws: Sequence[Law] = (*INPUT, *AXIS, *OUTPUT)
+    laws: Sequence[Law] = (*INPUT, *AXIS, *VESSEL, *OUTPUT)
     _states: dict[str, tuple[ca.SX, float]] = field(default_factory=dict)
     _rates: dict[str, ca.SX] = field(default_factory=dict)
     _inputs: dict[str, tuple[ca.SX, ca.SX, float]] = field(default_factory=dict)
@@ -99,7 +100,7 @@ class Equations:
         command = ca.SX.sym(name)
         self._inputs[name] = command, command, limit
         acts, sizes = command, self._sizes(name, signal=size, time=self.time)
-        for law in (law for law in self.laws if law.stage == "input"):
+        for law in self._laws("input"):
             acts = self._filtered(law, name, acts, sizes, unit)
         self._inputs[name] = command, acts, limit
         return acts
@@ -114,18 +115,25 @@ class Equations:
             unit: of q; where it is "rad" forces are torques.
         """
         units = {"force": FORCES.get(unit, ""), "speed": f"{unit}/s" if unit else "", "position": unit}
-        sizes, total = self._sizes(name, force=force, speed=speed, position=position), ca.SX(0)
-        for law in (law for law in self.laws if law.stage == "body"):
-            p = self._parameters(law, name, sizes, units)
-            z = [self.state(f"{law.name}[{name}] {k}") for k in range(law.states)]
-            acts, rates = law.act(At(p, z, sizes, position=q, speed=v))
-            for state, rate in zip(z, rates, strict=True):
-                self.rate(state, rate)
-                self._settled[state.name()] = ca.SX(0)
-            total += acts
-        return total
+        sizes = self._sizes(name, force=force, speed=speed, position=position, time=self.time)
+        return self._acting("axis", name, sizes, units, q, v, ca.SX(0))
 
-    def output(self, name: str, value: ca.SX, unit: str = "", size: float = 1.0) -> None:
+    def vessel(self, name: str, level: ca.SX, rate: ca.SX, size: float, unit: str = "") -> ca.SX:
+        """Note a vessel's level with its rate less what whatever effects let out of it; returns what of that runs into the next vessel.
+
+        Args:
+            name: of the vessel.
+            level: a state.
+            rate: of the level as far as it is known, per s.
+            size: a usual level.
+            unit: of the level.
+        """
+        sizes = self._sizes(name, position=size, time=self.time)
+        lost = self._acting("vessel", name, sizes, {"position": unit}, level, rate, ca.SX(2, 1))
+        self.rate(level, rate - lost[0])
+        return lost[1]
+
+    def output(self, name: str, value: ca.SX, unit: str = "", size: float = 1.0, time: float | None = None) -> None:
         """What is measured, after whatever effects stand between it and what is written down.
 
         Args:
@@ -133,10 +141,11 @@ class Equations:
             value: what the machine has.
             unit: of it.
             size: as large as it usually is.
+            time: the sensor's own in s, where it is not the machine's; it lags by 30 of them at most.
         """
         self._new(name, {TIME: None, **self._inputs, **self._outputs})
-        sizes = self._sizes(name, signal=size, time=self.time)
-        for law in (law for law in self.laws if law.stage == "output"):
+        sizes = self._sizes(name, signal=size, time=self.time if time is None else time)
+        for law in self._laws("output"):
             value = self._filtered(law, name, value, sizes, unit)
         self._outputs[name] = ca.SX(value), unit
 
@@ -172,6 +181,32 @@ class Equations:
         known = tuple(name for name in free if name not in missing)
         start = {name: value for name, (_, value) in self._states.items()}
         return CasadiPlant(self.name, signals, free, known, tuple(self._candidates), motion, start, substeps, between)
+
+    def _laws(self, part: str) -> list[Law]:
+        """Effects that act on such a part."""
+        return [law for law in self.laws if law.part == part]
+
+    def _acting(
+        self, part: str, name: str, sizes: Mapping[str, float], units: Mapping[str, str], position: ca.SX, speed: ca.SX, total: ca.SX
+    ) -> ca.SX:
+        """What all effects do to a part of the body; their states begin at 0.
+
+        Args:
+            part: what kind of part it is.
+            name: of it.
+            sizes, units: of quantities there.
+            position, speed: of it.
+            total: nothing, of the right shape.
+        """
+        for law in self._laws(part):
+            p = self._parameters(law, name, sizes, units)
+            z = [self.state(f"{law.name}[{name}] {k}") for k in range(law.states)]
+            acts, rates = law.act(At(p, z, sizes, self._step, position=position, speed=speed))
+            for state, rate in zip(z, rates, strict=True):
+                self.rate(state, rate)
+                self._settled[state.name()] = ca.SX(0)
+            total += acts
+        return total
 
     def _sizes(self, of: str, **sizes: float) -> dict[str, float]:
         if wrong := [name for name, size in sizes.items() if not 0 < size < inf]:

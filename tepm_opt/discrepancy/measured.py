@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,8 +19,7 @@ def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ..
     Values outside the robot's limits (a gauge's noise at zero) are put on them, missing samples are interpolated. None where no channel
     is measured in all runs.
     """
-    columns = {k: name for k, column in enumerate(signals.inputs) if all((name := measured_column(column)) in run.extra for run in runs)}
-    columns = {k: name for k, name in columns.items() if all(_usable(run.extra[name]) for run in runs)}
+    columns = {k: measured_column(signals.inputs[k]) for k in _measured(runs, signals)}
     if not columns:
         return None
     found = []
@@ -32,6 +31,25 @@ def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ..
             inputs[:, k] = np.clip(np.interp(np.arange(run.rows), np.flatnonzero(seen), values[seen]), 0.0, signals.limits[k])
         found.append(replace(run, inputs=inputs))
     return tuple(found)
+
+
+def gauged(runs: Sequence[Run], signals: Signals) -> tuple[str, ...]:
+    """Names of the inputs that are measured in all runs."""
+    return tuple(signals.inputs[k] for k in _measured(runs, signals))
+
+
+def _measured(runs: Sequence[Run], signals: Signals) -> list[int]:
+    found = []
+    for k, column in enumerate(signals.inputs):
+        name = measured_column(column)
+        if all(name in run.extra and _usable(run.extra[name]) for run in runs):
+            found.append(k)
+    return found
+
+
+def behind(missing: Sequence[Candidate], gauges: Collection[str]) -> tuple[Candidate, ...]:
+    """The candidates but for those between the command and a gauge that shows the input; what the gauge may have itself stays."""
+    return tuple(c for c in missing if c.gauge or c.stage != "input" or c.detail not in gauges)
 
 
 def measured_column(column: str) -> str:

@@ -31,6 +31,7 @@ class Candidate:
         explains: what it is, in words.
         part: what the detail is: "actuator".
         reference: where its form is from.
+        gauge: whether a gauge that measures an input may have it, too: an offset, a gain.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Candidate:
     explains: str = field(default="", compare=False, repr=False)
     part: str = field(default="", compare=False, repr=False)
     reference: str = field(default="", compare=False, repr=False)
+    gauge: bool = field(default=False, compare=False, repr=False)
 
     @property
     def label(self) -> str:

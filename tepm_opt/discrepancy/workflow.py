@@ -16,7 +16,7 @@ from tepm_opt.discrepancy import words
 from tepm_opt.discrepancy.black_box import black_box
 from tepm_opt.discrepancy.clock import shifts
 from tepm_opt.discrepancy.localise import TIMES_NOISE, Localisation, localise
-from tepm_opt.discrepancy.measured import separated, with_measured_inputs
+from tepm_opt.discrepancy.measured import behind, gauged, separated, with_measured_inputs
 from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, SearchSettings, explain
 from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Value, Verdict, VerdictStatus
@@ -82,7 +82,7 @@ def discover(
     began, settings = time.monotonic(), settings or SearchSettings()
     if not dataset.fit:
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
-    missing = plant.candidates
+    missing = behind(plant.candidates, dataset.gauges)
     progress("simulating the runs with the model as it is", 0, 0)
     nominal = _predict(plant, dataset, noise)
     if not plant.static and all(run.start == "equilibrium" for run in dataset.runs):
@@ -90,11 +90,12 @@ def discover(
     step = _step(plant, dataset, nominal, noise, settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     try:
-        behind = with_measured_inputs(dataset.fit, plant.signals)
-        if behind is not None:
+        shown = with_measured_inputs(dataset.fit, plant.signals)
+        if shown is not None:
             progress("with measured inputs, for what happens behind them", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-measured")
-            body = explain(Fits(replace(problem, runs=behind), settings, aside, key, progress), missing, seed)
+            possible = behind(missing, gauged(dataset.fit, plant.signals))
+            body = explain(Fits(replace(problem, runs=shown), settings, aside, key, progress), possible, seed)
             missing = separated(body, missing, settings)
             progress("with commanded inputs", 0, 0)
         explanation = explain(Fits(problem, settings, store, key, progress), missing, seed)

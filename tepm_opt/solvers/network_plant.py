@@ -38,9 +38,9 @@ class NetworkPlant:
         return self.model.values
 
     @property
-    def states(self) -> tuple[str, ...]:
+    def states(self) -> Mapping[str, float]:
         """None: its runs begin at rest."""
-        return ()
+        return {}
 
     @property
     def concurrent(self) -> bool:

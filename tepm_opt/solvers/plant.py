@@ -76,11 +76,11 @@ class Plant(Protocol):
         values: of all parameters, by full name.
         concurrent: whether runs may be predicted at the same time, in threads.
         static: whether rows of its runs are equilibria, not samples of a motion.
-        states: names of the states with which a run may begin that does not begin at rest.
+        states: by name, those with which a run may begin that does not begin at rest, with a guess of each.
     """
 
     @property
-    def states(self) -> tuple[str, ...]: ...
+    def states(self) -> Mapping[str, float]: ...
 
     @property
     def values(self) -> Mapping[str, float]: ...

@@ -31,7 +31,7 @@ def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.in
     """
     if run.start == "equilibrium" or not plant.states:
         return run
-    state = np.zeros(len(plant.states)) if run.state is None else run.state
+    state = np.array(list(plant.states.values())) if run.state is None else run.state
     state = _fitted(plant, first(run, FIRST), noise, step, state)
     return replace(run, state=_fitted(plant, run, noise, step, state) if run.start == "free" else state)
 

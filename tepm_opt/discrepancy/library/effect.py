@@ -13,6 +13,7 @@ from tepm_opt.discrepancy.plant import Candidate, Stage
 from tepm_opt.solvers.plant import Free
 
 PARTS: Mapping[Stage, str] = {"input": "input", "body": "axis", "output": "output"}
+"""What effects of a stage act on, where they do not say it themselves."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class At:
 
     Attributes:
         signal: what goes in, or what is measured; of a long body what varies along it.
-        position, speed: of an axis.
+        position, speed: of an axis; of a vessel its level and what is known of that's rate.
         along: parts of the body's length from its base, 0 … 1.
         turned: angle in rad by which the body has bent from its base to there.
         p: the effect's parameters by name.
@@ -85,14 +86,16 @@ class Law:
         name: of the effect.
         stage: "input" (of a signal that goes in), "body" (a force on an axis) or "output" (of a signal that is measured).
         quantities: its parameters.
-        act: what becomes of the signal, or the force on the axis; and the rates of the states. The signal itself where absent: the
-            machine's own function asks for the parameters.
+        act: what becomes of the signal, the force on the axis, or what a vessel loses and passes on; and the rates of the states. The
+            signal itself where absent: the machine's own function asks for the parameters.
         states: how many it has; states of signals begin as the signal, those of axes at 0.
         smooth: whether the outcome is nearly linear in the parameters from the null on.
         explains: what it is.
         reference: where the law is from.
         beside: effects one of which it needs.
         family: what it is one form of.
+        place: what it acts on, where the stage does not tell: "vessel".
+        gauge: whether a gauge that measures an input may have it, too: an offset, a gain.
     """
 
     name: str
@@ -105,6 +108,13 @@ class Law:
     reference: str = ""
     beside: tuple[str, ...] = ()
     family: str = ""
+    place: str = ""
+    gauge: bool = False
+
+    @property
+    def part(self) -> str:
+        """What it acts on: "input", "axis", "output", "vessel"."""
+        return self.place or PARTS[self.stage]
 
     def on(self, part: str, sizes: Mapping[str, float], units: Mapping[str, str]) -> tuple[Candidate, dict[str, Free]]:
         """The effect on a part of a machine, for sizes of its quantities by name; and its parameters by their names within it."""
@@ -118,7 +128,7 @@ class Law:
         shapes = tuple(name for name, q in quantities.items() if q.shape)
         candidate = Candidate(
             self.name, part, null, _probes(quantities), self.stage, self.smooth, shapes, self.beside, self.family, self.explains,
-            PARTS[self.stage], self.reference,
+            self.part, self.reference, self.gauge,
         )  # fmt: skip
         return candidate, free
 

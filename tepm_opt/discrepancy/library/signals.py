@@ -10,10 +10,14 @@ TIMES = (0.01, 0.1, 1.0)  # of the machine's own time
 PARTS = (0.01, 0.1)
 
 
+def follow(at: At, rate: ca.SX, time: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
+    """What follows a signal at a rate; the signal itself where the time that it takes is too short for the steps to resolve."""
+    return ca.if_else(time < 2 * at.step, at.signal, at.z[0]), [rate]
+
+
 def _lagged(at: At, time: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
-    """First order; the signal itself where the time is too short for the steps to resolve."""
-    shortest = 2 * at.step
-    return ca.if_else(time < shortest, at.signal, at.z[0]), [(at.signal - at.z[0]) / ca.fmax(time, shortest)]
+    """First order."""
+    return follow(at, (at.signal - at.z[0]) / ca.fmax(time, 2 * at.step), time)
 
 
 def _time(name: str) -> Quantity:
@@ -43,11 +47,11 @@ INPUT = (
     ),
     Law(
         "input_gain", "input", (Quantity("loss", "1", 0.0, PARTS, -1.0, 1.0),), lambda at: ((1 - at.p["loss"]) * at.signal, []),
-        explains="the command acts with another gain",
+        explains="the command acts with another gain", gauge=True,
     ),
     Law(
         "input_offset", "input", (Quantity("offset", "signal", 0.0, PARTS, -1.0, 1.0),), lambda at: (at.signal + at.p["offset"], []),
-        explains="the command's zero is off",
+        explains="the command's zero is off", gauge=True,
     ),
     Law(
         "input_dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),), _dead, smooth=False,

@@ -1,0 +1,29 @@
+"""Data sets of machines that others measured, for `tepm discrepancy OUT --plant examples/MACHINE.py`.
+
+python examples/measured.py MACHINE SHARED_FOLDER OUT
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import measured_arm
+import measured_tanks
+
+PREPARED: dict[str, Callable[[Path, Path], None]] = {
+    "cascaded_tanks": measured_tanks.tanks,
+    "pneumatic_arm": measured_arm.steps,
+    "pneumatic_arm_gauges": measured_arm.steps_by_gauges,
+    "pneumatic_arm_contact": measured_arm.contact,
+}
+"""By name: what writes the data set of a machine from a folder of measurements into a folder."""
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 4 or sys.argv[1] not in PREPARED:
+        sys.exit(f"{__doc__}\nvalid machines: {', '.join(PREPARED)}")
+    PREPARED[sys.argv[1]](Path(sys.argv[2]), Path(sys.argv[3]))
