@@ -63,7 +63,7 @@ def run_discrepancy(
         out: for the results.
         model: model file; the robot that the data set names where absent.
         seed: of all random draws.
-        despite_errors: whether to go on where the check of the data finds errors.
+        despite_errors: whether to go on where the check of the data finds errors, or positions and inputs do not tell the same time.
         progress: told of every piece of work.
         plant: Python file of another machine, which the data set is of.
 
@@ -72,7 +72,7 @@ def run_discrepancy(
     """
     folder, out = Path(folder), Path(out)
     if plant is not None:
-        return _of_plant(folder, out, Path(plant), seed, progress)
+        return _of_plant(folder, out, Path(plant), seed, despite_errors, progress)
     dataset, warnings = checked_dataset(folder, despite_errors)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
@@ -83,20 +83,30 @@ def run_discrepancy(
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.of(known, channels, dataset.static)
     key = _fingerprint(folder, known.robot.model_dump_json(), str(known.values), str(seed))
-    result = discover(dataset, network, noise, seed, out / FITS, key, progress=progress)
+    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, despite_errors)
     write_model(result.verdict.model, out / MODEL)
     _write(result, out, warnings)
     return result
 
 
-def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress) -> Discovery:
-    """Explain a data set of a plant file's machine."""
+def _of_plant(folder: Path, out: Path, file: Path, seed: int, despite_errors: bool, progress: Progress) -> Discovery:
+    """Explain a data set of a plant file's machine, see `run_discrepancy`.
+
+    Args:
+        folder: data set.
+        out: for the results.
+        file: with the plant.
+        seed: of all random draws.
+        despite_errors: whether to go on where positions and inputs do not tell the same time.
+        progress: told of every piece of work.
+    """
     plant = load_plant(file)
     dataset = read_trials(folder, plant.signals, plant.static)
     alike = plant.signals.unit and np.ptp(dataset.noise) == 0
     out = output_folder(out)
     key = _fingerprint(folder, file.read_text(encoding="utf-8"), str(seed))
-    result = discover(dataset, plant, float(dataset.noise[0, 0]) if alike else dataset.noise, seed, out / FITS, key, progress=progress)
+    noise = float(dataset.noise[0, 0]) if alike else dataset.noise
+    result = discover(dataset, plant, noise, seed, out / FITS, key, None, progress, despite_errors)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
     _write(result, out, [])
     return result

@@ -350,6 +350,13 @@ def test_bad_data_are_refused_or_humbly_explained(machine: Machine, tmp_path: Pa
     assert not missing, verdict.notes
 
 
+def test_a_shifted_clock_is_lifted_by_the_option(machine: Machine, tmp_path: Path) -> None:
+    write_dataset(late(1.0)(machine), tmp_path / "data")
+    verdict = run_discrepancy(tmp_path / "data", tmp_path / "out", despite_errors=True).verdict
+    assert re.search("shifted clock: positions trail", verdict.notes[0])
+    assert not wrongly_sure(verdict, ("command_delay", "regulator_lag")), verdict.paragraph
+
+
 def test_no_case_twice() -> None:
     assert len({case.name for case in CASES}) == len(CASES) >= 30
 

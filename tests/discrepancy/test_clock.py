@@ -40,7 +40,7 @@ def test_finds_the_lag_with_the_least_difference(lag: int) -> None:
     measured = np.roll(modelled, lag, axis=0) + 0.02 + NOISE * random.normal(size=modelled.shape)
     measured[random.random(measured.shape) < 0.2] = np.nan
     measured[:, 1] = np.nan  # a point nobody sees
-    found = shifts([run(measured)], [modelled])["a.csv"]
+    found = shifts([run(measured)], [modelled], NOISE)["a.csv"]
     seen = [0, 2, 3]
     assert round(found * RATE) == searched(measured[:, seen].reshape(600, -1), modelled[:, seen].reshape(600, -1), 250)
     assert abs(round(found * RATE) - lag) <= 1, "what a roll puts at the ends differs"
@@ -49,4 +49,31 @@ def test_finds_the_lag_with_the_least_difference(lag: int) -> None:
 def test_noise_and_lags_of_a_machine_are_no_shift() -> None:
     modelled, random = swing(3), np.random.default_rng(4)
     for lag in (0, 10):
-        assert not shifts([run(np.roll(modelled, lag, axis=0) + NOISE * random.normal(size=modelled.shape))], [modelled])
+        assert not shifts([run(np.roll(modelled, lag, axis=0) + NOISE * random.normal(size=modelled.shape))], [modelled], NOISE)
+
+
+def held(filling: float, exhausting: float) -> tuple[np.ndarray, np.ndarray]:
+    """Levels that are held, and how a machine follows whose lag differs between up and down, (rows, 4, 3) in m each."""
+    modelled = np.repeat(np.random.default_rng(6).normal(0, 0.02, (15, 4, 3)), 200, axis=0)
+    measured = modelled.copy()
+    for k in range(1, len(measured)):
+        away = modelled[k] - measured[k - 1]
+        measured[k] = measured[k - 1] + away * (1 - np.exp(-1 / RATE / np.where(away > 0, filling, exhausting)))
+    return modelled, measured + NOISE * np.random.default_rng(5).normal(size=measured.shape)
+
+
+@pytest.mark.parametrize(("filling", "exhausting"), [(0.6, 0.6), (1.2, 1.2), (3.05, 2.6), (0.8, 1.4)])
+def test_a_slow_machine_is_no_shift(filling: float, exhausting: float) -> None:
+    modelled, measured = held(filling, exhausting)
+    assert not shifts([run(measured)], [modelled], NOISE)
+
+
+def test_a_late_clock_is_a_shift_behind_a_lag_too() -> None:
+    modelled, measured = held(0.1, 0.2)
+    late = np.concatenate([measured[:1].repeat(100, axis=0), measured[:-100]])
+    assert shifts([run(late)], [modelled], NOISE) == {"a.csv": pytest.approx(2.1, abs=0.1)}
+
+
+def test_a_slow_machine_that_leads_is_a_shift() -> None:
+    modelled = swing(7)
+    assert shifts([run(np.roll(modelled, -20, axis=0))], [modelled], NOISE) == {"a.csv": pytest.approx(-0.4)}
