@@ -18,6 +18,6 @@ def flow(level: ca.SX) -> ca.SX:
 
 
 over = m.vessel("upper", upper, filling * pump - through * flow(upper), size=10.0, unit="V")
-m.vessel("lower", lower, through * flow(upper) + over - out * flow(lower), size=10.0, unit="V")
+m.vessel("lower", lower, through * flow(upper) + over - out * flow(lower), size=10.0, unit="V", last=True)
 m.output("level", lower + zero, "V", size=10.0)
 plant = m.plant(substeps=4, between="hold")

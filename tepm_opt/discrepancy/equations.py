@@ -118,7 +118,7 @@ class Equations:
         sizes = self._sizes(name, force=force, speed=speed, position=position, time=self.time)
         return self._acting("axis", name, sizes, units, q, v, ca.SX(0))
 
-    def vessel(self, name: str, level: ca.SX, rate: ca.SX, size: float, unit: str = "") -> ca.SX:
+    def vessel(self, name: str, level: ca.SX, rate: ca.SX, size: float, unit: str = "", last: bool = False) -> ca.SX:
         """Note a vessel's level with its rate less what whatever effects let out of it; returns what of that runs into the next vessel.
 
         Args:
@@ -127,9 +127,10 @@ class Equations:
             rate: of the level as far as it is known, per s.
             size: a usual level.
             unit: of the level.
+            last: whether there is no next vessel.
         """
         sizes = self._sizes(name, position=size, time=self.time)
-        lost = self._acting("vessel", name, sizes, {"position": unit}, level, rate, ca.SX(2, 1))
+        lost = self._acting("last vessel" if last else "vessel", name, sizes, {"position": unit}, level, rate, ca.SX(2, 1))
         self.rate(level, rate - lost[0])
         return lost[1]
 
@@ -184,7 +185,7 @@ class Equations:
 
     def _laws(self, part: str) -> list[Law]:
         """Effects that act on such a part."""
-        return [law for law in self.laws if law.part == part]
+        return [law for law in self.laws if law.part in {part, f"any {part.split()[-1]}"}]
 
     def _acting(
         self, part: str, name: str, sizes: Mapping[str, float], units: Mapping[str, str], position: ca.SX, speed: ca.SX, total: ca.SX

@@ -23,8 +23,12 @@ def bounded_step(
     H, g = square * np.outer(scale, scale), slope * scale
     size = np.maximum(np.diag(H), 1e-12 * max(float(np.max(np.diag(H), initial=0.0)), 1e-30))
     root = np.sqrt(size)
-    lifted = H / np.outer(root, root) + (damping + 1e-10) * np.eye(len(g))
-    factor = np.linalg.cholesky(lifted).T
+    scaled = H / np.outer(root, root)
+    try:
+        factor = np.linalg.cholesky(scaled + (damping + 1e-10) * np.eye(len(g))).T
+    except np.linalg.LinAlgError:  # differences of nearly equal sums are not positive to the last digits
+        below = max(-float(np.linalg.eigvalsh(scaled)[0]), 0.0)
+        factor = np.linalg.cholesky(scaled + (damping + 2 * below + 1e-10) * np.eye(len(g))).T
     target = -np.linalg.solve(factor.T, g / root)
     limits = [np.minimum(low / scale * root, -0.0), np.maximum(high / scale * root, 0.0)]
     limits[1] = np.maximum(limits[1], limits[0] + 1e-12)

@@ -310,3 +310,11 @@ def test_a_direction_without_influence_stays() -> None:
     d, less = bounded_step(np.diag([4.0, 0.0]), np.array([-2.0, 0.0]), np.full(2, -10.0), np.full(2, 10.0), np.ones(2))
     assert d == pytest.approx([0.5, 0.0])
     assert less == pytest.approx(1.0)
+
+
+def test_rounding_that_makes_a_square_negative_ends_no_step() -> None:
+    """Information as a difference of nearly equal sums: two directions that cannot be told apart, beyond the last digits."""
+    square = np.array([[1.0, 1.0 + 1e-8], [1.0 + 1e-8, 1.0]])
+    d, less = bounded_step(square, np.array([-1.0, -1.0]), np.full(2, -10.0), np.full(2, 10.0), np.ones(2))
+    assert d.sum() == pytest.approx(1.0, rel=1e-6)
+    assert less == pytest.approx(1.0, rel=1e-6)

@@ -9,27 +9,29 @@ from tepm_opt.discrepancy.library.effect import At, Law, Quantity
 EDGES = tuple(1.25**k for k in range(-6, 5))  # of the usual level: close enough that some lie below whatever level a model reaches
 
 
+FLOW = Quantity("flow", "1/time", 0.0, (1.0, 10.0), 0.0, 1e3)
+EDGE = Quantity("edge", "position", 1.0, EDGES, 0.01, 1e3, shape=True)
+
+
 def _over(at: At) -> tuple[ca.SX, list[ca.SX]]:
-    """All above the edge runs over so fast, a part of it into the next vessel."""
-    fast = ca.fmin(at.p["flow"], 2 / at.step)
+    """What is above the edge runs over, in proportion to how high it stands there; a part of it into the next vessel."""
+    fast = ca.fmin(at.p["flow"], 2 / at.step)  # what is faster is not resolved
     lost = fast * ca.fmax(at.position - at.p["edge"], 0.0)
-    return ca.vertcat(lost, at.p["part"] * lost), []
+    return ca.vertcat(lost, at.p.get("part", 0.0) * lost), []
 
 
 VESSEL = (
     Law(
-        "overflow", "body",
-        (
-            Quantity("flow", "1/time", 0.0, (1.0, 10.0), 0.0, 1e3),
-            Quantity("edge", "position", 1.0, EDGES, 0.01, 1e3, shape=True),
-            Quantity("part", "1", 0.5, (0.0, 0.5, 1.0), 0.0, 1.0, shape=True),
-        ),
-        _over, smooth=False, place="vessel",
-        explains="what is above the edge runs over, a part of it into the next vessel",
+        "overflow", "body", (FLOW, EDGE, Quantity("part", "1", 0.5, (0.0, 0.5, 1.0), 0.0, 1.0, shape=True)), _over, smooth=False,
+        place="vessel", explains="what is above the edge runs over, a part of it into the next vessel",
+    ),
+    Law(
+        "overflow", "body", (FLOW, EDGE), _over, smooth=False, place="last vessel",
+        explains="what is above the edge runs over",
     ),
     Law(
         "seepage", "body", (Quantity("flow", "1/time", 0.0, (0.01, 0.1), 0.0, 1.0),),
-        lambda at: (ca.vertcat(at.p["flow"] * at.position, 0.0), []), place="vessel",
+        lambda at: (ca.vertcat(at.p["flow"] * at.position, 0.0), []), place="any vessel",
         explains="the vessel loses liquid through its wall, in proportion to its level", reference="Darcy 1856",
     ),
 )  # fmt: skip
