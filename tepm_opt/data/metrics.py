@@ -1,4 +1,8 @@
-"""Distances between two robots' reference points: Eq. (5), per point and over time."""
+"""Distances between two robots' reference points: Eq. (5), per point and over time.
+
+Where axes are missing, the distance is the one along those that were measured: in the plane of a camera, say. Nothing is made up for
+the others, so such errors compare with each other and with `axes_measured` noises, not with those of points measured in all axes.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,19 @@ import numpy as np
 
 
 def point_errors(measured: np.ndarray, modelled: np.ndarray) -> np.ndarray:
-    """ε_si of Eq. (5): distances of the reference points, (…, points) in m, from two arrays of (…, points, 3)."""
-    return np.linalg.norm(np.asarray(measured) - np.asarray(modelled), axis=-1)
+    """ε_si of Eq. (5): distances of the reference points along the axes measured, (…, points) in m, from two arrays of (…, points, 3).
+
+    NaN where no axis was measured.
+    """
+    squares = (np.asarray(measured) - np.asarray(modelled)) ** 2
+    present = np.isfinite(squares)
+    return np.sqrt(np.where(present.any(axis=-1), np.where(present, squares, 0.0).sum(axis=-1), np.nan))
+
+
+def axes_measured(measured: np.ndarray) -> float:
+    """Axes measured of a point that was, on average over (…, points, 3); all where none was: noise alone leaves its root times 1 sigma."""
+    present = np.isfinite(measured)
+    return float(present.sum() / max(present.any(axis=-1).sum(), 1)) or float(present.shape[-1])
 
 
 def shape_error(measured: np.ndarray, modelled: np.ndarray) -> np.ndarray:

@@ -78,9 +78,9 @@ class _Samples:
     unit: str = "m"
 
     @cached_property
-    def axes(self) -> int:
-        """Coordinates of a point."""
-        return self.excess.shape[2]
+    def axes(self) -> float:
+        """Coordinates measured of a point that was, on average."""
+        return self.count / max(int(self.present.any(axis=2).sum()), 1)
 
     @cached_property
     def count(self) -> int:

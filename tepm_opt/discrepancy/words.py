@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from tepm_opt.data.metrics import error_over_time
+from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.localise import TIMES_NOISE
@@ -90,10 +90,10 @@ def notes(
     alike = noise if np.ndim(noise) == 0 else 1.0
     unit = signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
     found += repeats(dataset.runs, noise, unit)
-    left = explanation.best.excess
+    left, axes = explanation.best.excess, axes_measured(np.concatenate([run.points for run in dataset.fit]))
     if explanation.best.effects and left > 0.1:
         found.append(
-            f"Structure of {_shown(float(np.sqrt(len(signals.axes) * left) * alike), unit)} is left in the runs fitted to: "
+            f"Structure of {_shown(float(np.sqrt(axes * left) * alike), unit)} is left in the runs fitted to: "
             "the effect's form differs from the machine's, "
             "or something small is missing besides."
         )
@@ -112,7 +112,7 @@ def repeats(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> 
         if same and np.array_equal(one.tip_force, other.tip_force):
             size = noise if np.ndim(noise) else 1.0
             differ = error_over_time(one.points / size, other.points / size) / np.sqrt(2)
-            alone = float(np.sqrt(one.points.shape[-1]) * (1.0 if np.ndim(noise) else noise))
+            alone = float(np.sqrt(axes_measured(one.points)) * (1.0 if np.ndim(noise) else noise))
             found.append(
                 f"{one.file} and {other.file} repeat the same inputs: {_shown(differ, unit)} each (noise alone: {_shown(alone, unit)})."
             )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.data.metrics import error_over_time
+from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy import words
 from tepm_opt.discrepancy.black_box import black_box
@@ -264,5 +264,5 @@ def _errors(dataset: RunSet, noise: float | np.ndarray, predictions: dict[str, l
     size, alone = (noise, 1.0) if np.ndim(noise) else (1.0, float(noise))  # quantities of different kinds are compared by their noise
     measured = np.concatenate([dataset.runs[k].points for k in judged]) / size
     found = {name: error_over_time(measured, np.concatenate([points[k] for k in judged]) / size) for name, points in predictions.items()}
-    floor = float(np.sqrt(measured.shape[-1]) * alone)
+    floor = float(np.sqrt(axes_measured(measured)) * alone)
     return Errors(noise_floor=floor, black_box=error_over_time(measured, np.concatenate(bound) / size), **found)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import pchip_interpolate
 
-from tepm_opt.data.metrics import error_over_time, point_errors, shape_error
+from tepm_opt.data.metrics import axes_measured, error_over_time, point_errors, shape_error
 from tepm_opt.solvers.backbone import backbone, backbone_error
 
 MODEL = np.arange(12.0).reshape(4, 3)
@@ -26,6 +26,18 @@ def test_missing_points_do_not_count():
     assert error_over_time(moved[None], MODEL) == pytest.approx(np.sqrt(3))
     assert np.isnan(shape_error(np.full((4, 3), np.nan), MODEL))
     assert np.isnan(error_over_time(np.full((2, 4, 3), np.nan), MODEL))
+
+
+def test_missing_axes_leave_the_distance_along_the_others():
+    moved = MODEL + np.array([3.0, 4.0, 12.0])
+    moved[:, 2] = np.nan
+    assert point_errors(moved, MODEL) == pytest.approx([5, 5, 5, 5])
+    moved[1] = np.nan
+    assert np.array_equal(np.isnan(point_errors(moved, MODEL)), [False, True, False, False])
+    assert shape_error(moved, MODEL) == pytest.approx(5)
+    assert error_over_time(moved[None], MODEL) == pytest.approx(5)
+    assert axes_measured(moved) == 2
+    assert axes_measured(MODEL) == axes_measured(np.full((4, 3), np.nan)) == 3
 
 
 def test_isotropic_noise_is_root_three_of_it():
