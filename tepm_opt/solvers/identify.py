@@ -23,6 +23,7 @@ ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation
 HOPE = 2.0  # how many times what a step promises to first order a fit may still gain
 OUT_OF_REACH = "a rival cannot be reached any more"
+SHORTEST = 2.0**-12  # part of a step that is tried where the model cannot do the runs at its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +210,9 @@ def identify(
 ) -> ParameterEstimate:  # fmt: skip
     """Least squares by Gauss-Newton steps within the bounds, damped where they fail (Levenberg-Marquardt; Nocedal and Wright 2006, ch. 10).
 
+    A step to values at which the model cannot do the runs (they are unstable, or have no equilibrium) is shortened until it can; the steps
+    after it grow again.
+
     Args:
         problem: what to fit.
         max_iterations: most steps.
@@ -227,7 +231,7 @@ def identify(
     residuals = problem.residuals(values)
     weights = _weights(residuals, problem.robust)
     cost, damping, done, message = _cost(problem, values, residuals, weights), 1e-6, 0, "steps ended"
-    converged, count = not problem.free, sum(r.count for r in residuals)
+    converged, count, part = not problem.free, sum(r.count for r in residuals), 1.0
     while done < max_iterations and not converged:
         step, promised = _step(problem, values, residuals, weights, damping)
         if promised < 0.1 + tolerance * max(cost - count, 0.0):
@@ -237,28 +241,50 @@ def identify(
             message = OUT_OF_REACH
             break
         done += 1
-        try:
-            tried = problem.residuals(values + step, [] if near else None)
-            tried = [replace(after, by=r.by) for after, r in zip(tried, residuals, strict=True)] if near else tried
-            new = _cost(problem, values + step, tried, weights)
-        except PredictionError as error:
-            tried, new, message = residuals, np.inf, str(error)
-        if new < cost:
-            gained = (cost - new) / promised
-            values, residuals = values + step, tried
+        tried, part, failure = _tried(problem, values, step, part, residuals if near else None)
+        new = np.inf if tried is None else _cost(problem, values + part * step, tried, weights)
+        if tried is not None and new < cost:
+            gained = (cost - new) / (promised * part * (2 - part))
+            values, residuals, part = values + part * step, tried, min(4 * part, 1.0)
             damping = damping / 10 if gained > 0.25 else damping * 3
             weights = _weights(residuals, problem.robust)
             cost = _cost(problem, values, residuals, weights)
         else:
-            damping = max(10 * damping, 1e-3)
+            damping, part, message = max(10 * damping, 1e-3), 1.0, failure or message
             if damping > 1e6:
-                converged, message = bool(np.isfinite(new)), "no shorter step helps"
+                converged, message = bool(np.isfinite(new)), failure or "no shorter step helps"
                 break
         progress("fit", done, max_iterations)
     outcome = Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message)
     square, _ = normal_equations(residuals)
     information = square * np.outer(problem.scale, problem.scale)
     return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, information, outcome)
+
+
+def _tried(
+    problem: Problem, values: np.ndarray, step: np.ndarray, part: float, known: list[Residual] | None
+) -> tuple[list[Residual] | None, float, str]:
+    """Residuals at the end of a step, or of the longest half, quarter, … of it that the model can do.
+
+    Args:
+        problem: what is fitted.
+        values: of the parameters where the step begins, (parameters,).
+        step: their change, (parameters,).
+        part: of it to try first.
+        known: residuals whose derivatives serve instead of new ones; None for none.
+
+    Returns:
+        Residuals (None where the model can do no part of the step), the part, and why a longer one could not be done.
+    """
+    failure = ""
+    while part >= SHORTEST:
+        try:
+            tried = problem.residuals(values + part * step, None if known is None else [])
+        except PredictionError as error:
+            part, failure = part / 2, str(error)
+        else:
+            return ([replace(after, by=r.by) for after, r in zip(tried, known, strict=True)] if known is not None else tried), part, failure
+    return None, part, failure
 
 
 def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,9 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.plant import Prediction, PredictionError
+from tepm_opt.solvers.plant import Free, Prediction, PredictionError
 from tepm_opt.solvers.predict import predict, predict_all
+from tepm_opt.solvers.residuals import normal_equations
 from tepm_opt.solvers.simulate import simulate
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
@@ -289,6 +290,61 @@ def test_several_starts_are_repeatable(kang: CompiledModel, runs: tuple[Run, ...
     np.testing.assert_array_equal(first.values, second.values)
     assert set(stages) == {"fit 1 of 2", "fit 2 of 2"}
     assert first.cost <= identify(task).cost
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column under an axial load, Euler's: a small side force bends it by F / (k - load), and beyond k it buckles."""
+
+    values: Mapping[str, float]
+    static: bool = True
+    concurrent: bool = False
+    states: Mapping[str, float] = field(default_factory=dict)
+
+    def with_values(self, values: Mapping[str, float]) -> Column:
+        return replace(self, values={**self.values, **values})
+
+    def free(self, names: Sequence[str]) -> tuple[Free, ...]:
+        return tuple(Free(name, "1", self.values[name], 0.0, 1e3, 0.1) for name in names)
+
+    def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
+        left = self.values["stiffness"] - self.values["load"] * run.inputs
+        if not left.min() > 0:
+            raise PredictionError(f"{run.file}: buckles")
+        slopes = {"load": run.inputs / left**2, "stiffness": -1 / left**2}
+        return Prediction((1 / left)[..., None], np.array([slopes[name] for name in by]).reshape(-1, run.rows, 1, 1))
+
+
+def column(load: float, noise: float = 0.01) -> Run:
+    """What such a column of stiffness 1 does under parts of a load."""
+    parts = np.linspace(0.1, 1.0, 10)[:, None]
+    bent = Column({"stiffness": 1.0, "load": load}).predict(Run("column", "fit", np.arange(10.0), parts, np.zeros((10, 3)), parts)).points
+    return Run("column", "fit", np.arange(10.0), parts, np.zeros((10, 3)), bent + noise * np.random.default_rng(1).normal(size=bent.shape))
+
+
+@pytest.mark.parametrize("load", [0.9, 0.99])
+@pytest.mark.parametrize("names", [("load",), ("load", "stiffness")])
+def test_steps_that_would_buckle_are_shortened(load: float, names: tuple[str, ...]) -> None:
+    """The first one goes far beyond what the column bears."""
+    plant = Column({"stiffness": 1.0, "load": 0.1})
+    task = Problem(plant, (column(load),), plant.free(names), 0.01)
+    square, slope_ = normal_equations(task.residuals(task.start))
+    step, _ = bounded_step(square, slope_, task.low - task.start, task.high - task.start, task.scale)
+    with pytest.raises(PredictionError):
+        task.residuals(task.start + step)
+    found = identify(task)
+    assert found.solved, found.outcome
+    assert largest(misses(found, {"stiffness": 1.0, "load": load})) < DEVIATIONS
+    np.testing.assert_array_equal(found.values, identify(task).values)
+
+
+def test_a_fit_whose_best_values_nearly_buckle_comes_close_to_them() -> None:
+    """One row is bent so far that hardly any load does it that the column bears."""
+    plant, run = Column({"stiffness": 1.0, "load": 0.1}), column(0.99)
+    run.points[-1] = 1e4
+    task = Problem(plant, (run,), plant.free(["load"]), 0.01)
+    (value,) = identify(task, max_iterations=30).values
+    assert 0.999 < value < 1.0
 
 
 @pytest.mark.parametrize("seed", range(25))
