@@ -113,3 +113,15 @@ class Layout:
         angles, heights = np.array(self.angles), np.arange(self.levels + 1) * length / self.segments
         ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros_like(angles)], axis=-1)
         return ring[None] + heights[:, None, None] * np.array([0.0, 0.0, 1.0])
+
+    def run_through(self, levels: np.ndarray) -> np.ndarray:
+        """Whether plates on a guide have run through the base or through each other, (…,).
+
+        An edge knows its length only, so that a network pulls on beyond that as if it were a mirror.
+
+        Args:
+            levels: levels 0 … n in the base frame, (…, n + 1, block) in m.
+        """
+        if not self.guided:
+            return np.zeros(levels.shape[:-2], dtype=bool)
+        return np.asarray((np.diff(levels[..., 2::3], axis=-2) <= 0).any(axis=(-2, -1)))

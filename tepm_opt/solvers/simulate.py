@@ -18,7 +18,7 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import rk4_step_limit
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.statics import THROUGH_BASE, Equilibrium, solve_statics
 from tepm_opt.solvers.text import listed
 
 Method = Literal["implicit", "rk4"]
@@ -208,7 +208,10 @@ class Job:
         return f"Job({self.method}, {len(self.drive.time)} samples in {len(self.ends)} parts)"
 
     def ended(self, status: Status, parts: int, effort: Effort) -> Simulation:
-        """What came out after so many parts."""
+        """What came out after so many parts; what comes after a plate on a guide has run through the one below is none."""
+        if (through := self.model.layout.run_through(self.record.trajectory[:, 0])).any():
+            first, time = int(np.argmax(through)), self.drive.time
+            return self._simulation(first, effort, Outcome(Ending.FAILED, f"{THROUGH_BASE} after {time[first] - time[0]:.4g} s"))
         if status == Status.SOLVED:
             return self._simulation(len(self.drive.time), effort, Outcome())
         why = "left all bounds" if status == Status.DIVERGED else "has no solution nearby"

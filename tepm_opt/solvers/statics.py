@@ -14,6 +14,8 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.text import millimetres
 
+THROUGH_BASE = "a plate runs through the base or the plate below it"
+
 
 @dataclass(frozen=True)
 class StaticsSettings:
@@ -185,6 +187,8 @@ def _newton(
     elif solution.status != Status.SOLVED:
         why = f"not converged after {solution.iterations:.0f} iterations: residual {solution.residual:.3g} N"
         outcome = Outcome(solution.status.ending, why)
+    elif layout.run_through(solution.x):
+        outcome = Outcome(Ending.COLLAPSED, f"{THROUGH_BASE}: the guide ends there")
     elif lengths.min() < settings.min_length_ratio * model.values["L_0"]:
         why = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.min_length_ratio:g} of its rest length"
         outcome = Outcome(Ending.COLLAPSED, why)

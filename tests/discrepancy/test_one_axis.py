@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -10,11 +11,17 @@ from scipy.integrate import solve_ivp
 
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import load_robot
+from tepm_opt.outcome import Ending
+from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.predict import predict
+from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.simulate_many import Motion, simulate_many
 from tepm_opt.solvers.statics import solve_statics
 
 FILE = Path(__file__).resolve().parents[2] / "docs" / "one_axis.toml"
@@ -62,6 +69,51 @@ def test_a_guide_keeps_the_machine_straight_and_the_spring_holds_it() -> None:
     assert found.solved
     assert found.tip[2] == pytest.approx(0.2 + 3 * 16.757e-6 * 2e5 / (3 * 119.62), rel=1e-4)
     assert abs(found.tip[0]) < 1e-4
+
+
+def pushed(force: float) -> SetPoints:
+    """Half a second of rest, then a push along the axis in N that grows within 0.1 s."""
+    time = np.arange(0, 1.5, STEP)
+    return SetPoints(time, np.zeros((len(time), 6)), np.outer(np.interp(time, [0.5, 0.6], [0.0, force]), [0.0, 0.0, 1.0]))
+
+
+def passes_the_base(force: float) -> float:
+    """When the equation of motion m q'' + c q' + k q = F brings the mass to the base, in s."""
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        pushing = np.interp(t, [0.5, 0.6], [0.0, force])
+        return [y[1], (pushing - 3 * 0.8611 * y[1] - 3 * 119.62 * y[0]) / 0.3]
+
+    def there(t: float, y: np.ndarray) -> float:
+        return float(y[0] + 0.2)
+
+    there.terminal = True  # type: ignore[attr-defined]
+    return float(solve_ivp(rates, (0.0, 1.5), [0.0, 0.0], rtol=1e-9, atol=1e-12, max_step=0.01, events=there).t[-1])
+
+
+@pytest.mark.parametrize("backend", ["auto", "python"])
+@pytest.mark.parametrize("step", [None, 0.02])
+def test_a_mass_that_runs_through_its_base_is_told(backend: Literal["auto", "python"], step: float | None) -> None:
+    model = compile_model(FILE, backend=backend)
+    assert simulate(model, pushed(-40.0), step=step).solved, "it comes within 15 mm"
+    found = simulate(model, pushed(-60.0), step=step)
+    assert found.outcome.ending is Ending.FAILED
+    assert "runs through the base" in found.outcome.message
+    assert found.setpoints.time[-1] < passes_the_base(-60.0) < found.setpoints.time[-1] + STEP
+    assert found.tip[:, 2].min() > 0
+    (one, other) = simulate_many(model, [Motion(pushed(-40.0)), Motion(pushed(-60.0))], step=step)
+    assert (one.solved, other.outcome.message) == (True, found.outcome.message)
+    run = Run("pushed.csv", "fit", *vars(pushed(-60.0)).values(), np.zeros((75, 2, 3)))
+    with pytest.raises(PredictionError, match=r"pushed\.csv: .*runs through the base"):
+        predict(model, run)
+
+
+def test_there_is_no_equilibrium_beyond_the_base() -> None:
+    model = compile_model(FILE, backend="python")
+    found = solve_statics(model, np.zeros(6), (0.0, 0.0, -100.0))
+    assert found.outcome.ending is Ending.COLLAPSED
+    assert "runs through the base" in found.outcome.message
+    assert found.reached == pytest.approx(0.75 * 0.2 * 3 * 119.62 / 100.0, abs=0.01), "where a muscle counts as collapsed"
 
 
 @pytest.mark.parametrize(
