@@ -14,4 +14,4 @@ m.rate(position, speed)
 m.rate(speed, (force - viscous * speed + missing) / mass)
 m.output("encoder", position, "m", size=0.2)
 
-plant = m.plant(between="hold")  # the controller holds its force from sample to sample
+plant = m.plant(substeps=4, between="hold")  # the controller holds its force from sample to sample

@@ -34,7 +34,9 @@ def wave(random: np.random.Generator, size: float, frequencies: tuple[float, ...
     return lambda t: size * np.sin(np.multiply.outer(t, w)) @ sizes / len(frequencies)
 
 
-def drive_runs(friction: float = 0.0, offset: float = 0.0, mass: float = 10.4, viscous: float = 45.0, seconds: float = 8.0) -> dict[str, Columns]:
+def drive_runs(
+    friction: float = 0.0, offset: float = 0.0, mass: float = 10.4, viscous: float = 45.0, seconds: float = 8.0
+) -> dict[str, Columns]:
     """A carriage that a controller moves back and forth: the motor's force and the position."""
     random, found = np.random.default_rng(7), {}
     for k in range(4):
@@ -43,16 +45,16 @@ def drive_runs(friction: float = 0.0, offset: float = 0.0, mass: float = 10.4, v
         def force(t: np.ndarray | float, x: np.ndarray, asked: Callable[[np.ndarray | float], np.ndarray] = asked) -> np.ndarray:
             return 2000 * (asked(t) - x[0]) - 250 * x[1]
 
-        def rates(t: float, x: np.ndarray) -> list[float]:
-            return [x[1], (float(held) - viscous * x[1] - friction * np.tanh(x[1] / SHARP) + offset) / mass]
+        def rates(t: float, x: np.ndarray, held: float) -> list[float]:
+            return [x[1], (held - viscous * x[1] - friction * np.tanh(x[1] / SHARP) + offset) / mass]
 
         time, x, rows = np.arange(0, seconds, STEP), np.zeros(2), []
         for t in time:  # the controller holds its force from sample to sample
-            held = force(t, x)
+            held = float(force(t, x))
             rows.append((held, x[0]))
-            x = solve_ivp(rates, (t, t + STEP), x, "LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
+            x = solve_ivp(rates, (t, t + STEP), x, "LSODA", args=(held,), rtol=1e-8, atol=1e-10).y[:, -1]
         pushed, at = np.array(rows).T
-        found[f"run{k}"] = {"time_s": time, "force": pushed, "encoder": at + random.normal(0, 2e-5, len(time))}
+        found[f"run{k}"] = {"time_s": time, "force": pushed, "encoder": at + random.normal(0, 1e-4, len(time))}
     return found
 
 
@@ -67,7 +69,12 @@ def arm_runs(friction: float = 0.0, seconds: float = 6.0) -> dict[str, Columns]:
             (a, b), w = x[:2], x[2:]
             (m_1, m_2), total = (1.55, 0.96), a + b
             j_1 = 0.2 * np.array([[np.cos(a), 0], [np.sin(a), 0]])
-            j_2 = np.array([[0.4 * np.cos(a) + 0.15 * np.cos(total), 0.15 * np.cos(total)], [0.4 * np.sin(a) + 0.15 * np.sin(total), 0.15 * np.sin(total)]])
+            j_2 = np.array(
+                [
+                    [0.4 * np.cos(a) + 0.15 * np.cos(total), 0.15 * np.cos(total)],
+                    [0.4 * np.sin(a) + 0.15 * np.sin(total), 0.15 * np.sin(total)],
+                ]
+            )
             spin = w[0] + w[1]
             bent_1 = 0.2 * w[0] ** 2 * np.array([-np.sin(a), np.cos(a)])  # J̇ q̇, the centripetal acceleration
             bent_2 = 0.4 * w[0] ** 2 * np.array([-np.sin(a), np.cos(a)]) + 0.15 * spin**2 * np.array([-np.sin(total), np.cos(total)])
@@ -87,7 +94,7 @@ def arm_runs(friction: float = 0.0, seconds: float = 6.0) -> dict[str, Columns]:
 
 def drive(folder: Path, friction: float = 0.0, offset: float = 0.0) -> Path:
     """A data set of the drive."""
-    return written(folder, {"encoder": 2e-5}, drive_runs(friction, offset), "free", "piece_s = 2.0\n")
+    return written(folder, {"encoder": 1e-4}, drive_runs(friction, offset), "free", "piece_s = 2.0\n")
 
 
 def arm(folder: Path, friction: float = 0.0) -> Path:
