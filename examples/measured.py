@@ -13,12 +13,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import measured_arm
 import measured_tanks
+import measured_tentacle
 
 PREPARED: dict[str, Callable[[Path, Path], None]] = {
     "cascaded_tanks": measured_tanks.tanks,
     "pneumatic_arm": measured_arm.steps,
     "pneumatic_arm_gauges": measured_arm.steps_by_gauges,
     "pneumatic_arm_contact": measured_arm.contact,
+    "tentacle": measured_tentacle.tentacle,
 }
 """By name: what writes the data set of a machine from a folder of measurements into a folder."""
 

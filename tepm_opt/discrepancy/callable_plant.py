@@ -44,7 +44,8 @@ class CallablePlant(Described):
         simulate: (run, values by name) → what is measured, (rows, points, axes) or (rows, outputs). It begins with `run.state` where
             that is not None. Where `many`, values are arrays (sets,) and so is the first axis of what it gives.
         grouped: names of the parameters that each group of runs has for itself, each with its groups.
-        sizes: of the states that a run may begin with, by name.
+        states: those that a run may begin with, by name with a guess of each.
+        sizes: of the states.
         static: whether rows of runs are equilibria.
         many: whether the function takes many sets of values at once.
         quick: whether a run takes less than some tenths of a second, so that fits may take many steps.
@@ -54,6 +55,7 @@ class CallablePlant(Described):
 
     simulate: Simulate
     grouped: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    states: Mapping[str, float] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
     static: bool = False
     many: bool = False
@@ -66,11 +68,6 @@ class CallablePlant(Described):
     def __repr__(self) -> str:
         """The main numbers, in a line."""
         return f"CallablePlant({self.name}, {len(self.known)} known parameters, {len(self.candidates)} effects)"
-
-    @property
-    def states(self) -> dict[str, float]:
-        """The states that a run may begin with, 0 for all that is known."""
-        return dict.fromkeys(self.sizes, 0.0)
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured.
@@ -116,8 +113,8 @@ class CallablePlant(Described):
         return h if free.high - free.start >= free.start - free.low else -h
 
     def _started(self, run: Run, name: str, h: float) -> Run:
-        state = np.zeros(len(self.sizes)) if run.state is None else np.array(run.state, dtype=float)
-        state[self.states.index(name.removeprefix(START))] += h
+        state = np.array(list(self.states.values()) if run.state is None else run.state, dtype=float)
+        state[list(self.states).index(name.removeprefix(START))] += h
         return replace(run, state=state)
 
     def _outputs(self, run: Run, sets: Sequence[Mapping[str, float]]) -> np.ndarray:
@@ -177,7 +174,7 @@ class Simulator:
     _free: dict[str, Free] = field(default_factory=dict)
     _known: list[str] = field(default_factory=list)
     _grouped: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    _states: dict[str, float] = field(default_factory=dict)
+    _states: dict[str, tuple[float, float]] = field(default_factory=dict)
     _candidates: list[Candidate] = field(default_factory=list)
 
     def known(
@@ -204,9 +201,9 @@ class Simulator:
         if groups:
             self._grouped[name] = tuple(groups)
 
-    def state(self, name: str, size: float = 1.0) -> None:
-        """A state that a run may begin with, `run.state` in this order; `size`: as large as it usually is."""
-        self._states[name] = size
+    def state(self, name: str, start: float = 0.0, size: float = 1.0) -> None:
+        """A state that a run may begin with, `run.state` in this order: a guess of it, and how large it usually is."""
+        self._states[name] = start, size
 
     def effects(self, laws: Sequence[Law], part: str, unit: str = "", **sizes: float) -> Acting:
         """Effects that may be missing on a part of the machine: "name[part].quantity" are their parameters.
@@ -245,8 +242,9 @@ class Simulator:
             many: whether the function takes many sets of values at once.
             more: further attributes of `CallablePlant`.
         """
+        states, sizes = ({name: each[k] for name, each in self._states.items()} for k in (0, 1))
         return CallablePlant(
-            self.name, self.signals, self._free, tuple(self._known), tuple(self._candidates), simulate, self._grouped, self._states,
+            self.name, self.signals, self._free, tuple(self._known), tuple(self._candidates), simulate, self._grouped, states, sizes,
             static, many, **more,
         )  # fmt: skip
 

@@ -149,8 +149,8 @@ def test_states_that_a_run_begins_with() -> None:
 
     m = Simulator("a stone", Signals.of([], ["height"], "m"))
     m.known("g", 9.8, "m/s2")
-    m.state("height", 1.0)
-    m.state("speed", 5.0)
+    m.state("height", size=1.0)
+    m.state("speed", size=5.0)
     time = np.arange(4.0)
     run = Run("a.csv", "fit", time, np.zeros((4, 0)), np.zeros((4, 3)), np.zeros((4, 1, 1)), state=np.array([3.0, 2.0]))
     found = m.plant(falling).predict(run, [f"{START}speed", "g", f"{START}height"])

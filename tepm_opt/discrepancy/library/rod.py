@@ -1,0 +1,156 @@
+"""Statics of a slender body that bends under tendons and weight: a Kirchhoff rod in pieces of constant curvature.
+
+Arrays have components first and pieces last: (3, sets, rows, pieces), where sets are of parameters and rows of inputs. The body's frame has
+z along it; weight pulls along z of the frame that its base is given in. Moments are over any reference: only their ratios matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+RELAXED, PART = 4, 0.5  # steps before those of Newton, and how far each goes
+STEPS, TOGETHER = 40, 15  # of Newton, and those in which all sets have the derivatives of the first
+REST = 1e-9  # of the largest rate of turn: change in the last step
+NEAR = 1e-3  # of the same: change from which on derivatives are kept
+FURTHEST = 0.5  # rad, by which a piece turns in a step
+SMALL = 1e-4  # rad/m, for the derivatives
+
+
+@dataclass(frozen=True, eq=False)
+class Bent:
+    """A body in equilibrium.
+
+    Attributes:
+        rates: of turn about x and y of the body along it, (2, sets, rows, pieces) in rad/m.
+        steps: lengths of the pieces, (sets, rows, pieces) in m.
+        nodes: where they begin, (3, sets, rows, pieces) in m.
+        turns: frames there as quaternions, real part first, (4, sets, rows, pieces).
+    """
+
+    rates: np.ndarray
+    steps: np.ndarray
+    nodes: np.ndarray
+    turns: np.ndarray
+
+    def at(self, station: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """A point of a cross-section, (3, sets, rows) in m.
+
+        Args:
+            station: of the cross-section, in parts of the body's length, (sets, rows); beyond its ends it goes on as it bends there.
+            x, y: how far from the axis along x and y of the body, (sets, rows) in m each.
+        """
+        shape, pieces = self.steps.shape[:-1], self.steps.shape[-1]
+        station = np.broadcast_to(station, shape) * pieces
+        piece = np.clip(station.astype(int), 0, pieces - 1)
+        one, other = np.indices(shape)
+        rates, node, turn = (each[:, one, other, piece] for each in (self.rates, self.nodes, self.turns))
+        way = (station - piece) * self.steps[one, other, piece]
+        along_x, along_y, _ = axes(times(turn, turned(rates * way)))
+        return node + way * axes(times(turn, turned(rates * way / 2)))[2] + x * along_x + y * along_y
+
+
+def equilibrium(
+    pulls: Callable[[np.ndarray], np.ndarray], stiffness: np.ndarray, weight: np.ndarray, steps: np.ndarray, base: np.ndarray
+) -> Bent:
+    """The shape in which a body's stiffness holds its tendons and its weight, by Newton's method on the rates of turn of all pieces.
+
+    Args:
+        pulls: (angle turned from the base to the middle of each piece, (sets, rows, pieces) in rad) → moments of the tendons about x and
+            y of the body there, (2, sets, rows, pieces).
+        stiffness: against bending, (sets, rows, pieces), in the unit of moments times m.
+        weight: of the pieces, (sets, rows, pieces), in the unit of moments per m.
+        steps: lengths of the pieces, (sets, rows, pieces) in m.
+        base: turn of the base as a vector, (3, sets, rows) in rad.
+
+    Raises:
+        RuntimeError: none is found.
+    """
+    shape = np.broadcast_shapes(stiffness.shape, weight.shape, steps.shape, (*base.shape[1:], 1))
+    stiffness, weight, steps = (np.broadcast_to(each, shape) for each in (stiffness, weight, steps))
+    start = turned(np.broadcast_to(base, (3, *shape[:-1])))[..., None]
+    rates, inverse, sets = np.zeros((2, *shape)), None, 1
+    for k in range(RELAXED + STEPS):
+        angle = np.sqrt((rates**2).sum(axis=0)) * steps
+        moments = pulls(np.cumsum(angle, axis=-1) - angle / 2) + _weighs(rates, weight, steps, start)
+        change = moments / stiffness - rates
+        if k < RELAXED:
+            rates = rates + PART * change
+            continue
+        if k == RELAXED + TOGETHER:
+            inverse, sets = None, shape[0]
+        if inverse is None:
+            inverse = _inverse(rates[:, :sets], *(each[:sets] for each in (stiffness, weight, steps)), start[:, :sets])
+        whole = np.concatenate(list(change), axis=-1)[..., None]
+        change = np.stack(np.split((inverse @ whole)[..., 0], 2, axis=-1))
+        furthest = np.abs(change * steps).max(axis=(0, -1), keepdims=True)[0]
+        change = change * (FURTHEST / np.maximum(furthest, FURTHEST))
+        rates = rates + change
+        moved, size = np.abs(change).max(axis=(0, 2, 3)), np.abs(rates).max()
+        if moved.max() <= REST * size:
+            return Bent(rates, steps, *_begins(rates, steps, start))
+        if not moved[:sets].max() <= NEAR * size:
+            inverse = None
+    raise RuntimeError("the body finds no equilibrium")
+
+
+def _begins(rates: np.ndarray, steps: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the pieces begin, and their frames there."""
+    turns = np.concatenate([start * np.ones_like(rates[0, ..., :1]), turned(rates * steps)[..., :-1]], axis=-1)
+    reach = 1
+    while reach < turns.shape[-1]:  # products of two, four, … turns
+        turns = np.concatenate([turns[..., :reach], times(turns[..., :-reach], turns[..., reach:])], axis=-1)
+        reach *= 2
+    way = steps * axes(times(turns, turned(rates * steps / 2)))[2]
+    return np.cumsum(way, axis=-1) - way, turns
+
+
+def _weighs(rates: np.ndarray, weight: np.ndarray, steps: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Moments of the weight of what is beyond the middle of each piece, about x and y of the body there."""
+    nodes, turns = _begins(rates, steps, start)
+    x, y, z = axes(times(turns, turned(rates * steps / 2)))
+    at = (nodes + steps / 2 * z)[:2]
+    beyond = np.cumsum(weight[..., ::-1], axis=-1)[..., ::-1] - weight
+    load = weight * at
+    arm = np.cumsum(load[..., ::-1], axis=-1)[..., ::-1] - load - beyond * at  # of all that is beyond, times its weight
+    return np.stack([arm[1] * axis[0] - arm[0] * axis[1] for axis in (x, y)])
+
+
+def _inverse(rates: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, steps: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Inverse of the derivatives of rates less what moments make of them, but for the tendons' own, (sets, rows, 2 · pieces, same)."""
+    (_, sets, rows, pieces), count = rates.shape, 2 * rates.shape[-1]
+    shifts = SMALL * np.eye(count).reshape(count, 2, 1, 1, pieces)
+    moved = np.moveaxis(rates + shifts, 0, 1).reshape(2, count * sets, rows, pieces)
+    many = [np.concatenate([each] * count, axis=-3) for each in (weight, steps, start)]
+    after = _weighs(moved, *many).reshape(2, count, sets, rows, pieces)
+    slope = (after - _weighs(rates, weight, steps, start)[:, None]) / (SMALL * stiffness)  # component, by, sets, rows, pieces
+    square = slope.transpose(2, 3, 0, 4, 1).reshape(sets, rows, count, count)
+    return np.linalg.inv(np.eye(count) - square)
+
+
+def times(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Product of quaternions (4, …): the turn `one`, then in its frame `other`."""
+    a, b, c, d = one
+    e, f, g, h = other
+    real = a * e - b * f - c * g - d * h
+    return np.stack([real, a * f + b * e + c * h - d * g, a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e])
+
+
+def turned(vector: np.ndarray) -> np.ndarray:
+    """Quaternion (4, …) of a turn by a vector, (3, …) in rad, or (2, …) about x and y."""
+    half = np.sqrt((vector**2).sum(axis=0)) / 2
+    found = np.zeros((4, *half.shape))
+    found[0] = np.cos(half)
+    found[1 : 1 + len(vector)] = vector * np.sinc(half / np.pi) / 2
+    return found
+
+
+def axes(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Axes x, y and z of the frame that a quaternion (4, …) turns to, (3, …) each."""
+    a, b, c, d = turn
+    x = np.stack([1 - 2 * (c * c + d * d), 2 * (b * c + a * d), 2 * (b * d - a * c)])
+    y = np.stack([2 * (b * c - a * d), 1 - 2 * (b * b + d * d), 2 * (c * d + a * b)])
+    z = np.stack([2 * (b * d + a * c), 2 * (c * d - a * b), 1 - 2 * (b * b + c * c)])
+    return x, y, z
