@@ -1,0 +1,53 @@
+"""22 static pulls of a silicone tentacle that others measured: what a rod says of pulls left out, and that nothing is named."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.jobs.discrepancy import run_discrepancy
+from tests.paths import SHARED
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+PUBLISHED_FIT, PUBLISHED_NETWORK = 15.8, 6.4  # mm, mean marker error of the publication's fit, and of its network on what the fit leaves
+
+pytestmark = pytest.mark.slow
+
+
+def ran(*arguments: str | Path) -> str:
+    return subprocess.run([sys.executable, *arguments], check=True, capture_output=True, text=True, timeout=600).stdout
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if not (SHARED / "real" / "soromox_tendon_tentacle").is_dir():
+        pytest.skip(f"the tentacle's recordings are not in {SHARED}")
+    folder = tmp_path_factory.mktemp("tentacle")
+    ran(EXAMPLES / "measured.py", "tentacle", SHARED, folder)
+    return folder
+
+
+def test_pulls_left_out_are_predicted(data: Path) -> None:
+    """Each by a fit of its own to all the others, from the same first values."""
+    lines = ran(EXAMPLES / "measured_tentacle.py", data).splitlines()
+    found = re.fullmatch(r"mean marker error of pulls left out: (.*) mm", lines[-1])
+    assert found
+    assert len(lines) == 23
+    assert float(found[1]) < PUBLISHED_NETWORK < PUBLISHED_FIT
+
+
+def test_nothing_is_named_that_the_data_cannot_carry(data: Path, tmp_path: Path) -> None:
+    verdict = run_discrepancy(data, tmp_path, plant=EXAMPLES / "tentacle.py").verdict
+    assert verdict.status is VerdictStatus.UNEXPLAINED, verdict.paragraph
+    assert not verdict.effects
+    assert all(rival.probability <= 0.5 for rival in verdict.rivals)
+    assert [(place.by, place.name) for place in verdict.where][:1] == [("point", "p4")]
+    assert "most at p4" in verdict.paragraph
+    assert verdict.errors.recalibrated < 8e-3
+    assert "NaN" not in json.dumps(verdict.as_json())
