@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Literal
 
@@ -19,7 +19,7 @@ from tepm_opt.solvers.plant import START, Prediction, PredictionError
 Between = Literal["hold", "line", "band"]
 NEWTON_STEPS, AT_REST = 50, 1e-10
 BOUND = 1e12  # what is beyond it has diverged
-GAP = 1.5  # times the usual time between samples: what is longer is gone in several steps
+STEEP = 1e100  # derivatives beyond it have squares that no float holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +33,7 @@ class Motion:
         theta: all parameters.
         h: time step in s.
         settled: states that begin as a signal does, with that signal; later ones may depend on earlier ones.
+        switches: of effects by label: 1 where one acts, 0 where it leaves everything as it is.
     """
 
     states: tuple[str, ...]
@@ -43,6 +44,28 @@ class Motion:
     theta: ca.SX
     h: ca.SX
     settled: tuple[tuple[str, ca.SX], ...]
+    switches: Mapping[str, ca.SX] = field(default_factory=dict)
+
+    def of(self, acting: Collection[str]) -> Motion:
+        """The equations with these effects only, without states on which nothing that is measured depends: a fraction of the work."""
+        switches, on = ca.vertcat(*self.switches.values()), ca.DM([label in acting for label in self.switches])
+        names, signals = [name for name, _ in self.settled], [signal for _, signal in self.settled]
+        rates, y, *signals = ca.substitute([self.rates, self.y, *signals], [switches], [on])
+        settled = dict(zip(names, signals, strict=True))
+        needed, asked = set(), [name for name in self.states if name not in settled] + self._named(y)
+        while asked:
+            name = asked.pop()
+            if name not in needed:
+                needed.add(name)
+                asked += self._named(ca.vertcat(rates[self.states.index(name)], settled.get(name, 0)))
+        states = tuple(name for name in self.states if name in needed)
+        rows = [self.states.index(name) for name in states]
+        left = tuple((name, signal) for name, signal in settled.items() if name in needed)
+        return Motion(states, self.x[rows], rates[rows], self.u, y, self.theta, self.h, left)
+
+    def _named(self, value: ca.SX) -> list[str]:
+        """The states on which a value depends."""
+        return [name for name, there in zip(self.states, ca.which_depends(value, self.x, 1, False), strict=True) if there]
 
     @cached_property
     def free_states(self) -> tuple[str, ...]:
@@ -73,8 +96,10 @@ class Motion:
         jacobians = [ca.jacobian(self.y, self.x), ca.jacobian(self.y, self.theta)]
         return ca.Function("measured", [self.x, self.u, self.theta, self.h], [self.y, *jacobians])
 
-    def sampled(self, directions: int, substeps: int) -> ca.Function:
-        """(x, its change along the directions, inputs, θ, its change, time step) → x a sample later, ….
+    def sampled(self, chosen: tuple[int, ...], substeps: int) -> ca.Function:
+        """(x, its change along the directions, inputs, θ, time step) → x a sample later, ….
+
+        Along a direction one of θ changes, the one of this number; none where it is negative.
 
         The outcome is x and its change, and what is measured and its change. Runge-Kutta of order 4 in so many equal steps; within a step
         inputs go in straight lines. Inputs are those at the steps' ends and, last, at the sample.
@@ -89,18 +114,19 @@ class Motion:
         k_3 = field(x + h / 2 * k_2, middle, theta, h)
         k_4 = field(x + h * k_3, last, theta, h)
         after = x + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
-        moved, turned = ca.SX.sym("dx", x.shape[0], directions), ca.SX.sym("dtheta", theta.shape[0], directions)
-        step = ca.Function("step", [x, moved, first, last, theta, turned, h], [after, _along(after, x, theta, moved, turned)])
-        seen = ca.Function("seen", [x, moved, self.u, theta, turned, h], [self.y, _along(self.y, x, theta, moved, turned)])
+        moved, turned = ca.SX.sym("dx", x.shape[0], len(chosen)), ca.SX(theta.shape[0], len(chosen))
+        for direction, number in enumerate(chosen):
+            if number >= 0:
+                turned[number, direction] = 1.0
+        step = ca.Function("step", [x, moved, first, last, theta, h], [after, _along(after, x, theta, moved, turned)])
+        seen = ca.Function("seen", [x, moved, self.u, theta, h], [self.y, _along(self.y, x, theta, moved, turned)])
         u = ca.SX.sym("u", inputs * (substeps + 2))
         at, change, now = x, moved, u[:inputs]
         for k in range(substeps):
             then = u[(k + 1) * inputs : (k + 2) * inputs]
-            at, change = step(at, change, now, then, theta, turned, h)
+            at, change = step(at, change, now, then, theta, h)
             now = then
-        return ca.Function(
-            "sampled", [x, moved, u, theta, turned, h], [at, change, *seen(at, change, u[-inputs:] if inputs else now, theta, turned, h)]
-        )
+        return ca.Function("sampled", [x, moved, u, theta, h], [at, change, *seen(at, change, u[-inputs:] if inputs else now, theta, h)])
 
 
 def _along(value: ca.SX, x: ca.SX, theta: ca.SX, moved: ca.SX, turned: ca.SX) -> ca.SX:
@@ -141,6 +167,15 @@ class CasadiPlant(Described):
         """The states that a run may begin with, with a guess of each."""
         return {name: self.guess[name] for name in self.motion.free_states}
 
+    def _acting(self, by: Sequence[str]) -> CasadiPlant:
+        """The machine without the effects that vanish and by whose strength nothing is differentiated."""
+        acting = frozenset(
+            c.label
+            for c in self.candidates
+            if any(name in by or self.parameters[name].start != c.null[name] for name in c.parameters if name not in c.shapes)
+        )
+        return replace(self, motion=_reduced(self.motion, acting))
+
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured, from the state it begins with or from rest.
 
@@ -152,11 +187,14 @@ class CasadiPlant(Described):
         Raises:
             PredictionError: no equilibrium to begin from, or a motion without bounds.
         """
+        return self._acting(by)._predicted(run, by)
+
+    def _predicted(self, run: Run, by: Sequence[str]) -> Prediction:
         theta, names = np.array(list(self.values.values())), list(self.parameters)
+        chosen = tuple(-1 if name.startswith(START) else names.index(name) for name in by)
         turned = np.zeros((len(theta), len(by)))
-        for k, name in enumerate(by):
-            if not name.startswith(START):
-                turned[names.index(name), k] = 1.0
+        for k, number in enumerate(chosen):
+            turned[number, k] = number >= 0
         time, inputs, rows = self._grid(run)
         steps = self._steps(time)
         h = float(steps[0]) if len(steps) else 1.0  # a single sample has no step
@@ -166,17 +204,19 @@ class CasadiPlant(Described):
         points[0], change[0] = y, d_y.T
         give_way()
         if len(steps):
-            whole = _accumulated(self.motion, len(by), self.substeps, len(steps))
-            _, _, ys, d_ys = whole(x, moved, self._inputs(inputs).T, theta, turned, steps[None])
+            whole = _accumulated(self.motion, chosen, self.substeps, len(steps))
+            _, _, ys, d_ys = whole(x, moved, self._inputs(inputs).T, theta, steps[None])
             points[1:] = np.asarray(ys).T
             if by:
                 change[1:] = np.asarray(d_ys).reshape(len(y), len(steps), len(by)).transpose(1, 2, 0)
-        if not (np.abs(points).max() < BOUND and np.isfinite(change).all()):
+        if not (np.abs(points).max() < BOUND and np.abs(change).max(initial=0.0) < STEEP):
             raise PredictionError(f"{run.file}: the motion has no bounds; where only its steps are too long, plant(substeps=…) helps")
         return Prediction(points[rows][..., None], np.moveaxis(change[rows], 1, 0)[..., None])
 
     def _grid(self, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times that are simulated, in s, the inputs there, and which of them are samples: all, where no sample is missing.
+
+        What is 1.5 times as long as usual, or longer, is gone in several steps.
 
         Raises:
             PredictionError: samples are not equally far apart, but only all samples together tell the inputs between them.
@@ -185,7 +225,7 @@ class CasadiPlant(Described):
         usual = float(np.median(apart)) if len(apart) else 1.0
         if self.between == "band" and np.abs(apart - usual).max(initial=0.0) > 1e-3 * usual:
             raise PredictionError(f'{run.file}: samples are not equally far apart; valid: between = "line" or "hold"')
-        rows = np.append(0, np.cumsum(np.ceil(apart / (GAP * usual)).astype(int)))
+        rows = np.append(0, np.cumsum(np.maximum(np.round(apart / usual), 1).astype(int)))
         if len(rows) == rows[-1] + 1:
             return run.time, run.inputs, rows
         steps = np.arange(rows[-1] + 1)
@@ -273,6 +313,12 @@ def _interpolated(at: np.ndarray, time: np.ndarray, columns: np.ndarray) -> np.n
     return np.array([np.interp(at, time, column) for column in columns.T]).reshape(-1, len(at)).T
 
 
+@lru_cache(maxsize=256)
+def _reduced(motion: Motion, acting: frozenset[str]) -> Motion:
+    """`Motion.of`."""
+    return motion.of(acting)
+
+
 @lru_cache(maxsize=64)
 def _settling(motion: Motion, directions: int) -> ca.Function:
     """`Motion.begin` with its change along directions."""
@@ -284,6 +330,6 @@ def _settling(motion: Motion, directions: int) -> ca.Function:
 
 
 @lru_cache(maxsize=256)
-def _accumulated(motion: Motion, directions: int, substeps: int, samples: int) -> ca.Function:
+def _accumulated(motion: Motion, chosen: tuple[int, ...], substeps: int, samples: int) -> ca.Function:
     """All samples of a run in one call."""
-    return motion.sampled(directions, substeps).mapaccum("whole", samples, 2, {"base": 10})
+    return motion.sampled(chosen, substeps).mapaccum("whole", samples, 2, {"base": 10})

@@ -54,6 +54,7 @@ class Equations:
     _free: dict[str, tuple[ca.SX, Free]] = field(default_factory=dict)
     _settled: dict[str, ca.SX] = field(default_factory=dict)  # what states of effects begin as
     _candidates: list[Candidate] = field(default_factory=list)
+    _switches: dict[str, ca.SX] = field(default_factory=dict)
     _step: ca.SX = field(default_factory=lambda: ca.SX.sym("h"))
 
     def state(self, name: str, start: float = 0.0) -> ca.SX:
@@ -169,6 +170,7 @@ class Equations:
             theta=ca.vertcat(*(p for p, _ in self._free.values())),
             h=self._step,
             settled=tuple((name, self._settled[name]) for name in self._states if name in self._settled),
+            switches=self._switches,
         )
         units = {unit for _, unit in self._outputs.values()}
         signals = Signals.of(
@@ -206,7 +208,7 @@ class Equations:
             for state, rate in zip(z, rates, strict=True):
                 self.rate(state, rate)
                 self._settled[state.name()] = ca.SX(0)
-            total += acts
+            total += self._switch(law, name) * acts
         return total
 
     def _sizes(self, of: str, **sizes: float) -> dict[str, float]:
@@ -248,4 +250,11 @@ class Equations:
         for state, rate in zip(z, rates, strict=True):
             self.rate(state, rate)
             self._settled[state.name()] = signal
-        return after
+        on = self._switch(law, part)
+        return on * after + (1 - on) * signal
+
+    def _switch(self, law: Law, part: str) -> ca.SX:
+        """1 where an effect acts, 0 where it does not."""
+        label = f"{law.name}[{part}]"
+        self._switches[label] = ca.SX.sym(f"{label} acts")
+        return self._switches[label]
