@@ -53,7 +53,7 @@ def simulate(run, values):
     tilt = np.stack([flat["tilt_x"], flat["tilt_y"], 0 * flat["tilt_x"]])
     body, base = equilibrium(pulls, stiff, weight, steps, tilt), np.stack([flat[f"base_{axis}"] for axis in AXES])
     markers = [base + body.at(flat[f"station_{p}"], flat[f"aside_{p}_x"], flat[f"aside_{p}_y"]) for p in STATIONS]
-    return np.moveaxis(markers, (0, 1), (2, 3))
+    return np.moveaxis(np.stack(markers, axis=-1), 0, -1)
 
 
 plant = m.plant(simulate, static=True, many=True)

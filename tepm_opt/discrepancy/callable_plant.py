@@ -26,7 +26,7 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.library.effect import At, Law
 from tepm_opt.discrepancy.parameters import Described, known_within
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.errors import InputError
 from tepm_opt.solvers.plant import START, Free, Prediction, PredictionError
 
 Simulate = Callable[[Run, Mapping[str, Any]], np.ndarray]
@@ -43,7 +43,6 @@ class CallablePlant(Described):
     Attributes:
         simulate: (run, values by name) → what is measured, (rows, points, axes) or (rows, outputs). It begins with `run.state` where
             that is not None. Where `many`, values are arrays (sets,) and so is the first axis of what it gives.
-        grouped: names of the parameters that each group of runs has for itself, each with its groups.
         states: those that a run may begin with, by name with a guess of each.
         sizes: of the states.
         static: whether rows of runs are equilibria.
@@ -54,7 +53,6 @@ class CallablePlant(Described):
     """
 
     simulate: Simulate
-    grouped: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     states: Mapping[str, float] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
     static: bool = False
@@ -81,7 +79,7 @@ class CallablePlant(Described):
             PredictionError: the function fails, or gives numbers that are not finite.
             InputError: the run's group is unknown, or the function has a mistake.
         """
-        own, values = self._names(run), self.values
+        own, values = self.of_run(run), self.values
         steps = {name: self._step(name) for name in by if name.startswith(START) or name in own.values()}
         sets = [values, *({**values, name: values[name] + h} for name, h in steps.items() if not name.startswith(START))]
         found = self._outputs(run, [{short: each[full] for short, full in own.items()} for each in sets])
@@ -93,16 +91,6 @@ class CallablePlant(Described):
             by_name[name] = (at - found[0]) / h
         still = np.zeros_like(found[0])
         return Prediction(found[0], np.array([by_name.get(name, still) for name in by]).reshape(len(by), *found[0].shape))
-
-    def _names(self, run: Run) -> dict[str, str]:
-        """Full names by the names that the function knows for this run."""
-        taken = {_of_group(name, group) for name, groups in self.grouped.items() for group in groups}
-        own = {name: name for name in self.parameters if name not in taken}
-        for name, groups in self.grouped.items():
-            if run.group not in groups:
-                raise unknown_name("group", run.group, groups, run.file)
-            own[name] = _of_group(name, run.group)
-        return own
 
     def _step(self, name: str) -> float:
         """Step of a difference, towards the side where there is more room."""
@@ -195,9 +183,9 @@ class Simulator:
         """
         if name in self._grouped:
             raise InputError(f"{self.name}: {name!r} is there twice; valid: a name of its own for each")
-        for full in [_of_group(name, group) for group in groups] or [name]:
-            self._take(known_within(full, value, unit, within, low, high, std))
-            self._known.append(full)
+        for free in known_within(name, value, unit, within, low, high, std, groups):
+            self._take(free)
+            self._known.append(free.name)
         if groups:
             self._grouped[name] = tuple(groups)
 
@@ -244,7 +232,7 @@ class Simulator:
         """
         states, sizes = ({name: each[k] for name, each in self._states.items()} for k in (0, 1))
         return CallablePlant(
-            self.name, self.signals, self._free, tuple(self._known), tuple(self._candidates), simulate, self._grouped, states, sizes,
+            self.name, self.signals, self._free, tuple(self._known), tuple(self._candidates), self._grouped, simulate, states, sizes,
             static, many, **more,
         )  # fmt: skip
 
@@ -252,7 +240,3 @@ class Simulator:
         if free.name in self._free:
             raise InputError(f"{self.name}: {free.name!r} is there twice; valid: a name of its own for each")
         self._free[free.name] = free
-
-
-def _of_group(name: str, group: str) -> str:
-    return f"{name}[{group}]"

@@ -190,8 +190,9 @@ class CasadiPlant(Described):
         return self._acting(by)._predicted(run, by)
 
     def _predicted(self, run: Run, by: Sequence[str]) -> Prediction:
-        theta, names = np.array(list(self.values.values())), list(self.parameters)
-        chosen = tuple(-1 if name.startswith(START) else names.index(name) for name in by)
+        names = list(self.of_run(run).values())
+        theta = np.array([self.parameters[name].start for name in names])
+        chosen = tuple(names.index(name) if name in names else -1 for name in by)  # not states, nor parameters of other groups of runs
         turned = np.zeros((len(theta), len(by)))
         for k, number in enumerate(chosen):
             turned[number, k] = number >= 0

@@ -51,7 +51,9 @@ class Equations:
     _rates: dict[str, ca.SX] = field(default_factory=dict)
     _inputs: dict[str, tuple[ca.SX, ca.SX, float]] = field(default_factory=dict)
     _outputs: dict[str, tuple[ca.SX, str]] = field(default_factory=dict)
-    _free: dict[str, tuple[ca.SX, Free]] = field(default_factory=dict)
+    _free: dict[str, tuple[ca.SX, list[Free]]] = field(default_factory=dict)
+    _known: list[str] = field(default_factory=list)
+    _grouped: dict[str, tuple[str, ...]] = field(default_factory=dict)
     _settled: dict[str, ca.SX] = field(default_factory=dict)  # what states of effects begin as
     _candidates: list[Candidate] = field(default_factory=list)
     _switches: dict[str, ca.SX] = field(default_factory=dict)
@@ -71,7 +73,7 @@ class Equations:
 
     def known(
         self, name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None,
-        std: float = inf,
+        std: float = inf, groups: Sequence[str] = (),
     ) -> ca.SX:  # fmt: skip
         """A parameter that is known within a part of its value, or between two values.
 
@@ -82,10 +84,13 @@ class Equations:
             within: how far it may be off, in parts of the value.
             low, high: how small and large it may be, instead.
             std: standard deviation of the guess.
+            groups: of runs (`group` in dataset.toml), each of which has a value of its own: "name[group]".
         """
         self._new(name, self._free)
-        free = known_within(name, value, unit, within, low, high, std)
-        self._free[name] = ca.SX.sym(name), free
+        self._free[name] = ca.SX.sym(name), known_within(name, value, unit, within, low, high, std, groups)
+        self._known += [free.name for free in self._free[name][1]]
+        if groups:
+            self._grouped[name] = tuple(groups)
         return self._free[name][0]
 
     def input(self, name: str, size: float, limit: float = inf, unit: str = "") -> ca.SX:
@@ -179,11 +184,10 @@ class Equations:
             units.pop() if len(units) == 1 else "",
             tuple(limit for *_, limit in self._inputs.values()),
         )
-        free = {name: each for name, (_, each) in self._free.items()}
-        missing = {name for candidate in self._candidates for name in candidate.parameters}
-        known = tuple(name for name in free if name not in missing)
+        free = {each.name: each for _, group in self._free.values() for each in group}
         start = {name: value for name, (_, value) in self._states.items()}
-        return CasadiPlant(self.name, signals, free, known, tuple(self._candidates), motion, start, substeps, between)
+        known, candidates = tuple(self._known), tuple(self._candidates)
+        return CasadiPlant(self.name, signals, free, known, candidates, self._grouped, motion, start, substeps, between)
 
     def _laws(self, part: str) -> list[Law]:
         """Effects that act on such a part."""
@@ -230,7 +234,7 @@ class Equations:
         """
         candidate, free = law.on(part, sizes, {"time": "s", "1": "1", **units})
         found = {name: ca.SX.sym(each.name) for name, each in free.items()}
-        self._free |= {each.name: (found[name], each) for name, each in free.items()}
+        self._free |= {each.name: (found[name], [each]) for name, each in free.items()}
         self._candidates.append(candidate)
         return found
 

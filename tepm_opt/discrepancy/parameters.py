@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from math import inf, isfinite
 from typing import Self
 
+from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.errors import InputError, unknown_name
@@ -14,9 +15,10 @@ from tepm_opt.solvers.plant import Free
 
 
 def known_within(
-    name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None, std: float = inf
-) -> Free:
-    """A parameter that is known within a part of its value, or between two values.
+    name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None, std: float = inf,
+    groups: Sequence[str] = (),
+) -> list[Free]:  # fmt: skip
+    """A parameter that is known within a part of its value, or between two values; one for each group of runs where there are some.
 
     Args:
         name: of the parameter.
@@ -25,6 +27,7 @@ def known_within(
         within: how far it may be off, in parts of the value.
         low, high: how small and large it may be, instead.
         std: standard deviation of the guess, of a normal distribution within the range; without limits the range is ten of them.
+        groups: of runs, each of which has a value of its own: "name[group]".
 
     Raises:
         InputError: the value is outside its range, or there is none.
@@ -36,7 +39,13 @@ def known_within(
     if not low <= value <= high:
         raise InputError(f"{name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
     scale = std if isfinite(std) else (high - low) / 4 if isfinite(high - low) else abs(value)
-    return Free(name, unit, value, low, high, max(scale, 1e-3 * abs(value)) or 1.0, value if isfinite(std) else 0.0, std)
+    scale, mean = max(scale, 1e-3 * abs(value)) or 1.0, value if isfinite(std) else 0.0
+    return [Free(full, unit, value, low, high, scale, mean, std) for full in [of_group(name, group) for group in groups] or [name]]
+
+
+def of_group(name: str, group: str) -> str:
+    """The full name of a parameter that a group of runs has for itself."""
+    return f"{name}[{group}]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +58,7 @@ class Described:
         parameters: by full name with their ranges; `start` is the value they have.
         known: names of the parameters that are known within their ranges.
         candidates: effects that may be missing.
+        grouped: names of the parameters that groups of runs have for themselves, each with its groups.
     """
 
     name: str
@@ -56,6 +66,7 @@ class Described:
     parameters: Mapping[str, Free]
     known: tuple[str, ...]
     candidates: tuple[Candidate, ...]
+    grouped: Mapping[str, tuple[str, ...]]
 
     @property
     def values(self) -> dict[str, float]:
@@ -80,6 +91,19 @@ class Described:
             if not free.low - 1e-9 * free.scale <= free.start <= free.high + 1e-9 * free.scale:
                 raise InputError(f"parameter {name} = {free.start:g} is outside its range; valid: {free.low:g} … {free.high:g}")
         return tuple(self.parameters[name] for name in names)
+
+    def of_run(self, run: Run) -> dict[str, str]:
+        """Full names of the parameters that count for a run, by the names that its machine has for them; in the parameters' order.
+
+        Raises:
+            InputError: the run is of no known group.
+        """
+        short = {of_group(name, group): (name, group) for name, groups in self.grouped.items() for group in groups}
+        for name, groups in self.grouped.items():
+            if run.group not in groups:
+                raise unknown_name("group", run.group, groups, f"{run.file}: {name}")
+        own = {full: short.get(full, (full, run.group)) for full in self.parameters}
+        return {name: full for full, (name, group) in own.items() if group == run.group}
 
     def corrected(self, kept: Sequence[Candidate]) -> dict[str, float]:
         """Values by full name of what is known and of the parameters of these effects."""
