@@ -14,7 +14,7 @@ from tests.discrepancy.machines import arm, drive
 
 ROOT = Path(__file__).resolve().parents[2]
 LISTINGS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "any_machine.md").read_text(encoding="utf-8"), re.DOTALL)
-NAMES = ("linear_drive", "two_link_arm")
+NAMES = ("linear_drive", "two_link_arm", "motor")
 
 
 @pytest.mark.parametrize(("name", "listing"), list(zip(NAMES, LISTINGS, strict=True)), ids=NAMES)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 
@@ -43,30 +42,7 @@ def simulate(run, values):
 
 plant = m.plant(simulate, static=True)
 """
-SWING = """
-import control
-import numpy as np
-from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.callable_plant import Simulator
-from tepm_opt.discrepancy.library.effect import Law, Quantity
-
-m = Simulator("a mass on a spring", Signals.of(["force"], ["position"], "m"))
-m.known("spring", 40.0, "N/m")
-m.known("damper", 2.0, "N s/m")
-m.effects([Law("input_gain", "input", (Quantity("loss", "1", 0.0, (0.1,), -1.0, 1.0),))], "force")
-m.effects([Law("spring_in_series", "body", (Quantity("time", "time", 0.0, (0.01, 0.1), 0.0, 2.0),), smooth=False)], "rod", time=1.0)
-
-def simulate(run, values):
-    spring, damper = values["spring"], values["damper"]
-    force = (1 - values["input_gain[force].loss"]) * run.inputs[:, 0]
-    system = control.ss([[0, 1], [-spring, -damper]], [[0], [1]], [[1, 0]], 0)
-    time = values["spring_in_series[rod].time"]
-    if time > 1e-6:
-        system = system * control.ss(control.tf([1], [time, 1]))
-    return control.forced_response(system, run.time - run.time[0], force).outputs
-
-plant = m.plant(simulate)
-"""
+MOTOR = Path(__file__).resolve().parents[2] / "examples" / "motor.py"
 
 
 def run_of(inputs: np.ndarray, outputs: np.ndarray, group: str = "", file: str = "a.csv") -> Run:
@@ -237,17 +213,22 @@ def test_a_plain_function_of_equilibria(tmp_path: Path, width: float) -> None:
     assert verdict.effects[0].probability > 0.8
 
 
-def test_a_transfer_function_of_the_control_library(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("effect", "size"), [("filter[speed]", 0.12), ("dead_zone[voltage]", 0.8)])
+def test_a_transfer_function_of_the_control_library(tmp_path: Path, effect: str, size: float) -> None:
     random, files = np.random.default_rng(4), {}
     for name in ("a.csv", "b.csv", "c.csv", "v.csv"):
-        time = np.arange(0, 6, 0.05)
-        force = np.repeat(random.uniform(-20, 20, 12), 10)
-        force[:10] = 0
-        system = control.ss([[0, 1], [-42.0, -1.8]], [[0], [1]], [[1, 0]], 0) * control.ss(control.tf([1], [0.15, 1]))
-        position = control.forced_response(system, time, force).outputs + random.normal(0, 1e-3, len(time))  # type: ignore[arg-type]
-        files[name] = {"time_s": time, "force": force, "position": position}
-    folder = data(tmp_path / "data", files, "position = 1e-3")
-    verdict = run_discrepancy(folder, tmp_path / "out", plant=plant_file(tmp_path, SWING)).verdict
-    assert [each.candidate.label for each in verdict.effects] == ["spring_in_series[rod]"], verdict.paragraph
-    assert verdict.effects[0].parameters["time"].value == pytest.approx(0.15, rel=0.05)
-    assert verdict.recalibrated["spring"].value == pytest.approx(42.0, rel=0.02)
+        time = np.arange(0, 6, 0.02)
+        voltage = np.interp(time, np.linspace(0, 6, 13), np.append(0, random.uniform(-10, 10, 12)))
+        width = size if effect.startswith("dead") else 0.0
+        acts = voltage - np.clip(voltage, -width, width)
+        motor, meter = np.exp(-0.02 / 0.33), np.exp(-0.02 / size) if not width else 0.0
+        speed, shown = np.zeros(len(time)), np.zeros(len(time))
+        for k in range(1, len(time)):  # another integrator: inputs held at their mean from sample to sample
+            speed[k] = motor * speed[k - 1] + (1 - motor) * 11.4 * (acts[k - 1] + acts[k]) / 2
+            shown[k] = meter * shown[k - 1] + (1 - meter) * (speed[k - 1] + speed[k]) / 2 if meter else speed[k]
+        files[name] = {"time_s": time, "voltage": voltage, "speed": shown + random.normal(0, 0.1, len(time))}
+    folder = data(tmp_path / "data", files, "speed = 0.1")
+    verdict = run_discrepancy(folder, tmp_path / "out", plant=MOTOR).verdict
+    assert [each.candidate.label for each in verdict.effects] == [effect], verdict.paragraph
+    assert next(iter(verdict.effects[0].parameters.values())).value == pytest.approx(size, rel=0.05)
+    assert verdict.recalibrated["gain"].value == pytest.approx(11.4, rel=0.02)
