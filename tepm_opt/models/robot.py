@@ -16,6 +16,7 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.hardware import Hardware
 
 SUFFIX = ".toml"
+LEAST_STIFFNESS = 5.0  # N/m, K_a of what stands by itself
 
 
 class Geometry(Section):
@@ -47,7 +48,7 @@ class Parameters(Section):
     r: Annotated[float, between(1e-3, 0.3, "m")]
     A: Annotated[float, between(1e-7, 1e-2, "m^2")]
     m_d: Annotated[float, between(1e-4, 100, "kg")]
-    K_a: Annotated[float, between(5, 1e5, "N/m")]
+    K_a: Annotated[float, between(0, 1e5, "N/m")]
     c_a: Annotated[float, between(0, 500, "N s/m")]
     alpha_1: Annotated[float, between(1e-6, 1e5, "")]
     alpha_2: Annotated[float, between(1e-6, 1e5, "")]
@@ -168,6 +169,13 @@ class Robot(Section):
         for name in self.priors:
             if name not in UNITS:
                 raise unknown_name("parameter", name, UNITS, "priors")
+        return self
+
+    @model_validator(mode="after")
+    def _stands(self) -> Robot:
+        if self.parameters.K_a < LEAST_STIFFNESS and not self.geometry.guide:
+            least = f"{LEAST_STIFFNESS:g} … 100000 N/m, or from 0 with guide = true"
+            raise ValueError(f"parameters: K_a = {self.parameters.K_a:g}: valid: {least}")
         return self
 
     def __repr__(self) -> str:

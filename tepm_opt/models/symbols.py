@@ -14,6 +14,7 @@ from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Edge, Layout
 from tepm_opt.models.model import Model
 
 RAIL = 100.0  # strength of a guide over that of a segment's muscles
+SOFT = 1.0  # N/m, of a muscle more, so that rails hold where the muscles have no stiffness
 PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "load", "mass")
 """Rows of P: of every edge (three times), axial force of every vertical edge, force on and mass of a node of the upper level."""
 
@@ -109,7 +110,8 @@ class Writer:
         """
         layout, ring = self.layout, ca.vec(self.rest_ring())
         across = ca.repmat(ca.DM([1, 1, 0]), layout.actuators, 1) if layout.guided else ca.DM.zeros(layout.block)
-        stiffness, damping = (RAIL * layout.segments * self.value[name] * across for name in ("K_a", "c_a"))
+        strength = self.value["K_a"] + SOFT, self.value["c_a"]
+        stiffness, damping = (RAIL * layout.segments * each * across for each in strength)
         return across * (upper - ring), stiffness, damping
 
     def edge_law(self, index: int, edge: Edge, column: ca.SX) -> Callable[[ca.SX], tuple[ca.SX, ca.SX, ca.SX]]:

@@ -87,7 +87,7 @@ def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) ->
         nominal = float(getattr(robot.parameters, name))
         low, high = _physical_range(name)
         half = robot.priors.get(name)
-        scale = abs(nominal) * (half or 0.05)
+        scale = abs(nominal) * (half or 0.05) or 1e-3 * (high - low)  # a part of 0 is 0
         if half is not None:
             low, high = max(low, nominal - abs(nominal) * half), min(high, nominal + abs(nominal) * half)
         if not low - 1e-9 * scale <= value <= high + 1e-9 * scale:

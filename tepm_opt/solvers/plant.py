@@ -46,7 +46,7 @@ class Free:
         width = self.high - self.low
         if np.isfinite(self.prior_std):
             return self.prior_std
-        return width / np.sqrt(12) if np.isfinite(width) else 1e3 * self.scale
+        return max(width / np.sqrt(12), 1e-6 * self.scale) if np.isfinite(width) else 1e3 * self.scale
 
 
 @dataclass(frozen=True, eq=False)

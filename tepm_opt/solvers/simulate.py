@@ -26,6 +26,7 @@ METHODS: tuple[Method, ...] = ("implicit", "rk4")
 ERROR = 1e-4  # m at which implicit steps aim where nothing else is asked for
 LEAST_ERROR, MOST_ERROR = 1e-7, 0.1  # m, the least above what Newton's residuals leave
 BEND = 30.0  # 1/s: bends of the inputs that change the points' speed by more than this times the error asked for end a step
+ANY_BEND = 1e3  # m/N and m/Pa, as if inputs moved what nothing holds at the start: every bend matters
 SAFETY = 0.9  # of the largest stable RK4 step, for what happens between the samples it is computed at
 CHUNK = 1.0  # s of simulated time between two reports of progress
 
@@ -306,7 +307,7 @@ def _stable_step(model: CompiledModel, setpoints: SetPoints, drive: Drive, step:
         if len(known) >= MOST_LIMITS:
             known.clear()
         equilibria = [_start(model, setpoints, int(row), drive, strict=row == 0) for row in rows]
-        known[key] = min(stable_step(found) for found in equilibria if found.solved)
+        known[key] = min(stable_step(found) for found in equilibria if found.solved or found.indifferent)
     limit = known[key]
     if step is not None and step > limit:
         raise InputError(f"step: {1e3 * step:.4g} ms; valid with 'rk4': at most {1e3 * limit:.4g} ms, or the method 'implicit'")
@@ -354,7 +355,8 @@ def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float)
     else:
         weights = np.eye(points, points + inputs // 2)
         a = model.statics.actuation(start.inputs, model.theta)  # effects' maps may have dead zones where it starts
-        gains = model.statics.sensitivity(start.x, a, True, start.loads.ravel(), model.theta, weights, False)[1:3]
+        status, *gains = model.statics.sensitivity(start.x, a, True, start.loads.ravel(), model.theta, weights, False)[:3]
+        gains = gains if status == Status.SOLVED else [np.full_like(gain, ANY_BEND) for gain in gains]  # nothing holds it
         bends = [
             np.diff(np.diff(part, axis=0) / np.diff(drive.time)[:, None], axis=0) @ gain.T for part, gain in zip(parts, gains, strict=True)
         ]
@@ -366,7 +368,7 @@ def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float)
 def _start(model: CompiledModel, setpoints: SetPoints, row: int, drive: Drive, strict: bool = True) -> Equilibrium:
     forces = drive.rows[row, model.layout.inputs :].reshape(-1, 3)
     found = solve_statics(model, setpoints.inputs[row], forces)
-    if strict and not found.solved:
+    if strict and not (found.solved or found.indifferent):
         raise InputError(f"set points: row {row + 1}: no stable equilibrium to start from: {found.outcome.message}")
     return found
 

@@ -14,6 +14,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.text import millimetres
 
+INDIFFERENT = 1e-9  # N/m that count as none
 THROUGH_BASE = "a plate runs through the base or the plate below it"
 
 
@@ -73,6 +74,11 @@ class Equilibrium:
     def solved(self) -> bool:
         """Whether this is a stable equilibrium."""
         return self.outcome.solved
+
+    @cached_property
+    def indifferent(self) -> bool:
+        """Whether forces balance and nothing holds or drives it, as a mass without a spring: no eigenvalue is clearly negative."""
+        return self.outcome.ending is Ending.UNSTABLE and self.smallest_eigenvalue > -INDIFFERENT
 
     @property
     def tip(self) -> np.ndarray:
@@ -201,6 +207,9 @@ def _continued(
 ) -> Equilibrium:
     """Follow the branch from rest by scaling inputs and loads from 0 to 1; how far it goes where it does not reach 1."""
     last = _newton(model, 0 * u, 0 * loads, model.rest, settings, mapped)
+    if last.indifferent or (not last.solved and not model.values["K_a"] > 0):
+        why = f"nothing holds the robot: without inputs and loads it has no stiffness (K_a = {model.values['K_a']:g} N/m)"
+        return replace(failed, outcome=replace(failed.outcome, message=why), reached=0.0)
     reached, step = 0.0, 0.1
     while last.solved and reached < 1.0 and step > 1e-4:
         part = min(reached + step, 1.0)

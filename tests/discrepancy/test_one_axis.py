@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -13,16 +13,21 @@ from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
+from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending
+from tepm_opt.solvers.identify import Problem, identify
+from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.predict import predict
-from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.simulate import Directions, simulate
 from tepm_opt.solvers.simulate_many import Motion, simulate_many
 from tepm_opt.solvers.statics import solve_statics
+from tests.discrepancy.small import changed
 
 FILE = Path(__file__).resolve().parents[2] / "docs" / "one_axis.toml"
 NOISE, STEP = 1e-4, 0.02
@@ -114,6 +119,73 @@ def test_there_is_no_equilibrium_beyond_the_base() -> None:
     assert found.outcome.ending is Ending.COLLAPSED
     assert "runs through the base" in found.outcome.message
     assert found.reached == pytest.approx(0.75 * 0.2 * 3 * 119.62 / 100.0, abs=0.01), "where a muscle counts as collapsed"
+
+
+@pytest.fixture(scope="module")
+def springless(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The robot file of a mass that slides freely."""
+    file = tmp_path_factory.mktemp("springless") / "robot.toml"
+    text = FILE.read_text(encoding="utf-8").replace("K_a = 119.62 ", "K_a = 0 ").replace("K_a = 0.05\n", "")
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def sliding(time: np.ndarray, force: np.ndarray, mass: float, damping: float) -> np.ndarray:
+    """Way of m v' = F - c v from rest, in m."""
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        return [y[1], (np.interp(t, time, force) - damping * y[1]) / mass]
+
+    return solve_ivp(rates, time[[0, -1]], [0.0, 0.0], t_eval=time, rtol=1e-9, atol=1e-12, max_step=0.01).y[0]
+
+
+class TestWithoutASpring:
+    @pytest.mark.parametrize("backend", ["auto", "python"])
+    @pytest.mark.parametrize("how", [{}, {"step": 0.01}, {"method": "rk4"}], ids=["adaptive", "steps", "rk4"])
+    def test_moves_as_a_mass_on_a_damper(self, springless: Path, backend: Literal["auto", "python"], how: dict[str, Any]) -> None:
+        model, asked = compile_model(springless, backend=backend), pushed(0.3)
+        found = simulate(model, asked, **how)
+        assert found.solved, found.outcome
+        expected = 0.2 + sliding(asked.time, asked.tip_force[:, 2], 0.3, 3 * 0.8611)
+        assert found.tip[:, 2] == pytest.approx(expected, abs=2e-4)
+        assert expected[-1] > 0.25
+
+    @pytest.mark.parametrize("backend", ["auto", "python"])
+    def test_its_motion_has_derivatives(self, springless: Path, backend: Literal["auto", "python"]) -> None:
+        model, asked, h = compile_model(springless, backend=backend), pushed(0.3), 1e-3
+        names = ["m_d", "c_a"]
+        found = simulate(model, asked, step=STEP, directions=Directions.of(model, names)).sensitivities[:, :, -1, 2]
+        for name, by in zip(names, found, strict=True):
+            way = [simulate(changed(model, **{name: model.values[name] + d}), asked, step=STEP).tip[:, 2] for d in (h, -h)]
+            assert by == pytest.approx((way[0] - way[1]) / (2 * h), abs=1e-4 * np.abs(by).max())
+
+    def test_has_no_stable_equilibrium(self, springless: Path) -> None:
+        model = compile_model(springless, backend="python")
+        for force in (0.0, 1.0):
+            found = solve_statics(model, np.zeros(6), (0.0, 0.0, force))
+            assert not found.solved
+            assert "nothing holds the robot" in found.outcome.message
+            assert found.indifferent == (force == 0)
+        asked = pushed(0.3)
+        with pytest.raises(InputError, match="row 1: no stable equilibrium to start from: nothing holds the robot"):
+            simulate(model, SetPoints(asked.time, asked.inputs, asked.tip_force + 0.1))
+
+    def test_an_arm_without_stiffness_says_so(self) -> None:
+        found = solve_statics(compile_model(Model.of("kang2017").with_parameters(K_a=0.0), backend="python"), np.zeros(12))
+        assert "nothing holds the robot" in found.outcome.message
+
+    def test_its_mass_and_damper_are_identified(self, springless: Path) -> None:
+        model, random = compile_model(springless), np.random.default_rng(3)
+        time = np.arange(0, 6, STEP)
+        force = np.interp(time, np.linspace(0, 6, 13), np.concatenate([[0, 0], random.uniform(-0.15, 0.25, 11)]))
+        points = np.zeros((len(time), 2, 3))
+        way = 0.2 + sliding(time, force, 0.3 * 0.97, 3 * 0.8611 * 1.2)
+        points[:, :, 2] = way[:, None] * [0.5, 1.0]
+        points += random.normal(0, NOISE, points.shape)
+        run = Run("slides.csv", "fit", time, np.zeros((len(time), 6)), np.outer(force, [0, 0, 1]), points)
+        found = identify(Problem(NetworkPlant(model), (run,), free_parameters(model), NOISE))
+        assert found.solved, found.outcome
+        assert np.abs((found.values - [0.3 * 0.97, 0.8611 * 1.2]) / found.std).max() < 3
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ MALFORMED = {
     ),
     "unknown parameter": ("[parameters]\nK_b = 1.0", "unknown parameter 'K_b': did you mean 'K_a'? valid: A, K_a, L_0"),
     "parameter out of range": ("[parameters]\nK_a = 1e9", "parameters: K_a = 1000000000.0: input should be less"),
-    "text parameter": ('[parameters]\nK_a = "x"', "parameters: K_a = 'x': input should be a valid number; valid: 5 … 100000 N/m"),
+    "text parameter": ('[parameters]\nK_a = "x"', "parameters: K_a = 'x': input should be a valid number; valid: 0 … 100000 N/m"),
     "unknown effect parameter": (PAYLOAD + "parameters = {mas = 1}", "unknown parameter of effect 'payload' 'mas': did you mean 'mass'?"),
     "effect parameter out of range": (PAYLOAD + "parameters = {mass = -1}", "effect 'payload': mass = -1; valid: 0 … 10 kg"),
     "effect parameter in g": (PAYLOAD + "parameters = {mass = 11}", "effect 'payload': mass = 11; valid: 0 … 10 kg"),

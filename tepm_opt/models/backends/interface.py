@@ -38,6 +38,8 @@ MAX_HALVINGS = 10
 """Halvings of a step before time stepping gives up."""
 MAX_CORRECTION = 5e-3
 """m from its extrapolation within which a solution of Newton's method is believed; farther ones halve the step."""
+STAYS = 1e12
+"""N/m of what nothing holds in a motion's first equilibrium: its derivatives say that it stays where it begins."""
 IMPLICIT, EXPLICIT = range(2)
 
 
@@ -83,7 +85,7 @@ _ENDINGS: Mapping[Status, Ending] = {
 SHARED: Mapping[str, float] = {
     "LANES": LANES, "PLAIN_NEWTON": PLAIN_NEWTON, "ENERGY_NOISE": ENERGY_NOISE, "JUMP_TIME": JUMP_TIME,
     "ALLOCATION_STEPS": ALLOCATION_STEPS, "ALLOCATION_PRECISION": ALLOCATION_PRECISION,
-    "SEED_STEPS": SEED_STEPS, "SEED_TOLERANCE": SEED_TOLERANCE, "LIMIT_SLACK": LIMIT_SLACK,
+    "STAYS": STAYS, "SEED_STEPS": SEED_STEPS, "SEED_TOLERANCE": SEED_TOLERANCE, "LIMIT_SLACK": LIMIT_SLACK,
     "STAGE_ITERATIONS": STAGE_ITERATIONS, "MAX_HALVINGS": MAX_HALVINGS, "IMPLICIT": IMPLICIT, "EXPLICIT": EXPLICIT,
     **{status.name: status.value for status in Status},
 }  # fmt: skip

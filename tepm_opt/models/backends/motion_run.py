@@ -11,6 +11,7 @@ from tepm_opt.models.backends.interface import (
     EXPLICIT,
     JUMP_TIME,
     MAX_HALVINGS,
+    STAYS,
     Record,
     Status,
 )
@@ -74,7 +75,10 @@ class Run(Stages):
         by = of.segment_jacobian(x, v, y, step, self.P, self.thetas)
         block = of.block
         if factor is None:
-            factor = self._factor(by[:, : 2 * block, : 2 * block], 0.0)
+            blocks = by[:, : 2 * block, : 2 * block]
+            own = np.einsum("njj->nj", blocks)
+            held = own[:, block:] + np.vstack([own[1:, :block], np.zeros(block)])
+            factor = self._factor(blocks, np.where(held == 0, STAYS, 0.0))
 
         def pairs(levels: np.ndarray) -> np.ndarray:
             return np.concatenate([levels[:-1], levels[1:]], axis=1)

@@ -96,6 +96,8 @@ static int linearise(work *w, double step, const double *a, int resting) {
       if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) matrix[segment_by_col[k] * 2 * NB + segment_by_row[k]] = by[k];
     scatter(w, first, count, matrix);
   }
+  for (int l = 1; l <= NLEV && resting; l++)
+    for (int i = 0; i < NB; i++) if (w->matrix.diagonal[l][i][i] == 0) w->matrix.diagonal[l][i][i] = STAYS;
   return resting ? factor(w) : 0;
 }
 
