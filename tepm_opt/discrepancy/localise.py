@@ -27,6 +27,12 @@ EDGES = (0.3, 2.0)  # Hz
 BANDS = ("below 0.3 Hz", "0.3 to 2 Hz", "above 2 Hz")
 TIMES_NOISE = "times the noise"
 LEAST_BAND_SHARE = 0.2  # every error that varies smoothly is densest in the slow band
+LEAST_MOMENT_SHARE, LEAST_MOMENT_RATIO = 0.2, 10.0  # what is less may be chance of the motion; more is as if something else had happened
+MOMENTS = (1, 2, 4, 8, 16)  # blocks of time
+
+
+LEAST_OF = {"band": (LEAST_RATIO, LEAST_BAND_SHARE), "moment": (LEAST_MOMENT_RATIO, LEAST_MOMENT_SHARE)}
+"""Ratio and share below which a place of this kind says little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +132,8 @@ class _Found:
     def tells(self) -> bool:
         """Whether it holds clearly more than elsewhere, and not by chance."""
         place = self.place
-        least = LEAST_BAND_SHARE if place.by == "band" else LEAST_SHARE
-        return self.clear and place.p <= SIGNIFICANT and place.ratio >= LEAST_RATIO and place.share >= least
+        ratio, share = LEAST_OF.get(place.by, (LEAST_RATIO, LEAST_SHARE))
+        return self.clear and place.p <= SIGNIFICANT and place.ratio >= ratio and place.share >= share
 
 
 def localise(
@@ -152,7 +158,8 @@ def localise(
     samples, random = _samples(runs, residuals, float(noise), static, unit), np.random.default_rng(seed)
     found = []
     if samples.count:
-        found = _rows(samples, list(choices(runs, points, signals, static)), random) + _columns(samples, signals, random)
+        rows = [*choices(runs, points, signals, static), *([] if static else _moments(samples, runs))]
+        found = _rows(samples, rows, random) + _columns(samples, signals, random)
         found += [] if static else _bands(samples, runs, residuals)
     return _localisation(found, samples, runs, signals)
 
@@ -264,6 +271,27 @@ def _bands(samples: _Samples, runs: Sequence[Run], residuals: Sequence[np.ndarra
     return found
 
 
+def _moments(samples: _Samples, runs: Sequence[Run]) -> Iterator[Choice]:
+    """The stretch of time that holds most in least, where it is as if something had happened then that nobody noted."""
+    excess, count = (values.sum(axis=(1, 2)) for values in samples.blocks)
+    run = np.searchsorted(samples.starts, np.flatnonzero(np.diff(samples.block, prepend=-1)), side="right") - 1
+    held, seen = (
+        np.append(0.0, np.cumsum(values)) / max(values.sum(), np.finfo(float).tiny) for values in (np.maximum(excess, 0.0), count)
+    )
+    best = (0.0, 0, 0)
+    for length in (length for length in MOMENTS if length < len(run)):
+        share, part = held[length:] - held[:-length], seen[length:] - seen[:-length]
+        share = np.where(run[length - 1 :] == run[: len(run) - length + 1], share, 0.0)
+        ratio = share / np.maximum(part, 1e-12)
+        weight = np.where((share >= LEAST_MOMENT_SHARE) & (ratio >= LEAST_MOMENT_RATIO), share * np.log(np.maximum(ratio, 1.0)), 0.0)
+        best = max(best, (float(weight.max()), int(weight.argmax()), length))
+    weight, first, length = best
+    if weight:
+        rows = (samples.block >= first) & (samples.block < first + length)
+        time = runs[run[first]].time[np.flatnonzero(rows) - samples.starts[run[first]]]
+        yield "moment", f"{time[0]:.4g} s to {time[-1]:.4g} s of {runs[run[first]].file}", rows
+
+
 def _spectrum(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Squares of the orthonormal cosine transform, which does not mind that ends differ, and the band of each; missing interpolated."""
     present = np.isfinite(series)
@@ -328,4 +356,5 @@ def _regimes(telling: Sequence[Place], found: Sequence[Place], unit: str, signal
 
 def _times(best: dict[str, Place]) -> list[str]:
     words = {"early": "more at the start of the runs", "middle": "more in the middle of the runs", "late": "more at the end of the runs"}
-    return [words[best["time"].name]] if "time" in best else []
+    moment = [f"{100 * best['moment'].share:.0f} % of it from {best['moment'].name}"] if "moment" in best else []
+    return [words[best["time"].name], *moment] if "time" in best else moment

@@ -74,7 +74,7 @@ class Place:
     """A part of the data in which the model misses.
 
     Attributes:
-        by: "run", "point", "axis", "actuator", "module", "time", "regime" or "band".
+        by: "run", "point", "axis", "actuator", "module", "time", "moment", "regime" or "band".
         name: which one: "steps.csv", "s4", "x", "13 pressure", "after a reversal", …
         rms: structure in m: root mean square of Eq. (5) in this part, noise taken off.
         share: of the whole squared structure, 0 … 1.

@@ -1,0 +1,54 @@
+"""Errors that are local in time: a model misses for a moment, as if something had happened that nobody noted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tepm_opt.data.run import Run
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.localise import Localisation, localise
+
+SIGNALS = Signals.of(("u",), ("y",), "m")
+TIME = np.arange(0, 60, 0.05)
+
+
+def found(*errors: np.ndarray, seed: int = 0) -> Localisation:
+    random = np.random.default_rng(3)
+    runs, points = [], []
+    for k, error in enumerate(errors):
+        modelled = np.sin(TIME)[:, None, None]
+        measured = modelled + error[:, None, None] + random.normal(0, 0.01, modelled.shape)
+        runs.append(Run(f"run{k}.csv", "fit", 100 + TIME, np.sin(TIME)[:, None], np.zeros((len(TIME), 3)), measured))
+        points.append(modelled)
+    return localise(runs, points, 0.01, SIGNALS, False, seed)
+
+
+def test_a_moment_is_named_with_its_run_and_time() -> None:
+    """A slow error of 0.1 everywhere, and ten times that for two seconds of the second run."""
+    slow = 0.1 * np.sin(0.3 * TIME)
+    contact = np.where((TIME >= 8) & (TIME < 10), 1.0, 0.0)
+    answer = found(slow, slow + contact)
+    (place,) = (p for p in answer.places if p.by == "moment")
+    assert place.name == "108 s to 110 s of run1.csv"
+    assert place.p <= 0.005
+    squares = (slow**2).sum() + ((slow + contact) ** 2).sum()
+    assert place.share == pytest.approx(((slow + contact)[(TIME >= 8) & (TIME < 10)] ** 2).sum() / squares, rel=0.02)
+    assert f"{100 * place.share:.0f} % of it from 108 s to 110 s of run1.csv" in answer.sentence
+
+
+def test_errors_of_the_whole_have_no_moment() -> None:
+    random = np.random.default_rng(1)
+    for error in (np.zeros(len(TIME)), 0.1 * np.sin(0.3 * TIME), 0.1 + 0.0 * TIME, np.cumsum(random.normal(0, 0.01, len(TIME)))):
+        assert not [p for p in found(error, error).places if p.by == "moment"]
+
+
+def test_what_comes_back_again_and_again_is_no_moment() -> None:
+    """Pulses after each of ten steps hold as much in as little, but not at one time."""
+    pulses = np.where(TIME % 6 < 0.5, 1.0, 0.0)
+    assert not [p for p in found(pulses).places if p.by == "moment"]
+
+
+def test_a_run_of_less_than_a_second_has_no_moments() -> None:
+    run = Run("short.csv", "fit", TIME[:5], np.zeros((5, 1)), np.zeros((5, 3)), np.ones((5, 1, 1)))
+    assert localise([run], [np.zeros((5, 1, 1))], 0.01, SIGNALS, False, 0).places
