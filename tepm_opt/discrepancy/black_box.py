@@ -59,6 +59,6 @@ def _features(run: Run, scale: np.ndarray, static: bool) -> np.ndarray:
     inputs = run.inputs / scale
     if static:
         return np.hstack([inputs, run.tip_force])
-    pole = np.exp(-float(np.median(np.diff(run.time))) / MEMORY)
+    pole = np.exp(-float(np.median(np.diff(run.time))) / MEMORY) if run.rows > 1 else 0.0
     past = inputs[0] + lfilter([1 - pole], [1, -pole], inputs - inputs[0], axis=0)
     return np.hstack([inputs, past, run.tip_force])

@@ -10,7 +10,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 
 RECENT = 1.0  # s that an input or a point counts as moving after it did
-IN_USE, MOVED = 0.02, 0.005  # of an input's range; the latter is the way gone within RECENT
+IN_USE, MOVED = 0.02, 0.005  # of a signal's range; the latter is the way gone within RECENT
 TURNED = 0.01  # of an input's range that it must come back by
 POINTS_MOVED = 1e-3  # m gone within RECENT by the point that moves most
 ALONE = ", no other"
@@ -34,12 +34,17 @@ def choices(runs: Sequence[Run], points: Sequence[np.ndarray], signals: Signals,
     levels = _levels(runs, signals)
     moves = [np.zeros_like(level, dtype=bool) if static else _moves(run, level) for run, level in zip(runs, levels, strict=True)]
     level, moving = np.concatenate(levels), np.concatenate(moves)
-    used = (level > IN_USE) | moving
+    used = (np.abs(level) > IN_USE) | moving
     yield from _input_labels(used, signals)
     yield from _regime_labels(level, used, points, signals)
     if not static:
         yield from _time_labels(runs)
-        rest = ~moving.max(axis=1) & ~np.concatenate([_points_move(run, at) for run, at in zip(runs, points, strict=True)])
+        least = _least_way(points, signals)
+        still = [
+            _way(run.time, at.reshape(run.rows, -1) / least).max(axis=1) <= 1
+            for run, at in zip(runs, map(np.nan_to_num, points), strict=True)
+        ]
+        rest = ~moving.any(axis=1) & np.concatenate(still)
         turned = np.concatenate([_turned(run, level) for run, level in zip(runs, levels, strict=True)])
         yield from (("regime", "at rest", rest), ("regime", "moving", ~rest), ("regime", "after a reversal", turned))
 
@@ -65,7 +70,7 @@ def _regime_labels(level: np.ndarray, used: np.ndarray, points: Sequence[np.ndar
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     measured = ((every - low) / np.where(high > low, high - low, 1.0)).max(axis=-1)
     for regime in signals.regimes:
-        values = (measured if regime.measured else level)[:, regime.columns]
+        values = (measured if regime.measured else np.abs(level))[:, regime.columns]
         inside = (values > regime.low) & (values < regime.high)
         yield "regime", regime.name, (inside & used[:, regime.columns] if regime.used else inside).max(axis=1)
 
@@ -87,9 +92,13 @@ def _moves(run: Run, level: np.ndarray) -> np.ndarray:
     return np.asarray(_way(run.time, level) > MOVED)
 
 
-def _points_move(run: Run, modelled: np.ndarray) -> np.ndarray:
-    """Whether a point moves or did within the last second, in the model since that has no noise, (rows,)."""
-    return np.asarray(_way(run.time, np.nan_to_num(modelled).reshape(run.rows, -1)).max(axis=1) > POINTS_MOVED)
+def _least_way(points: Sequence[np.ndarray], signals: Signals) -> np.ndarray:
+    """Way within the last second from which on what is measured moves, (coordinates,): of the model, since that has no noise."""
+    every = np.concatenate(points)
+    if len(signals.axes) > 1:  # positions
+        return np.full(every[0].size, POINTS_MOVED)
+    span = np.nanmax(every, axis=0) - np.nanmin(every, axis=0)
+    return MOVED * np.where(span > 0, span, np.inf).ravel()
 
 
 def _turned(run: Run, level: np.ndarray) -> np.ndarray:

@@ -41,6 +41,8 @@ def shifts(runs: Sequence[Run], points: Sequence[np.ndarray], noise: float | np.
 
 def _shift(run: Run, points: np.ndarray, modelled: np.ndarray) -> tuple[float, float]:
     """The shift in s that fits best, and the part of the squared error it takes away; none where a lag does it, too."""
+    if run.rows < 2:
+        return 0.0, 0.0
     step = float(np.median(np.diff(run.time)))
     most = min(int(LONGEST / step), run.rows // 2)
     measured, y = points.reshape(run.rows, -1), modelled.reshape(run.rows, -1)

@@ -62,10 +62,10 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
         rows = len(r.values)
         folds = 1 if len(residuals) > 2 else min(FOLDS, rows)
         pieces = [slice(piece[0], piece[-1] + 1) for piece in np.array_split(np.arange(rows), folds)]  # views, which cost no memory
-        values, by = r.values.reshape(rows, -1), r.by.reshape(rows, -1, count)
+        values, by = r.values.reshape(rows, -1), r.by.reshape(rows, r.values.size // rows, count)
         parts += [(values[piece], by[piece], r.block[piece], r.present.reshape(rows, -1)[piece].sum(axis=1)) for piece in pieces]
-    squares = [by.reshape(-1, count).T @ by.reshape(-1, count) for _, by, _, _ in parts]
-    slopes = [by.reshape(-1, count).T @ values.ravel() for values, by, _, _ in parts]
+    squares = [by.reshape(values.size, count).T @ by.reshape(values.size, count) for values, by, _, _ in parts]
+    slopes = [by.reshape(values.size, count).T @ values.ravel() for values, by, _, _ in parts]
     errors, counts, steps = [], [], []
     for k, (values, by, block, present) in enumerate(parts):
         left = values

@@ -80,7 +80,7 @@ def notes(
         noise: of what is measured, 1 sigma per axis.
     """
     found = []
-    if not dataset.validation:
+    if not any(np.isfinite(run.points).any() for run in dataset.validation):
         found.append("No run is kept for validation: errors are on the runs fitted to and flatter the model.")
     if len(dataset.fit) < 3:
         found.append("Fewer than three runs to fit to: held-out data are quarters of runs, not whole ones.")
@@ -105,13 +105,15 @@ def notes(
 
 
 def repeats(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> list[str]:
-    """How well the machine repeats itself, a line for each pair of runs with the same inputs and tip forces."""
+    """How well the machine repeats itself, a line for each pair of runs from rest with the same inputs and tip forces."""
     found = []
-    for one, other in combinations(runs, 2):
+    for one, other in combinations([run for run in runs if run.start == "equilibrium" and run.inputs.size], 2):
         same = one.inputs.shape == other.inputs.shape and np.array_equal(one.inputs, other.inputs)
         if same and np.array_equal(one.tip_force, other.tip_force):
             size = noise if np.ndim(noise) else 1.0
             differ = error_over_time(one.points / size, other.points / size) / np.sqrt(2)
+            if not np.isfinite(differ):  # nothing that both of them measured
+                continue
             alone = float(np.sqrt(axes_measured(one.points)) * (1.0 if np.ndim(noise) else noise))
             found.append(
                 f"{one.file} and {other.file} repeat the same inputs: {_shown(differ, unit)} each (noise alone: {_shown(alone, unit)})."

@@ -244,9 +244,9 @@ def _rivals(explanation: Explanation, named: Sequence[Named], settings: SearchSe
 
 
 def _judged(dataset: RunSet) -> list[int]:
-    """Numbers of the validation runs; of the runs fitted to where there are no others."""
-    roles = [run.role for run in dataset.runs]
-    return [k for k, role in enumerate(roles) if role == "validation"] or list(range(len(roles)))
+    """Numbers of the validation runs that measured something; of all runs where there are none."""
+    runs = dataset.runs
+    return [k for k, run in enumerate(runs) if run.role == "validation" and np.isfinite(run.points).any()] or list(range(len(runs)))
 
 
 def _bounded(dataset: RunSet, recalibrated: Sequence[np.ndarray], static: bool) -> list[np.ndarray]:

@@ -280,7 +280,7 @@ def _span(axes: Axes, values: Sequence[np.ndarray], least: float) -> None:
     """Limits that hold all values, never narrower than what can be told from noise."""
     every = np.concatenate(values)
     every = every[np.isfinite(every)] if np.isfinite(every).any() else np.zeros(1)
-    middle, half = (every.max() + every.min()) / 2, max(float(np.ptp(every)), least, 1e-12) / 2
+    middle, half = (every.max() + every.min()) / 2, max(float(np.ptp(every)), least, 1e-12 + 1e-9 * float(np.abs(every).max())) / 2
     axes.set_ylim(middle - 1.08 * half, middle + 1.08 * half)
 
 

@@ -52,7 +52,7 @@ class Residual:
         between = None if at is None or len(at) == run.rows else _between(run.time, at)
         for slope, change in zip(slopes, by, strict=True):  # one by one: all of them at once take several times the memory
             whole = change if between is None else between(change)
-            np.divide(np.where(present, whole, 0.0).ravel(), -noise, out=slope)
+            np.divide(np.where(present, whole, 0.0), -noise, out=slope.reshape(present.shape))
         time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // BLOCK
         return Residual(run.file, values, present, slopes.T, time.astype(int))
 

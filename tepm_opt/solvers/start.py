@@ -9,11 +9,12 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import START, Plant, Prediction
+from tepm_opt.solvers.plant import START, Plant, Prediction, PredictionError
 from tepm_opt.solvers.residuals import Residual
 
 FIRST = 20  # samples that tell a state where a run begins as "measured"
 STEPS, HALVINGS = 8, 4  # of Gauss and Newton
+TINY = 1e-100  # times the noise, per unit of a state: nothing that can be told
 STILL = 1e-3  # of the noise's squares, gained in a step that is the last
 
 
@@ -41,11 +42,12 @@ def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, stat
     names = [START + name for name in plant.states]
     left = _left(plant, run, noise, step, state, names)
     for _ in range(STEPS):
-        scale = np.maximum(np.linalg.norm(left.by, axis=0), 1e-300)
+        scale = np.linalg.norm(left.by, axis=0)
+        scale[scale < TINY] = 1.0  # a state that does not show stays
         change = -np.linalg.lstsq(left.by / scale, left.values.ravel(), rcond=1e-10)[0] / scale
         for _ in range(HALVINGS):
-            tried = _left(plant, run, noise, step, state + change, names)
-            if tried.squares < left.squares:
+            tried = _tried(plant, run, noise, step, state + change, names)
+            if tried is not None and tried.squares < left.squares:
                 break
             change = change / 4
         else:
@@ -54,6 +56,14 @@ def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, stat
         if gained < STILL * max(left.count, 1):
             break
     return state
+
+
+def _tried(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, names: Sequence[str]) -> Residual | None:
+    """`_left`, or None where the model cannot go from there."""
+    try:
+        return _left(plant, run, noise, step, state, names)
+    except PredictionError:
+        return None
 
 
 def _left(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, names: Sequence[str]) -> Residual:
