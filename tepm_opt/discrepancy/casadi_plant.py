@@ -18,6 +18,7 @@ from tepm_opt.solvers.plant import START, Prediction, PredictionError
 
 Between = Literal["hold", "line", "band"]
 NEWTON_STEPS, AT_REST = 50, 1e-10
+MOST = 1000  # times the usual steps that a run with all its gaps may last
 BOUND = 1e12  # what is beyond it has diverged
 STEEP = 1e100  # derivatives beyond it have squares that no float holds
 
@@ -80,7 +81,7 @@ class Motion:
         for name, signal in self.settled:
             at = self.states.index(name)
             x[at] = ca.substitute([signal], [self.x], [ca.vertcat(*x)])[0]
-        return ca.Function("begin", [self.x, self.u, self.theta, self.h], [ca.vertcat(*x)])
+        return ca.Function("begin", [self.x, self.u, self.theta, self.h], [ca.vertcat(ca.SX(0, 1), *x)])
 
     @cached_property
     def rest(self) -> ca.Function:
@@ -226,6 +227,10 @@ class CasadiPlant(Described):
         usual = float(np.median(apart)) if len(apart) else 1.0
         if self.between == "band" and np.abs(apart - usual).max(initial=0.0) > 1e-3 * usual:
             raise PredictionError(f'{run.file}: samples are not equally far apart; valid: between = "line" or "hold"')
+        if apart.sum() > MOST * usual * run.rows:
+            raise PredictionError(
+                f"{run.file}: samples are {apart.min():g} to {apart.max():g} s apart; valid: a run of its own for each part"
+            )
         rows = np.append(0, np.cumsum(np.maximum(np.round(apart / usual), 1).astype(int)))
         if len(rows) == rows[-1] + 1:
             return run.time, run.inputs, rows

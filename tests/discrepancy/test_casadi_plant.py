@@ -125,6 +125,7 @@ class TestMotion:
         m = Equations("a lever", laws=())
         u = m.input("u", size=1.0)
         m.output("y", m.known("ratio", 2.0) * u)
+        np.testing.assert_allclose(m.plant().predict(pushed()).points[:, 0], 2.0 * pushed().inputs, atol=1e-12)
         found = m.plant().predict(pushed(), ["ratio"])
         np.testing.assert_allclose(found.points[:, 0], 2.0 * pushed().inputs, atol=1e-12)
         np.testing.assert_allclose(found.by[0, :, 0], pushed().inputs, atol=1e-12)
@@ -268,6 +269,11 @@ class TestRefusals:
         time = np.array([0.0, 0.1, 0.3, 0.4])
         with pytest.raises(PredictionError, match=r"run\.csv: samples are not equally far apart; valid: between"):
             lag("band", 2).predict(run_of(time, np.zeros((4, 1))))
+
+    def test_a_run_that_is_mostly_a_gap(self) -> None:
+        time = np.array([0.0, 0.1, 0.2, 0.3, 1e6])
+        with pytest.raises(PredictionError, match=r"run\.csv: samples are 0\.1 to 1e\+06 s apart; valid: a run of its own for each part"):
+            lag().predict(run_of(time, np.zeros((5, 1))))
 
     def test_parameters(self) -> None:
         with pytest.raises(InputError, match="unknown parameter 'spirng'"):
