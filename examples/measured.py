@@ -12,11 +12,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import measured_arm
+import measured_emps
 import measured_tanks
 import measured_tentacle
 
 PREPARED: dict[str, Callable[[Path, Path], None]] = {
     "cascaded_tanks": measured_tanks.tanks,
+    "emps": measured_emps.emps,
+    "emps_tip_force": measured_emps.emps_tip_force,
+    "emps_guide": measured_emps.emps_guide,
     "pneumatic_arm": measured_arm.steps,
     "pneumatic_arm_gauges": measured_arm.steps_by_gauges,
     "pneumatic_arm_contact": measured_arm.contact,

@@ -62,7 +62,8 @@ class Motion:
         states = tuple(name for name in self.states if name in needed)
         rows = [self.states.index(name) for name in states]
         left = tuple((name, signal) for name, signal in settled.items() if name in needed)
-        return Motion(states, self.x[rows], rates[rows], self.u, y, self.theta, self.h, left)
+        x, rates = (ca.vertcat(ca.SX(0, 1), *(column[row] for row in rows)) for column in (self.x, rates))
+        return Motion(states, x, rates, self.u, y, self.theta, self.h, left)
 
     def _named(self, value: ca.SX) -> list[str]:
         """The states on which a value depends."""
