@@ -73,7 +73,7 @@ def test_the_split_is_between_cycles(tmp_path: Path) -> None:
     rises = [(run.time[1:][np.diff(run.inputs[:, 0]) > 1]) for run in (fit, validation)]
     assert len(rises[0]) == 4
     assert len(rises[1]) == 6
-    seen = np.isfinite(validation.points).all(axis=(1, 2))
+    seen = np.asarray(np.isfinite(validation.points).all(axis=(1, 2)))
     assert not seen[: fit.rows].any()
     assert seen[fit.rows :].all()
     assert rises[1][3] < fit.time[-1] < validation.time[seen][0] < rises[1][4]
