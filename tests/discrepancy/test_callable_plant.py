@@ -119,8 +119,11 @@ def test_many_sets_of_values_at_once_are_one_call() -> None:
 
 
 def test_states_that_a_run_begins_with() -> None:
+    asked = []
+
     def falling(run: Run, values: Mapping[str, float]) -> np.ndarray:
         height, speed = (0.0, 0.0) if run.state is None else run.state
+        asked.append((height, speed))
         return height + speed * run.time - values["g"] / 2 * run.time**2
 
     m = Simulator("a stone", Signals.of([], ["height"], "m"))
@@ -132,6 +135,7 @@ def test_states_that_a_run_begins_with() -> None:
     found = m.plant(falling).predict(run, [f"{START}speed", "g", f"{START}height"])
     np.testing.assert_allclose(found.points.ravel(), 3 + 2 * time - 4.9 * time**2)
     np.testing.assert_allclose(found.by[..., 0, 0], [time, -(time**2) / 2, np.ones(4)], atol=1e-9)
+    assert {(3.0, 2.0), (3.001, 2.0), (3.0, 2.005)} == {(round(height, 9), round(speed, 9)) for height, speed in asked}
 
 
 def test_groups_have_parameters_of_their_own() -> None:
@@ -156,6 +160,8 @@ def test_what_a_function_can_get_wrong() -> None:
 
     with pytest.raises(InputError, match=r"outputs of the shape \(1, 2\); valid: \(3, 1, 1\)"):
         plant(lambda run, values: np.zeros(2)).predict(run)
+    with pytest.raises(InputError, match=r"outputs of the shape \(1, 3, 2\); valid: \(3, 1, 1\)"):
+        plant(lambda run, values: np.zeros((3, 2))).predict(run)
     with pytest.raises(PredictionError, match="not finite"):
         plant(lambda run, values: np.full(3, np.nan)).predict(run)
     with pytest.raises(PredictionError, match="division by zero"):

@@ -20,8 +20,8 @@ TIME = np.linspace(0, 2, 81)
 def swing(groups: tuple[str, ...] = ("empty", "loaded")) -> CasadiPlant:
     m = Equations("a swing", laws=())
     q, v = m.state("q"), m.state("v")
-    damper = m.known("damper", 1.0, "N s/m")
-    mass, spring = m.known("mass", 1.0, "kg", within=0.9, groups=groups), m.known("spring", 30.0, "N/m", std=3.0)
+    spring = m.known("spring", 30.0, "N/m", std=3.0)
+    mass, damper = m.known("mass", 1.0, "kg", within=0.9, groups=groups), m.known("damper", 1.0, "N s/m")
     m.rate(q, v)
     m.rate(v, (m.input("force", size=10.0) - spring * q - damper * v) / mass)
     m.output("position", q, "m")
@@ -36,7 +36,7 @@ def run(group: str, points: np.ndarray | None = None) -> Run:
 
 def test_equations_have_parameters_of_groups_of_runs() -> None:
     plant = swing()
-    assert plant.known == ("damper", "mass[empty]", "mass[loaded]", "spring")
+    assert plant.known == ("spring", "mass[empty]", "mass[loaded]", "damper")
     truth = plant.with_values({"mass[empty]": 0.8, "mass[loaded]": 1.6, "spring": 28.0, "damper": 1.1})
     runs = tuple(run(group, truth.predict(run(group)).points) for group in ("empty", "loaded"))
     by = plant.predict(runs[0], plant.known).by

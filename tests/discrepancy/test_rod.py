@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
@@ -86,6 +88,18 @@ def test_points_of_cross_sections_go_along() -> None:
     angle = 3.0 * LENGTH / 2
     np.testing.assert_allclose(outside - middle, 0.1 * np.array([np.cos(angle), 0, -np.sin(angle)]), atol=1e-9)
     assert middle[1] == pytest.approx(0.02)
+
+
+def test_heavy_bodies_and_strong_pulls_find_their_shape() -> None:
+    """Many of them do not by Newton's steps alone, or by steps of any length."""
+    lost = []
+    for case in product((20.0, 75.0, 400.0), (0.0, 0.45, 0.8), (-20.0, -5.0, 1.0, 10.0, 30.0), (0.0, 0.3, 1.5)):
+        weight, taper, moment, tilt = case
+        try:
+            bent(np.array([[0.3 * moment, moment]]), weight, (0, tilt, 0), taper)
+        except RuntimeError:
+            lost.append(case)
+    assert len(lost) <= 3, lost
 
 
 def test_a_body_without_equilibrium_says_so() -> None:
