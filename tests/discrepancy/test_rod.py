@@ -91,15 +91,15 @@ def test_points_of_cross_sections_go_along() -> None:
 
 
 def test_heavy_bodies_and_strong_pulls_find_their_shape() -> None:
-    """Many of them do not by Newton's steps alone, or by steps of any length."""
+    """Many of them do not by Newton's steps alone."""
     lost = []
-    for case in product((20.0, 75.0, 400.0), (0.0, 0.45, 0.8), (-20.0, -5.0, 1.0, 10.0, 30.0), (0.0, 0.3, 1.5)):
+    for case in product((20.0, 400.0), (0.0, 0.6), (-20.0, 1.0, 20.0), (0.0, 0.3, 1.5)):
         weight, taper, moment, tilt = case
         try:
             bent(np.array([[0.3 * moment, moment]]), weight, (0, tilt, 0), taper)
         except RuntimeError:
             lost.append(case)
-    assert len(lost) <= 3, lost
+    assert not lost
 
 
 def test_a_body_without_equilibrium_says_so() -> None:

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RELAXED, PART = 4, 0.5  # steps before those of Newton, and how far each goes
-STEPS, TOGETHER = 40, 15  # of Newton, and those in which all sets have the derivatives of the first
+STEPS, TOGETHER = 60, 20  # of Newton, and those in which all sets have the derivatives of the first
 REST = 1e-9  # of the largest rate of turn: change in the last step
 NEAR = 1e-3  # of the same: change from which on derivatives are kept
-FURTHEST = 0.5  # rad, by which a piece turns in a step
+DAMPING = 3.0  # of the stiffness, as much as is added far from equilibrium, where a piece is to turn by 1 rad or more
 SMALL = 1e-4  # rad/m, for the derivatives
 
 
@@ -57,6 +56,8 @@ def equilibrium(
 ) -> Bent:
     """The shape in which a body's stiffness holds its tendons and its weight, by Newton's method on the rates of turn of all pieces.
 
+    Steps are damped by what is missing to equilibrium (pseudo-transient continuation; Kelley and Keyes, SIAM J. Numer. Anal. 35, 1998).
+
     Args:
         pulls: (angle turned from the base to the middle of each piece, (sets, rows, pieces) in rad) → moments of the tendons about x and
             y of the body there, (2, sets, rows, pieces).
@@ -72,21 +73,17 @@ def equilibrium(
     stiffness, weight, steps = (np.broadcast_to(each, shape) for each in (stiffness, weight, steps))
     start = turned(np.broadcast_to(base, (3, *shape[:-1])))[..., None]
     rates, inverse, sets = np.zeros((2, *shape)), None, 1
-    for k in range(RELAXED + STEPS):
+    for k in range(STEPS):
         angle = np.sqrt((rates**2).sum(axis=0)) * steps
         moments = pulls(np.cumsum(angle, axis=-1) - angle / 2) + _weighs(rates, weight, steps, start)
-        change = moments / stiffness - rates
-        if k < RELAXED:
-            rates = rates + PART * change
-            continue
-        if k == RELAXED + TOGETHER:
+        missing = moments / stiffness - rates
+        if k == TOGETHER:
             inverse, sets = None, shape[0]
         if inverse is None:
-            inverse = _inverse(rates[:, :sets], *(each[:sets] for each in (stiffness, weight, steps)), start[:, :sets])
-        whole = np.concatenate(list(change), axis=-1)[..., None]
+            damping = DAMPING * np.minimum(np.abs(missing * steps)[:, :sets].max(axis=(0, -1)), 1.0)
+            inverse = _inverse(rates[:, :sets], *(each[:sets] for each in (stiffness, weight, steps)), start[:, :sets], damping)
+        whole = np.concatenate(list(missing), axis=-1)[..., None]
         change = np.stack(np.split((inverse @ whole)[..., 0], 2, axis=-1))
-        furthest = np.abs(change * steps).max(axis=(0, -1), keepdims=True)[0]
-        change = change * (FURTHEST / np.maximum(furthest, FURTHEST))
         rates = rates + change
         moved, size = np.abs(change).max(axis=(0, 2, 3)), np.abs(rates).max()
         if moved.max() <= REST * size:
@@ -118,8 +115,15 @@ def _weighs(rates: np.ndarray, weight: np.ndarray, steps: np.ndarray, start: np.
     return np.stack([arm[1] * axis[0] - arm[0] * axis[1] for axis in (x, y)])
 
 
-def _inverse(rates: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, steps: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Inverse of the derivatives of rates less what moments make of them, but for the tendons' own, (sets, rows, 2 · pieces, same)."""
+def _inverse(
+    rates: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, steps: np.ndarray, start: np.ndarray, damping: np.ndarray
+) -> np.ndarray:
+    """Inverse of the derivatives of rates less what moments make of them, but for the tendons' own, (sets, rows, 2 · pieces, same).
+
+    Args:
+        rates, stiffness, weight, steps, start: see `equilibrium`.
+        damping: of the stiffness, added to it, (sets, rows).
+    """
     (_, sets, rows, pieces), count = rates.shape, 2 * rates.shape[-1]
     shifts = SMALL * np.eye(count).reshape(count, 2, 1, 1, pieces)
     moved = np.moveaxis(rates + shifts, 0, 1).reshape(2, count * sets, rows, pieces)
@@ -127,7 +131,7 @@ def _inverse(rates: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, steps
     after = _weighs(moved, *many).reshape(2, count, sets, rows, pieces)
     slope = (after - _weighs(rates, weight, steps, start)[:, None]) / (SMALL * stiffness)  # component, by, sets, rows, pieces
     square = slope.transpose(2, 3, 0, 4, 1).reshape(sets, rows, count, count)
-    return np.linalg.inv(np.eye(count) - square)
+    return np.linalg.inv((1 + damping[..., None, None]) * np.eye(count) - square)
 
 
 def times(one: np.ndarray, other: np.ndarray) -> np.ndarray:
