@@ -6,6 +6,7 @@ from math import inf
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.casadi_plant import CasadiPlant
@@ -39,6 +40,10 @@ def test_equations_have_parameters_of_groups_of_runs() -> None:
     assert plant.known == ("spring", "mass[empty]", "mass[loaded]", "damper")
     truth = plant.with_values({"mass[empty]": 0.8, "mass[loaded]": 1.6, "spring": 28.0, "damper": 1.1})
     runs = tuple(run(group, truth.predict(run(group)).points) for group in ("empty", "loaded"))
+    for mass, each in zip((0.8, 1.6), runs, strict=True):
+        pushed = TIME[TIME >= 0.5]
+        found = solve_ivp(lambda t, y, m=mass: [y[1], (10 - 28 * y[0] - 1.1 * y[1]) / m], (0.4875, 2), [0, 0], t_eval=pushed, rtol=1e-8)
+        np.testing.assert_allclose(each.points[TIME >= 0.5, 0, 0], found.y[0], atol=1e-3)  # the force rises within a sample
     by = plant.predict(runs[0], plant.known).by
     assert not by[2].any()
     assert all(by[k].any() for k in (0, 1, 3))
