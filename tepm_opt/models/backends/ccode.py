@@ -92,9 +92,10 @@ _LOOP = """
 static void {name}_lanes(const vector *const *arg, vector *const *res) {{
   static const int in[] = {{{inputs}}}, out[] = {{{outputs}}};
   enum {{ N_IN = sizeof in / sizeof *in, N_OUT = sizeof out / sizeof *out }};
-  double given[{given}], got[{got}], work[SZ_W + 1], *result[N_OUT], *at;
+  static _Thread_local double given[{given}], got[{got}], work[SZ_W + 1]; /* as large as the model */
+  double *result[N_OUT], *at;
   const double *argument[N_IN];
-  casadi_int integers[SZ_IW + 1];
+  static _Thread_local casadi_int integers[SZ_IW + 1];
   for (int lane = 0; lane < LANES; lane++) {{
     at = given;
     for (int i = 0; i < N_IN; i++) {{ argument[i] = at; for (int k = 0; k < in[i]; k++) *at++ = arg[i][k][lane]; }}

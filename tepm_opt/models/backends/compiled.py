@@ -52,7 +52,7 @@ def statics_unit(network: Network) -> Unit:
         network.functions,
         sizes,
         {"DRIVEN": network.driven},
-        ("real.c", "statics.c", "rotations.c", "kinematics.c"),
+        ("real.c", "rotations.c", "statics.c", "kinematics.c"),
         symbols,
         stem="statics",
     )
@@ -106,7 +106,7 @@ class CompiledStatics:
         self.network = network
         p, i, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
         self._actuation, self._statics, self._sensitivity = library.actuation, library.statics, library.sensitivity
-        self._actuation.argtypes, self._actuation.restype = [p, p, p], None
+        self._actuation.argtypes = [p, p, p]
         self._statics.argtypes = [p, p, i, p, p, d, i, p, p]
         self._inverse = library.inverse
         self._inverse.argtypes = [p, p, p, p, p, p, d, d, d, i, p]
@@ -125,7 +125,8 @@ class CompiledStatics:
         """See `StaticsBackend.actuation`."""
         array, at = self._arrays.array, self._arrays.address
         array["u"][:], array["theta"][:] = u, theta
-        self._actuation(at["u"], at["theta"], at["a"])
+        if STATUSES[self._actuation(at["u"], at["theta"], at["a"])] != Status.SOLVED:
+            raise MemoryError("no room for the effective actuation")
         return array["a"].copy()
 
     def statics(
@@ -222,7 +223,7 @@ class CompiledStatics:
 
 
 STEPPING = (
-    "real.c", "time_stepping.c", "rotations.c", "motion_network.c", "motion_tangents.c", "motion_newton.c", "motion_steps.c",
+    "real.c", "rotations.c", "time_stepping.c", "motion_network.c", "motion_tangents.c", "motion_newton.c", "motion_steps.c",
     "motion_adaptive.c", "motion_rounds.c", "motion_one.c",
 )  # fmt: skip
 

@@ -33,7 +33,8 @@ static int solve_together(work *w, const double *external, const double *weights
   int status = EXHAUSTED, iteration;
   memcpy(w->x[0], w->level_0, sizeof w->level_0);
   for (iteration = 0; iteration < max_iterations; iteration++) {
-    double by_a[HALF][NU], by_external[ROWS * NEXT], shift[HALF][NLEV + 1][NB], matrix[HALF * HALF], change[HALF], step = 0, away = 0;
+    double (*by_a)[NU] = w->inverse.by_a, (*shift)[NLEV + 1][NB] = w->inverse.shift, *matrix = w->inverse.matrix;
+    double by_external[ROWS * NEXT], change[HALF], step = 0, away = 0;
     assemble(w, 0);
     if (factor(w)) { status = INDEFINITE; break; }
     look(w, observed);
@@ -58,7 +59,7 @@ static int solve_together(work *w, const double *external, const double *weights
     set_properties(w, external);
     gradient(w);
     newton_step(w);
-    move(w->x, w->step, 1, w->trial);
+    move(&w->turns, w->x, w->step, 1, w->trial);
     memcpy(w->x, w->trial, sizeof w->x);
   }
   info[0] = iteration;
@@ -102,12 +103,12 @@ int response(double *x, const double *a, const double *external, const double *t
 }
 
 /* How axial forces become inputs: interface.py, `Allotment`. */
-typedef struct { const double *theta, *start, *limit, *grid; double area; int fine; } allotment;
+typedef struct { work *w; const double *start, *limit, *grid; double area; int fine; } allotment;
 
 /* Axial forces that the inputs miss; returns the largest. */
 static double missing_forces(const allotment *by, const double *inputs, const double *forces, double *missing) {
   double a[NU], largest = 0;
-  actuation(inputs, by->theta, a);
+  map_inputs(by->w, inputs, a);
   for (int k = 0; k < HALF; k++) {
     missing[k] = forces[k] - (by->area * a[k] - a[HALF + k]);
     if (!(fabs(missing[k]) <= largest)) largest = fabs(missing[k]);
@@ -161,8 +162,11 @@ static double make_inputs(const allotment *by, const double *forces, double *inp
 /* `make_inputs` for one set of forces. */
 double allocate(const double *forces, const double *theta, const double *start, const double *limit, const double *grid, double area,
                 int fine, double *inputs, double *rounded) {
-  allotment by = {theta, start, limit, grid, area, fine};
-  return make_inputs(&by, forces, inputs, rounded);
+  allotment by = {take(theta), start, limit, grid, area, fine};
+  if (!by.w) return INFINITY;
+  double missed = make_inputs(&by, forces, inputs, rounded);
+  free(by.w);
+  return missed;
 }
 
 /* Configurations whose first three weighted sums are the targets, (count, 3), and whose other sums are 0, with the inputs that
@@ -175,9 +179,9 @@ int configurations(int count, const double *targets, int cold, const double *x, 
                    double force_tolerance, double shortest, int max_iterations, const double *start, const double *limit, const double *grid, double area,
                    int fine, double *levels, double *actuations, double *observed, double *inputs, double *rounded, double *info,
                    int *solved) {
-  allotment by = {theta, start, limit, grid, area, fine};
-  int status = SOLVED;
   work *w = prepare(a, 1, external, theta);
+  allotment by = {w, start, limit, grid, area, fine};
+  int status = SOLVED;
   *solved = 0;
   if (!w) return STALLED;
   memcpy(w->x, x, sizeof w->x);

@@ -198,7 +198,7 @@ static void adapt(stepper *m, work *w, carried *c, pair *p, mask on) {
       LANE(t, lane) = o->inputs.time[o->sample];
     }
     if (!any(due)) break;
-    levels x, v;
+    real (*x)[NB] = w->in_record.x, (*v)[NB] = w->in_record.v;
     between(m, c, p, t, x, v);
     record(m, w, x, v, p->d_between, due);
   }

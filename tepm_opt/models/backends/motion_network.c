@@ -115,8 +115,6 @@ static void multiply_lanes(block a, const vector *x, double sign, const vector *
 SOLVE(solve, double, multiply)
 SOLVE(solve_lanes, vector, multiply_lanes)
 
-typedef struct { vector x[2][NB], v[2][NB], y[AT_LEAST_1(NEDGE)]; } batch; /* LANES segments side by side */
-
 /* Gathers a batch and returns how many of its lanes are segments of their own: spare ones repeat the last. */
 static int gather(const work *w, int first, batch *b) {
   int count = NLEV - first < LANES ? NLEV - first : LANES;
@@ -134,12 +132,12 @@ static int gather(const work *w, int first, batch *b) {
 /* Forces of all segments at w->x, w->v (w->force), rates of the edge states and, with `with_tangent`, the stage's matrix in the blocks. */
 static void forces(work *w, double step, int with_tangent) {
   double rate = 1 / step;
-  vector time = (vector){0} + step, force[2 * NB], states[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB] ALIGNED;
+  vector time = (vector){0} + step, *force = w->in_forces.force, *states = w->in_forces.states, *matrix = w->in_forces.matrix;
+  batch *b = &w->in_forces.b;
   memset(w->force, 0, sizeof w->force);
   for (int first = 0; first < NLEV; first += LANES) {
-    batch b ALIGNED;
-    int count = gather(w, first, &b);
-    const vector *arg[] = {b.x[0], b.x[1], b.v[0], b.v[1], b.y, &time, w->packed_P[first / LANES], w->packed_theta, w->trusted[first / LANES]};
+    int count = gather(w, first, b);
+    const vector *arg[] = {b->x[0], b->x[1], b->v[0], b->v[1], b->y, &time, w->packed_P[first / LANES], w->packed_theta, w->trusted[first / LANES]};
     vector *res[] = {force, states, w->pull[first / LANES], matrix};
     if (with_tangent) segment_tangent_lanes(arg, res);
     else segment_motion_lanes(arg, res);

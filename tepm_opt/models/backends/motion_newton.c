@@ -10,8 +10,8 @@ static mask newton(stepper *m, work *w, real step, levels x_0, levels v_0, mask 
   const real rate = 1 / step;
   real before = ZERO, contraction;
   mask going = on, stale = on, failed = NONE;
-  levels guess, from;
-  memcpy(guess, w->x, sizeof guess);
+  real (*guess)[NB] = w->in_newton.guess, (*from)[NB] = w->in_newton.from;
+  memcpy(guess, w->x, sizeof w->x);
   for (int iteration = 0; iteration < STAGE_ITERATIONS && any(going); iteration++) {
     velocities(w, step, x_0);
     if (any(stale)) failed |= assemble(m, w, step, stale, !iteration) & stale;
@@ -30,14 +30,14 @@ static mask newton(stepper *m, work *w, real step, levels x_0, levels v_0, mask 
     going &= ~failed & ~solved;
     if (!any(going)) break;
     solve(w, w->step);
-    memcpy(from, w->x, sizeof from);
-    move(from, w->step, -1, w->x);
+    memcpy(from, w->x, sizeof w->x);
+    move(&w->turns, from, w->step, -1, w->x);
     for (int l = 1; l <= NLEV; l++)
       for (int i = 0; i < NB; i++) {
         corrected = larger(absolute(w->x[l][i] - guess[l][i]), corrected);
         size = larger(absolute(w->step[l][i]), size);
       }
-    blend(w->x, from, sizeof from, ~going);
+    blend(w->x, from, sizeof w->x, ~going);
     failed |= going & WHERE(corrected > m->max_correction) & ~last_try; /* too far to trust that this is the solution nearby */
     going &= ~failed;
     m->iterations += pick(going, each(1), ZERO);

@@ -1,11 +1,12 @@
 /* The edges' pulls where motions stand, and w->a where their inputs stand. */
 static void take_stock(stepper *m, work *w, const state *s, mask on) {
-  real y[AT_LEAST_1(NIN)], zero[NU] = {}, a[NU], moment = each(JUMP_TIME), t = ZERO;
+  real *y = w->in_inputs.y, *zero = w->in_inputs.rate, *a = w->in_inputs.a, moment = each(JUMP_TIME), t = ZERO;
+  memset(zero, 0, NU * sizeof(real));
   for (int lane = 0; lane < WIDTH; lane++) if (LANE(on, lane)) LANE(t, lane) = m->motion[lane].t;
   const real *now[] = {s->u, zero, s->y_inputs, &moment, w->theta};
   real *result[] = {a, y};
   CALL(input_motion, w, now, result);
-  blend(w->a, a, sizeof a, on);
+  blend(w->a, a, sizeof w->a, on);
   set_properties(m, w, w->a, t);
   memcpy(w->x, s->x, sizeof w->x);
   memcpy(w->v, s->v, sizeof w->v);

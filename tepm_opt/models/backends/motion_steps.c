@@ -12,7 +12,8 @@ static void look(stepper *m, real t, int left, int from, int count, real *values
 /* Move the inputs and their internal states on to a time, and w->a with them. */
 static void move_inputs(stepper *m, work *w, state *s, real until, real duration, int left, mask on) {
   const real often = 1 / duration;
-  real u[NU] = {}, rate[NU], y[AT_LEAST_1(NIN)], a[NU], late = ZERO;
+  real *u = w->in_inputs.u, *rate = w->in_inputs.rate, *y = w->in_inputs.y, *a = w->in_inputs.a, late = ZERO;
+  memset(u, 0, NU * sizeof(real));
   for (int lane = 0; lane < WIDTH; lane++) LANE(late, lane) = m->motion[lane].inputs.delay;
   look(m, until - late, left, 0, NU, u);
   for (int k = 0; k < NU; k++) rate[k] = (u[k] - s->u[k]) * often;
@@ -20,8 +21,8 @@ static void move_inputs(stepper *m, work *w, state *s, real until, real duration
   real *res[] = {a, y};
   CALL(input_motion, w, arg, res);
   move_inputs_along(m, w, arg, until, duration, left);
-  blend(w->a, a, sizeof a, on);
-  blend(s->u, u, sizeof u, on);
+  blend(w->a, a, sizeof w->a, on);
+  blend(s->u, u, sizeof s->u, on);
   blend(s->y_inputs, y, NIN * sizeof(real), on);
 }
 
@@ -57,9 +58,9 @@ static void keep(past *p, real t, levels a) {
 static mask implicit_step(stepper *m, work *w, state *s, const state *guide, real t, real h, mask last_try, mask on) {
   const double gamma = 0.5 + sqrt(3) / 6, c[3] = {1 - gamma, gamma, 1};
   const real step = gamma * h, rate = 1 / step;
-  real a[2][NU];
-  levels x_0, v_0, V[2], A[2];
-  edge_states Y[2];
+  real (*a)[NU] = w->in_step.a, (*x_0)[NB] = w->in_step.x_0, (*v_0)[NB] = w->in_step.v_0;
+  levels *V = w->in_step.V, *A = w->in_step.A;
+  edge_states *Y = w->in_step.Y;
   mask failed = NONE;
   for (int k = 0; k < 3; k++) { /* the second stage's time comes first */
     move_inputs(m, w, s, t + c[k] * h, (c[k] - (k ? c[k - 1] : 0)) * h, k == 2, on);
@@ -97,9 +98,10 @@ static mask implicit_step(stepper *m, work *w, state *s, const state *guide, rea
 /* Classical RK4; inputs and their states at the start, the middle and the end. */
 static void explicit_step(stepper *m, work *w, state *s, real t, real h, mask on) {
   static const double at[4] = {0, 0.5, 0.5, 1}, weight[4] = {1. / 6, 1. / 3, 1. / 3, 1. / 6};
-  state start = *s;
-  levels V, A;
-  edge_states Y;
+  real (*V)[NB] = w->in_step.V[0], (*A)[NB] = w->in_step.A[0];
+  real (*Y)[AT_LEAST_1(NEDGE)] = w->in_step.Y[0];
+  const state *start = &w->in_step.start;
+  w->in_step.start = *s;
   for (int i = 0; i < 4; i++) {
     if (i == 1) move_inputs(m, w, s, t + h / 2, h / 2, 0, on);
     if (i == 3) move_inputs(m, w, s, t + h, h / 2, 1, on);
@@ -107,10 +109,10 @@ static void explicit_step(stepper *m, work *w, state *s, real t, real h, mask on
     memcpy(w->x[0], w->level_0, sizeof w->level_0);
     for (int l = 1; l <= NLEV; l++)
       for (int k = 0; k < NB; k++) {
-        w->x[l][k] = i ? start.x[l][k] + at[i] * h * V[l][k] : start.x[l][k];
-        w->v[l][k] = i ? start.v[l][k] + at[i] * h * A[l][k] : start.v[l][k];
+        w->x[l][k] = i ? start->x[l][k] + at[i] * h * V[l][k] : start->x[l][k];
+        w->v[l][k] = i ? start->v[l][k] + at[i] * h * A[l][k] : start->v[l][k];
       }
-    for (int e = 0; e < NLEV; e++) for (int k = 0; k < NEDGE; k++) w->y[e][k] = i ? start.y_edges[e][k] + at[i] * h * Y[e][k] : start.y_edges[e][k];
+    for (int e = 0; e < NLEV; e++) for (int k = 0; k < NEDGE; k++) w->y[e][k] = i ? start->y_edges[e][k] + at[i] * h * Y[e][k] : start->y_edges[e][k];
     forces(w, ZERO, 0);
     for (int l = 1; l <= NLEV; l++) {
       real compliance = -1 / w->P[l - 1][MASS];
@@ -121,7 +123,7 @@ static void explicit_step(stepper *m, work *w, state *s, real t, real h, mask on
         s->v[l][k] += weight[i] * h * A[l][k];
       }
     }
-    memcpy(Y, w->rate, sizeof Y);
+    memcpy(Y, w->rate, sizeof w->rate);
     for (int e = 0; e < NLEV; e++) for (int k = 0; k < NEDGE; k++) s->y_edges[e][k] += weight[i] * h * Y[e][k];
   }
 }
@@ -134,7 +136,7 @@ static mask bounded(const state *s) {
 
 /* The next row of what is observed: points in G and lengths, levels and velocities, directions. */
 static void record(stepper *m, work *w, levels x, levels v, const tangent *d, mask on) {
-  real observed[NOBS];
+  real *observed = w->in_record.observed;
   const real *arg[] = {x[0], w->theta};
   real *res[] = {observed, observed + NOBS - NU / 2};
   CALL(observe, w, arg, res);
@@ -152,13 +154,14 @@ static void record(stepper *m, work *w, levels x, levels v, const tangent *d, ma
 
 /* Rest under the first row: actuation, level 0, directions; s holds the equilibrium's levels. Returns where that failed. */
 static mask begin(stepper *m, work *w, state *s, mask on) {
-  real t = ZERO, late = ZERO, u[NU] = {};
+  real t = ZERO, late = ZERO, *u = w->in_inputs.u;
+  memset(u, 0, NU * sizeof(real));
   for (int lane = 0; lane < WIDTH; lane++) {
     history *h = &m->motion[lane].inputs;
     if (h->rows) { LANE(t, lane) = h->time[0]; LANE(late, lane) = h->delay; }
   }
   look(m, t, 0, 0, NU, u);
-  blend(s->u, u, sizeof u, on);
+  blend(s->u, u, sizeof s->u, on);
   begin_along(m, t);
   move_inputs(m, w, s, t + late, each(JUMP_TIME), 0, on);
   set_properties(m, w, w->a, t);

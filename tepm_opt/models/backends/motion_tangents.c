@@ -19,12 +19,12 @@ static void move_inputs_along(stepper *m, work *w, const double **arg, double un
   run(input_motion_by, w, arg, by);
   for (int g = 0; g < m->groups; g++) {
     tangent *d = m->d + g;
-    vector in[2 * NU + NIN + NTHETA], out[NU + NIN];
+    vector *in = w->in_directions.in, *out = w->in_directions.out;
     look_along(h, until - h->delay, left, 0, NU, 1, g, in);
     for (int k = 0; k < NU; k++) { in[NU + k] = (in[k] - d->u[k]) / duration; d->u[k] = in[k]; }
     memcpy(in + 2 * NU, d->y_inputs, NIN * sizeof(vector));
     memcpy(in + 2 * NU + NIN, h->d_theta + g * NTHETA, NTHETA * sizeof(vector));
-    memset(out, 0, sizeof out);
+    memset(out, 0, sizeof w->in_directions.out);
     for (int k = 0; k < input_motion_by_nnz; k++) out[input_motion_by_row[k]] += w->by_inputs[k] * in[input_motion_by_col[k]];
     memcpy(d->a, out, sizeof d->a);
     memcpy(d->y_inputs, out + NU, NIN * sizeof(vector));
@@ -35,7 +35,7 @@ static void move_inputs_along(stepper *m, work *w, const double **arg, double un
 enum { AT_V = 2 * NB, AT_Y = 4 * NB, AT_P = AT_Y + NEDGE, AT_THETA = AT_P + NPROP, SEGMENT = AT_THETA + NTHETA };
 
 static void properties_along(stepper *m, work *w, double t, const vector *a, int group, vector *P_level_0) {
-  vector in[NU + NEXT + NTHETA];
+  vector *in = w->in_directions.in;
   memcpy(in, a, NU * sizeof(vector));
   look_along(&m->motion->inputs, t, 0, NU, NEXT, 0, group, in + NU);
   memcpy(in + NU + NEXT, m->motion->inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
@@ -45,7 +45,8 @@ static void properties_along(stepper *m, work *w, double t, const vector *a, int
 
 /* Columns of parameters that no direction changes are left out. */
 static void choose(work *w, int groups, const vector *d_theta) {
-  char changes[NTHETA] = {0};
+  char *changes = w->in_directions.changes;
+  memset(changes, 0, NTHETA);
   for (int k = 0; k < groups * NTHETA; k++) for (int lane = 0; lane < LANES; lane++) changes[k % NTHETA] |= d_theta[k][lane] != 0;
   selection *c = &w->chosen;
   int count = 0;
@@ -81,17 +82,17 @@ static int linearise(work *w, double step, const double *a, int resting) {
   const double *arg_P[] = {a, w->external, w->theta};
   double *res_P[] = {w->by_properties};
   run(properties_by, w, arg_P, res_P);
-  vector time = (vector){0} + step, by[segment_by_nnz];
+  vector time = (vector){0} + step, *by = w->in_directions.by, *matrix = w->in_forces.matrix;
+  batch *b = &w->in_forces.b;
   for (int first = 0; first < NLEV; first += LANES) {
-    batch b;
-    int count = gather(w, first, &b);
-    const vector *arg[] = {b.x[0], b.x[1], b.v[0], b.v[1], b.y, &time, w->packed_P[first / LANES], w->packed_theta};
+    int count = gather(w, first, b);
+    const vector *arg[] = {b->x[0], b->x[1], b->v[0], b->v[1], b->y, &time, w->packed_P[first / LANES], w->packed_theta};
     vector *res[] = {by};
     segment_by_lanes(arg, res);
     for (int k = 0; k < w->chosen.start[BY_ROWS]; k++)
       for (int lane = 0; lane < count; lane++) w->by[first + lane][k] = by[w->chosen.entry[k]][lane];
     if (!resting) continue;
-    vector matrix[4 * NB * NB] = {{0}};
+    memset(matrix, 0, sizeof w->in_forces.matrix);
     for (int k = 0; k < segment_by_nnz; k++)
       if (segment_by_row[k] < 2 * NB && segment_by_col[k] < 2 * NB) matrix[segment_by_col[k] * 2 * NB + segment_by_row[k]] = by[k];
     scatter(w, first, count, matrix);
@@ -104,7 +105,8 @@ static int linearise(work *w, double step, const double *a, int resting) {
 /* One group of directions through a stage: from *d at its start (x_0, v_0, y_0) to the rates at its end, with the matrix at hand.
    Without `step` the network rests and d->x becomes how its equilibrium moves. */
 static void differentiate(stepper *m, work *w, int group, double t, double step, const vector *a, lane_rates *d, levels v_0) {
-  vector P[NLEV * NPROP + NB], rhs[NLEV + 2][NB] = {{{0}}}, in[SEGMENT];
+  vector *P = w->in_directions.P, (*rhs)[NB] = w->in_directions.rhs, *in = w->in_directions.in;
+  memset(rhs, 0, sizeof w->in_directions.rhs);
   const selection *c = &w->chosen;
   properties_along(m, w, t, a, group, P);
   memcpy(d->x[0], P + NLEV * NPROP, sizeof d->x[0]);
@@ -199,10 +201,10 @@ static mask rest_along(stepper *m, work *w, const state *s, double t) {
 /* Row k of what is observed along the directions d, at levels x. */
 static void record_along(stepper *m, work *w, const double **arg, const tangent *d, long k) {
   if (!m->groups) return;
-  double by[observe_by_nnz], *res_by[] = {by};
+  double *by = w->in_directions.observed_by, *res_by[] = {by};
   run(observe_by, w, arg, res_by);
   for (int g = 0; g < m->groups; g++) {
-    vector *out = m->motion->records.d_observed + (k * m->groups + g) * NOBS, in[(NLEV + 1) * NB + NTHETA];
+    vector *out = m->motion->records.d_observed + (k * m->groups + g) * NOBS, *in = w->in_directions.x;
     memcpy(in, d[g].x, (NLEV + 1) * NB * sizeof(vector));
     memcpy(in + (NLEV + 1) * NB, m->motion->inputs.d_theta + g * NTHETA, NTHETA * sizeof(vector));
     memset(out, 0, NOBS * sizeof(vector));

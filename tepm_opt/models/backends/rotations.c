@@ -9,6 +9,7 @@
 #define AT(of, k, l) (*(vector *)&(of)[k][l])
 enum { ROOM = (NLEV + TOGETHER - 1) / TOGETHER * TOGETHER + 1 }; /* levels from 0 on, in whole vectors from 1 on */
 typedef real along[3][ROOM]; /* a vector in space for every level */
+typedef struct { along centre, d_centre, turn, link; vector node[(NLEV + TOGETHER - 1) / TOGETHER][NB / 3][3]; } turns; /* room for `move` */
 
 static void cross(const vector *a, const vector *b, vector *c) {
   c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
@@ -73,14 +74,12 @@ static inline vector levels_from(real (*x)[NB], int l, int k) {
 }
 
 /* moved = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
-static void move(real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]) {
-  along centre, d_centre, turn, link;
-  vector node[(NLEV + TOGETHER - 1) / TOGETHER][NB / 3][3];
+static void move(turns *restrict m, real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]) {
   for (int k = 0; k < 3; k++) {
     real sum = x[0][k];
     for (int i = 1; i < NB / 3; i++) sum += x[0][3 * i + k];
-    centre[k][0] = sum / (NB / 3);
-    d_centre[k][0] = turn[k][0] = sum - sum;
+    m->centre[k][0] = sum / (NB / 3);
+    m->d_centre[k][0] = m->turn[k][0] = sum - sum;
   }
   for (int l = 1; l <= NLEV; l += TOGETHER) {
     vector r[NB / 3][3], d[NB / 3][3], turned[3];
@@ -93,31 +92,31 @@ static void move(real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]) {
       here /= NB / 3;
       d_here /= NB / 3;
       for (int i = 0; i < NB / 3; i++) { r[i][k] -= here; d[i][k] -= d_here; }
-      AT(centre, k, l) = here;
-      AT(d_centre, k, l) = d_here;
+      AT(m->centre, k, l) = here;
+      AT(m->d_centre, k, l) = d_here;
     }
     fit_rotation(r, d, turned);
     rotation of_level = rotate_by(turned);
-    for (int k = 0; k < 3; k++) AT(turn, k, l) = turned[k];
-    for (int i = 0; i < NB / 3; i++) rotate(&of_level, r[i], d[i], node[(l - 1) / TOGETHER][i]);
+    for (int k = 0; k < 3; k++) AT(m->turn, k, l) = turned[k];
+    for (int i = 0; i < NB / 3; i++) rotate(&of_level, r[i], d[i], m->node[(l - 1) / TOGETHER][i]);
   }
   for (int l = 1; l <= NLEV; l += TOGETHER) {
     vector middle[3], v[3], dv[3], rotated[3];
     for (int k = 0; k < 3; k++) {
-      middle[k] = (AT(turn, k, l) + AT(turn, k, l - 1)) / 2;
-      v[k] = AT(centre, k, l) - AT(centre, k, l - 1);
-      dv[k] = AT(d_centre, k, l) - AT(d_centre, k, l - 1);
+      middle[k] = (AT(m->turn, k, l) + AT(m->turn, k, l - 1)) / 2;
+      v[k] = AT(m->centre, k, l) - AT(m->centre, k, l - 1);
+      dv[k] = AT(m->d_centre, k, l) - AT(m->d_centre, k, l - 1);
     }
     rotation of_link = rotate_by(middle);
     rotate(&of_link, v, dv, rotated);
-    for (int k = 0; k < 3; k++) AT(link, k, l) = rotated[k];
+    for (int k = 0; k < 3; k++) AT(m->link, k, l) = rotated[k];
   }
   memcpy(moved[0], x[0], sizeof *x);
   for (int k = 0; k < 3; k++) {
-    real at = centre[k][0];
+    real at = m->centre[k][0];
     for (int l = 1; l <= NLEV; l++) {
-      at += link[k][l];
-      for (int i = 0; i < NB / 3; i++) moved[l][3 * i + k] = at + OF(node[(l - 1) / TOGETHER][i][k], l);
+      at += m->link[k][l];
+      for (int i = 0; i < NB / 3; i++) moved[l][3 * i + k] = at + OF(m->node[(l - 1) / TOGETHER][i][k], l);
     }
   }
 }

@@ -3,10 +3,9 @@
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NDRIVEN of them changed by inputs, NU inputs,
    NEXT external force components, NTHETA parameters, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel,
-   SZ_W, SZ_IW work of the kernels. Statuses and limits are macros too: interface.py has them. Level 0 is fixed. */
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
+   SZ_W, SZ_IW work of the kernels. Statuses and limits are macros too: interface.py has them. Level 0 is fixed.
+
+   What grows with segments, modules or parameters lies in `work`, which a call takes from the heap: stacks are small in threads. */
 
 #define NVEC ((2 * NB + LANES - 1) / LANES)
 #define LD (NVEC * LANES)                /* rows of a panel column, padded to whole vectors */
@@ -22,6 +21,12 @@ typedef struct {
   double a[NU], level_0[NB], kernel_work[SZ_W + 1];
   casadi_int kernel_iwork[SZ_IW + 1];
   const double *theta;
+  turns turns;
+  struct {                                       /* of `adjoint` */
+    double sum[ROWS][NTHETA], spare[ROWS][NTHETA], by_x[NLEV + 1][NB], by_P[ROWS][NLEV][NPROP], by_a[NU], driven[NLEV][NDRIVEN];
+    vector step[NLEV + 2][NB];
+  } adjoint;
+  struct { double by_a[NU / 2][NU], shift[NU / 2][NLEV + 1][NB], matrix[NU / 2 * NU / 2]; } inverse; /* of `solve_together` */
 } work;
 
 static void run(kernel *f, work *w, const double **arg, double **res) { f(arg, res, w->kernel_iwork, w->kernel_work, 0); }
@@ -175,8 +180,6 @@ static void newton_step(work *w) {
   }
 }
 
-static void move(real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]); /* rotations.c */
-
 /* Factor the stiffness at w->x, or a positive definite stand-in where it is indefinite (returns 1 then). */
 static int factor_safely(work *w) {
   if (!factor(w)) return 0;
@@ -194,27 +197,35 @@ static void set_properties(work *w, const double *external) {
   run(properties, w, arg, res);
 }
 
-static work *prepare(const double *u, int mapped, const double *external, const double *theta) {
+static work *take(const double *theta) {
   work *w = aligned_alloc(64, (sizeof(work) + 63) / 64 * 64);
-  if (!w) return 0;
-  w->theta = theta;
-  if (mapped) memcpy(w->a, u, sizeof w->a);
-  else {
-    const double *arg[] = {u, theta};
-    double *res[] = {w->a};
-    run(input_map, w, arg, res);
-  }
-  set_properties(w, external);
+  if (w) w->theta = theta;
   return w;
 }
 
 /* Effective actuation a under the commanded u. */
-void actuation(const double *u, const double *theta, double *a) {
-  double kernel_work[SZ_W + 1];
-  casadi_int kernel_iwork[SZ_IW + 1];
-  const double *arg[] = {u, theta};
+static void map_inputs(work *w, const double *u, double *a) {
+  const double *arg[] = {u, w->theta};
   double *res[] = {a};
-  input_map(arg, res, kernel_iwork, kernel_work, 0);
+  run(input_map, w, arg, res);
+}
+
+static work *prepare(const double *u, int mapped, const double *external, const double *theta) {
+  work *w = take(theta);
+  if (!w) return 0;
+  if (mapped) memcpy(w->a, u, sizeof w->a);
+  else map_inputs(w, u, w->a);
+  set_properties(w, external);
+  return w;
+}
+
+/* Effective actuation a under the commanded u. Returns a status. */
+int actuation(const double *u, const double *theta, double *a) {
+  work *w = take(theta);
+  if (!w) return STALLED;
+  map_inputs(w, u, a);
+  free(w);
+  return SOLVED;
 }
 
 /* Equilibrium from the start w->x, in place. info: iterations, residual in N, energy in J. Returns a status. */
@@ -237,7 +248,7 @@ static int settle(work *w, double tolerance, int max_iterations, double *info) {
     }
     for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) slope += w->force[l][i] * w->step[l][i];
     for (int halving = 0; halving < 40; halving++) {
-      move(w->x, w->step, t, w->trial);
+      move(&w->turns, w->x, w->step, t, w->trial);
       double there = energy(w, w->trial);
       if (there <= here + 1e-4 * t * slope + ENERGY_NOISE * (1 + fabs(here))) { found = 1; break; }
       double shorter = -slope * t * t / 2 / (there - here - slope * t);
@@ -275,9 +286,12 @@ int statics(double *x, const double *u, int mapped, const double *external, cons
    of the energy, (rows, NLEV + 1, NB): how the sum moves where the network is not in equilibrium. */
 static void adjoint(work *w, const double *u, int mapped, const double *external, int rows, const double *weights, double *by_u,
                     double *by_external, double *by_theta, double *shift) {
-  double sum[ROWS][NTHETA] = {{0}}, by_level_0[ROWS][NB] = {{0}}, spare[ROWS][NTHETA], by_x[NLEV + 1][NB];
-  double by_P[ROWS][NLEV][NPROP], kernel_P[ROWS][NPROP], pair[ROWS][2][NB];
-  vector step[NLEV + 2][NB] = {{{0}}};
+  double by_level_0[ROWS][NB] = {{0}}, kernel_P[ROWS][NPROP], pair[ROWS][2][NB];
+  double (*sum)[NTHETA] = w->adjoint.sum, (*spare)[NTHETA] = w->adjoint.spare, (*by_x)[NB] = w->adjoint.by_x;
+  double (*by_P)[NLEV][NPROP] = w->adjoint.by_P, (*driven)[NDRIVEN] = w->adjoint.driven, *by_a = w->adjoint.by_a;
+  vector (*step)[NB] = w->adjoint.step;
+  memset(sum, 0, sizeof w->adjoint.sum);
+  memset(step, 0, sizeof w->adjoint.step);
   for (int row = 0; row < rows; row++) {
     const double *weight = weights + row * (NPOINT + NLEN), *arg[] = {w->x[0], w->theta, weight, weight + NPOINT};
     double *res[] = {by_x[0], sum[row]};
@@ -304,19 +318,18 @@ static void adjoint(work *w, const double *u, int mapped, const double *external
     }
   }
   for (int row = 0; row < rows; row++) {
-    double by_a[NU], driven[NLEV][NDRIVEN];
     if (by_theta) {
       const double *arg[] = {w->a, external, w->theta, by_P[row][0], by_level_0[row]};
       double *res[] = {by_theta + row * NTHETA};
       run(properties_theta_adjoint, w, arg, res);
       for (int s = 0; s < NLEV; s++) for (int k = 0; k < NDRIVEN; k++) driven[s][k] = by_P[row][s][DRIVEN[k]];
-    } else memcpy(driven, by_P[row], sizeof driven);
+    } else memcpy(driven, by_P[row], sizeof w->adjoint.driven);
     const double *arg[] = {w->a, external, w->theta, driven[0]};
     double *res[] = {by_a, by_external + row * NEXT};
     run(properties_adjoint, w, arg, res);
     const double *arg_map[] = {u, w->theta, by_a};
     double *res_map[] = {by_u + row * NU, spare[0]};
-    if (mapped) memcpy(by_u + row * NU, by_a, sizeof by_a);
+    if (mapped) memcpy(by_u + row * NU, by_a, sizeof w->adjoint.by_a);
     else {
       run(input_map_adjoint, w, arg_map, res_map);
       for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[0][k];

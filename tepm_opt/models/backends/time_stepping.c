@@ -43,6 +43,7 @@ typedef struct tangent tangent; /* many motions go without directions */
 #define BATCHES ((NLEV + LANES - 1) / LANES)      /* of segments that go through a kernel together */
 #define BY_ROWS (2 * NB + NEDGE)
 typedef vector lanes[NLEV + 2][NB];
+typedef struct { vector x[2][NB], v[2][NB], y[AT_LEAST_1(NEDGE)]; } batch; /* LANES segments side by side */
 typedef double block[NB][PARTS * LANES]; /* column by column, padded to whole vectors */
 typedef struct { block diagonal[NLEV + 1], below[NLEV + 1], above[NLEV + 1]; } blocks; /* rows l by columns l, l - 1; rows l - 1 by columns l */
 
@@ -80,6 +81,20 @@ typedef struct {
 #endif
   double kernel_work[SZ_W + 1];
   casadi_int kernel_iwork[SZ_IW + 1];
+  turns turns; /* from here on what functions need for themselves: stacks are small in threads */
+  struct { levels guess, from; } in_newton;
+  struct { real a[2][NU]; levels x_0, v_0, V[2], A[2]; edge_states Y[2]; state start; } in_step;
+  struct { real u[NU], rate[NU], y[AT_LEAST_1(NIN)], a[NU]; } in_inputs;
+  struct { levels x, v; real observed[NOBS]; } in_record;
+#if !MANY
+  struct { batch b ALIGNED; vector force[2 * NB], states[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB] ALIGNED; } in_forces;
+  struct {
+    vector in[2 * NU + NIN + NEXT + 4 * NB + NEDGE + NPROP + NTHETA], out[NU + NIN], P[NLEV * NPROP + NB], rhs[NLEV + 2][NB];
+    vector x[(NLEV + 1) * NB + NTHETA], by[segment_by_nnz];
+    double observed_by[observe_by_nnz];
+    char changes[NTHETA];
+  } in_directions;
+#endif
 } work;
 
 typedef struct { /* inputs over time */
