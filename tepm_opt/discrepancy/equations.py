@@ -260,5 +260,6 @@ class Equations:
     def _switch(self, law: Law, part: str) -> ca.SX:
         """1 where an effect acts, 0 where it does not."""
         label = f"{law.name}[{part}]"
+        self._new(label, self._switches)
         self._switches[label] = ca.SX.sym(f"{label} acts")
         return self._switches[label]

@@ -17,6 +17,7 @@ from tepm_opt.discrepancy.library.effect import At, Law
 from tepm_opt.discrepancy.library.pneumatics import PNEUMATICS
 from tepm_opt.discrepancy.library.soft import SOFT
 from tepm_opt.discrepancy.library.vessels import VESSEL
+from tepm_opt.errors import InputError
 
 SIZES = {"signal": 5.0, "time": 0.4, "force": 30.0, "speed": 0.7, "position": 0.2, "1": 1.0}
 UNITS = {"signal": "Pa", "time": "s", "force": "N", "speed": "m/s", "position": "m", "1": "1"}
@@ -139,3 +140,20 @@ def test_what_runs_over_above_is_found_below_in_part() -> None:
     assert expected[:, 0].max() > edge + 0.2
     assert expected[:, 1].max() > below
     assert found == pytest.approx(expected, abs=2e-4)
+
+
+@pytest.mark.parametrize("reached", [0.2, 0.7, 1.0, 3.0, 7.0])
+def test_an_edge_is_tried_just_below_whatever_level_is_reached(reached: float) -> None:
+    """Nobody knows beforehand which level the model reaches: only its usual size within a factor of seven."""
+    for law in (law for law in VESSEL if law.name == "overflow"):
+        candidate, _ = law.on("tank", SIZES, UNITS)
+        edges = {probe["overflow[tank].edge"] for probe in candidate.probes}
+        assert any(0.7 * reached * 0.2 <= edge < reached * 0.2 for edge in edges)
+
+
+def test_two_vessels_have_names_of_their_own() -> None:
+    m = Equations("two tanks of one name")
+    upper, lower = m.state("upper", 1.0), m.state("lower", 1.0)
+    m.vessel("tank", upper, -upper, size=1.0)
+    with pytest.raises(InputError, match=r"overflow\[tank\].* is there twice"):
+        m.vessel("tank", lower, upper - lower, size=1.0)

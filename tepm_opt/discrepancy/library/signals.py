@@ -8,6 +8,7 @@ from tepm_opt.discrepancy.library.effect import At, Law, Quantity
 
 TIMES = (0.01, 0.1, 1.0)  # of the machine's own time
 PARTS = (0.01, 0.1)
+LIMITS = tuple(1.6**k for k in range(-3, 5))  # so close that one lies just below whatever the signal reaches
 
 
 def follow(at: At, rate: ca.SX, time: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
@@ -74,7 +75,7 @@ OUTPUT = (
         explains="the sensor's zero is off",
     ),
     Law(
-        "sensor_saturation", "output", (Quantity("tightness", "1", 0.0, (0.8, 1.0, 1.25, 1.6), 0.0, 10.0),), _limited, smooth=False,
+        "sensor_saturation", "output", (Quantity("tightness", "1", 0.0, LIMITS, 0.0, 10.0),), _limited, smooth=False,
         explains="the sensor, or what it looks at, cannot show more than so much",
     ),
 )  # fmt: skip

@@ -6,10 +6,10 @@ import casadi as ca
 
 from tepm_opt.discrepancy.library.effect import At, Law, Quantity
 
-EDGES = tuple(1.25**k for k in range(-6, 5))  # of the usual level: close enough that some lie below whatever level a model reaches
+EDGES = tuple(1.4**k for k in range(-6, 7))  # of the usual level: so close that one lies just below whatever level the model reaches
 
 
-FLOW = Quantity("flow", "1/time", 0.0, (1.0, 10.0), 0.0, 1e3)
+FLOW = Quantity("flow", "1/time", 0.0, (3.0,), 0.0, 1e3)
 EDGE = Quantity("edge", "position", 1.0, EDGES, 0.01, 1e3, shape=True)
 
 
