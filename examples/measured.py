@@ -32,4 +32,7 @@ PREPARED: dict[str, Callable[[Path, Path], None]] = {
 if __name__ == "__main__":
     if len(sys.argv) != 4 or sys.argv[1] not in PREPARED:
         sys.exit(f"{__doc__}\nvalid machines: {', '.join(PREPARED)}")
-    PREPARED[sys.argv[1]](Path(sys.argv[2]), Path(sys.argv[3]))
+    try:
+        PREPARED[sys.argv[1]](Path(sys.argv[2]), Path(sys.argv[3]))
+    except OSError as error:
+        sys.exit(str(error))

@@ -157,3 +157,11 @@ def test_two_vessels_have_names_of_their_own() -> None:
     m.vessel("tank", upper, -upper, size=1.0)
     with pytest.raises(InputError, match=r"overflow\[tank\].* is there twice"):
         m.vessel("tank", lower, upper - lower, size=1.0)
+
+
+def test_what_runs_over_faster_than_the_steps_is_as_fast_as_they_bear() -> None:
+    plant = tanks().plant(substeps=4, between="hold").with_values({"overflow[upper].edge": 1.5, "overflow[upper].flow": 500.0})
+    time = np.linspace(0, 20, 401)
+    level = plant.predict(run_of(time, np.full((401, 1), 2.0), 2, state=np.array([1.0, 1.0]))).points[:, 0, 0]
+    assert level.max() == pytest.approx(1.5, abs=0.02)
+    assert level[-1] == pytest.approx(1.5 + (2.0 - 0.75) / 160.0, abs=1e-3)
