@@ -7,11 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tepm_opt.data.run import Run
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.least_squares import bounded_step
+from tepm_opt.solvers.parallel import in_parallel
+from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.residuals import Residual
 
 DRAWS = 2000
 FOLDS = 4  # parts a run is cut into where there are too few runs to leave one out
+REFITS, PARTS = 6, 4  # folds of fits of their own, and parts of a short data set in each, so that every fold has of everything
+REFIT_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +29,14 @@ class Evidence:
         counts: coordinates measured in every block, (blocks,).
         parameters: how many are free.
         scatter: jackknife standard deviation of the free parameters over the folds, (parameters,).
+        worth: how many independent measurements a coordinate is worth, at most 1: neighbours in time say nearly the same.
     """
 
     squares: np.ndarray
     counts: np.ndarray
     parameters: int
     scatter: np.ndarray
+    worth: float = 1.0
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -53,9 +61,12 @@ class Evidence:
 def leave_out(estimate: ParameterEstimate) -> Evidence:
     """Cross-validation: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
 
-    The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step.
+    The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step. Where the
+    plant is quick they are fits of their own, see `refitted`.
     """
     problem, residuals = estimate.problem, estimate.residuals
+    if problem.plant.quick:
+        return refitted(estimate)
     count = len(problem.free)
     parts = []  # (values (rows, points · 3), by, block, counts) of every fold
     for r in residuals:
@@ -83,6 +94,87 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
     return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter)
 
 
+def refitted(estimate: ParameterEstimate) -> Evidence:
+    """Cross-validation by fits of their own to what is left when a part of the data is taken away.
+
+    A fold is every sixth run, or every sixth part of the runs where there are few. States that a run begins with belong to the run, so
+    that all it measured tells them. The fits are Gauss-Newton's with the derivatives of the fit to everything, from where that ended.
+    """
+    problem = estimate.problem
+    folds = _folds(problem.runs)
+    own = sorted({int(k) for numbers in folds for k in np.unique(numbers)})
+    refits = in_parallel(lambda fold: _refit(estimate, [numbers != fold for numbers in folds]), own, threads=problem.plant.concurrent)
+    errors, counts, measured = [], [], 0
+    for k, numbers in enumerate(folds):
+        rows = numbers[:, None] == np.array(own)
+        square = sum(_of_rows(left[k].values ** 2) * rows[:, j] for j, (_, left) in enumerate(refits))
+        present, block = _of_rows(estimate.residuals[k].present), estimate.residuals[k].block
+        errors.append(np.bincount(block - block.min(), square))
+        counts.append(np.bincount(block - block.min(), present))
+        measured += int((present > 0).sum())
+    every = np.concatenate(counts)
+    values = np.array([found for found, _ in refits])
+    scatter = np.sqrt((len(own) - 1) * np.var(values, axis=0)) if len(own) > 1 else np.zeros(len(problem.free))
+    return Evidence(
+        np.concatenate(errors)[every > 0], every[every > 0], len(problem.free), scatter, min((every > 0).sum() / max(measured, 1), 1.0)
+    )
+
+
+def _of_rows(values: np.ndarray) -> np.ndarray:
+    """Sums over all that is measured at a time, (rows,)."""
+    return values.reshape(len(values), -1).sum(axis=1) if values.size else np.zeros(len(values))
+
+
+def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray]) -> tuple[np.ndarray, list[Residual]]:
+    """Parameters fitted to some rows of every run, and the residuals of all rows with them.
+
+    Args:
+        estimate: the fit to all rows.
+        kept: which rows count, (rows,) of every run.
+    """
+    problem, values, left = estimate.problem, estimate.values, estimate.residuals
+    if not len(values):
+        return values, left
+    masks = [np.broadcast_to(rows[:, None, None], r.values.shape) for rows, r in zip(kept, left, strict=True)]
+    slopes = [r.by * mask.reshape(-1, 1) for mask, r in zip(masks, left, strict=True)]
+    square = np.asarray(sum(by.T @ by for by in slopes))
+    mean, precision = problem.prior
+
+    def cost(residuals: Sequence[Residual], at: np.ndarray) -> float:
+        return float(sum(np.sum(r.values[mask] ** 2) for r, mask in zip(residuals, masks, strict=True)) + precision @ (at - mean) ** 2)
+
+    for _ in range(REFIT_STEPS):
+        slope = sum(by.T @ r.values.ravel() for by, r in zip(slopes, left, strict=True)) + precision * (values - mean)
+        step, promised = bounded_step(square + np.diag(precision), slope, problem.low - values, problem.high - values, problem.scale)
+        before = cost(left, values)
+        if promised < 0.1 + 1e-3 * before:
+            break
+        for part in (1.0, 0.25):
+            try:
+                tried = problem.residuals(values + part * step, [])
+            except PredictionError:
+                continue
+            if cost(tried, values + part * step) < before:
+                values, left = values + part * step, tried
+                break
+        else:
+            break
+    return values, left
+
+
+def _folds(runs: Sequence[Run]) -> list[np.ndarray]:
+    """Number of the fold of every row of every run, (rows,) each."""
+    if len(runs) >= REFITS:
+        return [np.full(run.rows, k % REFITS) for k, run in enumerate(runs)]
+    parts = -(-REFITS * PARTS // len(runs))
+    folds, first = [], 0
+    for run in runs:
+        count = min(parts, run.rows)
+        folds.append((first + np.arange(run.rows) * count // run.rows) % REFITS)
+        first += count
+    return folds
+
+
 def weights(evidence: Sequence[Evidence], seed: int, draws: int = DRAWS) -> np.ndarray:
     """Probabilities of hypotheses, one of which is taken to be the best, (hypotheses,).
 
@@ -92,6 +184,7 @@ def weights(evidence: Sequence[Evidence], seed: int, draws: int = DRAWS) -> np.n
     """
     densities = np.stack([-0.5 * (e.counts * np.log(e.spread) + e.squares / e.spread) for e in evidence])
     blocks = densities.shape[1]
+    densities *= evidence[0].worth
     densities -= 0.5 * np.array([[e.parameters] for e in evidence]) * np.log(max(blocks, 2)) / blocks
     random = np.random.default_rng(seed)
     shares = random.dirichlet(np.ones(blocks), size=draws) * blocks

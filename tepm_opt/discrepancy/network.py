@@ -86,8 +86,6 @@ class SearchableNetwork(NetworkPlant):
         """The robot's."""
         return self.known_model.robot.name
 
-    quick = False
-
     @property
     def derivatives_apart(self) -> float:
         """Derivatives of its motion are smooth."""

@@ -25,7 +25,7 @@ class Candidate:
             between the body and what is measured.
         smooth: whether outputs are differentiable at the null and nearly linear in the parameters from there; false: probes tell more.
         shapes: full names of the parameters that say how it acts, not how strongly; a probe is tried in any strength with its shape.
-        beside: names of effects one of which it needs: it is tried only with one of them.
+        beside: names of effects one of which it needs: it is looked for only where one of them was found.
         family: what it is one form of, besides others that do nearly the same: "friction". Forms neither stand beside each other nor are
             rivals; the form that fits best stands for all.
         explains: what it is, in words.
@@ -73,11 +73,7 @@ class SearchablePlant(Plant, Protocol):
         known: full names of the parameters that are known within their ranges; they are fitted with whatever effects.
         candidates: effects that may be missing.
         derivatives_apart: time in s between samples at which derivatives say enough; 0: every one.
-        quick: whether a run takes so little time that fits may take many steps and left-out data are judged by fits of their own.
     """
-
-    @property
-    def quick(self) -> bool: ...
 
     @property
     def derivatives_apart(self) -> float: ...

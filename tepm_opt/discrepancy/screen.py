@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.identify import ParameterEstimate, identify
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import beside, in_parallel
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations
 
 FURTHER = 100.0  # times the values that a candidate's own score found
+SHARED, SOME_STEPS = 4, 3  # of the runs one in so many, and steps on them, to see what a probe of a quick plant is worth
+ALSO = 0.5  # part of the best probe's gain from which another is worth a fit
 MEMORY = 60_000_000  # B, of the derivatives taken in one pass
 
 
@@ -26,11 +28,18 @@ class Score:
         candidate: the effect.
         gain: part of the squared residuals beyond the noise that it could take away, to first order.
         start: values of its parameters and of the free ones by full name, from which to fit.
+        also: such values of other probes that promise nearly as much.
     """
 
     candidate: Candidate
     gain: float
     start: dict[str, float]
+    also: tuple[dict[str, float], ...] = ()
+
+    @property
+    def starts(self) -> tuple[dict[str, float], ...]:
+        """All values from which to fit, the most promising first."""
+        return (self.start, *self.also)
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -42,8 +51,8 @@ def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Sc
 
     Effects that are nearly linear in their parameters are judged by the outputs' derivatives at the null, all from one pass through the
     runs, others by finite probes, of the best of which any multiple may act. Both are taken together with the parameters that are free
-    already, so that what those could do as well does not count. Scores order, they do not decide: they are first order. A candidate
-    whose probes the model cannot take is left out.
+    already, so that what those could do as well does not count. Scores order, they do not decide: they are first order. Where the plant
+    is quick, a few steps are made from each probe instead. A candidate whose probes the model cannot take is left out.
     """
     estimate = _sparse(estimate)
     problem, threads = estimate.problem, estimate.problem.plant.concurrent
@@ -64,17 +73,62 @@ def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Sc
         return scores, residuals
 
     probes = [(candidate, probe) for candidate in bent for probe in candidate.probes]
+    if problem.plant.quick:
+        scores, _ = slopes()
+        return _ordered([*scores, *_fitted(estimate, probes)])
     (scores, simulated), probed = beside(
         slopes, lambda: in_parallel(lambda each: _probed(estimate, each[1]), probes, threads=threads), threads
     )
     at_null = [replace(r, by=s.by) for r, s in zip(estimate.residuals, simulated, strict=True)]
-    best: dict[Candidate, Score] = {}
     for (candidate, probe), residuals in zip(probes, probed, strict=True):
         if residuals is not None:
             change = [(p.values - s.values).ravel() for p, s in zip(residuals, simulated, strict=True)]
-            score = _by_change(estimate, at_null, candidate, probe, change)
-            best[candidate] = max(score, best.get(candidate, score), key=lambda each: each.gain)
-    return sorted([*scores, *best.values()], key=lambda score: -score.gain)
+            scores.append(_by_change(estimate, at_null, candidate, probe, change))
+    return _ordered(scores)
+
+
+def _ordered(scores: Sequence[Score]) -> list[Score]:
+    """One score of every candidate, its best, with the values of others that promise nearly as much; largest gain first."""
+    found: dict[Candidate, list[Score]] = {}
+    for score in sorted(scores, key=lambda score: -score.gain):
+        found.setdefault(score.candidate, []).append(score)
+    return [
+        replace(first, also=tuple(score.start for score in others if score.gain >= ALSO * first.gain)) for first, *others in found.values()
+    ]
+
+
+def _fitted(estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mapping[str, float]]]) -> list[Score]:
+    """Scores by what a few steps from each probe gain on some of the runs, the free parameters beside it.
+
+    They begin where the free parameters undo to first order what the probe changes: a spring that remembers is a spring, too.
+    """
+    count = len(estimate.problem.runs)
+    some = sorted({round(k) for k in np.linspace(0, count - 1, -(-count // SHARED))})
+    problem = replace(
+        estimate.problem,
+        runs=tuple(estimate.problem.runs[k] for k in some),
+        noise=tuple(estimate.problem.noises[k] for k in some),
+    )
+    names, values = [f.name for f in problem.free], estimate.values
+    null = problem.residuals(values, names)
+    square = normal_equations(null)[0]
+    squares, coordinates = sum(r.squares for r in null), sum(r.count for r in null)
+
+    def tried(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
+        candidate, at = probe
+        own = tuple(replace(f, start=at[f.name]) for f in problem.plant.free(candidate.parameters))
+        try:
+            changed = replace(problem, plant=problem.plant.with_values(at)).residuals(values, [])
+            slope = sum(r.by.T @ (c.values - r.values).ravel() for r, c in zip(null, changed, strict=True))
+            step, _ = bounded_step(square, np.asarray(slope), problem.low - values, problem.high - values, problem.scale)
+            free = tuple(replace(f, start=float(v)) for f, v in zip(problem.free, values + step, strict=True))
+            found = identify(replace(problem, free=(*free, *own)), SOME_STEPS)
+        except PredictionError:
+            return None
+        gain = (squares - sum(r.squares for r in found.residuals)) / max(squares - coordinates, 1e-9 * coordinates)
+        return Score(candidate, gain, found.named)
+
+    return [score for score in in_parallel(tried, probes, threads=problem.plant.concurrent) if score is not None]
 
 
 def _sparse(estimate: ParameterEstimate) -> ParameterEstimate:
@@ -137,11 +191,12 @@ def _by_change(
     """
     picked = [replace(r, by=np.vstack([r.by.T, d]).T) for r, d in zip(at_null, change, strict=True)]
     own = estimate.problem.plant.free(candidate.parameters)
-    moved = {f.name: probe[f.name] - candidate.null[f.name] for f in own}
-    room = min((f.high - candidate.null[f.name]) / moved[f.name] for f in own if moved[f.name])
+    moved = {f.name: probe[f.name] - candidate.null[f.name] for f in own if f.name not in candidate.shapes}
+    room = min((f.high - candidate.null[f.name]) / moved[f.name] for f in own if moved.get(f.name))
     gain, step = _gain(estimate, *normal_equations(picked), np.zeros(1), np.array([room]), np.ones(1))
     size = float(np.clip(step[-1], 0.1, room))
-    return Score(candidate, gain, {f.name: candidate.null[f.name] + size * moved[f.name] for f in own})
+    start = dict(probe) | {name: candidate.null[name] + size * by for name, by in moved.items()}
+    return Score(candidate, gain, start)
 
 
 def screen_pairs(
@@ -153,10 +208,10 @@ def screen_pairs(
 
     Args:
         estimate: with the parameters that are free already.
-        scores: of single candidates, largest gain first; so many of them, and those that need another, are paired.
-        most: how many.
+        scores: of single candidates, largest gain first.
+        most: how many of them are paired.
     """
-    picked = [score for k, score in enumerate(scores) if k < most or score.candidate.beside]
+    picked = scores[:most]
     free = [parameter.name for parameter in estimate.problem.free]
     simulated = estimate.problem.residuals(estimate.values, free)
     own = {score: {name: score.start[name] for name in score.candidate.parameters} for score in picked}
@@ -173,7 +228,10 @@ def screen_pairs(
             start = {}
             for score, size in ((one, step[-2]), (other, step[-1])):
                 null = score.candidate.null
-                start |= {name: null[name] + float(size) * (value - null[name]) for name, value in own[score].items()}
+                start |= {
+                    name: value if name in score.candidate.shapes else null[name] + float(size) * (value - null[name])
+                    for name, value in own[score].items()
+                }
             found.append(((one.candidate, other.candidate), gain, start))
     return sorted(found, key=lambda pair: -pair[1])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
-from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.screen import MEMORY, Score, screen, screen_pairs
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
@@ -22,13 +23,13 @@ from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import Free, PredictionError
 from tepm_opt.solvers.text import listed, shortened
 
-CLOSE = 2e-3  # part of the structure left for which a fit that only competes makes no further step
 # part of the squared output of the other effects that their forms may be wrong by (5 % of the size); an effect that takes away less
 # beside them may only mend their forms
 FORM_ERROR_RATIO = 0.0025
 MIN_SHARE_CLOSED = 0.1  # part of the excess left on held-out data that one more effect must take away to be tried along
 PAIRED = 10  # candidates, those that promise most alone, that are tried in pairs where none of them helps alone
 LOST = 2.0  # how many times the squares of a rival a fit must be sure to leave to be ended early
+PLAIN = 0.9  # part of a form's gain from which a plainer form of the same is fitted in its place
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
 Effects = tuple[Candidate, ...]
 Shares = dict[Candidate, float]
@@ -51,6 +52,9 @@ class SearchSettings:
         max_effects: most effects at once.
         max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
         max_iterations: most Gauss-Newton steps of a fit.
+        tolerance: part of the structure left for which a fit makes no further step.
+        beam: how many sets of effects are followed at the same time.
+        starts: from how many of its probes an effect is fitted, where several promise much.
     """
 
     max_noise_excess: float = 0.05
@@ -62,6 +66,14 @@ class SearchSettings:
     max_effects: int = 3
     max_unexplained_ratio: float = 0.1
     max_iterations: int = 10
+    tolerance: float = 2e-3
+    beam: int = 1
+    starts: int = 1
+
+    @staticmethod
+    def of(plant: SearchablePlant) -> SearchSettings:
+        """The usual ones; a plant that is quick bears a wider search."""
+        return SearchSettings(max_iterations=30, tolerance=1e-4, beam=2, starts=2) if plant.quick else SearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +188,10 @@ class Fits:
         Against a rival, fits that cannot come near it any more end early; asked for without one, they go on from there.
         """
         wanted = [(tuple(sorted(effects, key=lambda c: c.label)), start) for effects, start in asked]
-        missing = {effects: start for effects, start in wanted if not self._has(effects, rival)}
+        missing: dict[Effects, list[dict[str, float]]] = {}
+        for effects, start in wanted:
+            if not self._has(effects, rival):
+                missing.setdefault(effects, []).append(start)
         for effects in missing:
             self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
         reached = np.inf if rival is None else LOST * max(rival.estimate.cost, rival.estimate.count)
@@ -197,24 +212,28 @@ class Fits:
         most = len(problem.free) + max((sum(len(c.parameters) for c in effects) for effects in hypotheses), default=0)
         return problem.plant.concurrent and 8 * most * sum(run.points.size for run in problem.runs) < MEMORY
 
-    def _fitted(self, effects: Effects, start: dict[str, float], reached: float) -> Hypothesis | None:
-        """A fit from where an earlier one ended, else from `start`; an earlier search's fit as it was."""
+    def _fitted(self, effects: Effects, starts: Sequence[dict[str, float]], reached: float) -> Hypothesis | None:
+        """The best fit from some first values, or from where an earlier one ended; an earlier search's fit as it was."""
         label = " ".join(c.label for c in effects)
         early = np.isfinite(reached) and f"early {label}" in self._kept
         kept = self._kept.get(f"early {label}" if early else f"fit {label}")
-        begun = self.done[effects].estimate.named if effects in self.done else start
+        begun = [self.done[effects].estimate.named] if effects in self.done else starts
         names = [parameter for c in effects for parameter in c.parameters]
         free = (*self.problem.free, *self.problem.plant.free(names))
-        free = tuple(_starting(f, (kept or begun).get(f.name, f.start)) for f in free)
-        try:
-            found = identify(
-                replace(self.problem, free=free), 0 if kept else self.settings.max_iterations, tolerance=CLOSE, reached=reached
-            )
-        except PredictionError:
+        steps, fits = 0 if kept else self.settings.max_iterations, []
+        for start in [kept] if kept else begun:
+            begin = tuple(_starting(f, start.get(f.name, f.start)) for f in free)
+            with suppress(PredictionError):
+                fits.append(identify(replace(self.problem, free=begin), steps, tolerance=self.settings.tolerance, reached=reached))
+        if not fits:
             return None
+        found = min(fits, key=lambda fit: fit.cost)
         if early:
             found = replace(found, outcome=Outcome(Ending.NOT_CONVERGED, OUT_OF_REACH))
-        evidence = leave_out(found)
+        try:
+            evidence = leave_out(found)
+        except PredictionError:
+            return None
         self._keep(f"early {label}" if found.out_of_reach else f"fit {label}", found.named)
         return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
 
@@ -223,15 +242,17 @@ class Fits:
         effects = hypothesis.effects
         if effects not in self.screened:
             name = "screen " + " ".join(c.label for c in effects)
-            others = [candidate for candidate in missing if candidate not in effects]
+            others = [c for c in missing if c not in effects and (not c.beside or any(other.name in c.beside for other in effects))]
             if name in self._kept:
                 known = {candidate.label: candidate for candidate in others}
-                self.screened[effects] = [Score(known[label], gain, start) for label, gain, start in self._kept[name] if label in known]
+                self.screened[effects] = [
+                    Score(known[label], gain, start, tuple(also)) for label, gain, start, also in self._kept[name] if label in known
+                ]
             else:
                 beside = f" beside {', '.join(c.label for c in effects)}" if effects else ""
                 self.progress(f"screening {len(others)} effects{beside}", 0, 0)
                 self.screened[effects] = screen(hypothesis.estimate, others)
-                self._keep(name, [[score.candidate.label, score.gain, score.start] for score in self.screened[effects]])
+                self._keep(name, [[score.candidate.label, score.gain, score.start, score.also] for score in self.screened[effects]])
         return self.screened[effects]
 
     def _keep(self, name: str, value: Any) -> None:
@@ -256,16 +277,11 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     if without is None:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
-    best = without
-    while len(best.effects) < settings.max_effects and best.left > settings.max_noise_excess:
-        for trials in (_round, _pairs):
-            winner = fits.finished(_most_probable([best, *trials(fits, best, missing)], seed))
-            better = winner is not best and winner.excess <= (1 - MIN_SHARE_CLOSED) * best.excess
-            if better := better and _beats(winner, best, seed, settings.min_probability):
-                break
-        if not better:
-            break
-        best = winner
+    best, front = without, [without]
+    while front and best.left > settings.max_noise_excess:
+        grown = {h.effects: h for base in front for h in _grown(fits, base, missing, seed)}
+        front = _most_probable(list(grown.values()), seed, settings.beam)
+        best = _most_probable([best, *front], seed, 1)[0] if settings.beam > 1 else next(iter(front), best)
     widest = best
     best, shares, groups = _settled(fits, best, missing, seed)
     for _ in range(settings.max_effects):
@@ -287,44 +303,84 @@ def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: i
 
 def _motion(problem: Problem) -> float:
     """Mean square of the measured motion about each run's mean position, over the noise's."""
-    noise = problem.noise if isinstance(problem.noise, tuple) else (problem.noise,) * len(problem.runs)
     total, count = 0.0, 0
-    for run, sigma in zip(problem.runs, noise, strict=True):
+    for run, sigma in zip(problem.runs, problem.noises, strict=True):
         for column in run.points.reshape(run.rows, -1).T:
             seen = column[np.isfinite(column)] / sigma
             total, count = total + float(np.var(seen) if seen.size else 0.0) * seen.size, count + seen.size
     return total / max(count, 1)
 
 
+def _grown(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> list[Hypothesis]:
+    """The most probable of what surely explains more than `base` with one effect more, or with two where no single one does."""
+    settings = fits.settings
+    if len(base.effects) >= settings.max_effects:
+        return []
+    for trials in (_round, _pairs):
+        first = _most_probable([base, *trials(fits, base, missing)], seed, settings.beam)
+        better = [fits.finished(trial) for trial in first if trial is not base]
+        if better := [h for h in better if h.excess <= (1 - MIN_SHARE_CLOSED) * base.excess and _beats(h, base, seed, settings)]:
+            return better
+    return []
+
+
 def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hypothesis | None = None) -> list[Hypothesis]:
     """Fits of the candidates that promise most beside those of `base`; what competes with a rival, or with the first, may end early."""
-    scores, settings = fits.screen(base, missing), fits.settings
+    settings = fits.settings
+    scores = [score for score in fits.screen(base, missing) if _may(score.candidate, base.effects)]
     if not scores:
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
-    promising = [score for score in scores if score.gain >= MIN_GAIN_RATIO * scores[0].gain][:most]
-    asked = [((*base.effects, score.candidate), {**base.estimate.named, **score.start}) for score in promising]
-    trials = [] if rival else fits.fit_all(asked[:1])
-    trials += fits.fit_all(asked[len(trials) :], rival or next(iter(trials), None))
-    return [trial for trial in trials if trial is not None]
+    promising = _plainest([score for score in scores if score.gain >= MIN_GAIN_RATIO * scores[0].gain])[:most]
+    asked = [
+        [((*base.effects, score.candidate), {**base.estimate.named, **start}) for start in score.starts[: settings.starts]]
+        for score in promising
+    ]
+    trials = [] if rival else fits.fit_all(asked[0])[:1]
+    trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], rival or next(iter(trials), None))
+    return list(dict.fromkeys(trial for trial in trials if trial is not None))
+
+
+def _plainest(scores: Sequence[Score]) -> list[Score]:
+    """Scores without other forms of what a form with fewer parameters promises nearly as well."""
+    return [
+        score
+        for score in scores
+        if not any(
+            other.candidate.form_of == score.candidate.form_of
+            and len(other.candidate.parameters) < len(score.candidate.parameters)
+            and other.gain >= PLAIN * score.gain
+            for other in scores
+        )
+    ]
+
+
+def _may(candidate: Candidate, others: Sequence[Candidate]) -> bool:
+    """Whether a candidate may stand beside others: no other form of one of them, and with what it needs."""
+    forms = {other.form_of for other in others}
+    return candidate.form_of not in forms and (not candidate.beside or any(other.name in candidate.beside for other in others))
 
 
 def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
     """Fits of pairs that promise most together beside the effects of `base`, where no single one helps."""
-    scores = [score for score in fits.screen(base, missing) if score.candidate not in base.effects]
+    scores = [score for score in fits.screen(base, missing) if _may(score.candidate, base.effects)]
     if len(scores) < 2 or len(base.effects) + 2 > fits.settings.max_effects:
         return []
-    found = screen_pairs(base.estimate, scores, PAIRED)[: fits.settings.fits_first_round]
-    asked = [((*base.effects, *pair), {**base.estimate.named, **start}) for pair, _, start in found]
+    pairs = [
+        (pair, start) for pair, _, start in screen_pairs(base.estimate, _plainest(scores), PAIRED) if pair[0].form_of != pair[1].form_of
+    ]
+    asked = [((*base.effects, *pair), {**base.estimate.named, **start}) for pair, start in pairs[: fits.settings.fits_first_round]]
     return [trial for trial in fits.fit_all(asked) if trial is not None]
 
 
-def _most_probable(hypotheses: Sequence[Hypothesis], seed: int) -> Hypothesis:
-    return hypotheses[int(np.argmax(weights([h.evidence for h in hypotheses], seed)))]
+def _most_probable(hypotheses: Sequence[Hypothesis], seed: int, most: int) -> list[Hypothesis]:
+    """So many of some hypotheses, the most probable first."""
+    order = np.argsort(-weights([h.evidence for h in hypotheses], seed), kind="stable") if hypotheses else []
+    return [hypotheses[k] for k in order[:most]]
 
 
-def _beats(one: Hypothesis, other: Hypothesis, seed: int, sure: float) -> bool:
-    return bool(weights([one.evidence, other.evidence], seed)[0] > sure)
+def _beats(one: Hypothesis, other: Hypothesis, seed: int, settings: SearchSettings) -> bool:
+    return bool(weights([one.evidence, other.evidence], seed)[0] > settings.min_probability)
 
 
 def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
@@ -336,7 +392,7 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
     while True:
         shares, smaller = {}, {}
         doubt = {effect: FORM_ERROR_RATIO * _output(best, effect) for effect in best.effects}
-        left = max(best.excess - sum(doubt.values()), 0.0) + settings.max_noise_excess / 10
+        left = best.excess + settings.max_noise_excess / 10
         rests = [tuple(c for c in best.effects if c != effect) for effect in best.effects]
         without = fits.fit_all([(rest, best.estimate.named) for rest in rests])
         for effect, rest, found in zip(best.effects, rests, without, strict=True):
@@ -369,5 +425,6 @@ def _alternatives(
     """`best` and what it would be with another effect in the place of `effect`, with probabilities."""
     rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
     others = [] if rest is None else [h for h in _round(fits, rest, missing, best) if effect not in h.effects]
+    others = [h for h in others if _beats(h, best, seed, fits.settings) or all(c.form_of != effect.form_of for c in h.effects)]
     group = [best, *(h for h in others if h is not best)]
     return list(zip(group, weights([h.evidence for h in group], seed).tolist(), strict=True))

@@ -26,6 +26,8 @@ from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.parallel import beside
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.predict import LONGEST_STEP
+from tepm_opt.solvers.residuals import independent_after
+from tepm_opt.solvers.start import begun
 from tepm_opt.solvers.start import predictions as predicted
 from tepm_opt.solvers.text import shortened
 
@@ -80,7 +82,7 @@ def discover(
     Raises:
         InputError: no run to fit to, the model cannot do the runs, or positions and inputs do not tell the same time.
     """
-    began, settings = time.monotonic(), settings or SearchSettings()
+    began, settings = time.monotonic(), settings or SearchSettings.of(plant)
     if not dataset.fit:
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
     missing = behind(plant.candidates, dataset.gauges)
@@ -92,6 +94,7 @@ def discover(
     step = _step(plant, dataset, nominal, noise, settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     try:
+        problem = _recalibrated(problem)
         shown = with_measured_inputs(dataset.fit, plant.signals)
         if shown is not None:
             progress("with measured inputs, for what happens behind them", 0, 0)
@@ -122,6 +125,16 @@ def discover(
     notes = (f"{doubt}.", *verdict.notes) if doubt else verdict.notes
     verdict = replace(verdict, notes=notes, seconds=time.monotonic() - began)
     return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
+
+
+def _recalibrated(problem: Problem) -> Problem:
+    """The problem of a quick plant as recalibration leaves it: states from which its runs begin, blocks as long as residuals remember."""
+    if not problem.plant.quick:
+        return problem
+    found = identify(problem)
+    runs = tuple(begun(found.plant, run, noise, problem.step) for run, noise in zip(problem.runs, problem.noises, strict=True))
+    block = problem.block if problem.plant.static else independent_after(found.residuals, runs)
+    return replace(problem, runs=runs, block=block)
 
 
 def _predict(plant: Plant, dataset: RunSet, noise: float | np.ndarray) -> list[np.ndarray]:
@@ -174,7 +187,7 @@ def _status(explanation: Explanation, settings: SearchSettings) -> VerdictStatus
 
 def _belief(share: float, settings: SearchSettings) -> float:
     """Probability that an effect is a cause: even odds where what only it takes away is `even_odds_ratio` times what is left."""
-    return 1 / (1 + (settings.even_odds_ratio / max(share, 1e-9)) ** 2)
+    return 1 / (1 + settings.even_odds_ratio / max(share, 1e-9))
 
 
 def _verdict(

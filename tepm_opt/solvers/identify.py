@@ -15,7 +15,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import START, Free, Plant, PredictionError
-from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
+from tepm_opt.solvers.residuals import BLOCK, Residual, normal_equations, weighted
 from tepm_opt.solvers.start import begun, without_start
 from tepm_opt.solvers.text import html_table, listed
 
@@ -34,20 +34,22 @@ class Problem:
         plant: a model of the machine; its values hold for all that is not free.
         runs: to fit to.
         free: the parameters to be found.
-        noise: of a coordinate, 1 sigma in m; of all runs alike or of each.
+        noise: of a coordinate, 1 sigma in m, or of each point, (points, 1); of all runs alike or of each.
         robust: whether outliers are weighted down (Huber's loss at 4 robust standard deviations of the residuals).
         step: longest time step of the simulations in s.
         derivatives_apart: time in s between the samples at which derivatives are taken, with straight lines between them; 0 takes them at
             every sample. Derivatives of a motion are smooth: 0.04 s leaves errors of 0.2 % as a rule, of some % where inputs jump.
+        block: time in s after which residuals count as independent.
     """
 
     plant: Plant
     runs: tuple[Run, ...]
     free: tuple[Free, ...]
-    noise: float | tuple[float, ...]
+    noise: float | np.ndarray | tuple[float | np.ndarray, ...]
     robust: bool = False
     step: float = np.inf
     derivatives_apart: float = 0.0
+    block: float = BLOCK
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -82,6 +84,11 @@ class Problem:
         """Means of the normal priors and their precisions 1/std², 0 where there is none, (parameters,) each."""
         return np.array([free.prior_mean for free in self.free]), np.array([free.prior_std for free in self.free]) ** -2.0
 
+    @property
+    def noises(self) -> tuple[float | np.ndarray, ...]:
+        """Noise of each run."""
+        return self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(self.runs)
+
     def residuals(self, values: np.ndarray, names: Sequence[str] | None = None) -> list[Residual]:
         """Measured less modelled of every run, differentiated by `names` (the free ones where absent).
 
@@ -90,7 +97,7 @@ class Problem:
         """
         names = [free.name for free in self.free] if names is None else names
         plant = self.with_values(values)
-        noise = self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(self.runs)
+        noise = self.noises
         if any(run.start != "equilibrium" for run in self.runs):
             return self._from_states(plant, names, noise)
         sparse = self.sparse if names else self
@@ -104,19 +111,19 @@ class Problem:
         )
         points, slopes = found[: len(self.runs)], found[-len(self.runs) :]
         return [
-            Residual.of(run, modelled.points, change.by, sigma, at.time)
+            Residual.of(run, modelled.points, change.by, sigma, at.time, self.block)
             for run, modelled, change, sigma, at in zip(self.runs, points, slopes, noise, sparse.runs, strict=True)
         ]
 
-    def _from_states(self, plant: Plant, names: Sequence[str], noise: tuple[float, ...]) -> list[Residual]:
+    def _from_states(self, plant: Plant, names: Sequence[str], noise: tuple[float | np.ndarray, ...]) -> list[Residual]:
         """Residuals of runs that begin with states of their own, each the best one for these parameters where it is free."""
         own = [START + name for name in plant.states]
 
-        def left(measured: tuple[Run, float]) -> Residual:
+        def left(measured: tuple[Run, float | np.ndarray]) -> Residual:
             run, sigma = begun(plant, *measured, self.step), measured[1]
             free = own if run.start == "free" else []
             found = plant.predict(run, [*names, *free], self.step)
-            residual = Residual.of(run, found.points, found.by, sigma)
+            residual = Residual.of(run, found.points, found.by, sigma, block=self.block)
             return without_start(residual, len(free)) if free else residual
 
         return in_parallel(left, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, plant.concurrent)

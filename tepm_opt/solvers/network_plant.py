@@ -28,6 +28,8 @@ class NetworkPlant:
     model: CompiledModel
     static: bool = False
 
+    quick = False
+
     def __repr__(self) -> str:
         """The model, in a line."""
         return f"NetworkPlant({self.model})"

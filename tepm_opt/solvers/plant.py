@@ -76,6 +76,7 @@ class Plant(Protocol):
         values: of all parameters, by full name.
         concurrent: whether runs may be predicted at the same time, in threads.
         static: whether rows of its runs are equilibria, not samples of a motion.
+        quick: whether a run takes so little time that left-out data are judged by fits of their own.
         states: by name, those with which a run may begin that does not begin at rest, with a guess of each.
     """
 
@@ -90,6 +91,9 @@ class Plant(Protocol):
 
     @property
     def static(self) -> bool: ...
+
+    @property
+    def quick(self) -> bool: ...
 
     def with_values(self, values: Mapping[str, float]) -> Plant:
         """The model with other values of some parameters."""

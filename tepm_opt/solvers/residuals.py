@@ -36,7 +36,9 @@ class Residual:
         return f"Residual({shortened(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
 
     @staticmethod
-    def of(run: Run, points: np.ndarray, by: np.ndarray, noise: float, at: np.ndarray | None = None) -> Residual:
+    def of(
+        run: Run, points: np.ndarray, by: np.ndarray, noise: float | np.ndarray, at: np.ndarray | None = None, block: float = BLOCK
+    ) -> Residual:
         """Residuals from a run and its prediction.
 
         Args:
@@ -45,6 +47,7 @@ class Residual:
             by: their change with each parameter, (parameters, rows, points, 3) in m per its unit.
             noise: of a coordinate, 1 sigma in m.
             at: time in s of the rows of `by` where these are fewer; straight lines between them.
+            block: length of a block in s.
         """
         present = np.isfinite(run.points)
         values = np.where(present, run.points - points, 0.0) / noise
@@ -53,7 +56,7 @@ class Residual:
         for slope, change in zip(slopes, by, strict=True):  # one by one: all of them at once take several times the memory
             whole = change if between is None else between(change)
             np.divide(np.where(present, whole, 0.0), -noise, out=slope.reshape(present.shape))
-        time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // BLOCK
+        time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // block
         return Residual(run.file, values, present, slopes.T, time.astype(int))
 
     @property
@@ -70,6 +73,25 @@ class Residual:
     def squares(self) -> float:
         """Sum of the squared values: about `count` where only noise is left."""
         return float(np.sum(self.values**2))
+
+
+def independent_after(residuals: Sequence[Residual], runs: Sequence[Run]) -> float:
+    """Time in s after which residuals forget: their integrated autocorrelation, at most a quarter of the longest run.
+
+    Summed up to the first lag at which it is no more than 0.05 (Sokal, Monte Carlo methods in statistical mechanics, 1997, section 3).
+    """
+    rows = max(len(r.values) for r in residuals)
+    products, step = np.zeros(rows), max(float(np.median(np.diff(run.time))) if run.rows > 1 else 0.0 for run in runs)
+    for r in residuals:
+        for column in r.values.reshape(len(r.values), -1).T:
+            spectrum = np.abs(np.fft.rfft(column, 2 * len(column))) ** 2
+            products[: len(column)] += np.fft.irfft(spectrum)[: len(column)]
+    if not products[0] > 0 or not step > 0:
+        return BLOCK
+    correlation = products / products[0]
+    ends = np.flatnonzero(correlation < 0.05)
+    first = int(ends[0]) if ends.size else rows
+    return float(step * np.clip(2 * correlation[:first].sum() - 1, 1.0, max(rows / 4, 1.0)))
 
 
 def _between(time: np.ndarray, at: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

@@ -13,48 +13,46 @@ from tepm_opt.solvers.plant import START, Plant, Prediction, PredictionError
 from tepm_opt.solvers.residuals import Residual
 
 FIRST = 20  # samples that tell a state where a run begins as "measured"
-STEPS, HALVINGS = 8, 4  # of Gauss and Newton
+STEPS, SHORTER = 8, 4  # of Gauss and Newton
 TINY = 1e-100  # times the noise, per unit of a state: nothing that can be told
-STILL = 1e-3  # of the noise's squares, gained in a step that is the last
+STILL = 1e-2  # of the noise's squares: a step that promises less is not worth a simulation; projection takes what it promises
 
 
 def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.inf) -> Run:
     """The run with the state that explains its first samples best, or all of them where it is free; as it is where it begins at rest.
-
-    Args:
-        plant: a model with values.
-        run: measured.
-        noise: of what is measured, 1 sigma.
-        step: longest time step in s.
 
     Raises:
         PredictionError: the model cannot do the run.
     """
     if run.start == "equilibrium" or not plant.states:
         return run
-    state = np.array(list(plant.states.values())) if run.state is None else run.state
-    state = _fitted(plant, first(run, FIRST), noise, step, state)
-    return replace(run, state=_fitted(plant, run, noise, step, state) if run.start == "free" else state)
+    guess = np.array(list(plant.states.values())) if run.state is None else run.state
+    if run.start == "measured":
+        return replace(run, state=_fitted(plant, first(run, FIRST), noise, step, guess))
+    if run.state is None:
+        guess = _fitted(plant, first(run, FIRST), noise, step, guess)
+    return replace(run, state=_fitted(plant, run, noise, step, guess))
 
 
 def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray) -> np.ndarray:
-    """The first state that explains a run best, from a guess: Gauss and Newton, steps halved where they fail."""
+    """The first state that explains a run best, from a guess: Gauss and Newton, steps shortened where they fail."""
     names = [START + name for name in plant.states]
     left = _left(plant, run, noise, step, state, names)
     for _ in range(STEPS):
         scale = np.linalg.norm(left.by, axis=0)
         scale[scale < TINY] = 1.0  # a state that does not show stays
         change = -np.linalg.lstsq(left.by / scale, left.values.ravel(), rcond=1e-10)[0] / scale
-        for _ in range(HALVINGS):
+        promised = left.squares - float(np.sum((left.values.ravel() + left.by @ change) ** 2))
+        if promised < STILL * max(left.count, 1):
+            break
+        for _ in range(SHORTER):
             tried = _tried(plant, run, noise, step, state + change, names)
             if tried is not None and tried.squares < left.squares:
                 break
             change = change / 4
         else:
             break
-        gained, state, left = left.squares - tried.squares, state + change, tried
-        if gained < STILL * max(left.count, 1):
-            break
+        state, left = state + change, tried
     return state
 
 
