@@ -312,7 +312,7 @@ def _motion(problem: Problem) -> float:
 
 
 def _grown(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> list[Hypothesis]:
-    """The most probable of what surely explains more than `base` with one effect more, or with two where no single one does."""
+    """The most probable of what surely explains more than `base` with one effect more, or with a first pair where no single one does."""
     settings = fits.settings
     if len(base.effects) >= settings.max_effects:
         return []
@@ -336,7 +336,7 @@ def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hy
         [((*base.effects, score.candidate), {**base.estimate.named, **start}) for start in score.starts[: settings.starts]]
         for score in promising
     ]
-    trials = [] if rival else fits.fit_all(asked[0])[:1]
+    trials = fits.fit_all(asked[0])[:1] if asked and not rival else []
     trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], rival or next(iter(trials), None))
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
 
@@ -362,9 +362,9 @@ def _may(candidate: Candidate, others: Sequence[Candidate]) -> bool:
 
 
 def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
-    """Fits of pairs that promise most together beside the effects of `base`, where no single one helps."""
+    """Fits of the pairs that promise most together where there is no effect yet: each may hide the other."""
     scores = [score for score in fits.screen(base, missing) if _may(score.candidate, base.effects)]
-    if len(scores) < 2 or len(base.effects) + 2 > fits.settings.max_effects:
+    if len(scores) < 2 or base.effects or fits.settings.max_effects < 2:
         return []
     pairs = [
         (pair, start) for pair, _, start in screen_pairs(base.estimate, _plainest(scores), PAIRED) if pair[0].form_of != pair[1].form_of

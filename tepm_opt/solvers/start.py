@@ -15,7 +15,7 @@ from tepm_opt.solvers.residuals import Residual
 FIRST = 20  # samples that tell a state where a run begins as "measured"
 STEPS, SHORTER = 8, 4  # of Gauss and Newton
 TINY = 1e-100  # times the noise, per unit of a state: nothing that can be told
-STILL = 1e-2  # of the noise's squares: a step that promises less is not worth a simulation; projection takes what it promises
+STILL = 0.01, 1e-6  # of the noise's square, and of all squares: a step that promises less is not made; projection takes what it promises
 
 
 def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.inf) -> Run:
@@ -43,7 +43,7 @@ def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, stat
         scale[scale < TINY] = 1.0  # a state that does not show stays
         change = -np.linalg.lstsq(left.by / scale, left.values.ravel(), rcond=1e-10)[0] / scale
         promised = left.squares - float(np.sum((left.values.ravel() + left.by @ change) ** 2))
-        if promised < STILL * max(left.count, 1):
+        if promised < STILL[0] + STILL[1] * left.squares:
             break
         for _ in range(SHORTER):
             tried = _tried(plant, run, noise, step, state + change, names)

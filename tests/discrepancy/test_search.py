@@ -195,11 +195,11 @@ class TestFits:
     def test_that_end_early_do_not_change_the_winner(
         self, library: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(search, "CLOSE", 1e-7)  # so that all have steps to make
+        settings = SearchSettings(tolerance=1e-7)  # so that all have steps to make
         found = []
         for lost in (search.LOST, np.inf):
             monkeypatch.setattr(search, "LOST", lost)
-            found.append(explain(Fits(problem(library, runs), SearchSettings()), candidates(NOMINAL), 0))
+            found.append(explain(Fits(problem(library, runs), settings), candidates(NOMINAL), 0))
         early, whole = found
         ended = [hypothesis for hypothesis in early.tried if hypothesis.estimate.out_of_reach]
         assert ended

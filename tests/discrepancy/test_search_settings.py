@@ -45,7 +45,7 @@ class Table:
         """Runs whose points swing by `MOTION` times the noise."""
         points = MOTION * NOISE * np.sqrt(2) * np.sin(2 * np.pi * np.arange(ROWS) / ROWS)[:, None, None] * np.ones((1, 4, 3))
         run = Run("swing.csv", "fit", np.arange(ROWS) / 50, np.zeros((ROWS, 12)), np.zeros((ROWS, 3)), points)
-        return SimpleNamespace(runs=(run,), noise=NOISE)
+        return SimpleNamespace(runs=(run,), noise=NOISE, noises=(NOISE,))
 
     def fit(self, effects: Effects, _: object) -> Hypothesis:
         effects = tuple(sorted(effects, key=lambda c: c.label))
