@@ -48,7 +48,7 @@ def load_plant(path: str | Path) -> SearchablePlant:
 def _failure(error: BaseException, path: Path) -> str:
     """Where in the file and how it failed, in a line."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    syntax = isinstance(error, SyntaxError) and error.filename == str(path)
-    line = error.lineno if syntax else next(reversed(lines), None)
-    text = error.msg if syntax else " ".join(str(error).split())
+    line, text = next(reversed(lines), None), " ".join(str(error).split())
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        line, text = error.lineno, error.msg
     return f"{f'line {line}: ' if line else ''}{type(error).__name__}: {text}"

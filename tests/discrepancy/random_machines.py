@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,7 +84,7 @@ def function(random: np.random.Generator) -> CallablePlant:
     mixed = random.normal(size=(inputs, outputs))
     names = [candidate.parameters[0] for candidate in m._candidates]
 
-    def simulate(run: Run, values: dict[str, float]) -> np.ndarray:
+    def simulate(run: Run, values: Mapping[str, float]) -> np.ndarray:
         u = run.inputs.copy()
         for name in names:
             u[:, 0] = u[:, 0] * (1 - values[name]) if name.endswith("loss") else u[:, 0] + values[name]
