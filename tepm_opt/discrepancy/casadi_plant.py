@@ -282,16 +282,17 @@ class CasadiPlant(Described):
         """Put the free states of x to rest under the first row; their change with the parameters, (states, parameters)."""
         if not free:
             return np.zeros((0, len(theta)))
-        size, first = np.abs(x[free]), 0.0
+        rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, run.inputs[0], theta, h))
+        size, most = np.abs(x[free]), np.abs(rates)
         for _ in range(NEWTON_STEPS):
-            rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, run.inputs[0], theta, h))
-            change, rank = _solved(by_x, -rates.ravel())
+            change, _ = _solved(by_x, -rates.ravel())
             x[free] += change
-            size, first = np.fmax(size, np.abs(change)), np.fmax(first, np.abs(rates.ravel()))
+            rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, run.inputs[0], theta, h))
+            size, most = np.fmax(size, np.abs(change)), np.fmax(most, np.abs(rates))
             if (np.abs(change) <= AT_REST * size).all():
                 break
-        still = (np.abs(rates.ravel()) <= 1e-6 * np.fmax(first, np.abs(by_x) @ size)).all()
-        if not still or rank < len(free):
+        still = (np.abs(rates) <= 1e-6 * np.fmax(most, np.abs(by_x) @ size[:, None])).all()
+        if not still or _solved(by_x, -rates.ravel())[1] < len(free):
             what = "comes to rest wherever it is" if still else "does not come to rest"
             raise PredictionError(f'{run.file}: {self.name} {what} under the first inputs; valid: start = "measured" or "free"')
         return -np.linalg.solve(by_x, by_theta)

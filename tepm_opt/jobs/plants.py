@@ -6,6 +6,7 @@ import importlib.util
 import sys
 import traceback
 from pathlib import Path
+from typing import Any, cast
 
 from tepm_opt.discrepancy.plant import SearchablePlant
 from tepm_opt.errors import InputError
@@ -27,7 +28,7 @@ def load_plant(path: str | Path) -> SearchablePlant:
     sys.path.insert(0, str(path.resolve().parent))
     try:
         spec.loader.exec_module(module)
-        plant = getattr(module, "plant", None)
+        plant: Any = getattr(module, "plant", None)
         plant = plant() if callable(plant) else plant
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -41,8 +42,7 @@ def load_plant(path: str | Path) -> SearchablePlant:
         raise InputError(
             f"{path}: plant is a {type(plant).__name__} without {lacking[0]!r}; valid: Equations(…).plant() or Simulator(…).plant(…)"
         )
-    found: SearchablePlant = plant
-    return found
+    return cast(SearchablePlant, plant)
 
 
 def _failure(error: BaseException, path: Path) -> str:

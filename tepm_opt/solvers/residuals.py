@@ -45,7 +45,7 @@ class Residual:
             run: what was measured.
             points: predicted reference points in G, (rows, points, 3) in m.
             by: their change with each parameter, (parameters, rows, points, 3) in m per its unit.
-            noise: of a coordinate, 1 sigma in m.
+            noise: of a coordinate, 1 sigma in m; or of each point, (points, 1).
             at: time in s of the rows of `by` where these are fewer; straight lines between them.
             block: length of a block in s.
         """
