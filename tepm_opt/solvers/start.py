@@ -21,6 +21,12 @@ STILL = 0.01, 1e-6  # of the noise's square, and of all squares: a step that pro
 def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.inf) -> Run:
     """The run with the state that explains its first samples best, or all of them where it is free; as it is where it begins at rest.
 
+    Args:
+        plant: a model with values.
+        run: measured.
+        noise: of what is measured, 1 sigma.
+        step: longest time step in s.
+
     Raises:
         PredictionError: the model cannot do the run.
     """
