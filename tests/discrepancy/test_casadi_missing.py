@@ -62,6 +62,7 @@ def test_an_effect_acts_by_its_strength_or_where_its_strength_is_asked_for() -> 
     shape, strength = "stribeck_friction[guide].speed", "stribeck_friction[guide].force"
     run = run_of(np.arange(len(TIME)), np.sin(TIME)[:, None])
     assert not plant.predict(run, [shape]).by.any()
+    assert plant._acting(["hysteresis[guide].closing"]).motion.states == ("q", "v")
     assert plant.predict(run, [strength]).by.any()
     assert plant.with_values({strength: 0.5}).predict(run, [shape]).by.any()
     lagging = plant.with_values({"sensor_lag[position].time": 0.3})._acting([])

@@ -49,6 +49,13 @@ def test_what_comes_back_again_and_again_is_no_moment() -> None:
     assert not [p for p in found(pulses).places if p.by == "moment"]
 
 
+def test_a_moment_is_of_one_run() -> None:
+    """The end of one run and the beginning of the next are no stretch of time."""
+    end, begin = np.where(TIME >= 59, 1.0, 0.0), np.where(TIME < 1, 1.0, 0.0)
+    (place,) = (p for p in found(end, begin).places if p.by == "moment")
+    assert place.name in {"159 s to 160 s of run0.csv", "100 s to 101 s of run1.csv"}
+
+
 def test_a_run_of_less_than_a_second_has_no_moments() -> None:
     run = Run("short.csv", "fit", TIME[:5], np.zeros((5, 1)), np.zeros((5, 3)), np.ones((5, 1, 1)))
     assert localise([run], [np.zeros((5, 1, 1))], 0.01, SIGNALS, False, 0).places
