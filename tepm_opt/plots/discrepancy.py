@@ -41,12 +41,13 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
     predictions = {name: [points[k] for k in at] for name, points in result.predictions.items()}
     by_point = {name: _rms_by_point([run.points for run in runs], points) for name, points in predictions.items()}
     errors = {name.replace("_", " "): value for name, value in vars(verdict.errors).items()}
+    lines = _joined(runs, predictions)
     found = {
         "heat": heat_figure(place.heat, place.runs, place.points, unit),
         "gap": gap_figure(errors, data, unit),
         "points": points_figure(place.points, by_point, verdict.errors.noise_floor, data, unit),
-        "over_time": over_time_figure(runs, predictions, verdict.errors.noise_floor, unit),
-        "tip": tip_figure(runs, predictions, result.localisation.points[-1] if unit != "m" else "tip", unit),
+        "over_time": over_time_figure(*lines, verdict.errors.noise_floor, unit),
+        "tip": tip_figure(*lines, result.localisation.points[-1] if unit != "m" else "tip", unit),
     }
     explanation = result.explanation
     fitted = [h for h in explanation.tried if len(h.effects) == 1] + [explanation.best] * (len(explanation.best.effects) > 1)
@@ -66,6 +67,15 @@ def _comparable(result: Discovery) -> Discovery:
     runs = RunSet.of(result.dataset.name, [replace(run, points=run.points / noise) for run in result.dataset.runs])
     predictions = {name: [points / noise for points in each] for name, each in result.predictions.items()}
     return replace(result, dataset=runs, predictions=predictions, noise=1.0)
+
+
+def _joined(runs: Sequence[Run], predictions: Predictions) -> tuple[Sequence[Run], Predictions]:
+    """Runs of a single equilibrium each as one of them all, a row each; others as they are."""
+    if len(runs) < 2 or any(run.rows != 1 or np.isfinite(run.time).any() for run in runs):
+        return runs, predictions
+    parts = {name: np.concatenate([getattr(run, name) for run in runs]) for name in ("time", "inputs", "tip_force", "points")}
+    whole = replace(runs[0], file=f"all {len(runs)} runs, a row each", extra={}, lines=(), **parts)
+    return [whole], {name: [np.concatenate(each)] for name, each in predictions.items()}
 
 
 def _shown(unit: str) -> tuple[float, str]:

@@ -202,6 +202,18 @@ def test_static_data_need_no_time_and_points_have_axes(tmp_path: Path) -> None:
         read_trials(folder, signals)
 
 
+def test_runs_of_a_single_equilibrium(tmp_path: Path) -> None:
+    """What is hidden is named although no run by itself has moved."""
+    random, files = np.random.default_rng(3), {}
+    for k, torque in enumerate(np.linspace(-4, 4, 48)):
+        angle = 0.11 * (torque - np.clip(torque, -0.5, 0.5)) + random.normal(0, 1e-3)
+        files[f"{k}.csv"] = {"torque": np.array([torque]), "angle": np.array([angle])}
+    folder = data(tmp_path / "data", files, "angle = 1e-3", "static = true")
+    verdict = run_discrepancy(folder, tmp_path / "out", plant=plant_file(tmp_path, LEVER)).verdict
+    assert [each.candidate.label for each in verdict.effects] == ["dead_zone[torque]"], verdict.paragraph
+    assert verdict.effects[0].parameters["width"].value == pytest.approx(0.5, rel=0.05)
+
+
 @pytest.mark.parametrize("width", [0.0, 0.5])
 def test_a_plain_function_of_equilibria(tmp_path: Path, width: float) -> None:
     random, files = np.random.default_rng(3), {}
