@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.clock import shifts
+from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import run_discrepancy
 
 RATE = 50
 NOISE = 3e-4  # m
@@ -77,3 +81,36 @@ def test_a_late_clock_is_a_shift_behind_a_lag_too() -> None:
 def test_a_slow_machine_that_leads_is_a_shift() -> None:
     modelled = swing(7)
     assert shifts([run(np.roll(modelled, -20, axis=0))], [modelled], NOISE) == {"a.csv": pytest.approx(-0.4)}
+
+
+PLANT = """
+from tepm_opt.discrepancy.equations import Equations
+
+m = Equations("tank", laws=())
+x, u = m.state("x"), m.input("u", size=1.0)
+m.rate(x, (m.known("gain", 1.0, low=0.8, high=1.2) * u - x) / 0.2)
+m.output("x", x, size=1.0)
+plant = m.plant()
+"""
+
+
+def test_a_plant_file_s_clock_is_lifted_by_the_option(tmp_path: Path) -> None:
+    """Levels are seen half a second before they are asked for."""
+    file, data, random = tmp_path / "tank.py", tmp_path / "data", np.random.default_rng(8)
+    file.write_text(PLANT, encoding="utf-8")
+    data.mkdir()
+    lines = ['name = "tank"', "[noise]", "x = 0.01"]
+    time = np.arange(600) / RATE
+    for number, role in enumerate(("fit", "fit", "validation")):
+        asked, level = np.repeat(np.concatenate([[0.0], random.uniform(0, 1, 7)]), 75), np.zeros(600)
+        for k in range(1, 600):
+            level[k] = level[k - 1] + (asked[k - 1] - level[k - 1]) * (1 - np.exp(-1 / RATE / 0.2))
+        seen = np.append(level[25:], np.repeat(level[-1:], 25)) + 0.01 * random.normal(size=600)
+        rows = [f"{t:.2f},{u:.6f},{x:.6f}" for t, u, x in zip(time, asked, seen, strict=True)]
+        (data / f"{number}.csv").write_text("\n".join(["time_s,u,x", *rows]) + "\n", encoding="utf-8")
+        lines += ["[[runs]]", f'file = "{number}.csv"', f'role = "{role}"']
+    (data / "dataset.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"shifted clock: positions lead the inputs by 0\.(48|50) s.*--despite-errors"):
+        run_discrepancy(data, tmp_path / "out", plant=file)
+    verdict = run_discrepancy(data, tmp_path / "out", plant=file, despite_errors=True).verdict
+    assert "shifted clock" in verdict.notes[0]

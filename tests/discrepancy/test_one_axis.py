@@ -108,7 +108,8 @@ def test_a_mass_that_runs_through_its_base_is_told(backend: Literal["auto", "pyt
     assert found.tip[:, 2].min() > 0
     (one, other) = simulate_many(model, [Motion(pushed(-40.0)), Motion(pushed(-60.0))], step=step)
     assert (one.solved, other.outcome.message) == (True, found.outcome.message)
-    run = Run("pushed.csv", "fit", *vars(pushed(-60.0)).values(), np.zeros((75, 2, 3)))
+    asked = pushed(-60.0)
+    run = Run("pushed.csv", "fit", asked.time, asked.inputs, asked.tip_force, np.zeros((len(asked.time), 2, 3)))
     with pytest.raises(PredictionError, match=r"pushed\.csv: .*runs through the base"):
         predict(model, run)
 
