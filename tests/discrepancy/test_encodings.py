@@ -30,7 +30,7 @@ ENCODINGS: dict[str, tuple[Force, Callable[[np.ndarray], dict[str, np.ndarray]]]
 
 
 def plant_of(force: Force) -> CasadiPlant:
-    m = Equations("drive", time=0.2, laws=AXIS)
+    m = Equations("drive", time=0.2, laws=[law for law in AXIS if law.name not in ("hysteresis", "stribeck_friction")])  # quicker
     q, v = m.state("q"), m.state("v")
     mass, viscous = m.known("mass", 10.0, "kg", within=0.2), m.known("viscous", 40.0, "N s/m", within=0.5)
     m.rate(q, v)
