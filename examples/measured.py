@@ -12,11 +12,14 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import measured_arm
+import measured_bouc_wen
 import measured_emps
+import measured_silverbox
 import measured_tanks
 import measured_tentacle
 
 PREPARED: dict[str, Callable[[Path, Path], None]] = {
+    "bouc_wen": measured_bouc_wen.bouc_wen,
     "cascaded_tanks": measured_tanks.tanks,
     "emps": measured_emps.emps,
     "emps_tip_force": measured_emps.emps_tip_force,
@@ -24,6 +27,7 @@ PREPARED: dict[str, Callable[[Path, Path], None]] = {
     "pneumatic_arm": measured_arm.steps,
     "pneumatic_arm_gauges": measured_arm.steps_by_gauges,
     "pneumatic_arm_contact": measured_arm.contact,
+    "silverbox": measured_silverbox.silverbox,
     "tentacle": measured_tentacle.tentacle,
 }
 """By name: what writes the data set of a machine from a folder of measurements into a folder."""
