@@ -1,4 +1,4 @@
-"""Data set of an electronic circuit (`benchmarks/silverbox`): four of ten multisines to fit to; the arrow, which leaves their range, judges."""
+"""Data set of an electronic circuit (`benchmarks/silverbox`): four of ten multisines to fit to; the arrow leaves their range and judges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tepm_opt.data.tables import write_columns
 
 STEP = 2**14 / 1e7  # s
 QUIET = 420  # samples before anything happens: they tell the means
-STARTS = {"multisine_1": 40540, "multisine_4": 66616, "multisine_7": 92693, "multisine_10": 110077}  # each begins at rest in a gap
+STARTS = {"multisine_1": 40540, "multisine_4": 66616, "multisine_7": 92693, "multisine_9": 110077}  # each begins at rest in a gap
 LENGTH, ARROW = 8690, 40400  # samples
 DESCRIPTION = """name = "Silverbox"
 runs = [
