@@ -81,7 +81,8 @@ def equilibrium(
             inverse, sets = None, shape[0]
         if inverse is None:
             damping = DAMPING * np.minimum(np.abs(missing * steps)[:, :sets].max(axis=(0, -1)), 1.0)
-            inverse = _inverse(rates[:, :sets], *(each[:sets] for each in (stiffness, weight, steps)), start[:, :sets], damping)
+            near = rates[:, :sets], stiffness[:sets], weight[:sets], steps[:sets], start[:, :sets]
+            inverse = _inverse(*near, damping)
         whole = np.concatenate(list(missing), axis=-1)[..., None]
         change = np.stack(np.split((inverse @ whole)[..., 0], 2, axis=-1))
         rates = rates + change
