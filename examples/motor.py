@@ -22,9 +22,9 @@ m.effects([slow], "speed", time=0.3)
 def simulate(run, values):
     """The speed at the samples of a run, (rows,)."""
     voltage, width = run.inputs[:, 0], values["dead_zone[voltage].width"]
-    system = control.tf([values["gain"]], [values["time"], 1])
+    system = control.TransferFunction([values["gain"]], [values["time"], 1])
     if values["filter[speed].time"] > 1e-4:
-        system = system * control.tf([1], [values["filter[speed].time"], 1])
+        system = system * control.TransferFunction([1], [values["filter[speed].time"], 1])
     return control.forced_response(control.ss(system), run.time - run.time[0], voltage - np.clip(voltage, -width, width)).outputs
 
 
