@@ -38,7 +38,7 @@ class Regime:
         columns: numbers of the inputs; of what is measured where `measured`. One of them in that part is enough.
         low, high: the part, in parts of the range.
         used: whether only inputs in use count.
-        measured: whether it is about what is measured, as the model has it.
+        measured: whether it is about what is measured.
     """
 
     name: str

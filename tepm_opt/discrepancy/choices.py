@@ -36,7 +36,7 @@ def choices(runs: Sequence[Run], points: Sequence[np.ndarray], signals: Signals,
     level, moving = np.concatenate(levels), np.concatenate(moves)
     used = (np.abs(level) > IN_USE) | moving
     yield from _input_labels(used, signals)
-    yield from _regime_labels(level, used, points, signals)
+    yield from _regime_labels(level, used, _between(runs, points), signals)
     if not static:
         yield from _time_labels(runs)
         least = _least_way(points, signals)
@@ -63,6 +63,14 @@ def _input_labels(used: np.ndarray, signals: Signals) -> Iterator[Choice]:
         yield part.by, part.name, own
         if part.alike:
             yield part.by, f"{part.name}{ALONE}", own & (used[:, part.alike].sum(axis=1) == len(part.columns))
+
+
+def _between(runs: Sequence[Run], points: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Midway between what is measured and what is modelled, where both are there, else modelled.
+
+    To order errors by either of the two would show more of them at its ends without any cause (Bland and Altman, Lancet 1986).
+    """
+    return [np.where(np.isfinite(run.points), (run.points + modelled) / 2, modelled) for run, modelled in zip(runs, points, strict=True)]
 
 
 def _regime_labels(level: np.ndarray, used: np.ndarray, points: Sequence[np.ndarray], signals: Signals) -> Iterator[Choice]:

@@ -59,3 +59,25 @@ def test_a_moment_is_of_one_run() -> None:
 def test_a_run_of_less_than_a_second_has_no_moments() -> None:
     run = Run("short.csv", "fit", TIME[:5], np.zeros((5, 1)), np.zeros((5, 3)), np.ones((5, 1, 1)))
     assert localise([run], [np.zeros((5, 1, 1))], 0.01, SIGNALS, False, 0).places
+
+
+def at_levels(measured: np.ndarray, modelled: np.ndarray, time: np.ndarray) -> set[str]:
+    """Regimes of the level in which the model misses more."""
+    points = measured[:, None, None] + np.random.default_rng(5).normal(0, 0.01, (len(time), 1, 1))
+    run = Run("run.csv", "fit", time, time[:, None], np.zeros((len(time), 3)), points)
+    answer = localise([run], [modelled[:, None, None]], 0.01, SIGNALS, False, 0)
+    return {place.name for place in answer.places[: answer.telling]} & {"high y", "low y"}
+
+
+def test_errors_at_high_levels_are_found() -> None:
+    time = np.arange(0, 600, 0.5)
+    truth = 1.2 * np.sin(0.05 * time)
+    assert at_levels(np.minimum(truth, 0.8), 0.95 * truth, time) == {"high y"}
+
+
+def test_levels_are_neither_those_measured_nor_those_modelled() -> None:
+    """Two signals that have nothing in common differ most where either of them is far out, but that says nothing of the level."""
+    time = np.arange(0, 3000, 0.5)
+    random = np.random.default_rng(2)
+    measured, modelled = (np.repeat(random.normal(0, 1, 3000), 2) for _ in range(2))
+    assert not at_levels(measured, modelled, time)
