@@ -77,13 +77,15 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
         parts += [(values[piece], by[piece], r.block[piece], r.present.reshape(rows, -1)[piece].sum(axis=1)) for piece in pieces]
     squares = [by.reshape(values.size, count).T @ by.reshape(values.size, count) for values, by, _, _ in parts]
     slopes = [by.reshape(values.size, count).T @ values.ravel() for values, by, _, _ in parts]
+    mean, precision = problem.prior
     errors, counts, steps = [], [], []
     for k, (values, by, block, present) in enumerate(parts):
         left = values
         if count:
             others = sum(squares) - squares[k]
             low, high = problem.low - estimate.values, problem.high - estimate.values
-            step, _ = bounded_step(others, sum(slopes) - slopes[k], low, high, problem.scale)
+            slope = sum(slopes) - slopes[k] + precision * (estimate.values - mean)
+            step, _ = bounded_step(others + np.diag(precision), slope, low, high, problem.scale)
             left = values + by @ step
             steps.append(step)
         first = block - block.min()

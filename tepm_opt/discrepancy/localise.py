@@ -137,8 +137,9 @@ class _Found:
 
 
 def localise(
-    runs: Sequence[Run], points: Sequence[np.ndarray], noise: float | np.ndarray, signals: Signals, static: bool, seed: int
-) -> Localisation:
+    runs: Sequence[Run], points: Sequence[np.ndarray], noise: float | np.ndarray, signals: Signals, static: bool, seed: int,
+    block: float = BLOCK,
+) -> Localisation:  # fmt: skip
     """Find the parts of the data in which measured and modelled positions differ by more than noise.
 
     Significance is against data with permuted blocks of time (for points and axes: with their order permuted within every block; for
@@ -151,11 +152,12 @@ def localise(
         signals: names and ranges.
         static: whether rows are equilibria: each is a block, and there are no places in time.
         seed: of the permutations.
+        block: length of the blocks in s.
     """
     residuals, unit = [run.points - modelled for run, modelled in zip(runs, points, strict=True)], signals.unit
     if np.ndim(noise):  # quantities of different kinds are compared by their noise
         residuals, noise, unit = [residual / noise for residual in residuals], 1.0, TIMES_NOISE
-    samples, random = _samples(runs, residuals, float(noise), static, unit), np.random.default_rng(seed)
+    samples, random = _samples(runs, residuals, float(noise), None if static else block, unit), np.random.default_rng(seed)
     found = []
     if samples.count:
         rows = [*choices(runs, points, signals, static), *([] if static else _moments(samples, runs))]
@@ -164,13 +166,13 @@ def localise(
     return _localisation(found, samples, runs, signals)
 
 
-def _samples(runs: Sequence[Run], residuals: Sequence[np.ndarray], noise: float, static: bool, unit: str) -> _Samples:
+def _samples(runs: Sequence[Run], residuals: Sequence[np.ndarray], noise: float, block: float | None, unit: str) -> _Samples:
     every = np.concatenate(residuals)
     present = np.isfinite(every)
     excess = np.where(present, np.where(present, every, 0.0) ** 2 - noise**2, 0.0)
     blocks, first = [], 0
     for run in runs:
-        number = np.arange(run.rows) if static else np.floor((run.time - run.time[:1]) / BLOCK + 1e-9).astype(int)
+        number = np.arange(run.rows) if block is None else np.floor((run.time - run.time[:1]) / block + 1e-9).astype(int)
         number = np.unique(number, return_inverse=True)[1]
         blocks.append(first + number)
         first += int(number.max(initial=-1)) + 1

@@ -9,8 +9,9 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.fits import SearchSettings
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.search import Explanation, SearchSettings
+from tepm_opt.discrepancy.search import Explanation
 
 
 def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ...] | None:

@@ -2,110 +2,27 @@
 
 from __future__ import annotations
 
-import json
-import threading
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.data.files import write_atomically
-from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
-from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
-from tepm_opt.discrepancy.screen import MEMORY, Score, screen, screen_pairs
-from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import Free, PredictionError
-from tepm_opt.solvers.text import listed, shortened
+from tepm_opt.discrepancy.evidence import weights
+from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, labels
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.screen import Score, screen_pairs
+from tepm_opt.solvers.identify import Problem
+from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.text import shortened
 
 # part of the squared output of the other effects that their forms may be wrong by (5 % of the size); an effect that takes away less
 # beside them may only mend their forms
 FORM_ERROR_RATIO = 0.0025
 MIN_SHARE_CLOSED = 0.1  # part of the excess left on held-out data that one more effect must take away to be tried along
 PAIRED = 10  # candidates, those that promise most alone, that are tried in pairs where none of them helps alone
-LOST = 2.0  # how many times the squares of a rival a fit must be sure to leave to be ended early
 PLAIN = 0.9  # part of a form's gain from which a plainer form of the same is fitted in its place
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
-Effects = tuple[Candidate, ...]
 Shares = dict[Candidate, float]
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """Thresholds of the search: when structure counts and when an effect is believed.
-
-    Squares are means over the measured coordinates; the excess is what they have beyond the noise's, over the noise's (1: as much
-    structure as noise).
-
-    Attributes:
-        max_noise_excess: excess that counts as noise: 0.05 is 22 % of the noise's standard deviation.
-        min_excess_removed: excess that an effect must take away alone to be named: 0.15 is 39 % of the noise's standard deviation.
-        min_probability: by which one more effect must beat going without it to be tried along, 0 … 1.
-        even_odds_ratio: how many times the excess left the part that only this effect takes away must be for even odds that it is
-            a cause, not a stand-in for something outside the library.
-        fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
-        max_effects: most effects at once.
-        max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
-        max_iterations: most Gauss-Newton steps of a fit.
-        tolerance: part of the structure left for which a fit makes no further step.
-        beam: how many sets of effects are followed at the same time.
-        starts: from how many of its probes an effect is fitted, where several promise much.
-    """
-
-    max_noise_excess: float = 0.05
-    min_excess_removed: float = 0.15
-    min_probability: float = 0.95
-    even_odds_ratio: float = 3.0
-    fits_first_round: int = 5
-    fits_later_rounds: int = 3
-    max_effects: int = 3
-    max_unexplained_ratio: float = 0.1
-    max_iterations: int = 10
-    tolerance: float = 2e-3
-    beam: int = 1
-    starts: int = 1
-
-    @staticmethod
-    def of(plant: SearchablePlant) -> SearchSettings:
-        """The usual ones; a plant that is quick bears a wider search."""
-        return SearchSettings(max_iterations=30, tolerance=1e-4, beam=2, starts=2) if plant.quick else SearchSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Effects with their fit and how well it predicts held-out data."""
-
-    effects: Effects
-    estimate: ParameterEstimate
-    evidence: Evidence
-
-    def __repr__(self) -> str:
-        """The main numbers, in a line."""
-        return f"Hypothesis({shortened(_labels(self), 60)}, excess {self.excess:.3g})"
-
-    @property
-    def excess(self) -> float:
-        """Mean square of held-out errors beyond the noise, over the noise's."""
-        return self.evidence.excess
-
-    @property
-    def left(self) -> float:
-        """Structure that is surely left: the smaller of the excess on held-out data and on the data fitted to."""
-        return min(self.excess, max(self.estimate.cost / max(self.estimate.count, 1) - 1, 0.0))
-
-    @property
-    def form_error(self) -> np.ndarray:
-        """Standard deviation of the free parameters that comes from structure left, (parameters,): scatter over left-out runs."""
-        return np.sqrt(self.excess / (1 + self.excess)) * self.evidence.scatter
-
-
-def _labels(hypothesis: Hypothesis) -> str:
-    return listed([effect.label for effect in hypothesis.effects], 3) or "no effect"
 
 
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
@@ -135,135 +52,11 @@ class Explanation:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Explanation({shortened(_labels(self.best), 60)}, closes {self.closes(self.best):.0%}, {len(self.tried)} fits)"
+        return f"Explanation({shortened(labels(self.best), 60)}, closes {self.closes(self.best):.0%}, {len(self.tried)} fits)"
 
     def closes(self, hypothesis: Hypothesis) -> float:
         """Part of the structure left by recalibration that a hypothesis takes away."""
         return 1 - hypothesis.excess / max(self.without.excess, 1e-12)
-
-
-@dataclass(eq=False)
-class Fits:
-    """Fits of one data set, each done once; kept in a file, so that an interrupted search goes on where it was.
-
-    Attributes:
-        problem: with the known parameters free; its model has all candidates at their null values.
-        settings: iterations.
-        store: a file, or None.
-        key: what the file must have been made from.
-        progress: told of every fit.
-    """
-
-    problem: Problem
-    settings: SearchSettings
-    store: Path | None = None
-    key: str = ""
-    progress: Progress = silent
-    done: dict[Effects, Hypothesis] = field(default_factory=dict)
-    screened: dict[Effects, list[Score]] = field(default_factory=dict)
-    _kept: dict[str, Any] = field(default_factory=dict)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def __repr__(self) -> str:
-        """The main numbers, in a line."""
-        return f"Fits({len(self.done)} fits of {self.problem})"
-
-    def __post_init__(self) -> None:
-        """Read what an earlier search left."""
-        if self.store is not None and self.store.exists():
-            try:
-                content = json.loads(self.store.read_text(encoding="utf-8"))
-            except (OSError, ValueError):
-                return
-            if isinstance(content, dict) and content.get("key") == self.key:
-                self._kept = content
-
-    def fit(self, effects: Effects, start: dict[str, float]) -> Hypothesis | None:
-        """The hypothesis that these effects act, fitted from these values by full name; None where the model cannot do the runs."""
-        return self.fit_all([(effects, start)])[0]
-
-    def fit_all(self, asked: Sequence[tuple[Effects, dict[str, float]]], rival: Hypothesis | None = None) -> list[Hypothesis | None]:
-        """Several hypotheses from their first values, at once on the machine's cores.
-
-        Against a rival, fits that cannot come near it any more end early; asked for without one, they go on from there.
-        """
-        wanted = [(tuple(sorted(effects, key=lambda c: c.label)), start) for effects, start in asked]
-        missing: dict[Effects, list[dict[str, float]]] = {}
-        for effects, start in wanted:
-            if not self._has(effects, rival):
-                missing.setdefault(effects, []).append(start)
-        for effects in missing:
-            self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
-        reached = np.inf if rival is None else LOST * max(rival.estimate.cost, rival.estimate.count)
-        found = in_parallel(lambda item: self._fitted(*item, reached), list(missing.items()), threads=self._at_once(missing))
-        self.done |= {effects: hypothesis for effects, hypothesis in zip(missing, found, strict=True) if hypothesis is not None}
-        return [self.done.get(effects) for effects, _ in wanted]
-
-    def finished(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The hypothesis with its fit gone on to the end, if it ended early."""
-        return self.fit(hypothesis.effects, hypothesis.estimate.named) or hypothesis
-
-    def _has(self, effects: Effects, rival: Hypothesis | None) -> bool:
-        return effects in self.done and not (rival is None and self.done[effects].estimate.out_of_reach)
-
-    def _at_once(self, hypotheses: Iterable[Effects]) -> bool:
-        """Whether fits may run at the same time: in C, and with derivatives that take little memory."""
-        problem = self.problem
-        most = len(problem.free) + max((sum(len(c.parameters) for c in effects) for effects in hypotheses), default=0)
-        return problem.plant.concurrent and 8 * most * sum(run.points.size for run in problem.runs) < MEMORY
-
-    def _fitted(self, effects: Effects, starts: Sequence[dict[str, float]], reached: float) -> Hypothesis | None:
-        """The best fit from some first values, or from where an earlier one ended; an earlier search's fit as it was."""
-        label = " ".join(c.label for c in effects)
-        early = np.isfinite(reached) and f"early {label}" in self._kept
-        kept = self._kept.get(f"early {label}" if early else f"fit {label}")
-        begun = [self.done[effects].estimate.named] if effects in self.done else starts
-        names = [parameter for c in effects for parameter in c.parameters]
-        free = (*self.problem.free, *self.problem.plant.free(names))
-        steps, fits = 0 if kept else self.settings.max_iterations, []
-        for start in [kept] if kept else begun:
-            begin = tuple(_starting(f, start.get(f.name, f.start)) for f in free)
-            with suppress(PredictionError):
-                fits.append(identify(replace(self.problem, free=begin), steps, tolerance=self.settings.tolerance, reached=reached))
-        if not fits:
-            return None
-        found = min(fits, key=lambda fit: fit.cost)
-        if early:
-            found = replace(found, outcome=Outcome(Ending.NOT_CONVERGED, OUT_OF_REACH))
-        try:
-            evidence = leave_out(found)
-        except PredictionError:
-            return None
-        self._keep(f"early {label}" if found.out_of_reach else f"fit {label}", found.named)
-        return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
-
-    def screen(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> list[Score]:
-        """First-order gains of the effects a hypothesis does not have."""
-        effects = hypothesis.effects
-        if effects not in self.screened:
-            name = "screen " + " ".join(c.label for c in effects)
-            others = [c for c in missing if c not in effects and (not c.beside or any(other.name in c.beside for other in effects))]
-            if name in self._kept:
-                known = {candidate.label: candidate for candidate in others}
-                self.screened[effects] = [
-                    Score(known[label], gain, start, tuple(also)) for label, gain, start, also in self._kept[name] if label in known
-                ]
-            else:
-                beside = f" beside {', '.join(c.label for c in effects)}" if effects else ""
-                self.progress(f"screening {len(others)} effects{beside}", 0, 0)
-                self.screened[effects] = screen(hypothesis.estimate, others)
-                self._keep(name, [[score.candidate.label, score.gain, score.start, score.also] for score in self.screened[effects]])
-        return self.screened[effects]
-
-    def _keep(self, name: str, value: Any) -> None:
-        with self._lock:
-            if self.store is not None and name not in self._kept:
-                self._kept[name] = value
-                write_atomically(self.store, json.dumps({**self._kept, "key": self.key}))
-
-
-def _starting(free: Free, value: float) -> Free:
-    return replace(free, start=float(np.clip(value, free.low, free.high)))
 
 
 def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
@@ -278,7 +71,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
     best, front = without, [without]
-    while front and best.left > settings.max_noise_excess:
+    while front and not best.only_noise(settings):
         grown = {h.effects: h for base in front for h in _grown(fits, base, missing, seed)}
         front = _most_probable(list(grown.values()), seed, settings.beam)
         best = _most_probable([best, *front], seed, 1)[0] if settings.beam > 1 else next(iter(front), best)
@@ -296,17 +89,25 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
 
 
 def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int) -> tuple[Hypothesis, Shares, Groups]:
-    """What is left of a hypothesis after the way back, with the shares of its effects and their rivals."""
+    """What is left of a hypothesis after the way back, with the shares of its effects and their rivals.
+
+    Where that is nothing, because several stood in for one, the single effect that stands out and leaves least.
+    """
+    several = len(best.effects) > 1
     best, shares = _backward(fits, best)
+    if several and not best.effects:
+        alone = [_backward(fits, fits.finished(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
+        best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
     return best, shares, {effect: _alternatives(fits, best, effect, missing, seed) for effect in best.effects}
 
 
 def _motion(problem: Problem) -> float:
-    """Mean square of the measured motion about each run's mean position, over the noise's."""
+    """Mean square of the measured motion about each run's mean position, or the equilibria's about that of all, over the noise's."""
+    parts = [(run.points / sigma).reshape(run.rows, -1) for run, sigma in zip(problem.runs, problem.noises, strict=True)]
     total, count = 0.0, 0
-    for run, sigma in zip(problem.runs, problem.noises, strict=True):
-        for column in run.points.reshape(run.rows, -1).T:
-            seen = column[np.isfinite(column)] / sigma
+    for part in [np.concatenate(parts)] if problem.plant.static else parts:
+        for column in part.T:
+            seen = column[np.isfinite(column)]
             total, count = total + float(np.var(seen) if seen.size else 0.0) * seen.size, count + seen.size
     return total / max(count, 1)
 
@@ -327,7 +128,7 @@ def _grown(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int
 def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hypothesis | None = None) -> list[Hypothesis]:
     """Fits of the candidates that promise most beside those of `base`; what competes with a rival, or with the first, may end early."""
     settings = fits.settings
-    scores = [score for score in fits.screen(base, missing) if _may(score.candidate, base.effects)]
+    scores = fits.screen(base, missing)
     if not scores:
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
@@ -355,15 +156,9 @@ def _plainest(scores: Sequence[Score]) -> list[Score]:
     ]
 
 
-def _may(candidate: Candidate, others: Sequence[Candidate]) -> bool:
-    """Whether a candidate may stand beside others: no other form of one of them, and with what it needs."""
-    forms = {other.form_of for other in others}
-    return candidate.form_of not in forms and (not candidate.beside or any(other.name in candidate.beside for other in others))
-
-
 def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
     """Fits of the pairs that promise most together where there is no effect yet: each may hide the other."""
-    scores = [score for score in fits.screen(base, missing) if _may(score.candidate, base.effects)]
+    scores = fits.screen(base, missing)
     if len(scores) < 2 or base.effects or fits.settings.max_effects < 2:
         return []
     pairs = [

@@ -10,15 +10,17 @@ import numpy as np
 from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.localise import TIMES_NOISE
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score
-from tepm_opt.discrepancy.search import Explanation, Hypothesis
+from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
+BEYOND = 1.2  # times the range fitted to, from which a run is said to leave it
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 
 
@@ -89,19 +91,43 @@ def notes(
         found.append(f"{', '.join(silent)}: not measured in any run.")
     alike = noise if np.ndim(noise) == 0 else 1.0
     unit = signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
-    found += repeats(dataset.runs, noise, unit)
+    found += repeats(dataset.runs, noise, unit) + beyond(dataset, signals)
     left, axes = explanation.best.excess, axes_measured(np.concatenate([run.points for run in dataset.fit]))
     if explanation.best.effects and left > 0.1:
         found.append(
             f"Structure of {_shown(float(np.sqrt(axes * left) * alike), unit)} is left in the runs fitted to: "
-            "the effect's form differs from the machine's, "
-            "or something small is missing besides."
+            "the effect's form differs from the machine's, or something small is missing besides. It keeps probabilities below 1."
         )
     found += [f"{text}." for text in unidentifiable(best)]
     bound = [free.name for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and not free.name.count(".")]
     if bound:
         found.append(f"At the limit of the prior: {', '.join(bound)}. The prior may be too narrow, or an effect takes its place.")
     return tuple(found)
+
+
+def beyond(dataset: RunSet, signals: Signals) -> list[str]:
+    """Which validation runs leave the range of the runs fitted to, a line each: what is said of them extrapolates."""
+    columns = [f"{point} {axis}".strip() for point in signals.points for axis in signals.axes]
+    seen = np.concatenate([run.points.reshape(run.rows, -1) for run in dataset.fit])
+    inputs = np.concatenate([run.inputs for run in dataset.fit])
+    found = []
+    for run in dataset.validation:
+        reach = [*_reach(run.points.reshape(run.rows, -1), seen, columns), *_reach(run.inputs, inputs, list(signals.inputs))]
+        name, times = max(reach, key=lambda pair: pair[1], default=("", 0.0))
+        if times > BEYOND:
+            found.append(f"{run.file} leaves the range fitted to: {name} goes {times:.1f} times as far. There it extrapolates.")
+    return found
+
+
+def _reach(values: np.ndarray, fitted: np.ndarray, names: Sequence[str]) -> list[tuple[str, float]]:
+    """How many times as far as those fitted to the values of each column go from the middle of these."""
+    found = []
+    for name, column, others in zip(names, values.T, fitted.T, strict=True):
+        here, there = column[np.isfinite(column)], others[np.isfinite(others)]
+        half = float(np.ptp(there)) / 2 if there.size else 0.0
+        if here.size and half > 0:
+            found.append((name, float(np.abs(here - there.min() - half).max()) / half))
+    return found
 
 
 def repeats(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> list[str]:
@@ -173,11 +199,13 @@ def _values(named: Named) -> str:
     parts = []
     for name, value in named.parameters.items():
         factor, unit = SHOWN.get(value.unit, (1.0, value.unit))
-        parts.append(f"{name.replace('_', ' ')} {factor * value.value:.3g} {unit}")
+        parts.append(f"{name.replace('_', ' ')} {factor * value.value:.3g} ± {factor * value.std:.2g} {unit}")
     return ", ".join(parts)
 
 
 def _shown(value: float, unit: str) -> str:
+    if unit == "m" and value < 1e-4:
+        return f"{1e3 * value:.2g} mm"
     return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}".strip()
 
 

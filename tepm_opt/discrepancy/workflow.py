@@ -15,10 +15,11 @@ from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy import words
 from tepm_opt.discrepancy.black_box import black_box
 from tepm_opt.discrepancy.clock import shifts
+from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.localise import TIMES_NOISE, Localisation, localise
 from tepm_opt.discrepancy.measured import behind, gauged, separated, with_measured_inputs
 from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
-from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, SearchSettings, explain
+from tepm_opt.discrepancy.search import Explanation, explain
 from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
@@ -115,7 +116,7 @@ def discover(
     def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
         recalibrated = _predict(explanation.without.estimate.plant, dataset, noise)
         compared = nominal if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else recalibrated
-        place = localise(dataset.runs, compared, noise, plant.signals, plant.static, seed)
+        place = localise(dataset.runs, compared, noise, plant.signals, plant.static, seed, problem.block)
         return recalibrated, place, _bounded(dataset, recalibrated, plant.static)
 
     (recalibrated, localisation, bound), (best, points) = beside(looked_at, corrected, plant.concurrent)
@@ -180,7 +181,7 @@ def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
 
 def _status(explanation: Explanation, settings: SearchSettings) -> VerdictStatus:
     if not explanation.best.effects:
-        return VerdictStatus.NO_DISCREPANCY if explanation.without.left <= settings.max_noise_excess else VerdictStatus.UNEXPLAINED
+        return VerdictStatus.NO_DISCREPANCY if explanation.without.only_noise(settings) else VerdictStatus.UNEXPLAINED
     unclear = any(group[0][1] < CLEAR for group in explanation.groups.values())
     return VerdictStatus.INDISTINGUISHABLE if unclear else VerdictStatus.NAMED
 

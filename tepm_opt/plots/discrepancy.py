@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from tepm_opt.data.metrics import point_errors, shape_error
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.setpoints import AXES
-from tepm_opt.discrepancy.search import Hypothesis
+from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.workflow import Discovery
 from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
 

@@ -22,9 +22,9 @@ def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.in
     """The run with the state that explains its first samples best, or all of them where it is free; as it is where it begins at rest.
 
     Args:
-        plant: a model with values.
-        run: measured.
-        noise: of what is measured, 1 sigma.
+        plant: the model.
+        run: what was measured; a state that it has is a guess.
+        noise: of what is measured, 1 sigma per axis, or of each point, (points, 1).
         step: longest time step in s.
 
     Raises:

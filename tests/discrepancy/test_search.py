@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import search
+from tepm_opt.discrepancy import fits as fitting
+from tepm_opt.discrepancy.fits import Fits, SearchSettings
 from tepm_opt.discrepancy.network import candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.screen import screen
-from tepm_opt.discrepancy.search import Fits, SearchSettings, explain
+from tepm_opt.discrepancy.search import explain
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.discrepancy.words import beaten
 from tepm_opt.discrepancy.workflow import Discovery
@@ -197,8 +198,8 @@ class TestFits:
     ) -> None:
         settings = SearchSettings(tolerance=1e-7)  # so that all have steps to make
         found = []
-        for lost in (search.LOST, np.inf):
-            monkeypatch.setattr(search, "LOST", lost)
+        for lost in (fitting.LOST, np.inf):
+            monkeypatch.setattr(fitting, "LOST", lost)
             found.append(explain(Fits(problem(library, runs), settings), candidates(NOMINAL), 0))
         early, whole = found
         ended = [hypothesis for hypothesis in early.tried if hypothesis.estimate.out_of_reach]

@@ -13,9 +13,10 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy import search
 from tepm_opt.discrepancy.evidence import Evidence, weights
+from tepm_opt.discrepancy.fits import Effects, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.screen import Score
-from tepm_opt.discrepancy.search import Effects, Explanation, Hypothesis, SearchSettings, explain
+from tepm_opt.discrepancy.search import Explanation, explain
 
 BLOCKS, SAMPLES, NOISE = 20, 90, 3e-4
 EFFECTS = {label: candidate("sensor_offset", label) for label in ("s1", "s2", "s3", "s4")}
@@ -45,7 +46,7 @@ class Table:
         """Runs whose points swing by `MOTION` times the noise."""
         points = MOTION * NOISE * np.sqrt(2) * np.sin(2 * np.pi * np.arange(ROWS) / ROWS)[:, None, None] * np.ones((1, 4, 3))
         run = Run("swing.csv", "fit", np.arange(ROWS) / 50, np.zeros((ROWS, 12)), np.zeros((ROWS, 3)), points)
-        return SimpleNamespace(runs=(run,), noise=NOISE, noises=(NOISE,))
+        return SimpleNamespace(runs=(run,), noise=NOISE, noises=(NOISE,), plant=SimpleNamespace(static=False))
 
     def fit(self, effects: Effects, _: object) -> Hypothesis:
         effects = tuple(sorted(effects, key=lambda c: c.label))

@@ -10,9 +10,10 @@ import pytest
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.evidence import leave_out
+from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.screen import Score
-from tepm_opt.discrepancy.search import Explanation, Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.workflow import Discovery
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome

@@ -7,6 +7,7 @@ import casadi as ca
 from tepm_opt.discrepancy.library.effect import At, Law, Quantity
 
 CREEP = 0.01  # of the axis' speed: slower, dry friction gives way like a viscous one
+FASTEST = 2.0  # rate over that of the time steps, which a Runge-Kutta method of order 4 bears (2.78)
 DECADES = (0.01, 0.1, 1.0)
 
 
@@ -20,8 +21,11 @@ def _way(at: At) -> ca.SX:
 
 
 def _bouc_wen(at: At) -> tuple[ca.SX, list[ca.SX]]:
+    """The force and its rate, which never lets it forget faster than the time steps can follow: then it is dry friction."""
     (z,), v, p = at.z, at.speed, at.p
-    return -z, [p["stiffness"] * v - p["closing"] * ca.fabs(v) * z - p["opening"] * v * ca.fabs(z)]
+    forgets = ca.fabs(v) * (ca.fabs(p["closing"]) + ca.fabs(p["opening"]))
+    slower = ca.fmin(1.0, FASTEST / ca.fmax(at.step * forgets, 1e-9))
+    return -z, [slower * (p["stiffness"] * v - p["closing"] * ca.fabs(v) * z - p["opening"] * v * ca.fabs(z))]
 
 
 AXIS = (

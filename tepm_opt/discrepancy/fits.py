@@ -1,0 +1,235 @@
+"""Hypotheses which effects act: fitted, judged on held-out data, kept in a file."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tepm_opt.data.files import write_atomically
+from tepm_opt.discrepancy.evidence import Evidence, leave_out
+from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
+from tepm_opt.discrepancy.screen import MEMORY, Score, screen
+from tepm_opt.outcome import Ending, Outcome
+from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
+from tepm_opt.solvers.parallel import in_parallel
+from tepm_opt.solvers.plant import Free, PredictionError
+from tepm_opt.solvers.text import listed, shortened
+
+LOST = 2.0  # how many times the squares of a rival a fit must be sure to leave to be ended early
+Effects = tuple[Candidate, ...]
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Thresholds of the search: when structure counts and when an effect is believed.
+
+    Squares are means over the measured coordinates; the excess is what they have beyond the noise's, over the noise's (1: as much
+    structure as noise).
+
+    Attributes:
+        max_noise_excess: excess that counts as noise: 0.05 is 22 % of the noise's standard deviation.
+        min_excess_removed: excess that an effect must take away alone to be named: 0.15 is 39 % of the noise's standard deviation.
+        min_probability: by which one more effect must beat going without it to be tried along, 0 … 1.
+        even_odds_ratio: how many times the excess left the part that only this effect takes away must be for even odds that it is
+            a cause, not a stand-in for something outside the library.
+        fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
+        max_effects: most effects at once.
+        max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
+        max_iterations: most Gauss-Newton steps of a fit.
+        tolerance: part of the structure left for which a fit makes no further step.
+        beam: how many sets of effects are followed at the same time.
+        starts: from how many of its probes an effect is fitted, where several promise much.
+    """
+
+    max_noise_excess: float = 0.05
+    min_excess_removed: float = 0.15
+    min_probability: float = 0.95
+    even_odds_ratio: float = 3.0
+    fits_first_round: int = 5
+    fits_later_rounds: int = 3
+    max_effects: int = 3
+    max_unexplained_ratio: float = 0.1
+    max_iterations: int = 10
+    tolerance: float = 2e-3
+    beam: int = 1
+    starts: int = 1
+
+    @staticmethod
+    def of(plant: SearchablePlant) -> SearchSettings:
+        """The usual ones; a plant that is quick bears a wider search."""
+        return SearchSettings(max_iterations=30, tolerance=1e-4, beam=2, starts=2) if plant.quick else SearchSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects with their fit and how well it predicts held-out data."""
+
+    effects: Effects
+    estimate: ParameterEstimate
+    evidence: Evidence
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Hypothesis({shortened(labels(self), 60)}, excess {self.excess:.3g})"
+
+    @property
+    def excess(self) -> float:
+        """Mean square of held-out errors beyond the noise, over the noise's."""
+        return self.evidence.excess
+
+    @property
+    def left(self) -> float:
+        """Structure that is surely left: the smaller of the excess on held-out data and on the data fitted to."""
+        return min(self.excess, max(self.estimate.cost / max(self.estimate.count, 1) - 1, 0.0))
+
+    def only_noise(self, settings: SearchSettings) -> bool:
+        """Whether no more is left than counts as noise, or than the noise of so few samples may be by chance (3 sigma)."""
+        return self.left <= max(settings.max_noise_excess, 3 * np.sqrt(2 / max(self.estimate.count, 1)))
+
+    @property
+    def form_error(self) -> np.ndarray:
+        """Standard deviation of the free parameters that comes from structure left, (parameters,): scatter over left-out runs."""
+        return np.sqrt(self.excess / (1 + self.excess)) * self.evidence.scatter
+
+
+def labels(hypothesis: Hypothesis) -> str:
+    """Its effects, in short."""
+    return listed([effect.label for effect in hypothesis.effects], 3) or "no effect"
+
+
+@dataclass(eq=False)
+class Fits:
+    """Fits of one data set, each done once; kept in a file, so that an interrupted search goes on where it was.
+
+    Attributes:
+        problem: with the known parameters free; its model has all candidates at their null values.
+        settings: iterations.
+        store: a file, or None.
+        key: what the file must have been made from.
+        progress: told of every fit.
+    """
+
+    problem: Problem
+    settings: SearchSettings
+    store: Path | None = None
+    key: str = ""
+    progress: Progress = silent
+    done: dict[Effects, Hypothesis] = field(default_factory=dict)
+    screened: dict[Effects, list[Score]] = field(default_factory=dict)
+    _kept: dict[str, Any] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def __repr__(self) -> str:
+        """The main numbers, in a line."""
+        return f"Fits({len(self.done)} fits of {self.problem})"
+
+    def __post_init__(self) -> None:
+        """Read what an earlier search left."""
+        if self.store is not None and self.store.exists():
+            try:
+                content = json.loads(self.store.read_text(encoding="utf-8"))
+            except (OSError, ValueError):
+                return
+            if isinstance(content, dict) and content.get("key") == self.key:
+                self._kept = content
+
+    def fit(self, effects: Effects, start: dict[str, float]) -> Hypothesis | None:
+        """The hypothesis that these effects act, fitted from these values by full name; None where the model cannot do the runs."""
+        return self.fit_all([(effects, start)])[0]
+
+    def fit_all(self, asked: Sequence[tuple[Effects, dict[str, float]]], rival: Hypothesis | None = None) -> list[Hypothesis | None]:
+        """Several hypotheses from their first values, at once on the machine's cores.
+
+        Against a rival, fits that cannot come near it any more end early; asked for without one, they go on from there.
+        """
+        wanted = [(tuple(sorted(effects, key=lambda c: c.label)), start) for effects, start in asked]
+        missing: dict[Effects, list[dict[str, float]]] = {}
+        for effects, start in wanted:
+            if not self._has(effects, rival):
+                missing.setdefault(effects, []).append(start)
+        for effects in missing:
+            self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
+        reached = np.inf if rival is None else LOST * max(rival.estimate.cost, rival.estimate.count)
+        found = in_parallel(lambda item: self._fitted(*item, reached), list(missing.items()), threads=self._at_once(missing))
+        self.done |= {effects: hypothesis for effects, hypothesis in zip(missing, found, strict=True) if hypothesis is not None}
+        return [self.done.get(effects) for effects, _ in wanted]
+
+    def finished(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis with its fit gone on to the end, if it ended early."""
+        return self.fit(hypothesis.effects, hypothesis.estimate.named) or hypothesis
+
+    def _has(self, effects: Effects, rival: Hypothesis | None) -> bool:
+        return effects in self.done and not (rival is None and self.done[effects].estimate.out_of_reach)
+
+    def _at_once(self, hypotheses: Iterable[Effects]) -> bool:
+        """Whether fits may run at the same time: in C, and with derivatives that take little memory."""
+        problem = self.problem
+        most = len(problem.free) + max((sum(len(c.parameters) for c in effects) for effects in hypotheses), default=0)
+        return problem.plant.concurrent and 8 * most * sum(run.points.size for run in problem.runs) < MEMORY
+
+    def _fitted(self, effects: Effects, starts: Sequence[dict[str, float]], reached: float) -> Hypothesis | None:
+        """The best fit from some first values, or from where an earlier one ended; an earlier search's fit as it was."""
+        label = " ".join(c.label for c in effects)
+        early = np.isfinite(reached) and f"early {label}" in self._kept
+        kept = self._kept.get(f"early {label}" if early else f"fit {label}")
+        begun = [self.done[effects].estimate.named] if effects in self.done else starts
+        names = [parameter for c in effects for parameter in c.parameters]
+        free = (*self.problem.free, *self.problem.plant.free(names))
+        steps, fits = 0 if kept else self.settings.max_iterations, []
+        for start in [kept] if kept else begun:
+            begin = tuple(_starting(f, start.get(f.name, f.start)) for f in free)
+            with suppress(PredictionError):
+                fits.append(identify(replace(self.problem, free=begin), steps, tolerance=self.settings.tolerance, reached=reached))
+        if not fits:
+            return None
+        found = min(fits, key=lambda fit: fit.cost)
+        if early:
+            found = replace(found, outcome=Outcome(Ending.NOT_CONVERGED, OUT_OF_REACH))
+        try:
+            evidence = leave_out(found)
+        except PredictionError:
+            return None
+        self._keep(f"early {label}" if found.out_of_reach else f"fit {label}", found.named)
+        return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
+
+    def screen(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> list[Score]:
+        """First-order gains of the effects a hypothesis does not have."""
+        effects = hypothesis.effects
+        if effects not in self.screened:
+            name = "screen " + " ".join(c.label for c in effects)
+            others = [candidate for candidate in missing if may(candidate, effects)]
+            if name in self._kept:
+                known = {candidate.label: candidate for candidate in others}
+                self.screened[effects] = [
+                    Score(known[label], gain, start, tuple(also)) for label, gain, start, also in self._kept[name] if label in known
+                ]
+            else:
+                beside = f" beside {', '.join(c.label for c in effects)}" if effects else ""
+                self.progress(f"screening {len(others)} effects{beside}", 0, 0)
+                self.screened[effects] = screen(hypothesis.estimate, others)
+                self._keep(name, [[score.candidate.label, score.gain, score.start, score.also] for score in self.screened[effects]])
+        return self.screened[effects]
+
+    def _keep(self, name: str, value: Any) -> None:
+        with self._lock:
+            if self.store is not None and name not in self._kept:
+                self._kept[name] = value
+                write_atomically(self.store, json.dumps({**self._kept, "key": self.key}))
+
+
+def _starting(free: Free, value: float) -> Free:
+    return replace(free, start=float(np.clip(value, free.low, free.high)))
+
+
+def may(candidate: Candidate, others: Sequence[Candidate]) -> bool:
+    """Whether a candidate may stand beside others: no other form of one of them, and with what it needs."""
+    forms = {other.form_of for other in others}
+    return candidate.form_of not in forms and (not candidate.beside or any(other.name in candidate.beside for other in others))
