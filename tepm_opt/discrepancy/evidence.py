@@ -149,7 +149,7 @@ def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray]) -> tuple[np.
         slope = sum(by.T @ r.values.ravel() for by, r in zip(slopes, left, strict=True)) + precision * (values - mean)
         step, promised = bounded_step(square + np.diag(precision), slope, problem.low - values, problem.high - values, problem.scale)
         before = cost(left, values)
-        if promised < 0.1 + 1e-3 * before:
+        if promised < 1e-3 + 1e-6 * before:
             break
         for part in (1.0, 0.25):
             try:

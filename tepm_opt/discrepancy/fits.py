@@ -45,6 +45,7 @@ class SearchSettings:
         max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
         max_iterations: most Gauss-Newton steps of a fit.
         tolerance: part of the structure left for which a fit makes no further step.
+        min_share_closed: part of the excess left on held-out data that one more effect must take away to be tried along.
         beam: how many sets of effects are followed at the same time.
         starts: from how many of its probes an effect is fitted, where several promise much.
     """
@@ -59,13 +60,18 @@ class SearchSettings:
     max_unexplained_ratio: float = 0.1
     max_iterations: int = 10
     tolerance: float = 2e-3
+    min_share_closed: float = 0.1
     beam: int = 1
     starts: int = 1
 
     @staticmethod
     def of(plant: SearchablePlant) -> SearchSettings:
         """The usual ones; a plant that is quick bears a wider search."""
-        return SearchSettings(max_iterations=30, tolerance=1e-4, beam=2, starts=2) if plant.quick else SearchSettings()
+        return (
+            SearchSettings(max_iterations=30, tolerance=1e-4, min_share_closed=0.3, max_unexplained_ratio=0.2, beam=2, starts=2)
+            if plant.quick
+            else SearchSettings()
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,19 +151,22 @@ class Fits:
         """The hypothesis that these effects act, fitted from these values by full name; None where the model cannot do the runs."""
         return self.fit_all([(effects, start)])[0]
 
-    def fit_all(self, asked: Sequence[tuple[Effects, dict[str, float]]], rival: Hypothesis | None = None) -> list[Hypothesis | None]:
+    def fit_all(
+        self, asked: Sequence[tuple[Effects, dict[str, float]]], rival: Hypothesis | None = None, bound: float = np.inf
+    ) -> list[Hypothesis | None]:
         """Several hypotheses from their first values, at once on the machine's cores.
 
-        Against a rival, fits that cannot come near it any more end early; asked for without one, they go on from there.
+        Against a rival, or a bound of the squares, fits that cannot come near it any more end early; asked for without, they go on from
+        there.
         """
         wanted = [(tuple(sorted(effects, key=lambda c: c.label)), start) for effects, start in asked]
         missing: dict[Effects, list[dict[str, float]]] = {}
         for effects, start in wanted:
-            if not self._has(effects, rival):
+            if not self._has(effects, rival is not None or np.isfinite(bound)):
                 missing.setdefault(effects, []).append(start)
         for effects in missing:
             self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
-        reached = np.inf if rival is None else LOST * max(rival.estimate.cost, rival.estimate.count)
+        reached = bound if rival is None else min(bound, LOST * max(rival.estimate.cost, rival.estimate.count))
         found = in_parallel(lambda item: self._fitted(*item, reached), list(missing.items()), threads=self._at_once(missing))
         self.done |= {effects: hypothesis for effects, hypothesis in zip(missing, found, strict=True) if hypothesis is not None}
         return [self.done.get(effects) for effects, _ in wanted]
@@ -166,8 +175,8 @@ class Fits:
         """The hypothesis with its fit gone on to the end, if it ended early."""
         return self.fit(hypothesis.effects, hypothesis.estimate.named) or hypothesis
 
-    def _has(self, effects: Effects, rival: Hypothesis | None) -> bool:
-        return effects in self.done and not (rival is None and self.done[effects].estimate.out_of_reach)
+    def _has(self, effects: Effects, early: bool) -> bool:
+        return effects in self.done and (early or not self.done[effects].estimate.out_of_reach)
 
     def _at_once(self, hypotheses: Iterable[Effects]) -> bool:
         """Whether fits may run at the same time: in C, and with derivatives that take little memory."""

@@ -18,8 +18,8 @@ from tepm_opt.solvers.text import shortened
 # part of the squared output of the other effects that their forms may be wrong by (5 % of the size); an effect that takes away less
 # beside them may only mend their forms
 FORM_ERROR_RATIO = 0.0025
-MIN_SHARE_CLOSED = 0.1  # part of the excess left on held-out data that one more effect must take away to be tried along
 PAIRED = 10  # candidates, those that promise most alone, that are tried in pairs where none of them helps alone
+ABREAST = 1.5  # times the excess of the best set of effects that another may leave to be followed, too
 PLAIN = 0.9  # part of a form's gain from which a plainer form of the same is fitted in its place
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
 Shares = dict[Candidate, float]
@@ -74,6 +74,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     while front and not best.only_noise(settings):
         grown = {h.effects: h for base in front for h in _grown(fits, base, missing, seed)}
         front = _most_probable(list(grown.values()), seed, settings.beam)
+        front = [h for h in front if h.excess <= ABREAST * front[0].excess]
         best = _most_probable([best, *front], seed, 1)[0] if settings.beam > 1 else next(iter(front), best)
     widest = best
     best, shares, groups = _settled(fits, best, missing, seed)
@@ -120,7 +121,7 @@ def _grown(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int
     for trials in (_round, _pairs):
         first = _most_probable([base, *trials(fits, base, missing)], seed, settings.beam)
         better = [fits.finished(trial) for trial in first if trial is not base]
-        if better := [h for h in better if h.excess <= (1 - MIN_SHARE_CLOSED) * base.excess and _beats(h, base, seed, settings)]:
+        if better := [h for h in better if h.excess <= (1 - settings.min_share_closed) * base.excess and _beats(h, base, seed, settings)]:
             return better
     return []
 
@@ -132,17 +133,25 @@ def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hy
     if not scores:
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
-    promising = _plainest([score for score in scores if score.gain >= MIN_GAIN_RATIO * scores[0].gain])[:most]
+    promising = plainest([score for score in scores if score.gain >= MIN_GAIN_RATIO * scores[0].gain])[:most]
     asked = [
         [((*base.effects, score.candidate), {**base.estimate.named, **start}) for start in score.starts[: settings.starts]]
         for score in promising
     ]
-    trials = fits.fit_all(asked[0])[:1] if asked and not rival else []
-    trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], rival or next(iter(trials), None))
+    trials = fits.fit_all(asked[0], bound=_bound(fits, base))[:1] if asked and not rival else []
+    trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], rival or next(iter(trials), None), _bound(fits, base))
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
 
 
-def _plainest(scores: Sequence[Score]) -> list[Score]:
+def _bound(fits: Fits, base: Hypothesis) -> float:
+    """Squares below which one more effect must come to be worth its fit's end; no bound where fits take few steps anyway."""
+    if fits.settings.beam == 1:
+        return np.inf
+    estimate = base.estimate
+    return estimate.count + (1 - fits.settings.min_share_closed) * max(estimate.cost - estimate.count, 0.0)
+
+
+def plainest(scores: Sequence[Score]) -> list[Score]:
     """Scores without other forms of what a form with fewer parameters promises nearly as well."""
     return [
         score
@@ -162,7 +171,7 @@ def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[H
     if len(scores) < 2 or base.effects or fits.settings.max_effects < 2:
         return []
     pairs = [
-        (pair, start) for pair, _, start in screen_pairs(base.estimate, _plainest(scores), PAIRED) if pair[0].form_of != pair[1].form_of
+        (pair, start) for pair, _, start in screen_pairs(base.estimate, plainest(scores), PAIRED) if pair[0].form_of != pair[1].form_of
     ]
     asked = [((*base.effects, *pair), {**base.estimate.named, **start}) for pair, start in pairs[: fits.settings.fits_first_round]]
     return [trial for trial in fits.fit_all(asked) if trial is not None]

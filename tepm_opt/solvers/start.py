@@ -13,7 +13,7 @@ from tepm_opt.solvers.plant import START, Plant, Prediction, PredictionError
 from tepm_opt.solvers.residuals import Residual
 
 FIRST = 20  # samples that tell a state where a run begins as "measured"
-STEPS, SHORTER = 8, 4  # of Gauss and Newton
+STEPS, NEAR, SHORTER = 8, 2, 4  # of Gauss and Newton: from anywhere, from a guess, and shortenings of each
 TINY = 1e-100  # times the noise, per unit of a state: nothing that can be told
 STILL = 0.01, 1e-6  # of the noise's square, and of all squares: a step that promises less is not made; projection takes what it promises
 
@@ -32,19 +32,20 @@ def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.in
     """
     if run.start == "equilibrium" or not plant.states:
         return run
+    steps = STEPS if run.state is None else NEAR
     guess = np.array(list(plant.states.values())) if run.state is None else run.state
     if run.start == "measured":
-        return replace(run, state=_fitted(plant, first(run, FIRST), noise, step, guess))
+        return replace(run, state=_fitted(plant, first(run, FIRST), noise, step, guess, steps))
     if run.state is None:
-        guess = _fitted(plant, first(run, FIRST), noise, step, guess)
-    return replace(run, state=_fitted(plant, run, noise, step, guess))
+        guess = _fitted(plant, first(run, FIRST), noise, step, guess, steps)
+    return replace(run, state=_fitted(plant, run, noise, step, guess, steps))
 
 
-def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray) -> np.ndarray:
-    """The first state that explains a run best, from a guess: Gauss and Newton, steps shortened where they fail."""
+def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, steps: int) -> np.ndarray:
+    """The first state that explains a run best, from a guess: so many steps of Gauss and Newton, shortened where they fail."""
     names = [START + name for name in plant.states]
     left = _left(plant, run, noise, step, state, names)
-    for _ in range(STEPS):
+    for _ in range(steps):
         scale = np.linalg.norm(left.by, axis=0)
         scale[scale < TINY] = 1.0  # a state that does not show stays
         change = -np.linalg.lstsq(left.by / scale, left.values.ravel(), rcond=1e-10)[0] / scale

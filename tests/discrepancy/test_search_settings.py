@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,8 +13,9 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy import search
 from tepm_opt.discrepancy.evidence import Evidence, weights
-from tepm_opt.discrepancy.fits import Effects, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.fits import Effects, Hypothesis, SearchSettings, may
 from tepm_opt.discrepancy.network import candidate
+from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation, explain
 
@@ -55,7 +56,7 @@ class Table:
             self.done[effects] = hypothesis(effects, self.excess.get(key, 1e3), self.uneven.get(key, 0.0))
         return self.done[effects]
 
-    def fit_all(self, asked: Sequence[tuple[Effects, object]], _: object = None) -> list[Hypothesis]:
+    def fit_all(self, asked: Sequence[tuple[Effects, object]], _: object = None, bound: float = np.inf) -> list[Hypothesis]:
         return [self.fit(effects, start) for effects, start in asked]
 
     def finished(self, found: Hypothesis) -> Hypothesis:
@@ -143,3 +144,32 @@ class TestRules:
         """s2 takes away 0.9 beside s1, whose form may be wrong by a four-hundredth of its squared output."""
         monkeypatch.setattr(search, "_output", lambda _, effect: output if effect == EFFECTS["s1"] else 0.0)
         assert named(searched({"": 8.0, "s1": 0.95, "s2": 7.0, "s1 s2": 0.05})[0]) == kept
+
+
+def test_two_sets_are_followed_where_asked_for() -> None:
+    """What looks best at first leads nowhere; what is a little worse is one of two causes."""
+    excess = {"": 10.0, "s1": 4.0, "s2": 4.2, "s1 s3": 3.9, "s2 s3": 0.02, "s3": 9.9, "s1 s2": 3.9}
+    gains = {"s1": 1.0, "s2": 0.9, "s3": 0.5}
+    assert named(searched(excess, gains, beam=2)[0]) == "s2 s3"
+    assert named(searched(excess, gains)[0]) != "s2 s3"
+
+
+class TestForms:
+    """Of one thing, at one place."""
+
+    PLAIN = Candidate("dry_friction", "slide", {"a": 0.0}, family="friction")
+    RICH = Candidate("hysteresis", "slide", {"b": 0.0, "c": 0.0}, family="friction")
+    NEEDY = Candidate("stribeck_friction", "slide", {"d": 0.0}, beside=("dry_friction",))
+
+    def test_do_not_stand_beside_each_other(self) -> None:
+        assert not may(self.RICH, [self.PLAIN])
+        assert may(self.RICH, [replace(self.PLAIN, detail="other")])
+
+    def test_come_with_what_they_need(self) -> None:
+        assert not may(self.NEEDY, [])
+        assert may(self.NEEDY, [self.PLAIN])
+
+    @pytest.mark.parametrize(("gain", "kept"), [(0.95, ["dry_friction"]), (0.5, ["hysteresis", "dry_friction"])])
+    def test_the_plainer_one_is_tried_where_it_promises_as_much(self, gain: float, kept: list[str]) -> None:
+        scores = [Score(self.RICH, 1.0, {}), Score(self.PLAIN, gain, {})]
+        assert [score.candidate.name for score in search.plainest(scores)] == kept

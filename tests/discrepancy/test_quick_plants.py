@@ -1,0 +1,116 @@
+"""How a plant that is simulated in no time is judged: by fits of its own to what is left when a part is taken away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tepm_opt.data.run import Run, RunSet
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.evidence import REFITS, leave_out
+from tepm_opt.discrepancy.screen import screen
+from tepm_opt.discrepancy.words import beyond
+from tepm_opt.solvers.identify import Problem, identify
+from tepm_opt.solvers.residuals import Residual, independent_after
+
+STEP, NOISE = 0.02, 0.01
+
+
+def tank(**laws: object) -> Equations:
+    """A level that falls by itself: ẋ = u - x / time."""
+    m = Equations("tank", time=0.5, **laws)  # type: ignore[arg-type]
+    level, inflow = m.state("level"), m.input("inflow", size=1.0)
+    m.rate(level, inflow - m.known("leak", 2.0, "1/s", within=0.9) * level)
+    m.output("level", level, "m", size=0.5)
+    return m
+
+
+def runs(count: int, leak: float, rows: int = 200, seed: int = 0) -> tuple[Run, ...]:
+    """Exact levels under inflows that go in straight lines, with noise."""
+    random, found = np.random.default_rng(seed), []
+    for k in range(count):
+        time = np.arange(rows) * STEP
+        u = np.interp(time, np.linspace(0, time[-1], 12), random.uniform(0.2, 1.5, 12))
+        x = np.empty(rows)
+        x[0] = u[0] / leak
+        for i in range(rows - 1):  # ẋ = a + b t - leak x, exactly
+            b = (u[i + 1] - u[i]) / STEP
+            settled = (u[i] - b / leak) / leak
+            x[i + 1] = settled + b * STEP / leak + (x[i] - settled) * np.exp(-leak * STEP)
+        points = (x + NOISE * random.normal(size=rows))[:, None, None]
+        found.append(Run(f"r{k}.csv", "fit", time, u[:, None], np.zeros((rows, 3)), points))
+    return tuple(found)
+
+
+def problem(measured: tuple[Run, ...]) -> Problem:
+    plant = tank(laws=()).plant()
+    return Problem(plant, measured, plant.free(plant.known), NOISE)
+
+
+@pytest.mark.parametrize("count", [REFITS, 1])
+def test_left_out_data_are_predicted_by_fits_to_the_rest(count: int) -> None:
+    """Against fits that never saw a fold: whole runs, or parts of the one run there is."""
+    asked = problem(runs(count, leak=2.6))
+    estimate = identify(asked)
+    found = leave_out(estimate)
+    fold = np.arange(count * 200) // 200 if count > 1 else np.arange(200) * 24 // 200 % REFITS
+    total = 0.0
+    for k in range(REFITS):
+        hidden = (fold == k).reshape(count, 200)
+        left = tuple(
+            replace(run, points=np.where(rows[:, None, None], np.nan, run.points)) for run, rows in zip(asked.runs, hidden, strict=True)
+        )
+        other = identify(replace(asked, runs=tuple(run for run in left if np.isfinite(run.points).any())))
+        total += sum(float(np.sum(r.values[rows] ** 2)) for r, rows in zip(asked.residuals(other.values, []), hidden, strict=True))
+    assert found.squares.sum() == pytest.approx(total, rel=1e-4)
+    assert found.squares.sum() > sum(r.squares for r in estimate.residuals)
+    assert found.count == count * 200
+
+
+def test_neighbours_in_time_count_as_what_they_say() -> None:
+    """A coordinate is worth a block's share: as many independent measurements as there are blocks."""
+    estimate = identify(replace(problem(runs(2, leak=2.6)), block=0.5))
+    found = leave_out(estimate)
+    assert len(found.counts) == 2 * 8
+    assert found.worth == pytest.approx(16 / 400)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.6, 0.9])
+def test_residuals_forget_after_their_integrated_correlation(kept: float) -> None:
+    """An autoregressive sequence of order 1 has (1 + kept) / (1 - kept) samples."""
+    random, rows = np.random.default_rng(3), 40_000
+    values, noise = np.zeros(rows), random.normal(size=rows)
+    for k in range(1, rows):
+        values[k] = kept * values[k - 1] + noise[k]
+    (run,) = runs(1, 2.0, rows=2)
+    run = replace(run, time=np.arange(rows) * STEP, inputs=np.zeros((rows, 1)), tip_force=np.zeros((rows, 3)), points=values[:, None, None])
+    residual = Residual.of(run, np.zeros((rows, 1, 1)), np.zeros((0, rows, 1, 1)), 1.0)
+    assert independent_after([residual], [run]) / STEP == pytest.approx((1 + kept) / (1 - kept), rel=0.12)
+
+
+def test_a_probe_is_judged_by_what_a_few_steps_gain() -> None:
+    """A lag of the inflow, from probes of all sizes: the gain is real, the start is on the way to it."""
+    machine, lag = tank().plant(), 0.15
+    true = machine.with_values({"input_lag[inflow].time": lag, "leak": 2.3})
+    measured = tuple(
+        replace(run, points=true.predict(run).points + NOISE * np.random.default_rng(k).normal(size=(run.rows, 1, 1)))
+        for k, run in enumerate(runs(4, 2.0))
+    )
+    estimate = identify(Problem(machine, measured, machine.free(machine.known), NOISE))
+    score = next(s for s in screen(estimate, machine.candidates) if s.candidate.name == "input_lag")
+    assert score.gain > 0.9
+    assert score.start["input_lag[inflow].time"] == pytest.approx(lag, rel=0.3)
+    assert score.start["leak"] == pytest.approx(2.3, rel=0.1), "what is known follows"
+
+
+def test_validation_beyond_what_was_fitted_to_is_told() -> None:
+    near, far = runs(2, 2.0)
+    signals = Signals.of(["inflow"], ["level"], "m")
+    low, high = near.points.min(), near.points.max()
+    far = replace(far, role="validation", inputs=near.inputs, points=np.full_like(far.points, (low + high) / 2 + 2.1 * (high - low) / 2))
+    (line,) = beyond(RunSet.of("levels", [near, far]), signals)
+    assert "r1.csv leaves the range fitted to: level goes 2.1 times as far" in line
+    assert beyond(RunSet.of("levels", [near, replace(far, points=near.points)]), signals) == []
