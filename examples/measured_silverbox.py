@@ -27,8 +27,9 @@ def silverbox(shared: Path, out: Path) -> None:
     table = np.genfromtxt(path, delimiter=",", skip_header=1)[:, :2]
     table -= table[:QUIET].mean(axis=0)
     out.mkdir(parents=True, exist_ok=True)
-    for name, rows in {name: slice(first, first + LENGTH) for name, first in STARTS.items()} | {"arrow": slice(0, ARROW)}.items():
+    runs = {name: slice(first, first + LENGTH) for name, first in STARTS.items()} | {"arrow": slice(ARROW)}
+    for name, rows in runs.items():
         voltage, position = table[rows].T
         write_columns(out / f"{name}.csv", {"time_s": STEP * np.arange(len(voltage)), "input": voltage, "position": position})
-    runs = "".join(f'  {{ file = "{name}.csv", role = "fit" }},\n' for name in STARTS)
-    (out / "dataset.toml").write_text(DESCRIPTION.format(runs=runs), encoding="utf-8")
+    listed = "".join(f'  {{ file = "{name}.csv", role = "fit" }},\n' for name in STARTS)
+    (out / "dataset.toml").write_text(DESCRIPTION.format(runs=listed), encoding="utf-8")
