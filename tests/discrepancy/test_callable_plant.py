@@ -211,6 +211,8 @@ def test_runs_of_a_single_equilibrium(tmp_path: Path) -> None:
         files[f"{k}.csv"] = {"torque": np.array([torque]), "angle": np.array([angle])}
     folder = data(tmp_path / "data", files, "angle = 1e-3", "static = true")
     found = run_discrepancy(folder, tmp_path / "out", plant=plant_file(tmp_path, LEVER))
+    assert [each.candidate.label for each in found.verdict.effects] == ["dead_zone[torque]"], found.verdict.paragraph
+    assert found.verdict.effects[0].parameters["width"].value == pytest.approx(0.5, rel=0.05)
     assert len(discovery_figures(found)["over_time"].axes) == 1  # not a panel for each
 
 

@@ -6,12 +6,18 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tepm_opt.data.run import RunSet
+from tepm_opt.data.trials import read_trials
 from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.workflow import discover
 from tepm_opt.jobs.discrepancy import run_discrepancy
+from tepm_opt.jobs.plants import load_plant
 from tests.paths import SHARED
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -51,3 +57,24 @@ def test_nothing_is_named_that_the_data_cannot_carry(data: Path, tmp_path: Path)
     assert "most at p4" in verdict.paragraph
     assert verdict.errors.recalibrated < 8e-3
     assert "NaN" not in json.dumps(verdict.as_json())
+
+
+def test_what_is_hidden_in_such_pulls_would_be_named(data: Path) -> None:
+    """The same pulls of a made tentacle with slack in a tendon: that nothing is named of the measured one is no lack of power."""
+    plant, random = load_plant(EXAMPLES / "tentacle.py"), np.random.default_rng(1)
+    body = {
+        "bend_1": 1.2,
+        "bend_2": 1.2,
+        "taper": 0.45,
+        "weight": 74.0,
+        "shortening": 0.013,
+        "base_z[first]": 0.046,
+        "base_z[second]": 0.04,
+    }
+    truth = plant.with_values({**body, "tendon_slack[tension_1].slack": 1.0})
+    runs = read_trials(data, plant.signals, static=True).runs
+    made = [truth.predict(run).points + random.normal(0, 1e-3, run.points.shape) for run in runs]
+    found = discover(RunSet.of("made", [replace(run, points=at) for run, at in zip(runs, made, strict=True)]), plant, 1e-3).verdict
+    assert [each.candidate.label for each in found.effects] == ["tendon_slack[tension_1]"], found.paragraph
+    assert found.effects[0].parameters["slack"].value == pytest.approx(1.0, abs=0.1)
+    assert found.effects[0].probability > 0.9
