@@ -160,9 +160,11 @@ def localise(
     samples, random = _samples(runs, residuals, float(noise), None if static else block, unit), np.random.default_rng(seed)
     found = []
     if samples.count:
-        rows = [*choices(runs, points, signals, static), *([] if static else _moments(samples, runs))]
-        found = _rows(samples, rows, random) + _columns(samples, signals, random)
+        found = _rows(samples, list(choices(runs, points, signals, static)), random) + _columns(samples, signals, random)
         found += [] if static else _bands(samples, runs, residuals)
+        fine = samples if static or block <= BLOCK else _samples(runs, residuals, float(noise), BLOCK, unit)  # what happens once is short
+        moments = [] if static else list(_moments(fine, runs))
+        found += _rows(fine, moments, random) if moments else []
     return _localisation(found, samples, runs, signals)
 
 

@@ -13,7 +13,7 @@ SIGNALS = Signals.of(("u",), ("y",), "m")
 TIME = np.arange(0, 60, 0.05)
 
 
-def found(*errors: np.ndarray, seed: int = 0) -> Localisation:
+def found(*errors: np.ndarray, block: float = 1.0) -> Localisation:
     random = np.random.default_rng(3)
     runs, points = [], []
     for k, error in enumerate(errors):
@@ -21,7 +21,7 @@ def found(*errors: np.ndarray, seed: int = 0) -> Localisation:
         measured = modelled + error[:, None, None] + random.normal(0, 0.01, modelled.shape)
         runs.append(Run(f"run{k}.csv", "fit", 100 + TIME, np.sin(TIME)[:, None], np.zeros((len(TIME), 3)), measured))
         points.append(modelled)
-    return localise(runs, points, 0.01, SIGNALS, False, seed)
+    return localise(runs, points, 0.01, SIGNALS, False, 0, block)
 
 
 def test_a_moment_is_named_with_its_run_and_time() -> None:
@@ -30,6 +30,7 @@ def test_a_moment_is_named_with_its_run_and_time() -> None:
     contact = np.where((TIME >= 8) & (TIME < 10), 1.0, 0.0)
     answer = found(slow, slow + contact)
     (place,) = (p for p in answer.places if p.by == "moment")
+    assert [p.name for p in found(slow, slow + contact, block=15.0).places if p.by == "moment"] == [place.name], "however long errors last"
     assert place.name == "108 s to 110 s of run1.csv"
     assert place.p <= 0.005
     squares = (slow**2).sum() + ((slow + contact) ** 2).sum()
