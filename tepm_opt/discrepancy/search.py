@@ -133,7 +133,8 @@ def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hy
     if not scores:
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
-    promising = plainest([score for score in scores if score.gain >= MIN_GAIN_RATIO * scores[0].gain])[:most]
+    least = settings.min_share_closed / 2 if base.effects and settings.beam > 1 else 0.0
+    promising = plainest([score for score in scores if score.gain >= max(MIN_GAIN_RATIO * scores[0].gain, least)])[:most]
     asked = [
         [((*base.effects, score.candidate), {**base.estimate.named, **start}) for start in score.starts[: settings.starts]]
         for score in promising
