@@ -49,21 +49,22 @@ def test_bodies_and_vessels_are_left_alone_at_the_null(law: Law, position: float
     assert not asked(law, null(law), position=position, speed=speed)[0].any()
 
 
-@given(pressure=pressures, z=pressures, filling=times, exhausting=times, choke=times, growth=st.floats(-0.2, 5.0))
+@given(pressure=pressures, z=pressures, filling=times, exhausting=times, chokes=st.tuples(times, times), growth=st.floats(-0.2, 5.0))
 def test_a_lag_knows_its_direction_its_highest_flow_and_its_volume(
-    pressure: float, z: float, filling: float, exhausting: float, choke: float, growth: float
+    pressure: float, z: float, filling: float, exhausting: float, chokes: tuple[float, float], growth: float
 ) -> None:
-    p = {"filling": filling, "exhausting": exhausting, "choke": choke, "growth": growth}
+    p = {"filling": filling, "exhausting": exhausting, "growth": growth}
+    p |= dict(zip(("filling_choke", "exhausting_choke"), chokes, strict=True))
     after, rates = asked(LAWS["pressure_lag"], p, z, signal=pressure)
     assert after == z
     volume = max(1 + growth * z / 5.0, 0.1)
-    expected = np.clip((pressure - z) / (filling if pressure > z else exhausting), -5.0 / choke, 5.0 / choke) / volume
+    expected = np.clip((pressure - z) / (filling if pressure > z else exhausting), -5.0 / chokes[1], 5.0 / chokes[0]) / volume
     assert rates == [pytest.approx(expected, rel=1e-6, abs=1e-9)]
 
 
 @given(pressure=pressures, z=pressures, filling=times, exhausting=times)
 def test_without_choke_and_growth_it_is_a_lag(pressure: float, z: float, filling: float, exhausting: float) -> None:
-    p = {"filling": filling, "exhausting": exhausting, "choke": 0.0, "growth": 0.0}
+    p = {"filling": filling, "exhausting": exhausting, "filling_choke": 0.0, "exhausting_choke": 0.0, "growth": 0.0}
     _, (rate,) = asked(LAWS["pressure_lag"], p, z, signal=pressure)
     assert rate == pytest.approx((pressure - z) / (filling if pressure > z else exhausting), rel=1e-9, abs=1e-12)
 

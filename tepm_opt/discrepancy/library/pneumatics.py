@@ -7,11 +7,15 @@ import casadi as ca
 from tepm_opt.discrepancy.library.effect import At, Law, Quantity
 from tepm_opt.discrepancy.library.signals import INPUT, TIMES, follow
 
-CHOKES = (0.03, 0.3, 3.0)  # of the machine's own time: what a change by the usual pressure takes at the highest flow
+CHOKES = (0.3, 3.0)  # of the machine's own time: what a change by the usual pressure takes at the highest flow
 
 
 def _time(name: str) -> Quantity:
     return Quantity(name, "time", 0.0, TIMES, 0.0, 30.0)
+
+
+def _choke(name: str) -> Quantity:
+    return Quantity(name, "time", 0.0, CHOKES, 0.0, 30.0, shape=True)
 
 
 def _lag(at: At) -> tuple[ca.SX, list[ca.SX]]:
@@ -19,10 +23,10 @@ def _lag(at: At) -> tuple[ca.SX, list[ca.SX]]:
 
     Both are slower the larger the volume: that of the tubes, which is there without pressure, and that of a chamber that gives way.
     """
-    (z,), p, size = at.z, at.p, at.sizes["signal"]
+    (z,), p, size, rises = at.z, at.p, at.sizes["signal"], at.signal > at.z[0]
     volume = ca.fmax(1 + p["growth"] * z / size, 0.1)
-    time = volume * ca.if_else(at.signal > z, p["filling"], p["exhausting"])
-    most = size / ca.fmax(volume * p["choke"], 1e-3 * at.step)
+    time = volume * ca.if_else(rises, p["filling"], p["exhausting"])
+    most = size / ca.fmax(volume * ca.if_else(rises, p["filling_choke"], p["exhausting_choke"]), 1e-3 * at.step)
     asked = (at.signal - z) / ca.fmax(time, 2 * at.step)
     return follow(at, ca.fmin(ca.fmax(asked, -most), most), ca.fmax(p["filling"], p["exhausting"]))
 
@@ -37,8 +41,8 @@ PNEUMATICS = (
     Law(
         "pressure_lag", "input",
         (
-            _time("filling"), _time("exhausting"), Quantity("choke", "time", 0.0, CHOKES, 0.0, 30.0, shape=True),
-            Quantity("growth", "1", 0.0, (0.0, 1.0), -0.5, 5.0, shape=True),
+            _time("filling"), _time("exhausting"), _choke("filling_choke"), _choke("exhausting_choke"),
+            Quantity("growth", "1", 0.0, (0.5,), -0.5, 5.0, shape=True),
         ),
         _lag, states=1, smooth=False, reference="ISO 6358 for the highest flow",
         explains="the pressure follows its command with a lag, one time to fill, another to exhaust; a change by the usual pressure takes "
