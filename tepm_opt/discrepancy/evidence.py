@@ -62,10 +62,10 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
     """Cross-validation: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
 
     The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step. Where the
-    plant is quick they are fits of their own, see `refitted`, unless the fit itself was given up.
+    plant is quick they are fits of their own, see `refitted`.
     """
     problem, residuals = estimate.problem, estimate.residuals
-    if problem.plant.quick and not estimate.out_of_reach:
+    if problem.plant.quick:
         return refitted(estimate)
     count = len(problem.free)
     parts = []  # (values (rows, points · 3), by, block, counts) of every fold
