@@ -15,7 +15,7 @@ from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations
 
 FURTHER = 100.0  # times the values that a candidate's own score found
-SHARED, SOME_STEPS = 4, 3  # of the runs one in so many, and steps on them, to see what a probe of a quick plant is worth
+SHARED, SOME_STEPS = 4, 8  # of the runs one in so many, and steps on them, to see what a probe of a quick plant is worth
 ALSO = 0.5  # part of the best probe's gain from which another is worth a fit
 MEMORY = 60_000_000  # B, of the derivatives taken in one pass
 
