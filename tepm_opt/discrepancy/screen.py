@@ -15,7 +15,8 @@ from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import Residual, normal_equations
 
 FURTHER = 100.0  # times the values that a candidate's own score found
-SHARED, SOME_STEPS = 4, 8  # of the runs one in so many, and steps on them, to see what a probe of a quick plant is worth
+SHARED = 4  # of the runs of a quick plant one in so many tells what a probe is worth
+SOME_STEPS, MORE_STEPS = 3, 8  # from every probe, and on from the best of each candidate
 ALSO = 0.5  # part of the best probe's gain from which another is worth a fit
 MEMORY = 60_000_000  # B, of the derivatives taken in one pass
 
@@ -93,12 +94,13 @@ def _ordered(scores: Sequence[Score]) -> list[Score]:
     for score in sorted(scores, key=lambda score: -score.gain):
         found.setdefault(score.candidate, []).append(score)
     return [
-        replace(first, also=tuple(score.start for score in others if score.gain >= ALSO * first.gain)) for first, *others in found.values()
+        replace(first, also=(*first.also, *(score.start for score in others if score.gain >= ALSO * first.gain)))
+        for first, *others in found.values()
     ]
 
 
 def _fitted(estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mapping[str, float]]]) -> list[Score]:
-    """Scores by what a few steps from each probe gain on some of the runs, the free parameters beside it.
+    """Scores by what a few steps from each probe, and some more from the best, gain on some of the runs, the free parameters beside it.
 
     They begin where the free parameters undo to first order what the probe changes: a spring that remembers is a spring, too.
     """
@@ -122,13 +124,22 @@ def _fitted(estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mappi
             slope = sum(r.by.T @ (c.values - r.values).ravel() for r, c in zip(null, changed, strict=True))
             step, _ = bounded_step(square, np.asarray(slope), problem.low - values, problem.high - values, problem.scale)
             free = tuple(replace(f, start=float(v)) for f, v in zip(problem.free, values + step, strict=True))
-            found = identify(replace(problem, free=(*free, *own)), SOME_STEPS)
+            return scored(candidate, identify(replace(problem, free=(*free, *own)), SOME_STEPS))
         except PredictionError:
             return None
+
+    def scored(candidate: Candidate, found: ParameterEstimate) -> Score:
         gain = (squares - sum(r.squares for r in found.residuals)) / max(squares - coordinates, 1e-9 * coordinates)
         return Score(candidate, gain, found.named)
 
-    return [score for score in in_parallel(tried, probes, threads=problem.plant.concurrent) if score is not None]
+    def further(score: Score) -> Score:
+        own = problem.plant.free(score.candidate.parameters)
+        free = tuple(replace(f, start=score.start[f.name]) for f in (*problem.free, *own))
+        return replace(scored(score.candidate, identify(replace(problem, free=free), MORE_STEPS)), also=score.also)
+
+    threads = problem.plant.concurrent
+    first = [score for score in in_parallel(tried, probes, threads=threads) if score is not None]
+    return in_parallel(further, _ordered(first), threads=threads)
 
 
 def _sparse(estimate: ParameterEstimate) -> ParameterEstimate:

@@ -20,6 +20,7 @@ from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
+EVEN = 0.5  # probability from which an effect is said to be missing, not perhaps
 BEYOND = 1.2  # times the range fitted to, from which a run is said to leave it
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 
@@ -51,7 +52,9 @@ def paragraph(
             f"On validation runs the error falls from {size(errors.nominal)} to {size(errors.recalibrated)} ({floor})."
         )
     if status is VerdictStatus.NAMED:
-        names = " and ".join(f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f})" for each in named)
+        told = [(f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f})", each.probability) for each in named]
+        sure, unsure = " and ".join(text for text, p in told if p >= EVEN), " and ".join(text for text, p in told if p < EVEN)
+        names = "; perhaps also ".join(part for part in (sure, unsure) if part)
         return (
             f"Missing: {names}. {where} {shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
             f"in the model ({floor}), which closes {100 * errors.closed:.0f} % of the gap."
