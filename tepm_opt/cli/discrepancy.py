@@ -68,7 +68,7 @@ def discrepancy(
         for line in (
             verdict.paragraph,
             *verdict.notes,
-            f"{verdict.seconds:.0f} s; {out / PAGE}, {out / (VALUES if plant else MODEL)}, {out / VERDICT}",
+            f"{verdict.seconds:.0f} s, {verdict.fits} fits; {out / PAGE}, {out / (VALUES if plant else MODEL)}, {out / VERDICT}",
         ):
             stdout.print(escape(line), soft_wrap=True, highlight=False)
     return SOLVED if found else UNSOLVED

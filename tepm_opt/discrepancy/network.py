@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from tepm_opt.data.channels import Channels
@@ -48,7 +48,7 @@ def wide(model: Model, missing: Iterable[Candidate]) -> Model:
     return replace(model, effects=(*model.effects, *added))
 
 
-def narrow(model: Model, values: dict[str, float], kept: Iterable[Candidate]) -> Model:
+def narrow(model: Model, values: Mapping[str, float], kept: Iterable[Candidate]) -> Model:
     """The model with those candidates only, and all parameters at `values` (full names)."""
     parameters = {name: values[name] for name, nominal in model.robot.parameters.model_dump().items() if values[name] != nominal}
     present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]

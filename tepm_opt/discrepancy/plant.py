@@ -90,5 +90,7 @@ class SearchablePlant(Plant, Protocol):
     @property
     def candidates(self) -> tuple[Candidate, ...]: ...
 
+    def with_values(self, values: Mapping[str, float]) -> SearchablePlant: ...
+
     def corrected(self, kept: Sequence[Candidate]) -> object:
         """The model with these effects only and the values it has, in the form that people go on with."""

@@ -122,6 +122,7 @@ class Verdict:
         model: with effects and values: a `Model`, or the values by name where the machine is given by equations.
         machine: its name.
         unit: of errors.
+        fits: how many sets of effects were fitted.
         notes: what a reader should know: doubts about the data, directions the runs cannot tell, structure left.
         seconds: it took.
     """
@@ -138,6 +139,7 @@ class Verdict:
     seconds: float = 0.0
     machine: str = ""
     unit: str = "m"
+    fits: int = 0
 
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
@@ -182,6 +184,7 @@ class Verdict:
             "recalibrated": {name: _value(value) for name, value in self.recalibrated.items()},
             "paragraph": self.paragraph,
             "notes": list(self.notes),
+            "fits": self.fits,
             "seconds": round(self.seconds, 1),
         }
 

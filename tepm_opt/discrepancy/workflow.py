@@ -154,7 +154,7 @@ def _step(plant: Plant, dataset: RunSet, precise: Sequence[np.ndarray], noise: f
     except PredictionError:
         return PRECISE_STEP
     fit = [points for run, points in zip(dataset.runs, precise, strict=True) if run.role == "fit"]
-    square = np.mean([np.mean(((a.points - b) / noise) ** 2) for a, b in zip(coarse, fit, strict=True)])
+    square = np.mean(np.array([np.mean(((a.points - b) / noise) ** 2) for a, b in zip(coarse, fit, strict=True)]))
     return LONGEST_STEP if square < settings.max_noise_excess / 5 else PRECISE_STEP
 
 
@@ -214,7 +214,20 @@ def _verdict(
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
     text = words.paragraph(status, named, errors, localisation.sentence, known, explanation, unit)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
-    return Verdict(status, text, tuple(named), rivals, where, known, errors, corrected, notes, machine=plant.name, unit=unit)
+    return Verdict(
+        status,
+        text,
+        tuple(named),
+        rivals,
+        where,
+        known,
+        errors,
+        corrected,
+        notes,
+        machine=plant.name,
+        unit=unit,
+        fits=len(explanation.tried),
+    )
 
 
 def _only(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:

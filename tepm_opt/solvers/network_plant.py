@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class NetworkPlant:
         """Whether it is C, which lets other threads run."""
         return self.model.is_c
 
-    def with_values(self, values: Mapping[str, float]) -> NetworkPlant:
+    def with_values(self, values: Mapping[str, float]) -> Self:
         """The same network with other values of some parameters."""
         theta = self.model.theta.copy()
         for name, value in values.items():

@@ -97,6 +97,7 @@ class Plant(Protocol):
 
     def with_values(self, values: Mapping[str, float]) -> Plant:
         """The model with other values of some parameters."""
+        ...
 
     def free(self, names: Sequence[str]) -> tuple[Free, ...]:
         """These parameters, to be found within their ranges from the values they have.
@@ -104,6 +105,7 @@ class Plant(Protocol):
         Raises:
             InputError: no such parameter; a value outside its range.
         """
+        ...
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured.
@@ -116,3 +118,4 @@ class Plant(Protocol):
         Raises:
             PredictionError: the model cannot do the run.
         """
+        ...
