@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -100,8 +100,8 @@ def refitted(estimate: ParameterEstimate) -> Evidence:
     """Cross-validation by fits of their own to what is left when a part of the data is taken away.
 
     A fold is every sixth run, or every sixth part of the runs where there are few. States that a run begins with belong to the run, so
-    that all it measured tells them. The fits are Gauss-Newton's with the derivatives of the fit to everything, from where that ended; a
-    single step of them, not simulated, where the fit to everything was given up.
+    that all it measured tells them. The fits are Gauss-Newton's with the derivatives of the fit to everything, from where that ended; where
+    that was given up there are none: it leaves too much as it is.
     """
     problem = estimate.problem
     folds = _folds(problem.runs)
@@ -136,7 +136,7 @@ def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray]) -> tuple[np.
         kept: which rows count, (rows,) of every run.
     """
     problem, values, left = estimate.problem, estimate.values, estimate.residuals
-    if not len(values):
+    if not len(values) or estimate.out_of_reach:
         return values, left
     masks = [np.broadcast_to(rows[:, None, None], r.values.shape) for rows, r in zip(kept, left, strict=True)]
     slopes = [r.by * mask.reshape(-1, 1) for mask, r in zip(masks, left, strict=True)]
@@ -149,8 +149,6 @@ def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray]) -> tuple[np.
     for _ in range(REFIT_STEPS):
         slope = sum(by.T @ r.values.ravel() for by, r in zip(slopes, left, strict=True)) + precision * (values - mean)
         step, promised = bounded_step(square + np.diag(precision), slope, problem.low - values, problem.high - values, problem.scale)
-        if estimate.out_of_reach:
-            return values + step, [replace(r, values=r.values + (r.by @ step).reshape(r.values.shape)) for r in left]
         before = cost(left, values)
         if promised < 1e-3 + 1e-6 * before:
             break

@@ -25,6 +25,7 @@ Predictions = Mapping[str, Sequence[np.ndarray]]
 MODELS = ("nominal", "recalibrated", "corrected")
 SPREAD = 8.0  # largest over smallest value from which an axis is logarithmic
 WINDOW = 8.0  # s shown of the tip
+FEW, MANY = 60, 3000  # samples, at least and at most, where a machine is slow or quick
 SMALLEST_SPAN = 2.0  # mm, so that noise is not drawn as motion
 ENOUGH_ROOM = 14  # columns of the heat map that fit in its usual width
 SHOWN = 20  # candidates shown of the evidence
@@ -47,7 +48,7 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
         "gap": gap_figure(errors, data, unit),
         "points": points_figure(place.points, by_point, verdict.errors.noise_floor, data, unit),
         "over_time": over_time_figure(*lines, verdict.errors.noise_floor, unit),
-        "tip": tip_figure(*lines, result.localisation.points[-1] if unit != "m" else "tip", unit),
+        "tip": tip_figure(*lines, "tip" if result.dataset.runs[0].points.shape[-1] > 1 else result.localisation.points[-1], unit),
     }
     explanation = result.explanation
     fitted = [h for h in explanation.tried if len(h.effects) == 1] + [explanation.best] * (len(explanation.best.effects) > 1)
@@ -281,7 +282,7 @@ def tip_figure(runs: Sequence[Run], predictions: Predictions, of: str = "tip", u
         axes.margins(x=0.01)
         axes.grid(alpha=0.3)
     above.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    above.set_title(f"{run.file}: the tip where correction matters most", fontsize=11)
+    above.set_title(f"{run.file}: {'the ' if of == 'tip' else ''}{of} where correction matters most", fontsize=11)
     figure.align_ylabels([above, below])
     return figure
 
@@ -301,7 +302,8 @@ def _most(runs: Sequence[Run], predictions: Predictions) -> tuple[int, slice, in
         before, after = (run.points[:, -1] - predictions[name][k][:, -1] for name in ("nominal", "corrected"))
         less = np.vstack([np.zeros((1, run.points.shape[-1])), np.cumsum(np.nan_to_num(before**2 - after**2), axis=0)])
         if np.isfinite(run.time).all():
-            ends = np.searchsorted(run.time, run.time + WINDOW, side="right")
+            step = float(np.median(np.diff(run.time))) if run.rows > 1 else WINDOW
+            ends = np.searchsorted(run.time, run.time + np.clip(WINDOW, FEW * step, MANY * step), side="right")
             starts = np.flatnonzero(ends < run.rows) if ends[0] < run.rows else np.array([0])
         else:
             starts, ends = np.array([0]), np.array([run.rows])
