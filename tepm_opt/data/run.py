@@ -63,7 +63,7 @@ class Run:
             "time": (rows,),
             "inputs": (rows, self.inputs.shape[-1]),
             "tip_force": (rows, 3),
-            "points": (rows, *self.points.shape[1:3]),
+            "points": (rows, *(*self.points.shape[1:3], 1)[:2]),
         }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:

@@ -63,7 +63,8 @@ def paragraph(
         return (
             f"{_groups(named, explanation)}. {where} {shrinks} to {size(errors.corrected)} with the most probable in the model ({floor})."
         )
-    best = max((h for h in explanation.tried if len(h.effects) == 1), key=explanation.closes, default=None)
+    alone = [h for h in explanation.tried if len(h.effects) == 1]
+    best = max([h for h in alone if not h.estimate.out_of_reach] or alone, key=explanation.closes, default=None)
     nearest = f"; {best.effects[0].label} alone would close {_percent(explanation.closes(best))}" if best else ""
     return (
         f"Unexplained: structure above the noise remains that no known effect explains{nearest}. {where} On validation runs the error is "
@@ -164,6 +165,8 @@ def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) 
 
 def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
     """Why an effect that was fitted alone is not the answer."""
+    if hypothesis.estimate.out_of_reach and hypothesis.estimate.problem.plant.quick:  # data were not left out
+        return "alone it closes too little to be fitted to the end"
     least = "at least " if hypothesis.estimate.out_of_reach else ""
     return f"alone it closes {least}{_percent(explanation.closes(hypothesis))} of the gap on held-out data"
 

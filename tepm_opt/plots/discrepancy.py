@@ -51,7 +51,8 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
         "tip": tip_figure(*lines, "tip" if result.dataset.runs[0].points.shape[-1] > 1 else result.localisation.points[-1], unit),
     }
     explanation = result.explanation
-    fitted = [h for h in explanation.tried if len(h.effects) == 1] + [explanation.best] * (len(explanation.best.effects) > 1)
+    fitted = [h for h in explanation.tried if len(h.effects) == 1 and not (h.estimate.out_of_reach and h.estimate.problem.plant.quick)]
+    fitted += [explanation.best] * (len(explanation.best.effects) > 1)
     if fitted:
         closes = {_label(h): explanation.closes(h) for h in fitted}
         sure = {_label(explanation.best), *(effect.label for effect in explanation.best.effects)}
