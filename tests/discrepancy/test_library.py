@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tepm_opt.discrepancy.library.axis import AXIS
+from tepm_opt.discrepancy.library.axis import AXIS, BY_DIRECTION
 from tepm_opt.discrepancy.library.effect import At, Law, Quantity
-from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
+from tepm_opt.discrepancy.library.signals import DRIVE, INPUT, OUTPUT
 
 SIZES = {"signal": 5.0, "time": 0.4, "force": 30.0, "speed": 0.7, "position": 0.2, "1": 1.0}
 UNITS = {"signal": "V", "time": "s", "force": "N", "speed": "m/s", "position": "m", "1": "1"}
 STEP = 1e-3  # s
-LAWS = {law.name: law for law in (*INPUT, *AXIS, *OUTPUT)}
+LAWS = {law.name: law for law in (*INPUT, *DRIVE, *AXIS, *BY_DIRECTION, *OUTPUT)}
 signals, positions, speeds = st.floats(-20, 20), st.floats(-1, 1), st.floats(-3, 3)
 Numbers = Mapping[str, float]
 
@@ -39,7 +39,7 @@ def test_signals_are_left_alone_at_the_null(law: Law, signal: float, z: float) -
     assert asked(law, null(law), z, signal=signal)[0] == signal
 
 
-@pytest.mark.parametrize("law", AXIS, ids=lambda law: law.name)
+@pytest.mark.parametrize("law", [*AXIS, *BY_DIRECTION], ids=lambda law: law.name)
 @given(position=positions, speed=speeds)
 def test_axes_are_left_alone_at_the_null(law: Law, position: float, speed: float) -> None:
     force, rates = asked(law, null(law), position=position, speed=speed)
@@ -52,6 +52,8 @@ FORMULAS: dict[str, Callable[[Numbers, float, float], float]] = {
     "constant_force": lambda p, q, v: p["force"],
     "stribeck_friction": lambda p, q, v: -p["force"] * np.tanh(v / 0.007) * np.exp(-((v / p["speed"]) ** 2)),
     "quadratic_drag": lambda p, q, v: -p["force"] * np.sign(v) * v**2 / 0.49,
+    "asymmetric_dry_friction": lambda p, q, v: -p["force"] * np.tanh(v / 0.007) ** 2,
+    "asymmetric_viscous_friction": lambda p, q, v: -p["force"] * abs(v) / 0.7,
     "quadratic_spring": lambda p, q, v: -p["force"] * q**2 / 0.04,
     "cubic_spring": lambda p, q, v: -p["force"] * q**3 / 0.008,
 }
@@ -155,7 +157,46 @@ class TestCandidates:
         assert q.probes == pytest.approx((0.1 * unit, unit))
 
     def test_names_are_told_once(self) -> None:
-        assert len(LAWS) == len(INPUT) + len(AXIS) + len(OUTPUT)
+        assert len(LAWS) == len((*INPUT, *DRIVE, *AXIS, *BY_DIRECTION, *OUTPUT))
         for law in LAWS.values():
             assert law.explains
             assert set(law.beside) <= set(LAWS)
+
+
+@given(signal=signals, tightness=st.floats(0.1, 10))
+def test_saturation_holds_both_ways(signal: float, tightness: float) -> None:
+    assert asked(LAWS["input_saturation"], {"tightness": tightness}, signal=signal)[0] == pytest.approx(
+        np.clip(signal, -5 / tightness, 5 / tightness)
+    )
+
+
+def test_play_drags_its_signal_along() -> None:
+    """Back and forth, against the play operator; and never further off than the play."""
+    width, time = 0.8, np.arange(0, 4, STEP)
+    signal = 3 * np.sin(2 * np.pi * time) * np.exp(-time / 2)
+    exact, z, acts = np.zeros(len(time)), 0.0, []
+    for k, u in enumerate(signal):
+        exact[k] = np.clip(exact[k - 1] if k else 0.0, u - width, u + width)
+        dragged, (rate,) = asked(LAWS["backlash"], {"width": width}, z, signal=float(u))
+        z += STEP * rate
+        acts.append(dragged)
+    assert np.abs(np.array(acts) - exact).max() < 0.05
+    assert np.abs(np.array(acts) - signal).max() <= width + 1e-9
+
+
+def test_what_is_compliant_swings() -> None:
+    """A step, against the textbook's response of second order."""
+    period, damping, z = 0.1, 0.2, np.zeros(2)
+    law, p, found = LAWS["compliance"], {"time": 0.1, "damping": 0.2}, []
+    rates = ca.Function(
+        "rates",
+        [s := ca.SX.sym("z", 2)],
+        [ca.vertcat(*law.act(At({k: ca.SX(v) for k, v in p.items()}, ca.vertsplit(s), SIZES, ca.SX(STEP), signal=ca.SX(1.0)))[1])],
+    )
+    for _ in range(1000):
+        k_1 = np.asarray(rates(z)).ravel()
+        z = z + STEP * np.asarray(rates(z + STEP / 2 * k_1)).ravel()
+        found.append(z[0])
+    time, w = np.arange(1, 1001) * STEP, np.sqrt(1 - damping**2) / period
+    exact = 1 - np.exp(-damping * time / period) * (np.cos(w * time) + damping / (w * period) * np.sin(w * time))
+    assert np.abs(np.array(found) - exact).max() < 1e-3

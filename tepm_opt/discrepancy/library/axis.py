@@ -68,3 +68,15 @@ AXIS = (
     ),
 )  # fmt: skip
 """Effects on an axis."""
+
+BY_DIRECTION = (
+    Law(
+        "asymmetric_dry_friction", "body", (_force(),), lambda at: (-at.p["force"] * _way(at) ** 2, []), beside=("dry_friction",),
+        explains="dry friction that is larger one way than the other: in motion a constant force, at rest nothing",
+    ),
+    Law(
+        "asymmetric_viscous_friction", "body", (_force(),), lambda at: (-at.p["force"] * ca.fabs(at.speed) / at.sizes["speed"], []),
+        explains="viscous friction that is larger one way than the other",
+    ),
+)  # fmt: skip
+"""Friction that differs between directions. No part of `AXIS`: a constant force does nearly the same, ask for it where there is reason."""

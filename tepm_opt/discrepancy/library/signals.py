@@ -36,6 +36,26 @@ def _limited(at: At) -> tuple[ca.SX, list[ca.SX]]:
     return ca.fmin(at.signal, highest), []
 
 
+def _held(at: At) -> tuple[ca.SX, list[ca.SX]]:
+    """Nothing above a highest size, either way."""
+    highest = at.sizes["signal"] / ca.fmax(at.p["tightness"], 1e-9)
+    return ca.fmax(ca.fmin(at.signal, highest), -highest), []
+
+
+def _played(at: At) -> tuple[ca.SX, list[ca.SX]]:
+    """What a signal drags along once the play is used up; the state follows within two time steps."""
+    (z,), width = at.z, at.p["width"]
+    dragged = at.signal - ca.fmin(ca.fmax(at.signal - z, -width), width)
+    return dragged, [(dragged - z) / (2 * at.step)]
+
+
+def _swings(at: At) -> tuple[ca.SX, list[ca.SX]]:
+    """Second order; the signal itself where the swing is too short for the steps to resolve."""
+    (z, rate), time = at.z, ca.fmax(at.p["time"], 2 * at.step)
+    turning = ((at.signal - z) / time - 2 * at.p["damping"] * rate) / time
+    return ca.if_else(at.p["time"] < 2 * at.step, at.signal, z), [rate, turning]
+
+
 INPUT = (
     Law(
         "input_lag", "input", (_time("time"),), lambda at: _lagged(at, at.p["time"]), states=1, smooth=False,
@@ -60,6 +80,22 @@ INPUT = (
     ),
 )  # fmt: skip
 """Effects on what goes in."""
+
+DRIVE = (
+    Law(
+        "input_saturation", "input", (Quantity("tightness", "1", 0.0, LIMITS, 0.0, 100.0),), _held, smooth=False,
+        explains="what acts has a largest size, either way",
+    ),
+    Law(
+        "backlash", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),), _played, states=1, smooth=False,
+        explains="what acts follows the command only once a play is used up", reference="play operator; Krasnosel'skii, Pokrovskii 1989",
+    ),
+    Law(
+        "compliance", "input", (_time("time"), Quantity("damping", "1", 0.2, (0.05, 0.5), 0.0, 2.0, shape=True)), _swings, states=2,
+        smooth=False, explains="something elastic between command and what acts: it overshoots and swings",
+    ),
+)  # fmt: skip
+"""Effects on what drives go in with, for whoever has reason to look for them: no part of `INPUT`."""
 
 OUTPUT = (
     Law(
