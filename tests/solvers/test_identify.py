@@ -318,7 +318,11 @@ class Column:
 def column(load: float, noise: float = 0.01) -> Run:
     """What such a column of stiffness 1 does under parts of a load."""
     parts = np.linspace(0.1, 1.0, 10)[:, None]
-    bent = Column({"stiffness": 1.0, "load": load}).predict(Run("column", "fit", np.arange(10.0), parts, np.zeros((10, 3)), parts)).points
+    bent = (
+        Column({"stiffness": 1.0, "load": load})
+        .predict(Run("column", "fit", np.arange(10.0), parts, np.zeros((10, 3)), parts[..., None]))
+        .points
+    )
     return Run("column", "fit", np.arange(10.0), parts, np.zeros((10, 3)), bent + noise * np.random.default_rng(1).normal(size=bent.shape))
 
 
