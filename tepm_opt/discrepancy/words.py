@@ -61,7 +61,8 @@ def paragraph(
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
         return (
-            f"{_groups(named, explanation)}. {where} {shrinks} to {size(errors.corrected)} with the most probable in the model ({floor})."
+            f"{_groups(named, explanation)}. {where} {shrinks} to {size(errors.corrected)} with the most probable in the model ({floor}). "
+            "Next: record a run in which they would differ."
         )
     alone = [h for h in explanation.tried if len(h.effects) == 1]
     best = max([h for h in alone if not h.estimate.out_of_reach] or alone, key=explanation.closes, default=None)
@@ -69,7 +70,7 @@ def paragraph(
     return (
         f"Unexplained: structure above the noise remains that no known effect explains{nearest}. {where} On validation runs the error is "
         f"{size(errors.nominal)} (nominal) and {size(errors.recalibrated)} (recalibrated); a black box without physics reaches "
-        f"{size(errors.black_box)} ({floor})."
+        f"{size(errors.black_box)} ({floor}). Next: see what acts on the machine there and then, or give the library an effect that does."
     )
 
 

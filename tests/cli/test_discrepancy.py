@@ -140,6 +140,7 @@ class TestDiscrepancy:
         done = tepm("discrepancy", "data", "--despite-errors")
         assert done.status == 1, done.err
         assert done.out.startswith("unexplained\n")
+        assert "Next: " in done.out
         assert json.loads((here / "discrepancy" / "verdict.json").read_text())["status"] == "unexplained"
 
     def test_interrupted(self, tepm: Command, here: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
