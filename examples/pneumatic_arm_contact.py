@@ -1,41 +1,23 @@
 """The soft arm with the lag of its body, which slow steps have shown: what else happened to it in a trial?"""
 
-from math import pi
-
 import casadi as ca
+from pneumatic_arm import arm
 
 from tepm_opt.discrepancy.equations import Equations
 from tepm_opt.discrepancy.library.axis import AXIS
 from tepm_opt.discrepancy.library.pneumatics import PNEUMATICS
 from tepm_opt.discrepancy.library.signals import OUTPUT
 
-m = Equations("pneumatic arm", time=1.0, laws=(*PNEUMATICS, *AXIS, *OUTPUT))
-bend, turning = m.state("bend"), m.state("turning")
-pressure = m.input("pressure_psi", size=20.0, unit="psi")
-gain = m.known("gain", 0.03, "rad/psi", low=0.003, high=0.3)
-length = m.known("length", 0.18, "m", low=0.16, high=0.2)
-frequency = m.known("frequency", 2 * pi * 3, "rad/s", low=2 * pi * 1.5, high=2 * pi * 6)
-damping = m.known("damping", 0.5, "1", low=0.1, high=1.0)
-way = m.known("way", 0.8, "rad", low=-pi, high=pi)
-rest_x, rest_y = m.known("rest_x", 0.15, "rad", low=-1.0, high=1.0), m.known("rest_y", 0.15, "rad", low=-1.0, high=1.0)
 
-held, filling, exhausting = (
-    m.state("held"),
-    m.known("filling", 0.3, "s", low=0.05, high=5.0),
-    m.known("exhausting", 1.5, "s", low=0.05, high=5.0),
-)
-m.rate(held, (pressure - held) / ca.if_else(pressure > held, filling, exhausting))
-creep, time = m.known("creep", 0.7, "1", low=0.0, high=3.0), m.known("creep_time", 2.0, "s", low=0.2, high=20.0)
-stretched = m.state("stretched")  # a spring of that stiffness on a damper, beside the body's own
-m.rate(stretched, turning - stretched / time)
+def inside(m: Equations, pressure: ca.SX, turning: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """A pressure that follows its command, and a spring on a damper beside the body's own."""
+    held = m.state("held")
+    filling, exhausting = m.known("filling", 0.3, "s", low=0.05, high=5.0), m.known("exhausting", 1.5, "s", low=0.05, high=5.0)
+    m.rate(held, (pressure - held) / ca.if_else(pressure > held, filling, exhausting))
+    creep, time = m.known("creep", 0.7, "1", low=0.0, high=3.0), m.known("creep_time", 2.0, "s", low=0.2, high=20.0)
+    stretched = m.state("stretched")
+    m.rate(stretched, turning - stretched / time)
+    return held, creep * stretched
 
-m.rate(bend, turning)
-effects = m.axis("bend", bend, turning, force=0.3, speed=0.3, position=0.3, unit="")
-m.rate(turning, frequency**2 * (gain * held - bend - creep * stretched + effects) - 2 * damping * frequency * turning)
 
-x, y = rest_x + bend * ca.cos(way), rest_y + bend * ca.sin(way)
-angle = ca.sqrt(x**2 + y**2 + 1e-12)
-reach = length * (1 - ca.cos(angle)) / angle**2  # of a body bent evenly, per bending
-m.output("x", reach * x, "m", size=0.05, time=1e-3)
-m.output("y", reach * y, "m", size=0.05, time=1e-3)
-plant = m.plant()
+plant = arm((*PNEUMATICS, *AXIS, *OUTPUT), inside)

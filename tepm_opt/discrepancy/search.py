@@ -23,8 +23,6 @@ ABREAST = 1.5  # times the excess of the best set of effects that another may le
 PLAIN = 0.9  # part of a form's gain from which a plainer form of the same is fitted in its place
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
 Shares = dict[Candidate, float]
-
-
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
 
 
@@ -191,7 +189,7 @@ def _beats(one: Hypothesis, other: Hypothesis, seed: int, settings: SearchSettin
 def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
-    Structure as small as the errors that effects' forms may have is neither an effect of its own nor held against the others.
+    What takes away no more than the errors that the others' forms may have is no effect of its own; all that is left counts against each.
     """
     settings = fits.settings
     while True:

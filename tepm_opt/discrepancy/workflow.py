@@ -96,7 +96,7 @@ def discover(
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     try:
         problem = _recalibrated(problem)
-        shown = with_measured_inputs(dataset.fit, plant.signals)
+        shown = with_measured_inputs(problem.runs, plant.signals)
         if shown is not None:
             progress("with measured inputs, for what happens behind them", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-measured")

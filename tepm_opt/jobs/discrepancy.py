@@ -104,7 +104,10 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, despite_errors: bo
     dataset = read_trials(folder, plant.signals, plant.static)
     alike = plant.signals.unit and np.ptp(dataset.noise) == 0
     out = output_folder(out)
-    key = _fingerprint(folder, file.read_text(encoding="utf-8"), str(seed))
+    texts = [
+        path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))
+    ]  # it may import those beside it
+    key = _fingerprint(folder, file.name, *texts, str(seed))
     noise = float(dataset.noise[0, 0]) if alike else dataset.noise
     result = discover(dataset, plant, noise, seed, out / FITS, key, None, progress, despite_errors)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")

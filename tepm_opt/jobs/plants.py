@@ -25,7 +25,8 @@ def load_plant(path: str | Path) -> SearchablePlant:
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(f"{path}: no such Python file; valid: a file that ends with plant = …")
     module = importlib.util.module_from_spec(spec)
-    sys.path.insert(0, str(path.resolve().parent))
+    folder, before = path.resolve().parent, set(sys.modules)
+    sys.path.insert(0, str(folder))
     try:
         spec.loader.exec_module(module)
         plant: Any = getattr(module, "plant", None)
@@ -35,7 +36,10 @@ def load_plant(path: str | Path) -> SearchablePlant:
     except (Exception, SystemExit) as error:
         raise InputError(f"{path}: {_failure(error, path)}") from error
     finally:
-        sys.path.remove(str(path.resolve().parent))
+        sys.path.remove(str(folder))
+        for name in set(sys.modules) - before:  # what stands beside it is read anew the next time
+            if Path(getattr(sys.modules[name], "__file__", None) or "").parent == folder:
+                del sys.modules[name]
     if plant is None:
         raise InputError(f"{path}: has no plant; valid: a file that ends with plant = …")
     if lacking := [name for name in NEEDED if not hasattr(plant, name)]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.jobs.plants import load_plant
 
 GOOD = """from tepm_opt.discrepancy.equations import Equations
@@ -37,6 +38,38 @@ def test_a_file_may_import_what_lies_beside_it(tmp_path: Path) -> None:
     (tmp_path / "my_constants_of_a_lag.py").write_text("SIZE = 1.0\n")
     text = "from my_constants_of_a_lag import SIZE\n" + GOOD.replace("size=1.0", "size=SIZE")
     assert load_plant(written(tmp_path, text)).name == "a lag"
+
+
+class TestWhatLiesBeside:
+    @pytest.fixture
+    def beside(self, tmp_path: Path) -> Path:
+        path = tmp_path / "my_machine_of_a_lag.py"
+        path.write_text('NAME = "a lag"\n')
+        written(tmp_path, "from my_machine_of_a_lag import NAME\n" + GOOD.replace('"a lag"', "NAME"))
+        return path
+
+    def test_is_read_anew_when_it_has_changed(self, beside: Path) -> None:
+        assert load_plant(beside.with_name("machine.py")).name == "a lag"
+        beside.write_text('NAME = "another lag, further off"\n')
+        assert load_plant(beside.with_name("machine.py")).name == "another lag, further off"
+
+    def test_is_part_of_what_fits_are_kept_for(self, beside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A search that was interrupted does not go on with fits of another machine."""
+        data, keys = tmp_path / "data", []
+        data.mkdir()
+        (data / "dataset.toml").write_text('name = "lags"\nruns = [{ file = "r.csv", role = "fit" }]\n[noise]\nx = 0.1\n')
+        (data / "r.csv").write_text("time_s,u,x\n0,1,1\n1,1,1\n")
+
+        def asked(*arguments: object, **_: object) -> None:
+            keys.append(arguments[5])
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("tepm_opt.jobs.discrepancy.discover", asked)
+        for text in ('NAME = "a lag"\n', 'NAME = "a lag"\n', 'NAME = "another"\n'):
+            beside.write_text(text)
+            with pytest.raises(KeyboardInterrupt):
+                run_discrepancy(data, tmp_path / "out", plant=beside.with_name("machine.py"))
+        assert keys[0] == keys[1] != keys[2]
 
 
 WRONG = {
