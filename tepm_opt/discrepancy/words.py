@@ -90,7 +90,7 @@ def notes(
     if not any(np.isfinite(run.points).any() for run in dataset.validation):
         found.append("No run is kept for validation: errors are on the runs fitted to and flatter the model.")
     if len(dataset.fit) < 3:
-        found.append("Fewer than three runs to fit to: held-out data are quarters of runs, not whole ones.")
+        found.append("Fewer than three runs to fit to: held-out data are parts of runs, not whole ones.")
     silent = [name for k, name in enumerate(signals.points) if not any(np.isfinite(run.points[:, k]).any() for run in dataset.runs)]
     if silent:
         found.append(f"{', '.join(silent)}: not measured in any run.")
