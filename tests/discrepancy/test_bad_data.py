@@ -237,7 +237,7 @@ CASES = [
     # runs
     Case("no runs", kept(), says=("role 'fit'|no runs",)),
     Case("only validation runs", kept(0, 1, role="validation"), says=("no run has the role 'fit'",)),
-    Case("a single run", kept(2), notes=("kept for validation", "quarters of runs"), status=VerdictStatus.NO_DISCREPANCY, slow=True),
+    Case("a single run", kept(2), notes=("kept for validation", "parts of runs"), status=VerdictStatus.NO_DISCREPANCY, slow=True),
     Case("no excitation", every(at_rest), says=("excites? anything|nothing is excited",)),
     Case("inputs stand while the robot moves", every(lambda run: {**at_rest(run), "points": run.points}), says=("excites anything",)),
     Case("one run stands", first(at_rest), slow=True),
