@@ -15,6 +15,8 @@ from .hw.rig import Command as Command
 from .hw.rig import Rig as Rig
 from .hw.rig import Sample as Sample
 from .hw.simulation.rig import SimulatedRig as SimulatedRig
+from .jobs.blind import BlindRun as BlindRun
+from .jobs.blind import run_blind as run_blind
 from .jobs.check import CheckRun as CheckRun
 from .jobs.check import run_check as run_check
 from .jobs.closed_loop import ClosedLoop as ClosedLoop
@@ -48,6 +50,7 @@ from .jobs.statics import run_statics as run_statics
 from .models.channels import open_dataset as open_dataset
 from .models.compile import CompiledModel as CompiledModel
 from .models.compile import compile_model as compile_model
+from .models.effect_files import load_effects as load_effects
 from .models.model import Model as Model
 from .models.model import read_model as read_model
 from .models.model import write_model as write_model

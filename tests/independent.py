@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from tepm_opt.models.effect import Context, Effect, Properties
+from tepm_opt.models.effect import BEGAN, CLOCK, Context, Effect, Properties
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
 
@@ -119,12 +119,12 @@ class Network:
         return np.linalg.norm(np.diff(nodes, axis=0), axis=2).reshape(self.modules, self.segments, -1).sum(axis=1)
 
 
-def solve_with_effect(effect: Effect, parameters, detail, inputs, tip_force, start):
-    """Reference points of kang2017 with an effect, as measured."""
+def solve_with_effect(effect: Effect, parameters, detail, inputs, tip_force, start, time=0.0):
+    """Reference points of kang2017 with an effect, as measured when a run begins at a time in the session."""
     network, layout = Network(), Layout.of(load_robot("kang2017"))
     assert [(*edge.a, *edge.b) for edge in layout.edges] == network.kinds
     context = Context(layout, detail, np.eye(3), BASE, -network.gravity * UP)
-    own = {name: ca.SX(float(value)) for name, value in parameters.items()}
+    own = {name: ca.SX(float(value)) for name, value in {**parameters, CLOCK: time, BEGAN: time}.items()}
     pressure, tension = (ca.SX(ca.DM(part)) for part in np.reshape(inputs, (2, network.modules, network.actuators)))
     pressure, tension = effect.inputs(pressure, tension, own, context)
     damping = np.full(network.rest.T.shape, 15.50)
@@ -136,7 +136,7 @@ def solve_with_effect(effect: Effect, parameters, detail, inputs, tip_force, sta
     external = np.zeros((3, layout.points))
     external[:, -1] = tip_force
     added = _numbers(effect.loads(properties, ca.SX(ca.DM(external)), own, context)).T
-    for index, edge in enumerate(layout.edges):
+    for index, edge in enumerate(layout.edges if effect.has("edge_energy") else ()):
         length, rest = ca.SX.sym("length"), ca.SX.sym("rest")
         energy = ca.SX(effect.edge_energy(edge, length, rest, own, context))
         slope = ca.gradient(energy, length)

@@ -45,9 +45,15 @@ def test_import_contracts() -> None:
 
 
 def test_no_effect_is_named_outside_its_folder() -> None:
-    """Neither alone nor as the start of a parameter's full name; the rig's imperfections and any machine's laws may share names."""
+    """Neither alone nor as the start of a parameter's full name; the rig's imperfections, any machine's laws and what blind
+    trials hide may share names."""
     package = ROOT / "tepm_opt"
-    allowed = [package / "models" / "effects", package / "hw" / "simulation" / "imperfections", package / "discrepancy" / "library"]
+    allowed = [
+        package / "models" / "effects",
+        package / "hw" / "simulation" / "imperfections",
+        package / "discrepancy" / "library",
+        package / "blind",
+    ]
     named = re.compile(rf"({'|'.join(effect.name for effect in (*effects(), *STANDARD))})(\[.*\])?(\.\w*)?")
     assert named.fullmatch("actuator_gain[13].loss")
     found = []
@@ -105,6 +111,13 @@ def described(text: str) -> Iterator[tuple[str, str, list[ast.arg]]]:
         for made in node.body:
             if isinstance(made, ast.FunctionDef) and made.name == "__init__":
                 yield node.name, (ast.get_docstring(node) or "") + (ast.get_docstring(made) or ""), parameters(made)
+
+
+def test_the_page_on_verdicts_lists_every_effect() -> None:
+    page = (ROOT / "docs" / "discrepancy.md").read_text(encoding="utf-8")
+    _, _, known = page.partition("## What it knows")
+    listed = known.partition("\n## ")[0]
+    assert [effect.name for effect in effects() if f"`{effect.name}`" not in listed] == []
 
 
 def test_four_arguments_are_described() -> None:

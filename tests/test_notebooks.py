@@ -9,6 +9,8 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
+EVERY_DAY = ("01", "03")
+"""Those that run every day; the others are slow."""
 
 
 def test_there_are_notebooks() -> None:
@@ -29,7 +31,9 @@ def test_notebook_is_clean(path: Path) -> None:
     assert "assert" in code[-1].source
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, id=path.stem, marks=() if path.stem[:2] in EVERY_DAY else pytest.mark.slow) for path in NOTEBOOKS]
+)
 def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONWARNINGS", "ignore:no C compiler")
     notebook = nbformat.read(path, as_version=4)

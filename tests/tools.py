@@ -87,6 +87,7 @@ def with_all_effects(model: Model) -> Model:
 def in_company(**present: dict[str, float]) -> Model:
     """kang2017 with these effects; all others are there at their null values, so that it shares the library of `with_all_effects`."""
     model = Model.of("kang2017")
+    layout = Layout.of(model.robot)
     for effect in effects():
-        model = with_effect(model, effect, **present.get(effect.name, {parameter.name: parameter.null for parameter in effect.parameters}))
+        model = with_effect(model, effect, **present.get(effect.name, {p.name: p.null for p in effect.parameters_of(layout)}))
     return model

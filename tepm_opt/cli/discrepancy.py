@@ -33,6 +33,7 @@ def discrepancy(
     plant: Annotated[Path | None, typer.Option("--plant", help="Python file of another machine, which the data set is of.")] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,
+    invent: Annotated[bool, typer.Option("--invent", help="Seek a law where no known effect explains what is left.")] = False,
     as_json: JsonOption = False,
 ) -> int:
     """Find where model and data disagree, name the missing effect, add it to the model, show the gap shrink.
@@ -40,14 +41,17 @@ def discrepancy(
     Writes verdict.json, model.toml (for --model of every command), report.html and its figures. An interrupted run goes on where it
     was when started again. Exit status: 0 named or nothing missing, 1 indistinguishable or unexplained.
     """
-    from tepm_opt.jobs.discrepancy import MODEL, VALUES, VERDICT
+    from tepm_opt.discrepancy.freeform.page import paragraph
+    from tepm_opt.jobs.discrepancy import EFFECTS, MODEL, VALUES, VERDICT
 
     try:
         with shown(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant)
+            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
+            if result.law is not None:
+                plots.draw(result.law, out / EFFECTS)
             provenance = {
                 "data set": f"{result.dataset.name} ({dataset})",
                 "machine": result.verdict.machine,
@@ -68,6 +72,7 @@ def discrepancy(
         for line in (
             verdict.paragraph,
             *verdict.notes,
+            *([paragraph(result.law), f"{result.law.file}"] if result.law is not None else []),
             f"{verdict.seconds:.0f} s, {verdict.fits} fits; {out / PAGE}, {out / (VALUES if plant else MODEL)}, {out / VERDICT}",
         ):
             stdout.print(escape(line), soft_wrap=True, highlight=False)

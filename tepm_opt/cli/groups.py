@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
 import typer
@@ -41,15 +42,28 @@ class OptionGroup:
         return cls(**given)
 
 
+EFFECTS = inspect.Parameter(
+    "effects",
+    inspect.Parameter.KEYWORD_ONLY,
+    default=None,
+    annotation=Annotated[
+        list[Path] | None,
+        typer.Option("--effects", metavar="FILE", help="Python file with effects of your own, which is run; may be repeated."),
+    ],
+)
+"""Of every command that takes a model."""
+
+
 def spread(command: Command) -> Command:
-    """The command with the options of its groups as parameters of its own, as typer wants them."""
+    """The command with the options of its groups as parameters of its own, as typer wants them; with a model it takes effects, too."""
     signature = inspect.signature(command, eval_str=True)
+    takes_effects = "model" in signature.parameters
     groups = {
         parameter.name: parameter.annotation
         for parameter in signature.parameters.values()
         if inspect.isclass(parameter.annotation) and issubclass(parameter.annotation, OptionGroup)
     }
-    if not groups:
+    if not groups and not takes_effects:
         return command
     names = {name: [option.name for option in group.options()] for name, group in groups.items()}
     parameters = [
@@ -58,7 +72,14 @@ def spread(command: Command) -> Command:
         for option in (groups[parameter.name].options() if parameter.name in groups else (parameter,))
     ]
 
+    if takes_effects:
+        parameters = [*(p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters), EFFECTS]
+
     def spread_out(**given: Any) -> int:
+        if files := given.pop(EFFECTS.name, None):
+            from tepm_opt.models.effect_files import load_effects
+
+            load_effects(files)
         made = {name: groups[name].of({option: given.pop(option) for option in options}) for name, options in names.items()}
         return command(**given, **made)
 

@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 
 from tepm_opt.cli import (
     INTERRUPTED,
+    blind,
     data,
     demo,
     discrepancy,
@@ -92,6 +93,7 @@ COMMANDS = {
     "play": play.play,
     "identify": identify.identify,
     "discrepancy": discrepancy.discrepancy,
+    "blind": blind.blind,
 }
 for name, command in COMMANDS.items():
     app.command(name)(spread(command))

@@ -107,9 +107,9 @@ class BenchArm:
         """The arm itself."""
         return self
 
-    def reseed(self, noise: int) -> None:
+    def reseed(self, noise: int, began: float = 0.0) -> None:
         """Draw other noise for the same bench; 0 is its own."""
-        self.bench.reseed(noise)
+        self.bench.reseed(noise, began)
 
     def read(self) -> Sample:
         """The bench's next sample."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from tepm_opt.data.channels import Channels
@@ -18,6 +19,7 @@ from tepm_opt.data.run import Role, Run, RunSet, read_run_table, refuse_unusable
 from tepm_opt.errors import InputError
 
 DESCRIPTION = "dataset.toml"
+APART = 5.0  # s between runs that do not say when they began
 ChannelsOf = Callable[[str], Channels]
 """Channels of a robot given by built-in name or path."""
 
@@ -27,6 +29,7 @@ class RunEntry(Section):
 
     file: Annotated[str, Field(min_length=1, description="the name of a CSV file in the folder")]
     role: Role
+    began_s: Annotated[float, between(0, 1e7, "s after the first run")] | None = None
 
     @model_validator(mode="after")
     def _inside(self) -> RunEntry:
@@ -199,9 +202,31 @@ def read_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> Fo
             refuse_unusable(table, channels, description.static)
         except InputError as error:  # the checks say more about it
             refused.append(error)
+    try:
+        runs = in_session(runs, {entry.file: entry.began_s for entry in description.runs}, f"{path}: ")
+    except InputError as error:
+        found(DESCRIPTION, error)
     dataset = dataset_of(folder, description, channels or Channels((), ()), runs)
     listed = tuple(entry.file for entry in description.runs)
     return FolderReading(folder, listed, dataset, tuple(faults), next(iter(refused), None))
+
+
+def in_session(runs: Sequence[Run], said: Mapping[str, float | None], where: str = "") -> list[Run]:
+    """Runs with the time in the session at which each began: as said by file name, else 5 s after the run before.
+
+    Raises:
+        InputError: a run is said to begin before the one listed before it.
+    """
+    found: list[Run] = []
+    before, after = -np.inf, 0.0
+    for run in runs:
+        told = said.get(run.file)
+        if told is not None and not told > before:
+            raise InputError(f"{where}runs: {run.file}: began_s = {told:g} s; valid: above {before:g} s, when the run before it began")
+        began = after if told is None else told
+        found.append(replace(run, began=began))
+        before, after = began, began + APART + (run.duration if run.rows and np.isfinite(run.duration) else 0.0)
+    return found
 
 
 def read_dataset(folder: str | Path, channels: Channels | None = None) -> DataSet:
@@ -265,7 +290,10 @@ def description_of(dataset: DataSet, folder: Path) -> Description:
         "sample_rate_hz": dataset.sample_rate,
         "position_noise_m": dataset.position_noise,
         "static": dataset.static,
-        "runs": [{"file": run.file, "role": run.role} for run in dataset.runs],
+        "runs": [
+            {"file": run.file, "role": run.role} | ({} if run.began in (0.0, usual.began) else {"began_s": run.began})
+            for run, usual in zip(dataset.runs, in_session(dataset.runs, {}), strict=True)
+        ],
     }
     return validated(Description, content, str(folder / DESCRIPTION))
 
@@ -284,5 +312,6 @@ def write_description(folder: str | Path, description: Description) -> None:
     lines += ["static = true"] if description.static else []
     for entry in description.runs:
         lines += ["", "[[runs]]", f"file = {toml_string(entry.file)}", f"role = {toml_string(entry.role)}"]
+        lines += [] if entry.began_s is None else [f"began_s = {entry.began_s!r}"]
     lines += [] if description.runs else ["runs = []"]
     write_atomically(Path(folder) / DESCRIPTION, "\n".join(lines) + "\n")

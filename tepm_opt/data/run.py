@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class Run:
         group: what runs of one condition have in common.
         state: of the machine at the first row where it is known, or guessed; None for rest.
         lines: line of each row in the file it was read from; empty where there is none.
+        began: time in the session in s at the first row, for what changes from run to run.
     """
 
     file: str
@@ -49,6 +51,7 @@ class Run:
     start: Start = "equilibrium"
     group: str = ""
     state: np.ndarray | None = None
+    began: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not fit together.
@@ -112,6 +115,12 @@ class RunSet:
         """Some runs."""
         found = RunSet()
         found.name, found.runs = name, tuple(runs)
+        return found
+
+    def with_runs(self, runs: Iterable[Run]) -> Self:
+        """The same with other runs."""
+        found = copy(self)
+        object.__setattr__(found, "runs", tuple(runs))
         return found
 
     @property

@@ -12,7 +12,7 @@ from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.residuals import Residual
+from tepm_opt.solvers.residuals import Residual, independent_after
 
 DRAWS = 2000
 FOLDS = 4  # parts a run is cut into where there are too few runs to leave one out
@@ -29,7 +29,8 @@ class Evidence:
         counts: coordinates measured in every block, (blocks,).
         parameters: how many are free.
         scatter: jackknife standard deviation of the free parameters over the folds, (parameters,).
-        worth: how many independent measurements a coordinate is worth, at most 1: neighbours in time say nearly the same.
+        worth: how many independent measurements a coordinate (of a block whose residuals remember longer than it is) is worth, at most 1:
+            neighbours in time say nearly the same.
     """
 
     squares: np.ndarray
@@ -61,8 +62,9 @@ class Evidence:
 def leave_out(estimate: ParameterEstimate) -> Evidence:
     """Cross-validation: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
 
-    The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step. Where the
-    plant is quick they are fits of their own, see `refitted`.
+    The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step. What the fit
+    left at a bound stays there, and what only refines a form stays as it is: often a single run tells it. Where the plant is quick they
+    are fits of their own, see `refitted`.
     """
     problem, residuals = estimate.problem, estimate.residuals
     if problem.plant.quick:
@@ -70,9 +72,10 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
     count = len(problem.free)
     parts = []  # (values (rows, points · 3), by, block, counts) of every fold
     for r in residuals:
-        rows = len(r.values)
-        folds = 1 if len(residuals) > 2 else min(FOLDS, rows)
-        pieces = [slice(piece[0], piece[-1] + 1) for piece in np.array_split(np.arange(rows), folds)]  # views, which cost no memory
+        rows, first = len(r.values), int(r.block.min())
+        blocks = np.array_split(np.arange(first, int(r.block.max()) + 1), 1 if len(residuals) > 2 else FOLDS)
+        edges = [np.searchsorted(r.block, (part[0], part[-1] + 1)) for part in blocks if len(part)]
+        pieces = [slice(*edge) for edge in edges if edge[0] < edge[1]]  # views, which cost no memory
         values, by = r.values.reshape(rows, -1), r.by.reshape(rows, r.values.size // rows, count)
         parts += [(values[piece], by[piece], r.block[piece], r.present.reshape(rows, -1)[piece].sum(axis=1)) for piece in pieces]
     squares = [by.reshape(values.size, count).T @ by.reshape(values.size, count) for values, by, _, _ in parts]
@@ -83,7 +86,8 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
         left = values
         if count:
             others = sum(squares) - squares[k]
-            low, high = problem.low - estimate.values, problem.high - estimate.values
+            stays = estimate.at_bound | [free.refines for free in problem.free]
+            low, high = (np.where(stays, 0.0, bound - estimate.values) for bound in (problem.low, problem.high))
             slope = sum(slopes) - slopes[k] + precision * (estimate.values - mean)
             step, _ = bounded_step(others + np.diag(precision), slope, low, high, problem.scale)
             left = values + by @ step
@@ -93,7 +97,20 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
         counts.append(np.bincount(first, present))
     every = np.concatenate(counts)
     scatter = np.sqrt((len(parts) - 1) * np.var(steps, axis=0)) if count and len(parts) > 1 else np.zeros(count)
-    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter)
+    worth = 1.0 if problem.plant.static else min(problem.block / independent_after(residuals, problem.runs), 1.0)
+    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter, worth)
+
+
+def in_sample(estimate: ParameterEstimate) -> Evidence:
+    """What a hypothesis leaves in the data it was fitted to, as `leave_out` says it of left-out data; nothing scatters."""
+    errors, counts = [], []
+    for r in estimate.residuals:
+        rows, first = len(r.values), r.block - r.block.min()
+        errors.append(np.bincount(first, (r.values.reshape(rows, -1) ** 2).sum(axis=1)))
+        counts.append(np.bincount(first, r.present.reshape(rows, -1).sum(axis=1)))
+    every = np.concatenate(counts)
+    free = len(estimate.problem.free)
+    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], free, np.zeros(free))
 
 
 def refitted(estimate: ParameterEstimate) -> Evidence:
@@ -183,11 +200,12 @@ def weights(evidence: Sequence[Evidence], seed: int, draws: int = DRAWS) -> np.n
 
     Pseudo-Bayesian model averaging with the Bayesian bootstrap over blocks of time (Yao, Vehtari, Simpson, Gelman, Bayesian
     Analysis 13, 2018): log densities of the left-out blocks, normal with the spread that each hypothesis shows; a parameter costs
-    half the logarithm of the number of blocks (Schwarz, Annals of Statistics 6, 1978).
+    half the logarithm of the number of blocks (Schwarz, Annals of Statistics 6, 1978). What neighbours in time say alike counts as
+    often as the one that leaves least shows.
     """
     densities = np.stack([-0.5 * (e.counts * np.log(e.spread) + e.squares / e.spread) for e in evidence])
     blocks = densities.shape[1]
-    densities *= evidence[0].worth
+    densities *= min(evidence, key=lambda each: each.excess).worth
     densities -= 0.5 * np.array([[e.parameters] for e in evidence]) * np.log(max(blocks, 2)) / blocks
     random = np.random.default_rng(seed)
     shares = random.dirichlet(np.ones(blocks), size=draws) * blocks

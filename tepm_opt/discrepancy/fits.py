@@ -14,8 +14,9 @@ import numpy as np
 
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.evidence import Evidence, leave_out
-from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
-from tepm_opt.discrepancy.screen import MEMORY, Score, screen
+from tepm_opt.discrepancy.first_order import MEMORY, Linearised, linearised
+from tepm_opt.discrepancy.plant import Candidate, SearchablePlant, acting, freed
+from tepm_opt.discrepancy.screen import Score, screen
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
@@ -40,12 +41,14 @@ class SearchSettings:
         min_probability: by which one more effect must beat going without it to be tried along, 0 … 1.
         even_odds_ratio: how many times the excess left the part that only this effect takes away must be for even odds that it is
             a cause, not a stand-in for something outside the library.
+        even_odds_exact: the same for an effect whose form is known exactly.
         fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
         max_effects: most effects at once.
         max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
         max_iterations: most Gauss-Newton steps of a fit.
         tolerance: part of the structure left for which a fit makes no further step.
         min_share_closed: part of the excess left on held-out data that one more effect must take away to be tried along.
+        least_share: how many times the excess left an effect must take away alone to stay in the model.
         beam: how many sets of effects are followed at the same time.
         starts: from how many of its probes an effect is fitted, where several promise much.
     """
@@ -54,13 +57,15 @@ class SearchSettings:
     min_excess_removed: float = 0.15
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0
+    even_odds_exact: float = 10.0
     fits_first_round: int = 5
     fits_later_rounds: int = 3
-    max_effects: int = 3
+    max_effects: int = 6
     max_unexplained_ratio: float = 0.1
     max_iterations: int = 10
     tolerance: float = 2e-3
-    min_share_closed: float = 0.1
+    min_share_closed: float = 0.2
+    least_share: float = 1.0
     beam: int = 1
     starts: int = 1
 
@@ -68,7 +73,9 @@ class SearchSettings:
     def of(plant: SearchablePlant) -> SearchSettings:
         """The usual ones; a plant that is quick bears a wider search."""
         return (
-            SearchSettings(max_iterations=30, tolerance=1e-4, min_share_closed=0.3, max_unexplained_ratio=0.2, beam=2, starts=2)
+            SearchSettings(
+                max_iterations=30, tolerance=1e-4, max_effects=3, min_share_closed=0.3, max_unexplained_ratio=0.2, beam=2, starts=2
+            )
             if plant.quick
             else SearchSettings()
         )
@@ -108,7 +115,7 @@ class Hypothesis:
 
 def labels(hypothesis: Hypothesis) -> str:
     """Its effects, in short."""
-    return listed([effect.label for effect in hypothesis.effects], 3) or "no effect"
+    return listed([effect.told for effect in hypothesis.effects], 3) or "no effect"
 
 
 @dataclass(eq=False)
@@ -130,6 +137,7 @@ class Fits:
     progress: Progress = silent
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
     screened: dict[Effects, list[Score]] = field(default_factory=dict)
+    linearised: dict[Effects, Linearised] = field(default_factory=dict)
     _kept: dict[str, Any] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -159,13 +167,13 @@ class Fits:
         Against a rival, or a bound of the squares, fits that cannot come near it any more end early; asked for without, they go on from
         there.
         """
-        wanted = [(tuple(sorted(effects, key=lambda c: c.label)), start) for effects, start in asked]
+        wanted = [(tuple(sorted(effects, key=lambda c: c.told)), start) for effects, start in asked]
         missing: dict[Effects, list[dict[str, float]]] = {}
         for effects, start in wanted:
             if not self._has(effects, rival is not None or np.isfinite(bound)):
                 missing.setdefault(effects, []).append(start)
         for effects in missing:
-            self.progress(f"fitting {', '.join(c.label for c in effects) or 'the known parameters'}", 0, 0)
+            self.progress(f"fitting {', '.join(c.told for c in effects) or 'the known parameters'}", 0, 0)
         reached = bound if rival is None else min(bound, LOST * max(rival.estimate.cost, rival.estimate.count))
         found = in_parallel(lambda item: self._fitted(*item, reached), list(missing.items()), threads=self._at_once(missing))
         self.done |= {effects: hypothesis for effects, hypothesis in zip(missing, found, strict=True) if hypothesis is not None}
@@ -186,17 +194,17 @@ class Fits:
 
     def _fitted(self, effects: Effects, starts: Sequence[dict[str, float]], reached: float) -> Hypothesis | None:
         """The best fit from some first values, or from where an earlier one ended; an earlier search's fit as it was."""
-        label = " ".join(c.label for c in effects)
+        label = " ".join(c.told for c in effects)
         early = np.isfinite(reached) and f"early {label}" in self._kept
         kept = self._kept.get(f"early {label}" if early else f"fit {label}")
         begun = [self.done[effects].estimate.named] if effects in self.done else starts
-        names = [parameter for c in effects for parameter in c.parameters]
-        free = (*self.problem.free, *self.problem.plant.free(names))
+        free = freed(self.problem.free, self.problem.plant, effects)
+        problem = replace(self.problem, plant=acting(self.problem.plant, effects))
         steps, fits = 0 if kept else self.settings.max_iterations, []
         for start in [kept] if kept else begun:
             begin = tuple(_starting(f, start.get(f.name, f.start)) for f in free)
             with suppress(PredictionError):
-                fits.append(identify(replace(self.problem, free=begin), steps, tolerance=self.settings.tolerance, reached=reached))
+                fits.append(identify(replace(problem, free=begin), steps, tolerance=self.settings.tolerance, reached=reached))
         if not fits:
             return None
         found = min(fits, key=lambda fit: fit.cost)
@@ -209,22 +217,22 @@ class Fits:
         self._keep(f"early {label}" if found.out_of_reach else f"fit {label}", found.named)
         return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
 
+    def linear(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> Linearised:
+        """A hypothesis to first order in the effects that it does not have; of a quick plant in those that are smooth."""
+        effects = hypothesis.effects
+        if effects not in self.linearised:
+            others = [c for c in missing if may(c, effects) and (c.smooth or not self.problem.plant.quick)]
+            beside = f" beside {', '.join(c.told for c in effects)}" if effects else ""
+            self.progress(f"screening {len(others)} effects{beside}", 0, 0)
+            self.linearised[effects] = linearised(hypothesis.estimate, self.problem.free, effects, others)
+        return self.linearised[effects]
+
     def screen(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> list[Score]:
         """First-order gains of the effects a hypothesis does not have."""
         effects = hypothesis.effects
         if effects not in self.screened:
-            name = "screen " + " ".join(c.label for c in effects)
-            others = [candidate for candidate in missing if may(candidate, effects)]
-            if name in self._kept:
-                known = {candidate.label: candidate for candidate in others}
-                self.screened[effects] = [
-                    Score(known[label], gain, start, tuple(also)) for label, gain, start, also in self._kept[name] if label in known
-                ]
-            else:
-                beside = f" beside {', '.join(c.label for c in effects)}" if effects else ""
-                self.progress(f"screening {len(others)} effects{beside}", 0, 0)
-                self.screened[effects] = screen(hypothesis.estimate, others)
-                self._keep(name, [[score.candidate.label, score.gain, score.start, score.also] for score in self.screened[effects]])
+            bent = [c for c in missing if may(c, effects) and not c.smooth and self.problem.plant.quick]
+            self.screened[effects] = screen(self.linear(hypothesis, missing), bent)
         return self.screened[effects]
 
     def _keep(self, name: str, value: Any) -> None:

@@ -4,58 +4,104 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
 
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.effect import ActiveEffect
+from tepm_opt.models.effect import ActiveEffect, Effect
 from tepm_opt.models.effects import effects, find_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
+from tepm_opt.models.robot import UNITS
 from tepm_opt.solvers.network_plant import NetworkPlant
 
+PARAMETER = "parameter"  # the cause that a value of the robot file is wrong
+THROUGH = {
+    "axial": ("inputs", "pressure_memory", "tension_memory", "delay", "edge_energy", "edge_memory", "properties"),
+    "force": ("loads", "properties"),
+    "measurement": ("outputs",),
+}  # what an effect acts through, by its hooks
+WRONG_BY = 2.0  # times what the robot file says, up and down
 
-def candidate(name: str, detail: str | None = None) -> Candidate:
-    """An effect of the network, on its detail where it has one, as a candidate."""
+
+def candidate(name: str, detail: str | None = None, layout: Layout | None = None) -> Candidate:
+    """An effect of the network, on its detail where it has one, as a candidate; of one whose parameters depend on it with the layout."""
     effect, label = find_effect(name), ActiveEffect(name, detail).label
-    shape = any(parameter.null == parameter.probe for parameter in effect.parameters)  # parameters without which the others say nothing
-    inputs = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "delay"))
+    own = effect.parameters if layout is None else effect.parameters_of(layout)
+    shape = any(p.is_shape and p.null for p in own)  # parameters without which the others say nothing; what is 0 only refines
+    acts_first = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "delay"))
+    inputs = acts_first or effect.detail == "actuator"  # what one actuator does otherwise its gauges may show
+    remembers = any(effect.has(hook) for hook in ("pressure_memory", "tension_memory", "edge_memory", "edge_energy", "delay"))
     return Candidate(
         name,
         detail,
-        {f"{label}.{parameter.name}": parameter.null for parameter in effect.parameters},
-        ({f"{label}.{parameter.name}": parameter.probe for parameter in effect.parameters},),
+        {f"{label}.{parameter.name}": parameter.null for parameter in own},
+        tuple({f"{label}.{p.name}": probe.get(p.name, p.probe) for p in own} for probe in ({}, *effect.further_probes)),
         "input" if inputs else "body",
-        effect.smooth and not shape,
+        effect.smooth and (not shape or effect.has("suggested")),
+        tuple(f"{label}.{p.name}" for p in own if p.is_shape),
         explains=effect.explains,
         part=effect.detail or "",
         reference=effect.reference,
+        acts=tuple(kind for kind, hooks in THROUGH.items() if any(effect.has(hook) for hook in hooks)),
+        exact=effect.smooth and not remembers,
+        suggested=partial(_suggested, effect, label) if effect.has("suggested") else None,
     )
+
+
+def _suggested(effect: Effect, label: str, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> dict[str, float]:
+    """See `Effect.suggested`; by full name."""
+    return {f"{label}.{name}": value for name, value in effect.suggested(clock, began, left).items()}
 
 
 def candidates(model: Model) -> tuple[Candidate, ...]:
     """All effects that the model does not have yet, one for every detail of those that have one."""
     layout = Layout.of(model.robot)
-    every = [candidate(effect.name, detail) for effect in effects() for detail in layout.details(effect.detail) or (None,)]
+    every = [candidate(effect.name, detail, layout) for effect in effects() for detail in layout.details(effect.detail) or (None,)]
     present = {effect.label for effect in model.effects}
     return tuple(candidate for candidate in every if candidate.label not in present)
 
 
+def wrong_values(model: Model) -> tuple[Candidate, ...]:
+    """The causes that a value of the robot file is wrong, beyond its prior or although it is taken to be right; one for every value."""
+    nominal = model.robot.parameters.model_dump()
+    return tuple(
+        Candidate(
+            PARAMETER,
+            name,
+            {name: value},
+            ({name: 1.05 * value},),
+            explains="a value of the robot file is wrong",
+            part="parameter",
+            acts=("axial", "force", "measurement"),
+            exact=True,
+            ranges={name: (value / WRONG_BY, WRONG_BY * value)},
+        )
+        for name, value in nominal.items()
+        if value > 0 and name in UNITS
+    )
+
+
 def wide(model: Model, missing: Iterable[Candidate]) -> Model:
     """The model with all candidates at their null values: the same motion, and one compilation for every fit that follows."""
-    added = [ActiveEffect(c.name, c.detail, {p.name: p.null for p in find_effect(c.name).parameters}) for c in missing]
+    added = [ActiveEffect(c.name, c.detail, {name.removeprefix(f"{c.label}."): null for name, null in c.null.items()}) for c in missing]
     return replace(model, effects=(*model.effects, *added))
 
 
 def narrow(model: Model, values: Mapping[str, float], kept: Iterable[Candidate]) -> Model:
     """The model with those candidates only, and all parameters at `values` (full names)."""
+    kept = [candidate for candidate in kept if candidate.name != PARAMETER]
     parameters = {name: values[name] for name, nominal in model.robot.parameters.model_dump().items() if values[name] != nominal}
     present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]
-    active = []
+    active, layout = [], Layout.of(model.robot)
     for name, detail in present:
         prefix = ActiveEffect(name, detail).label
-        active.append(ActiveEffect(name, detail, {p.name: values[f"{prefix}.{p.name}"] for p in find_effect(name).parameters}))
+        own = find_effect(name).parameters_of(layout)
+        active.append(ActiveEffect(name, detail, {p.name: values[f"{prefix}.{p.name}"] for p in own}))
     return replace(model, parameters=parameters, effects=tuple(active))
 
 
@@ -77,8 +123,9 @@ class SearchableNetwork(NetworkPlant):
     def of(known: Model, channels: Channels, static: bool = False) -> SearchableNetwork:
         """A network with all effects that it does not have yet; compiles it."""
         missing = candidates(known)
+        wrong = wrong_values(known)
         return SearchableNetwork(
-            compile_model(wide(known, missing)), static, known_model=known, candidates=missing, signals=channels.signals
+            compile_model(wide(known, missing)), static, known_model=known, candidates=(*missing, *wrong), signals=channels.signals
         )
 
     @property

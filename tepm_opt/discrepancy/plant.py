@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
+import numpy as np
+
+from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
-from tepm_opt.solvers.plant import Plant
+from tepm_opt.solvers.plant import Free, Plant, Prediction
 
 Stage = Literal["input", "body", "output"]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect that may be missing. Two with the same name and detail are the same.
+    """An effect that may be missing. Two with the same name, detail and runs are the same.
 
     Attributes:
         name: of the effect.
@@ -32,10 +35,16 @@ class Candidate:
         part: what the detail is: "actuator".
         reference: where its form is from.
         gauge: whether a gauge that measures an input may have it, too: an offset, a gain.
+        acts: through what it acts: "axial" forces of the actuators, a "force" on the body, the "measurement".
+        exact: whether its form is known exactly, so that it leaves nothing but noise where it alone is missing.
+        runs: files of the runs in which it acts; none for all of them.
+        ranges: lowest and highest value by full name, of parameters that the plant knows within a narrower range or does not free.
+        suggested: values by full name of what says how it acts, from what a model leaves (see `models.effect.Effect.suggested`).
     """
 
     name: str
     detail: str | None = None
+    runs: tuple[str, ...] = field(default=(), kw_only=True)
     null: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     probes: tuple[Mapping[str, float], ...] = field(default=(), compare=False, repr=False)
     stage: Stage = field(default="body", compare=False, repr=False)
@@ -47,11 +56,20 @@ class Candidate:
     part: str = field(default="", compare=False, repr=False)
     reference: str = field(default="", compare=False, repr=False)
     gauge: bool = field(default=False, compare=False, repr=False)
+    acts: tuple[str, ...] = field(default=(), compare=False, repr=False)
+    exact: bool = field(default=False, compare=False, repr=False)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False, repr=False)
+    suggested: Callable[[np.ndarray, np.ndarray, np.ndarray], Mapping[str, float]] | None = field(default=None, compare=False, repr=False)
 
     @property
     def label(self) -> str:
         """Name of the candidate with its detail: "actuator_gain[13]"."""
         return self.name if self.detail is None else f"{self.name}[{self.detail}]"
+
+    @property
+    def told(self) -> str:
+        """Its label with the runs in which it acts, where that is not all of them."""
+        return f"{self.label} in {', '.join(self.runs)}" if self.runs else self.label
 
     @property
     def form_of(self) -> str:
@@ -94,3 +112,84 @@ class SearchablePlant(Plant, Protocol):
 
     def corrected(self, kept: Sequence[Candidate]) -> object:
         """The model with these effects only and the values it has, in the form that people go on with."""
+
+
+@dataclass(frozen=True, eq=False)
+class InSomeRuns:
+    """A plant in which some effects act in their own runs only.
+
+    Attributes:
+        plant: in which they act in all runs.
+        effects: with the runs in which they do.
+    """
+
+    plant: Plant
+    effects: tuple[Candidate, ...]
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Values of all parameters by full name, as they are in the runs in which effects act."""
+        return self.plant.values
+
+    @property
+    def states(self) -> Mapping[str, float]:
+        """The plant's."""
+        return self.plant.states
+
+    @property
+    def concurrent(self) -> bool:
+        """Whether runs may be predicted at the same time."""
+        return self.plant.concurrent
+
+    @property
+    def static(self) -> bool:
+        """Whether rows are equilibria."""
+        return self.plant.static
+
+    @property
+    def quick(self) -> bool:
+        """Whether a run takes little time."""
+        return self.plant.quick
+
+    def with_values(self, values: Mapping[str, float]) -> InSomeRuns:
+        """The same with other values of some parameters."""
+        return replace(self, plant=self.plant.with_values(values))
+
+    def free(self, names: Sequence[str]) -> tuple[Free, ...]:
+        """The plant's."""
+        return self.plant.free(names)
+
+    def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
+        """What a run should have measured; it does not change with the parameters of what does not act in it."""
+        absent = {name: value for effect in self.effects if run.file not in effect.runs for name, value in effect.null.items()}
+        if not absent:
+            return self.plant.predict(run, by, step)
+        at = [k for k, name in enumerate(by) if name not in absent]
+        found = self.plant.with_values(absent).predict(run, [by[k] for k in at], step)
+        whole = np.zeros((len(by), *found.by.shape[1:]))
+        whole[at] = found.by
+        return Prediction(found.points, whole)
+
+
+def acting(plant: Plant, effects: Iterable[Candidate]) -> Plant:
+    """The plant, with those of the effects that act in some runs only kept to these."""
+    partly = tuple(effect for effect in effects if effect.runs)
+    return InSomeRuns(plant, partly) if partly else plant
+
+
+def ranged(plant: Plant, candidate: Candidate) -> tuple[Free, ...]:
+    """The parameters of a candidate, to be found within its own ranges where it has some, else within the plant's."""
+
+    def widened(free: Free) -> Free:
+        if free.name not in candidate.ranges:
+            return free
+        low, high = candidate.ranges[free.name]
+        return replace(free, low=low, high=high, prior_std=float("inf"))
+
+    return tuple(widened(free) for free in plant.free(candidate.parameters))
+
+
+def freed(known: Sequence[Free], plant: Plant, effects: Iterable[Candidate]) -> tuple[Free, ...]:
+    """What is fitted with some effects: the known parameters, within their ranges but for those that an effect frees, and the effects'."""
+    added = {free.name: free for effect in effects for free in ranged(plant, effect)}
+    return (*(free for free in known if free.name not in added), *added.values())

@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.first_order import Linearised, probed
+from tepm_opt.discrepancy.plant import Candidate, freed, ranged
 from tepm_opt.solvers.identify import ParameterEstimate, identify
 from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import beside, in_parallel
+from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.residuals import Residual, normal_equations
+from tepm_opt.solvers.residuals import normal_equations
 
 FURTHER = 100.0  # times the values that a candidate's own score found
 SHARED = 4  # of the runs of a quick plant one in so many tells what a probe is worth
 SOME_STEPS, MORE_STEPS = 3, 8  # from every probe, and on from the best of each candidate
 ALSO = 0.5  # part of the best probe's gain from which another is worth a fit
-MEMORY = 60_000_000  # B, of the derivatives taken in one pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,45 +47,19 @@ class Score:
         return f"Score({self.candidate.label}, gain {self.gain:.3g})"
 
 
-def screen(estimate: ParameterEstimate, missing: Sequence[Candidate]) -> list[Score]:
+def screen(linear: Linearised, bent: Sequence[Candidate] = ()) -> list[Score]:
     """Scores of candidates, largest gain first.
 
-    Effects that are nearly linear in their parameters are judged by the outputs' derivatives at the null, all from one pass through the
-    runs, others by finite probes, of the best of which any multiple may act. Both are taken together with the parameters that are free
-    already, so that what those could do as well does not count. Scores order, they do not decide: they are first order. Where the plant
-    is quick, a few steps are made from each probe instead. A candidate whose probes the model cannot take is left out.
+    Both what they do and what the free parameters do are taken to first order together, so that what those could do as well does not
+    count. Scores order, they do not decide. Where the plant is quick, a few steps are made from each probe instead.
+
+    Args:
+        linear: a fit to first order in the candidates.
+        bent: further candidates of a quick plant, that are not smooth: probed by fits.
     """
-    estimate = _sparse(estimate)
-    problem, threads = estimate.problem, estimate.problem.plant.concurrent
-    free = [parameter.name for parameter in problem.free]
-    smooth, bent = [c for c in missing if c.smooth], [c for c in missing if not c.smooth]
-
-    def slopes() -> tuple[list[Score], list[Residual]]:
-        """Scores by derivatives, and the residuals as simulated here with their derivatives by the free parameters."""
-        scores, residuals = [], []
-        for block in _blocks(estimate, smooth):
-            names = [*free, *(name for candidate in block for name in candidate.parameters)]
-            residuals = problem.residuals(estimate.values, names)
-            square, slope = normal_equations([replace(r, by=s.by) for r, s in zip(estimate.residuals, residuals, strict=True)])
-            for candidate in block:
-                at = [names.index(name) for name in (*free, *candidate.parameters)]
-                scores.append(_by_slopes(estimate, candidate, square[np.ix_(at, at)], slope[at]))
-            residuals = [replace(r, by=r.by[:, : len(free)].copy(order="K")) for r in residuals]
-        return scores, residuals
-
+    scores = [Score(c, *linear.gain((*linear.effects, c))) for c in linear.able]
     probes = [(candidate, probe) for candidate in bent for probe in candidate.probes]
-    if problem.plant.quick:
-        scores, _ = slopes()
-        return _ordered([*scores, *_fitted(estimate, probes)])
-    (scores, simulated), probed = beside(
-        slopes, lambda: in_parallel(lambda each: _probed(estimate, each[1]), probes, threads=threads), threads
-    )
-    at_null = [replace(r, by=s.by) for r, s in zip(estimate.residuals, simulated, strict=True)]
-    for (candidate, probe), residuals in zip(probes, probed, strict=True):
-        if residuals is not None:
-            change = [(p.values - s.values).ravel() for p, s in zip(residuals, simulated, strict=True)]
-            scores.append(_by_change(estimate, at_null, candidate, probe, change))
-    return _ordered(scores)
+    return _ordered([*scores, *(_fitted(linear.estimate, probes) if probes else [])])
 
 
 def _ordered(scores: Sequence[Score]) -> list[Score]:
@@ -118,13 +92,13 @@ def _fitted(estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mappi
 
     def tried(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
         candidate, at = probe
-        own = tuple(replace(f, start=at[f.name]) for f in problem.plant.free(candidate.parameters))
+        added = tuple(replace(f, start=at[f.name]) for f in ranged(problem.plant, candidate))
         try:
             changed = replace(problem, plant=problem.plant.with_values(at)).residuals(values, [])
             slope = sum(r.by.T @ (c.values - r.values).ravel() for r, c in zip(null, changed, strict=True))
             step, _ = bounded_step(square, np.asarray(slope), problem.low - values, problem.high - values, problem.scale)
             free = tuple(replace(f, start=float(v)) for f, v in zip(problem.free, values + step, strict=True))
-            return scored(candidate, identify(replace(problem, free=(*free, *own)), SOME_STEPS))
+            return scored(candidate, identify(replace(problem, free=(*free, *added)), SOME_STEPS))
         except PredictionError:
             return None
 
@@ -133,81 +107,12 @@ def _fitted(estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mappi
         return Score(candidate, gain, found.named)
 
     def further(score: Score) -> Score:
-        own = problem.plant.free(score.candidate.parameters)
-        free = tuple(replace(f, start=score.start[f.name]) for f in (*problem.free, *own))
+        free = tuple(replace(f, start=score.start[f.name]) for f in freed(problem.free, problem.plant, [score.candidate]))
         return replace(scored(score.candidate, identify(replace(problem, free=free), MORE_STEPS)), also=score.also)
 
     threads = problem.plant.concurrent
     first = [score for score in in_parallel(tried, probes, threads=threads) if score is not None]
     return in_parallel(further, _ordered(first), threads=threads)
-
-
-def _sparse(estimate: ParameterEstimate) -> ParameterEstimate:
-    """The estimate with only those samples at which derivatives are taken: first-order gains need no more."""
-    problem, whole = estimate.problem.sparse, estimate.problem
-    if problem is whole:
-        return estimate
-    rows = [np.searchsorted(run.time, at.time) for run, at in zip(whole.runs, problem.runs, strict=True)]
-    residuals = [
-        replace(r, values=r.values[k], present=r.present[k], by=np.empty((r.values[k].size, 0)), block=r.block[k])
-        for r, k in zip(estimate.residuals, rows, strict=True)
-    ]
-    return replace(estimate, problem=problem, residuals=residuals, cost=sum(r.squares for r in residuals))
-
-
-def _blocks(estimate: ParameterEstimate, candidates: Sequence[Candidate]) -> list[list[Candidate]]:
-    """Candidates whose derivatives are taken in one pass: all of them unless they would take too much memory."""
-    free, each = len(estimate.problem.free), 8 * max(sum(r.values.size for r in estimate.residuals), 1)
-    room = max(MEMORY // each - free, 1)
-    blocks: list[list[Candidate]] = [[]]
-    taken = 0
-    for candidate in candidates:
-        if blocks[-1] and taken + len(candidate.parameters) > room:
-            blocks.append([])
-            taken = 0
-        blocks[-1].append(candidate)
-        taken += len(candidate.parameters)
-    return blocks
-
-
-def _by_slopes(estimate: ParameterEstimate, candidate: Candidate, square: np.ndarray, slope: np.ndarray) -> Score:
-    """Score of a candidate from the normal equations of the free parameters and its own."""
-    own = estimate.problem.plant.free(candidate.parameters)
-    low, high = np.array([[f.low - f.start, f.high - f.start] for f in own]).T
-    gain, step = _gain(estimate, square, slope, low, high, np.array([f.scale for f in own]))
-    start = {f.name: f.start + float(d) for f, d in zip(own, step[-len(own) :], strict=True)}
-    moved = {f.name: float(value + d) for f, value, d in zip(estimate.problem.free, estimate.values, step, strict=False)}
-    return Score(candidate, gain, moved | start)
-
-
-def _probed(estimate: ParameterEstimate, probe: Mapping[str, float]) -> list[Residual] | None:
-    """Residuals of every run with the values of a probe; None where the model cannot take it."""
-    try:
-        return replace(estimate.problem, plant=estimate.plant.with_values(probe)).residuals(estimate.values, [])
-    except PredictionError:
-        return None
-
-
-def _by_change(
-    estimate: ParameterEstimate, at_null: Sequence[Residual], candidate: Candidate, probe: Mapping[str, float], change: Sequence[np.ndarray]
-) -> Score:
-    """Score of a candidate by how a probe changes the residuals of every run, (coordinates,) each: a direction.
-
-    Args:
-        estimate: with the parameters that are free already.
-        at_null: its residuals.
-        candidate: the effect.
-        probe: values of its parameters.
-        change: of the residuals.
-    """
-    picked = [replace(r, by=np.vstack([r.by.T, d]).T) for r, d in zip(at_null, change, strict=True)]
-    own = estimate.problem.plant.free(candidate.parameters)
-    moved = {f.name: probe[f.name] - candidate.null[f.name] for f in own if f.name not in candidate.shapes}
-    room = min((f.high - candidate.null[f.name]) / moved[f.name] for f in own if moved.get(f.name))
-    gain, step = _gain(estimate, *normal_equations(picked), np.zeros(1), np.array([room]), np.ones(1))
-    size = float(np.clip(step[-1], 0.1, room))
-    start = dict(probe) | {name: candidate.null[name] + size * by for name, by in moved.items()}
-    return Score(candidate, gain, start)
 
 
 def screen_pairs(
@@ -226,7 +131,7 @@ def screen_pairs(
     free = [parameter.name for parameter in estimate.problem.free]
     simulated = estimate.problem.residuals(estimate.values, free)
     own = {score: {name: score.start[name] for name in score.candidate.parameters} for score in picked}
-    changes = in_parallel(lambda score: _probed(estimate, own[score]), picked, threads=estimate.problem.plant.concurrent)
+    changes = in_parallel(lambda score: probed(estimate, own[score]), picked, threads=estimate.problem.plant.concurrent)
     able = [(score, change) for score, change in zip(picked, changes, strict=True) if change is not None]
     columns = [np.stack([(change[k].values - r.values).ravel() for _, change in able], axis=1) for k, r in enumerate(simulated)]
     whole = [replace(r, by=np.hstack([s.by, c])) for r, s, c in zip(estimate.residuals, simulated, columns, strict=True)]

@@ -1,13 +1,14 @@
-"""Which effects explain the data: screen, fit, judge on held-out data; forward until nothing improves, then backward."""
+"""Which effects explain the data: screen, fit, judge on held-out data; forward and backward until neither changes anything."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
-from tepm_opt.discrepancy.evidence import weights
+from tepm_opt.discrepancy.evidence import in_sample, weights
 from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, labels
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score, screen_pairs
@@ -18,10 +19,16 @@ from tepm_opt.solvers.text import shortened
 # part of the squared output of the other effects that their forms may be wrong by (5 % of the size); an effect that takes away less
 # beside them may only mend their forms
 FORM_ERROR_RATIO = 0.0025
+MOVES = 2  # sets of effects fitted of each kind of move that is not one effect more
+WORTH_WIDE = 0.5  # part of what the best pair leaves that an effect as wide as several must promise to close
+WIDE = 6  # parameters above which an effect is as much as several
+WORTH = 0.2  # part of what the best single effect leaves that a pair, or one in some runs, must promise to close besides
 PAIRED = 10  # candidates, those that promise most alone, that are tried in pairs where none of them helps alone
 ABREAST = 1.5  # times the excess of the best set of effects that another may leave to be followed, too
 PLAIN = 0.9  # part of a form's gain from which a plainer form of the same is fitted in its place
+NEAR, NEARLY_ALL = 5.0, 0.05  # times what an answer that leaves only noise promised to leave, and a part more: where rivals end
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
+COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 Shares = dict[Candidate, float]
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
 
@@ -68,23 +75,37 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     if without is None:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
-    best, front = without, [without]
-    while front and not best.only_noise(settings):
-        grown = {h.effects: h for base in front for h in _grown(fits, base, missing, seed)}
-        front = _most_probable(list(grown.values()), seed, settings.beam)
-        front = [h for h in front if h.excess <= ABREAST * front[0].excess]
-        best = _most_probable([best, *front], seed, 1)[0] if settings.beam > 1 else next(iter(front), best)
-    widest = best
-    best, shares, groups = _settled(fits, best, missing, seed)
-    for _ in range(settings.max_effects):
-        weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
-        better, weight = max(weakest, key=lambda pair: pair[1])
-        if better is best or weight < 0.5:
+    best = _forward(fits, without, missing, seed)
+    widest, seen = best, set()
+    while True:
+        best, shares, groups = _settled(fits, best, missing, seed)
+        for _ in range(settings.max_effects):
+            weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
+            better, weight = max(weakest, key=lambda pair: pair[1])
+            if better is best or weight < 0.5:
+                break
+            best, shares, groups = _settled(fits, fits.finished(better), missing, seed)
+        if best.effects in seen or fits.problem.plant.quick:
             break
-        best, shares, groups = _settled(fits, fits.finished(better), missing, seed)
+        seen.add(best.effects)
+        onward = _forward(fits, best, missing, seed)
+        if onward is best:
+            break
+        best = widest = onward
     if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
     return Explanation(without, best, widest, list(fits.done.values()), fits.screen(without, missing), shares, groups)
+
+
+def _forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> Hypothesis:
+    """The most probable of what surely explains more and more from a hypothesis on, until nothing does."""
+    settings, best, front = fits.settings, base, [base]
+    while front and not best.only_noise(settings):
+        grown = {h.effects: h for other in front for h in _grown(fits, other, missing, seed)}
+        front = _most_probable(list(grown.values()), seed, settings.beam)
+        front = [h for h in front if h.excess <= ABREAST * front[0].excess]
+        best = _most_probable([best, *front], seed, 1)[0] if settings.beam > 1 else next(iter(front), best)
+    return best
 
 
 def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int) -> tuple[Hypothesis, Shares, Groups]:
@@ -112,22 +133,80 @@ def _motion(problem: Problem) -> float:
 
 
 def _grown(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> list[Hypothesis]:
-    """The most probable of what surely explains more than `base` with one effect more, or with a first pair where no single one does."""
+    """The most probable of what surely explains more than `base`: with one effect more, or changed in another way where that is not all."""
     settings = fits.settings
+
+    def better(trials: Sequence[Hypothesis]) -> list[Hypothesis]:
+        first = [fits.finished(trial) for trial in _most_probable([base, *trials], seed, settings.beam) if trial is not base]
+        return [h for h in first if h.excess <= (1 - settings.min_share_closed) * base.excess and _beats(h, base, seed, settings)]
+
     if len(base.effects) >= settings.max_effects:
         return []
-    for trials in (_round, _pairs):
-        first = _most_probable([base, *trials(fits, base, missing)], seed, settings.beam)
-        better = [fits.finished(trial) for trial in first if trial is not base]
-        if better := [h for h in better if h.excess <= (1 - settings.min_share_closed) * base.excess and _beats(h, base, seed, settings)]:
-            return better
-    return []
+    found = better(_round(fits, base, missing))
+    if found and (fits.problem.plant.quick or any(h.only_noise(settings) for h in found)):
+        return found
+    return better([*found, *(_pairs if fits.problem.plant.quick else _other_moves)(fits, base, missing)])
+
+
+def _other_moves(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fits of what promises more than one effect more: two at once, another one in the place of one, one that acts in some runs only."""
+    linear, scores = fits.linear(base, missing), fits.screen(base, missing)
+    if not scores:
+        return []
+    asked: list[tuple[float, tuple[Candidate, ...]]] = []
+    first = [score.candidate for score in plainest(scores) if not _wide(score.candidate)][:PAIRED]
+    alone = max((score.gain for score in scores if not _wide(score.candidate)), default=0.0)
+
+    def best_of(sets: Iterable[tuple[Candidate, ...]], least: float) -> None:
+        ranked = sorted(((linear.gain(effects)[0], effects) for effects in sets), key=lambda pair: -pair[0])
+        asked.extend(pair for pair in ranked[:MOVES] if pair[0] > least)
+
+    rest = 1 - alone
+    best_of(((*base.effects, one, other) for one, other in combinations(first, 2) if one.form_of != other.form_of), alone + WORTH * rest)
+    paired = max((gain for gain, _ in asked), default=alone)
+    wide = [c for c in linear.able if _wide(c)]
+    best_of(((*base.effects, c) for c in wide), paired + WORTH_WIDE * (1 - paired))
+    if base.effects:  # several of one kind may be one
+        best_of(((*(e for e in base.effects if not e.part), c) for c in wide), alone)
+    best_of(
+        (
+            (*(c for c in base.effects if c != gone), come)
+            for gone in base.effects
+            for come in linear.able
+            if come.form_of != gone.form_of and not _wide(come)
+        ),
+        alone,
+    )
+    parts = _parts([run.file for run in fits.problem.runs])
+    limited = [
+        max(((*base.effects, replace(one, runs=runs)) for runs in parts), key=lambda each: linear.gain(each)[0]) for one in first if parts
+    ]
+    best_of(limited, alone + WORTH * rest)
+    asked.sort(key=lambda pair: -pair[0])
+    trials = fits.fit_all([(effects, {**base.estimate.named, **linear.gain(effects)[1]}) for _, effects in asked[: MOVES + 1]])
+    return list(dict.fromkeys(trial for trial in trials if trial is not None))
+
+
+def _parts(files: Sequence[str]) -> list[tuple[str, ...]]:
+    """Runs in which something may act that does not act in all: from one on, until one, in one."""
+    count = len(files)
+    spans = {(first, count) for first in range(1, count)} | {(0, end) for end in range(1, count)} | {(k, k + 1) for k in range(count)}
+    return [tuple(files[first:end]) for first, end in sorted(spans) if end - first < count]
 
 
 def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hypothesis | None = None) -> list[Hypothesis]:
     """Fits of the candidates that promise most beside those of `base`; what competes with a rival, or with the first, may end early."""
+    return _fitted(fits, base, [score for score in fits.screen(base, missing) if not _wide(score.candidate)], rival)
+
+
+def _wide(candidate: Candidate) -> bool:
+    """Whether it is as much as several effects at once: it is asked for where a pair does not do as well."""
+    return len(candidate.parameters) > WIDE
+
+
+def _fitted(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: Hypothesis | None = None) -> list[Hypothesis]:
+    """Fits of what has the largest scores beside `base`, see `_round`."""
     settings = fits.settings
-    scores = fits.screen(base, missing)
     if not scores:
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
@@ -138,7 +217,14 @@ def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hy
         for score in promising
     ]
     trials = fits.fit_all(asked[0], bound=_bound(fits, base))[:1] if asked and not rival else []
-    trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], rival or next(iter(trials), None), _bound(fits, base))
+    solved = rival or next(iter(trials), None)
+    first = next((score for score in scores if solved is not None and score.candidate in solved.effects), None)
+    if first is not None and solved is not None and solved.only_noise(settings) and not fits.problem.plant.quick:
+        reach = (
+            1 - NEAR * max(1 - first.gain, 0.01) - NEARLY_ALL
+        )  # what the answer itself promised, with room for what first order does not see
+        asked = [each for each, score in zip(asked, promising, strict=True) if score.gain >= reach]
+    trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], solved, _bound(fits, base))
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
 
 
@@ -205,7 +291,7 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
                 taken = found.excess - best.excess
                 shares[effect] = taken / left if taken >= max(settings.min_excess_removed, sum(doubt[c] for c in rest)) else 0.0
         weakest = min(shares, key=shares.__getitem__, default=None)
-        if weakest is None or shares[weakest] >= settings.even_odds_ratio:
+        if weakest is None or shares[weakest] >= settings.least_share:
             return best, shares
         best = smaller[weakest]
 
@@ -227,7 +313,51 @@ def _alternatives(
 ) -> list[tuple[Hypothesis, float]]:
     """`best` and what it would be with another effect in the place of `effect`, with probabilities."""
     rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
-    others = [] if rest is None else [h for h in _round(fits, rest, missing, best) if effect not in h.effects]
+    others = [] if rest is None else [h for h in _fitted(fits, rest, _scores(fits, rest, effect, missing), best) if effect not in h.effects]
     others = [h for h in others if _beats(h, best, seed, fits.settings) or all(c.form_of != effect.form_of for c in h.effects)]
     group = [best, *(h for h in others if h is not best)]
-    return list(zip(group, weights([h.evidence for h in group], seed).tolist(), strict=True))
+    weight = weights([h.evidence for h in group], seed)
+    if rest is not None and not fits.problem.plant.quick:
+        weight = _agreed(group, weight, rest, fits.settings, seed)
+    return list(zip(group, weight.tolist(), strict=True))
+
+
+def _agreed(group: Sequence[Hypothesis], weight: np.ndarray, rest: Hypothesis, settings: SearchSettings, seed: int) -> np.ndarray:
+    """Probabilities of hypotheses that say nearly the same as the first of them: those of held-out data and of the data fitted to, both.
+
+    What they would say of the runs is the same, so leaving out runs compares what the other parameters do there. Where one of them leaves
+    only noise, likelihoods are what they say they are, and what is seen counts alone.
+
+    Args:
+        group: the hypotheses.
+        weight: their probabilities from held-out data, (hypotheses,).
+        rest: without the effect in whose place they have others.
+        settings: of the search.
+        seed: of random draws.
+    """
+    same = [k for k, h in enumerate(group) if k == 0 or coincidence(rest, group[0], h) > COINCIDE]
+    if len(same) < 2:
+        return weight
+    both = [group[k] for k in same]
+    seen = weights([in_sample(h.estimate) for h in both], seed)
+    alone = min(h.estimate.cost / max(h.estimate.count, 1) for h in both) - 1 <= settings.max_noise_excess
+    total = weight[same].sum()
+    found = weight.copy()
+    found[same] = total * (seen if alone else (seen + weight[same] / max(total, 1e-30)) / 2)
+    return found
+
+
+def coincidence(rest: Hypothesis, one: Hypothesis, other: Hypothesis) -> float:
+    """Cosine between what two hypotheses change in the modelled positions beside what they have in common."""
+    base, a, b = (np.concatenate([r.values.ravel() for r in h.estimate.residuals]) for h in (rest, one, other))
+    a, b = base - a, base - b
+    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-30))
+
+
+def _scores(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Score]:
+    """Scores of what may act in the place of an effect: in the same runs."""
+    if not effect.runs:
+        return [score for score in fits.screen(rest, missing) if not _wide(score.candidate) or score.candidate == effect]
+    linear = fits.linear(rest, missing)
+    others = [replace(c, runs=effect.runs) for c in linear.able if not _wide(c)]
+    return sorted((Score(c, *linear.gain((*rest.effects, c))) for c in others), key=lambda score: -score.gain)

@@ -6,16 +6,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from html import escape
+from pathlib import Path
 from typing import Any
 
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.solvers.text import html_table, listed, shortened
+
+SHRINKS = 0.1  # part of the squared gap on runs not used that must close
 
 
 class VerdictStatus(Enum):
     """What became of the question which effect is missing."""
 
     NAMED = "named"
+    PARTIAL = "partial"
     NO_DISCREPANCY = "no_discrepancy"
     INDISTINGUISHABLE = "indistinguishable"
     UNEXPLAINED = "unexplained"
@@ -40,12 +44,14 @@ class Named:
         probability: that it acts in this machine.
         parameters: by the effect's own parameter names.
         closes: part of the gap left by recalibration that only this effect closes (held-out data), 0 … 1.
+        runs: files of the runs in which it acts; none where it acts in all.
     """
 
     candidate: Candidate
     probability: float
     parameters: Mapping[str, Value]
     closes: float
+    runs: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -107,6 +113,12 @@ class Errors:
         return (self.nominal - self.corrected) / gap if gap > 0 else 1.0
 
 
+def shrinks(errors: Errors) -> bool:
+    """Whether the effects close the gap on runs not used, or recalibration leaves none there."""
+    gap = errors.recalibrated**2 - errors.noise_floor**2
+    return gap <= SHRINKS * errors.noise_floor**2 or errors.recalibrated**2 - errors.corrected**2 >= SHRINKS * gap
+
+
 @dataclass(frozen=True)
 class Verdict:
     """The answer.
@@ -166,6 +178,7 @@ class Verdict:
                     "detail": named.candidate.detail,
                     "probability": _rounded(named.probability),
                     "parameters": {name: _value(value) for name, value in named.parameters.items()},
+                    **({"runs": [Path(file).stem for file in named.runs]} if named.runs else {}),
                 }
                 for named in self.effects
             ],

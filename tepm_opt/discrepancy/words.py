@@ -14,20 +14,21 @@ from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.localise import TIMES_NOISE
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score
-from tepm_opt.discrepancy.search import Explanation
-from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus
+from tepm_opt.discrepancy.search import COINCIDE, Explanation, coincidence
+from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus, shrinks
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
 EVEN = 0.5  # probability from which an effect is said to be missing, not perhaps
 BEYOND = 1.2  # times the range fitted to, from which a run is said to leave it
-COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
+LOOK = "see what acts on the machine there and then, or give the library an effect that does"
+ONE_CLOCK = "put inputs and positions on one clock"
 
 
 def paragraph(
     status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation,
-    unit: str,
+    unit: str, shift: str = "",
 ) -> str:  # fmt: skip
     """The answer in one paragraph.
 
@@ -39,6 +40,7 @@ def paragraph(
         known: recalibrated parameters by full name.
         explanation: what the search found.
         unit: of the errors.
+        shift: why inputs and positions seem to tell different times.
     """
 
     def size(error: float) -> str:
@@ -51,12 +53,16 @@ def paragraph(
             f"Nothing is missing: with the known parameters recalibrated within their priors ({_moved(known)}) only noise is left. "
             f"On validation runs the error falls from {size(errors.nominal)} to {size(errors.recalibrated)} ({floor})."
         )
-    if status is VerdictStatus.NAMED:
-        told = [(f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f})", each.probability) for each in named]
+    if status in (VerdictStatus.NAMED, VerdictStatus.PARTIAL):
+        told = [
+            (f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f}{_in_runs(each)})", each.probability)
+            for each in named
+        ]
         sure, unsure = " and ".join(text for text, p in told if p >= EVEN), " and ".join(text for text, p in told if p < EVEN)
         names = "; perhaps also ".join(part for part in (sure, unsure) if part)
+        head = "Missing" if status is VerdictStatus.NAMED else "Partly explained"
         return (
-            f"Missing: {names}. {where} {shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
+            f"{head}: {names}. {where} {shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
             f"in the model ({floor}), which closes {100 * errors.closed:.0f} % of the gap."
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
@@ -70,12 +76,12 @@ def paragraph(
     return (
         f"Unexplained: structure above the noise remains that no known effect explains{nearest}. {where} On validation runs the error is "
         f"{size(errors.nominal)} (nominal) and {size(errors.recalibrated)} (recalibrated); a black box without physics reaches "
-        f"{size(errors.black_box)} ({floor}). Next: see what acts on the machine there and then, or give the library an effect that does."
+        f"{size(errors.black_box)} ({floor}). Next: {ONE_CLOCK if shift else LOOK}."
     )
 
 
 def notes(
-    dataset: RunSet, signals: Signals, explanation: Explanation, best: ParameterEstimate, noise: float | np.ndarray
+    dataset: RunSet, signals: Signals, explanation: Explanation, best: ParameterEstimate, noise: float | np.ndarray, errors: Errors
 ) -> tuple[str, ...]:
     """Sentences that a reader should know besides the answer.
 
@@ -85,6 +91,7 @@ def notes(
         explanation: what the search found.
         best: parameters of the best hypothesis.
         noise: of what is measured, 1 sigma per axis.
+        errors: of the models on validation runs.
     """
     found = []
     if not any(np.isfinite(run.points).any() for run in dataset.validation):
@@ -97,6 +104,8 @@ def notes(
     alike = noise if np.ndim(noise) == 0 else 1.0
     unit = signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
     found += repeats(dataset.runs, noise, unit) + beyond(dataset, signals)
+    if explanation.best.effects and dataset.validation and not shrinks(errors):
+        found.append("On the runs kept for validation the gap does not shrink: what acts in the runs fitted to does not act there.")
     left, axes = explanation.best.excess, axes_measured(np.concatenate([run.points for run in dataset.fit]))
     if explanation.best.effects and left > 0.1:
         found.append(
@@ -107,6 +116,10 @@ def notes(
     bound = [free.name for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and not free.name.count(".")]
     if bound:
         found.append(f"At the limit of the prior: {', '.join(bound)}. The prior may be too narrow, or an effect takes its place.")
+    own = [free for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and free.name.count(".")]
+    far = [free.name for free in own if abs(best.named[free.name] - free.high) < abs(best.named[free.name] - free.low)]
+    if far:
+        found.append(f"At the largest value that makes sense: {', '.join(far)}. The effect takes the place of something else.")
     return tuple(found)
 
 
@@ -155,7 +168,10 @@ def repeats(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> 
 def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> str:
     """Why a hypothesis with another effect in the place of `effect` is not the answer."""
     closes, best = explanation.closes(hypothesis), explanation.closes(explanation.best)
-    same = coincidence(explanation, hypothesis)
+    rest = next(
+        (h for h in explanation.tried if h.effects == tuple(c for c in explanation.best.effects if c != effect)), explanation.without
+    )
+    same = coincidence(rest, explanation.best, hypothesis)
     most = "at most " if hypothesis.estimate.out_of_reach else ""
     text = (
         f"in the place of {effect.label} it leaves {most}{_percent(1 - closes)} of the gap on held-out data, "
@@ -177,13 +193,9 @@ def unfitted(score: Score) -> str:
     return f"to first order it could close {_percent(min(max(score.gain, 0.0), 1.0))} of the gap"
 
 
-def coincidence(explanation: Explanation, hypothesis: Hypothesis) -> float:
-    """Cosine between what the best hypothesis and another change in the modelled positions, recalibration included."""
-    base, best, other = (
-        np.concatenate([r.values.ravel() for r in h.estimate.residuals]) for h in (explanation.without, explanation.best, hypothesis)
-    )
-    a, b = base - best, base - other
-    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-30))
+def _in_runs(named: Named) -> str:
+    """In which runs it acts, where that is not all."""
+    return f"; only in {', '.join(named.runs)}" if named.runs else ""
 
 
 def _groups(named: Sequence[Named], explanation: Explanation) -> str:

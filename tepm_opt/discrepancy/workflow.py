@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,13 +11,19 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.metrics import axes_measured, error_over_time
+from tepm_opt.data.outliers import without_strays
 from tepm_opt.data.run import RunSet
-from tepm_opt.discrepancy import words
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy import clock, words
+from tepm_opt.discrepancy.belief import Judgement, doubts, judged
 from tepm_opt.discrepancy.black_box import black_box
-from tepm_opt.discrepancy.clock import shifts
+from tepm_opt.discrepancy.constancy import Sizes, onward, runs_of, sizes
+from tepm_opt.discrepancy.first_order import linearised
 from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.freeform.invent import Invention
 from tepm_opt.discrepancy.localise import TIMES_NOISE, Localisation, localise
 from tepm_opt.discrepancy.measured import behind, gauged, separated, with_measured_inputs
+from tepm_opt.discrepancy.noise import fitted, told
 from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.search import Explanation, explain
 from tepm_opt.discrepancy.verdict import Errors, Named, Rival, Value, Verdict, VerdictStatus
@@ -33,8 +39,6 @@ from tepm_opt.solvers.start import predictions as predicted
 from tepm_opt.solvers.text import shortened
 
 PRECISE_STEP = 0.01  # s, for the values that are reported
-CLEAR = 0.8  # probability among rivals from which one of them is named
-POSSIBLE = 0.1  # probability from which a rival counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,7 @@ class Discovery:
         localisation: where the model misses.
         predictions: modelled points of every run by "nominal", "recalibrated" and "corrected", (rows, points, 3) in m each.
         explanation: all fits.
+        law: what was found where no known effect explains what is left and a law was asked for.
     """
 
     verdict: Verdict
@@ -56,6 +61,7 @@ class Discovery:
     localisation: Localisation
     predictions: dict[str, list[np.ndarray]]
     explanation: Explanation
+    law: Invention | None = None
 
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
@@ -65,23 +71,22 @@ class Discovery:
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def discover(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
-    settings: SearchSettings | None = None, progress: Progress = silent, despite_errors: bool = False,
+    settings: SearchSettings | None = None, progress: Progress = silent,
 ) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
     Args:
         dataset: checked data.
         plant: what is known of the machine, with the effects that may be missing at their null values.
-        noise: of what is measured, 1 sigma per axis, or of each point, (points, 1).
+        noise: assumed of what is measured, 1 sigma per axis, or of each point, (points, 1).
         seed: of all random draws.
         store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
         key: what `store` must have been made from to be used.
         settings: when structure counts and when an effect is believed.
         progress: told of every piece of work.
-        despite_errors: whether to go on where positions and inputs do not tell the same time; a note says so.
 
     Raises:
-        InputError: no run to fit to, the model cannot do the runs, or positions and inputs do not tell the same time.
+        InputError: no run to fit to, or the model cannot do the runs.
     """
     began, settings = time.monotonic(), settings or SearchSettings.of(plant)
     if not dataset.fit:
@@ -89,43 +94,101 @@ def discover(
     missing = behind(plant.candidates, dataset.gauges)
     progress("simulating the runs with the model as it is", 0, 0)
     nominal = _predict(plant, dataset, noise)
-    doubt = _shifted_clock(dataset, nominal, noise, plant.static)
-    if doubt and not despite_errors:
-        raise InputError(f"{doubt}; put inputs and positions on one clock, or go on with --despite-errors")
+    remarks: list[str] = []
+    if not plant.static:
+        dataset, remarks = without_strays(dataset, nominal, noise)
     step = _step(plant, dataset, nominal, noise, settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     try:
-        problem = _recalibrated(problem)
-        shown = with_measured_inputs(problem.runs, plant.signals)
-        if shown is not None:
-            progress("with measured inputs, for what happens behind them", 0, 0)
-            aside = None if store is None else store.with_name(f"{store.name}-measured")
-            possible = behind(missing, gauged(dataset.fit, plant.signals))
-            body = explain(Fits(replace(problem, runs=shown), settings, aside, key, progress), possible, seed)
-            missing = separated(body, missing, settings)
-            progress("with commanded inputs", 0, 0)
-        explanation = explain(Fits(problem, settings, store, key, progress), missing, seed)
+        first = Fits(_recalibrated(problem), settings, progress=progress)
+        noise, scattering = _noise_seen(first, noise, plant.signals)
+        remarks += scattering
+        done = first.done if np.all(noise == problem.noise) else {}
+        fits = Fits(replace(first.problem, noise=noise), settings, store, key, progress, done)
+        explanation = explain(fits, _possible(fits, missing, plant.signals, seed), seed)
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
     progress("judging on validation runs", 0, 0)
+    predictions, bound, localisation, best = _compared(fits, explanation, dataset, plant.signals, nominal, noise, seed)
+    recalibrated = predictions["recalibrated"]
+    shift = "" if plant.static else clock.doubt(dataset.runs, recalibrated, predictions["corrected"], noise)
+    errors = _errors(dataset, noise, predictions, bound)
+    constancy = _constancy(fits.problem, explanation.best)
+    judgement = judged(explanation, errors, settings, bool(dataset.validation), doubts(explanation, settings, seed), constancy)
+    if explanation.best.effects and (shift or judgement.status is VerdictStatus.UNEXPLAINED):
+        # they take the place of a clock, which is no effect, or of what nobody knows
+        explanation = replace(explanation, best=explanation.without, shares={}, groups={})
+        predictions["corrected"], best = recalibrated, explanation.without.estimate
+        errors = _errors(dataset, noise, predictions, bound)
+        judgement = Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks)
+    acts = {effect: runs_of(effect, best, dataset, noise) for effect in explanation.best.effects}
+    verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, judgement, acts, shift)
+    notes = (*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)
+    verdict = replace(verdict, notes=notes, seconds=time.monotonic() - began)
+    return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
+
+
+def _noise_seen(fits: Fits, noise: float | np.ndarray, signals: Signals) -> tuple[float | np.ndarray, list[str]]:
+    """The noise as what recalibration leaves of motions shows it, and what a reader should know of it."""
+    first = fits.fit((), {})
+    if first is None or fits.problem.plant.static:
+        return noise, []
+    found, scatters = fitted(noise, fits.problem.runs, first.estimate.residuals)
+    return found, told(scatters, noise, signals)
+
+
+def _possible(fits: Fits, missing: Sequence[Candidate], signals: Signals, seed: int) -> Sequence[Candidate]:
+    """The candidates that are left once measured inputs, where there are some, have shown what happens behind them."""
+    problem = fits.problem
+    shown = with_measured_inputs(problem.runs, signals)
+    if shown is None:
+        return missing
+    fits.progress("with measured inputs, for what happens behind them", 0, 0)
+    aside = None if fits.store is None else fits.store.with_name(f"{fits.store.name}-measured")
+    behind_them = Fits(replace(problem, runs=shown), fits.settings, aside, fits.key, fits.progress)
+    body = explain(behind_them, behind(missing, gauged(problem.runs, signals)), seed)
+    fits.progress("with commanded inputs", 0, 0)
+    return separated(body, missing, fits.settings)
+
+
+def _compared(
+    fits: Fits, explanation: Explanation, dataset: RunSet, signals: Signals,
+    nominal: list[np.ndarray], noise: float | np.ndarray, seed: int,
+) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray], Localisation, ParameterEstimate]:  # fmt: skip
+    """Predictions of all runs, those of a black box for the judged ones, where the model misses, and the best fit with the precise step.
+
+    Args:
+        fits: with the problem they are of.
+        explanation: what the search found.
+        dataset: all runs.
+        signals: what is measured.
+        nominal: predictions of the model as it was.
+        noise: of what is measured, 1 sigma per axis.
+        seed: of random draws.
+    """
+    static = fits.problem.plant.static
 
     def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
         best = _refined(explanation.best.estimate)
-        return best, _predict(best.plant, dataset, noise)
+        return best, _predict(onward(best.plant, dataset), dataset, noise)
 
     def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
         recalibrated = _predict(explanation.without.estimate.plant, dataset, noise)
-        compared = nominal if _status(explanation, settings) is VerdictStatus.NO_DISCREPANCY else recalibrated
-        place = localise(dataset.runs, compared, noise, plant.signals, plant.static, seed, problem.block)
-        return recalibrated, place, _bounded(dataset, recalibrated, plant.static)
+        nothing = not explanation.best.effects and explanation.without.only_noise(fits.settings)
+        compared = nominal if nothing else recalibrated
+        place = localise(dataset.runs, compared, noise, signals, static, seed, fits.problem.block)
+        return recalibrated, place, _bounded(dataset, recalibrated, static)
 
-    (recalibrated, localisation, bound), (best, points) = beside(looked_at, corrected, plant.concurrent)
-    predictions = {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}
-    errors = _errors(dataset, noise, predictions, bound)
-    verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, settings)
-    notes = (f"{doubt}.", *verdict.notes) if doubt else verdict.notes
-    verdict = replace(verdict, notes=notes, seconds=time.monotonic() - began)
-    return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
+    (recalibrated, place, bound), (best, points) = beside(looked_at, corrected, fits.problem.plant.concurrent)
+    return {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}, bound, place, best
+
+
+def _constancy(problem: Problem, best: Hypothesis) -> dict[Candidate, dict[str, Sizes]]:
+    """Sizes of every effect in parts of the data."""
+    if problem.plant.quick or not best.effects:
+        return {}
+    linear = linearised(best.estimate, problem.free, best.effects, ())
+    return {effect: sizes(linear, effect) for effect in best.effects}
 
 
 def _recalibrated(problem: Problem) -> Problem:
@@ -158,18 +221,6 @@ def _step(plant: Plant, dataset: RunSet, precise: Sequence[np.ndarray], noise: f
     return LONGEST_STEP if square < settings.max_noise_excess / 5 else PRECISE_STEP
 
 
-def _shifted_clock(dataset: RunSet, nominal: Sequence[np.ndarray], noise: float | np.ndarray, static: bool) -> str:
-    """By how much positions and inputs tell different times; nothing where they tell the same, or where nobody knows."""
-    if static or any(run.start != "equilibrium" for run in dataset.runs):
-        return ""
-    found = shifts(dataset.runs, nominal, noise)
-    if not found:
-        return ""
-    file, shift = max(found.items(), key=lambda item: abs(item[1]))
-    how = f"lead the inputs by {-shift:.2f} s" if shift < 0 else f"trail the inputs by {shift:.2f} s, and not as a slow machine does"
-    return f"{file}: shifted clock: positions {how} ({len(found)} of {len(dataset.runs)} runs)"
-
-
 def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
     """The fit with the precise step, from its values."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
@@ -179,40 +230,28 @@ def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
         return estimate
 
 
-def _status(explanation: Explanation, settings: SearchSettings) -> VerdictStatus:
-    if not explanation.best.effects:
-        return VerdictStatus.NO_DISCREPANCY if explanation.without.only_noise(settings) else VerdictStatus.UNEXPLAINED
-    unclear = any(group[0][1] < CLEAR for group in explanation.groups.values())
-    return VerdictStatus.INDISTINGUISHABLE if unclear else VerdictStatus.NAMED
-
-
-def _belief(share: float, settings: SearchSettings) -> float:
-    """Probability that an effect is a cause: even odds where what only it takes away is `even_odds_ratio` times what is left."""
-    return 1 / (1 + settings.even_odds_ratio / max(share, 1e-9))
-
-
 def _verdict(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, explanation: Explanation, best: ParameterEstimate,
-    errors: Errors, localisation: Localisation, settings: SearchSettings,
+    errors: Errors, localisation: Localisation, judgement: Judgement, acts: Mapping[Candidate, tuple[str, ...]], shift: str,
 ) -> Verdict:  # fmt: skip
-    status, unit = _status(explanation, settings), plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
-    named: list[Named] = []
-    for effect in explanation.best.effects:
-        belief = _belief(explanation.shares[effect], settings)
-        for hypothesis, weight in explanation.groups[effect]:
-            other = next((c for c in hypothesis.effects if c not in explanation.best.effects), effect)
-            if hypothesis is explanation.best or (weight > POSSIBLE and status is VerdictStatus.INDISTINGUISHABLE):
-                estimate = best if hypothesis is explanation.best else hypothesis.estimate
-                named.append(
-                    Named(other, belief * weight, _values(estimate, hypothesis.form_error, other), _only(explanation, effect, hypothesis))
-                )
-    named.sort(key=lambda each: -each.probability)
-    rivals = _rivals(explanation, named, settings)
+    unit = plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
+    status = judgement.status
+    named = [
+        Named(
+            other,
+            probability,
+            _values(best if hypothesis is explanation.best else hypothesis.estimate, hypothesis.form_error, other),
+            _only(explanation, effect, hypothesis),
+            acts.get(effect, ()),
+        )
+        for effect, other, hypothesis, probability in judgement.listed
+    ]
+    rivals = _rivals(explanation, named, judgement.cause)
     corrected = plant.with_values(best.plant.values).corrected(explanation.best.effects)
-    notes = words.notes(dataset, plant.signals, explanation, best, noise)
+    notes = words.notes(dataset, plant.signals, explanation, best, noise, errors)
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
-    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation, unit)
+    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation, unit, shift)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
     return Verdict(
         status,
@@ -244,10 +283,10 @@ def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nomin
 
 
 def _values(estimate: ParameterEstimate, form_error: np.ndarray, candidate: Candidate) -> dict[str, Value]:
-    return {name.rsplit(".", 1)[1]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
+    return {name.rpartition(".")[2]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
 
 
-def _rivals(explanation: Explanation, named: Sequence[Named], settings: SearchSettings) -> tuple[Rival, ...]:
+def _rivals(explanation: Explanation, named: Sequence[Named], cause: Mapping[Candidate, float]) -> tuple[Rival, ...]:
     """One entry for every effect that was not named: its best detail, fitted or not."""
     taken = {each.candidate.name for each in named}
     found: dict[str, Rival] = {}
@@ -255,9 +294,7 @@ def _rivals(explanation: Explanation, named: Sequence[Named], settings: SearchSe
         for hypothesis, weight in group[1:]:
             other = next(c for c in hypothesis.effects if c not in explanation.best.effects)
             closes = explanation.closes(hypothesis)
-            rival = Rival(
-                other, weight * _belief(explanation.shares[effect], settings), words.beaten(explanation, effect, hypothesis), closes
-            )
+            rival = Rival(other, weight * cause[effect], words.beaten(explanation, effect, hypothesis), closes)
             if other.name not in taken and (other.name not in found or found[other.name].probability < rival.probability):
                 found[other.name] = rival
     for hypothesis in explanation.tried:

@@ -117,8 +117,8 @@ class Simulated(Rig, Protocol):
     It rests from the start under what is commanded before the first `read`.
     """
 
-    def reseed(self, noise: int) -> None:
-        """Draw other noise for the same machine; 0 is its own."""
+    def reseed(self, noise: int, began: float = 0.0) -> None:
+        """Draw other noise for the same machine, before its first `read`; 0 is its own. It starts at a time in the session in s."""
         ...
 
     def read_many(self, count: int) -> list[Sample]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,15 +16,21 @@ from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.trials import read_trials
+from tepm_opt.discrepancy.freeform.invent import Invention
+from tepm_opt.discrepancy.freeform.invent import invent as invented
+from tepm_opt.discrepancy.freeform.page import as_json, curves, page
 from tepm_opt.discrepancy.network import SearchableNetwork
+from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
+from tepm_opt.models.effect_files import loaded_effects
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.plant import PredictionError
 
-VERDICT, MODEL, VALUES, FITS = "verdict.json", "model.toml", "values.json", ".fits.json"
+VERDICT, MODEL, VALUES, FITS, EFFECTS = "verdict.json", "model.toml", "values.json", ".fits.json", "effects"
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet, list[str]]:
@@ -52,7 +59,7 @@ def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet
 
 def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
-    progress: Progress = silent, plant: str | Path | None = None,
+    progress: Progress = silent, plant: str | Path | None = None, invent: bool = False,
 ) -> Discovery:  # fmt: skip
     """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file gives the machine.
 
@@ -63,16 +70,17 @@ def run_discrepancy(
         out: for the results.
         model: model file; the robot that the data set names where absent.
         seed: of all random draws.
-        despite_errors: whether to go on where the check of the data finds errors, or positions and inputs do not tell the same time.
+        despite_errors: whether to go on where the check of the data finds errors.
         progress: told of every piece of work.
         plant: Python file of another machine, which the data set is of.
+        invent: whether to seek a law where no known effect explains what is left; its effect file, page and model go into `effects`.
 
     Raises:
         InputError: data or model cannot be used; the message says why.
     """
     folder, out = Path(folder), Path(out)
     if plant is not None:
-        return _of_plant(folder, out, Path(plant), seed, despite_errors, progress)
+        return _of_plant(folder, out, Path(plant), seed, progress)
     dataset, warnings = checked_dataset(folder, despite_errors)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
@@ -82,14 +90,39 @@ def run_discrepancy(
     noise = noise_of(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.of(known, channels, dataset.static)
-    key = _fingerprint(folder, known.robot.model_dump_json(), str(known.values), str(seed))
-    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, despite_errors)
+    key = _fingerprint(folder, known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
+    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress)
     write_model(result.verdict.model, out / MODEL)
+    if invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
+        result = replace(result, law=with_law(result, out / EFFECTS, progress))
     _write(result, out, warnings)
     return result
 
 
-def _of_plant(folder: Path, out: Path, file: Path, seed: int, despite_errors: bool, progress: Progress) -> Discovery:
+def with_law(result: Discovery, folder: Path, progress: Progress = silent) -> Invention | None:
+    """A law for what a verdict leaves, with its effect file, its model and its page in a folder; None where there is none.
+
+    Args:
+        result: of a robot's network.
+        folder: is made where something is found.
+        progress: told of every piece of work.
+    """
+    best, known = result.explanation.best.estimate, result.verdict.model
+    names = {*known.robot.parameters.model_dump(), *(f"{effect.label}.{name}" for effect in known.effects for name in effect.parameters)}
+    if not isinstance(best.plant, SearchableNetwork) or not {f.name for f in best.problem.free} <= names:
+        best = result.explanation.without.estimate  # what holds in some runs only is in no model
+        known = best.plant.corrected(())  # type: ignore[attr-defined]
+    try:
+        law = invented(best, known, folder, result.dataset.name, result.dataset.validation, progress)
+    except PredictionError:
+        return None
+    if law is not None:
+        write_model(law.model, law.file.with_suffix(".toml"))
+        write_atomically(law.file.with_suffix(".md"), page(law, f"{law.written.name}.png" if curves(law) else None))
+    return law
+
+
+def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress) -> Discovery:
     """Explain a data set of a plant file's machine, see `run_discrepancy`.
 
     Args:
@@ -97,7 +130,6 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, despite_errors: bo
         out: for the results.
         file: with the plant.
         seed: of all random draws.
-        despite_errors: whether to go on where positions and inputs do not tell the same time.
         progress: told of every piece of work.
     """
     plant = load_plant(file)
@@ -109,7 +141,7 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, despite_errors: bo
     ]  # it may import those beside it
     key = _fingerprint(folder, file.name, *texts, str(seed))
     noise = float(dataset.noise[0, 0]) if alike else dataset.noise
-    result = discover(dataset, plant, noise, seed, out / FITS, key, None, progress, despite_errors)
+    result = discover(dataset, plant, noise, seed, out / FITS, key, None, progress)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
     _write(result, out, [])
     return result
@@ -118,6 +150,8 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, despite_errors: bo
 def _write(result: Discovery, out: Path, warnings: Sequence[str]) -> None:
     """Write `verdict.json`; what was kept in case of an interruption goes."""
     content = result.verdict.as_json()
+    if result.law is not None:
+        content["law"] = as_json(result.law)
     content["notes"] += [f"data: {line}" for line in warnings]
     write_atomically(out / VERDICT, json.dumps(content, indent=2) + "\n")
     for kept in out.glob(f"{FITS}*"):

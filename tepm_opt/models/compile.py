@@ -19,7 +19,7 @@ from tepm_opt.models.backends.kinematics import PythonKinematics
 from tepm_opt.models.backends.many import ManyStepper, many_unit
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
 from tepm_opt.models.dynamics import write_dynamics
-from tepm_opt.models.effect import ActiveEffect, Effect
+from tepm_opt.models.effect import BEGAN, CLOCK, ActiveEffect, Effect
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
@@ -96,16 +96,39 @@ class CompiledModel:
         other.__dict__.update({name: self.__dict__[name] for name in ("reference_stepper", "stepper", "many") if name in self.__dict__})
         return other
 
+    def at_time(self, began: float) -> CompiledModel:
+        """This model as it is when a run begins, so many s after the session; itself where no effect asks what time it is."""
+        if not self.model.timed:
+            return self
+        names = self.network.parameter_names
+        return self.with_theta([began if name in (CLOCK, BEGAN) else value for name, value in zip(names, self.theta, strict=True)])
+
     def _declared(self, hook: str) -> list[tuple[ActiveEffect, Effect, dict[str, ca.SX]]]:
         """The effects with this hook, and their parameters' values as constants."""
         found = [(effect, kind) for effect in self.model.effects if (kind := find_effect(effect.name)).has(hook)]
-        return [(effect, kind, {p.name: ca.SX(self.values[f"{effect.label}.{p.name}"]) for p in kind.parameters}) for effect, kind in found]
+        return [(effect, kind, self._own(effect, kind)) for effect, kind in found]
+
+    def _own(self, effect: ActiveEffect, kind: Effect) -> dict[str, ca.SX]:
+        names = {p.name: f"{effect.label}.{p.name}" for p in kind.parameters_of(self.layout)}
+        names |= {CLOCK: CLOCK, BEGAN: BEGAN} if kind.timed else {}
+        return {name: ca.SX(self.values[full]) for name, full in names.items()}
+
+    @cached_property
+    def without_size(self) -> frozenset[str]:
+        """Full names of the parameters that say how effects act that are at their null values: they change nothing."""
+        found: list[str] = []
+        for effect in self.model.effects:
+            own = {f"{effect.label}.{p.name}": p for p in find_effect(effect.name).parameters_of(self.layout)}
+            if all(self.values[name] == p.null for name, p in own.items() if not p.is_shape):
+                found += [name for name, p in own.items() if p.is_shape]
+        return frozenset(found)
 
     @cached_property
     def is_smooth(self) -> bool:
         """Whether no effect bends or remembers inputs or the edges' motion, which has corners."""
         hooks = "inputs", "pressure_memory", "tension_memory", "edge_memory"
-        return not any(find_effect(effect.name).has(hook) for effect in self.model.effects for hook in hooks)
+        kinds = [find_effect(effect.name) for effect in self.model.effects]
+        return not any(kind.corners or any(kind.has(hook) for hook in hooks) for kind in kinds)
 
     @cached_property
     def pressure_lag(self) -> tuple[float, float] | None:
@@ -122,10 +145,19 @@ class CompiledModel:
         delays = [float(kind.delay(own)) for _, kind, own in self._declared("delay")]
         return sum(delays) if delays else None
 
+    def delays(self, time: np.ndarray, forces: bool = False) -> np.ndarray:
+        """Times in s by which commands, or known forces, act late at times (times,) in s since the run began, (times,)."""
+        if not (self.model.timed and len(time)):
+            return np.full(len(time), 0.0 if forces else self.command_delay or 0.0)
+        theta = np.tile(self.theta[:, None], len(time))
+        clock, began = (self.network.parameter_names.index(name) for name in (CLOCK, BEGAN))
+        theta[clock] = theta[began] + time
+        return np.array(self.reference_stepper.dynamics.functions["delay"].map(len(time))(theta))[int(forces)]
+
     @cached_property
     def theta_without_lag(self) -> np.ndarray:
         """Values of the parameters with every effect that declares a lag at its null values, (parameters,)."""
-        null = {f"{effect.label}.{p.name}": p.null for effect, kind, _ in self._declared("lag") for p in kind.parameters}
+        null = {f"{effect.label}.{p.name}": p.null for effect, kind, _ in self._declared("lag") for p in kind.parameters_of(self.layout)}
         return np.array([null.get(name, value) for name, value in self.values.items()])
 
     @cached_property
@@ -217,4 +249,5 @@ def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c
     if backend == "c" and library is None:
         raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")
     statics = CompiledStatics(network, library) if library else reference
-    return CompiledModel(model, network, np.array(list(model.values.values())), statics, reference)
+    theta = np.array([model.values.get(name, 0.0) for name in network.parameter_names])
+    return CompiledModel(model, network, theta, statics, reference)

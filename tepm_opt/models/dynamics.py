@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from tepm_opt.models.effect import Effect
+from tepm_opt.models.effect import CLOCK, Effect
 from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread
@@ -43,7 +43,7 @@ def write_dynamics(model: Model) -> Dynamics:
     """The CasADi functions of a moving model.
 
     Functions (arguments → results); `…_by` are sparse Jacobians, results below each other by arguments beside each other:
-        delay(theta) → time by which commands are late;  delay_by (theta);
+        delay(theta) → times by which commands and known forces are late;  delay_by (theta);
         input_motion(u, du/dt, y, time, theta) → a, y: at the end of a time over which u arrived at its rate, with y as they were before;
         input_motion_by (u, du/dt, y, theta);
         properties(a, external, theta) → P, level 0;  properties_by (a, external, theta);
@@ -57,7 +57,8 @@ def write_dynamics(model: Model) -> Dynamics:
     """
     writer = Writer(model)
     theta = writer.theta
-    delay = sum((kind.delay(own) for kind, own, _ in writer.effects), start=ca.SX(0))
+    late = [(kind.delay(own), kind.delays_forces) for kind, own, _ in writer.effects]
+    delay = ca.vertcat(*(sum((time for time, both in late if both or not forces), start=ca.SX(0)) for forces in (False, True)))
     a, external, columns, level_0 = writer.properties()
     x, points, lengths = writer.observe()
     inputs, moving = _input_dynamics(writer), _segment_dynamics(writer)
@@ -117,11 +118,11 @@ def _mapped(
     if not kind.has("inputs"):
         return signal, speed
     symbols = [ca.SX.sym("s", *part.shape) for part in signal]
+    now, passing = (own[CLOCK], 1) if kind.timed else (ca.SX.sym("now"), 0)
     mapped = ca.vertcat(*kind.inputs(*symbols, own, context))  # type: ignore[arg-type]
     at, along = (ca.vertcat(*(ca.vec(part) for part in parts)) for parts in (symbols, speed))
-    results = ca.substitute(
-        [mapped, ca.reshape(ca.jtimes(ca.vec(mapped), at, along), *mapped.shape)], [at], [ca.vertcat(*(ca.vec(part) for part in signal))]
-    )
+    change = ca.jtimes(ca.vec(mapped), ca.vertcat(at, now), ca.vertcat(along, passing))
+    results = ca.substitute([mapped, ca.reshape(change, *mapped.shape)], [at], [ca.vertcat(*(ca.vec(part) for part in signal))])
     return ca.vertsplit(results[0], signal[0].shape[0]), ca.vertsplit(results[1], signal[0].shape[0])
 
 
@@ -153,6 +154,9 @@ def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
         before += states
         rates += changes
         pulls.append(pull)
+    for met in writer.point_forces(s, ca.vertcat(*velocity)):
+        force += ca.mtimes(met.way.T, met.force)
+        tangent += met.way.T @ (met.stiffness + met.damping / step) @ met.way
     if layout.guided:
         off, rail, rub = writer.rails(s.upper)
         force[block:] += rail * off + rub * velocity[1]
@@ -182,4 +186,5 @@ def _edge_pull(writer: Writer, s: Segment, index: int, span: ca.SX, speed: ca.SX
             states.append(ca.SX.sym("y"))
             rates.append(memory.rate(states[-1], step))
             pull += states[-1] + step * rates[-1]
+        pull += kind.edge_drag(edge, span, speed, parameters, context)
     return pull, states, rates

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,6 +11,10 @@ import numpy as np
 
 if TYPE_CHECKING:
     from tepm_opt.models.layout import Edge, Layout
+
+
+CLOCK, BEGAN = "clock", "began"
+"""Reserved names: the time in the session, and when in it the present run began, in s; both 0 in statics."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,8 @@ class Parameter:
         null: the value at which the effect vanishes exactly; of a shape parameter, which has no influence then, a usual one.
         probe: a small but visible size, for finite probes and as start of a fit; of a shape parameter the same as `null`.
         low, high: the values that make physical sense; others are refused.
+        change: of a shape parameter that is 0 at its null, a small but visible change.
+        spread: group of alike parameters that scatter about their null values with a spread of their own (see `solvers.hierarchy`).
     """
 
     name: str
@@ -31,6 +37,18 @@ class Parameter:
     probe: float
     low: float = -np.inf
     high: float = np.inf
+    change: float = 0.0
+    spread: str = ""
+
+    @property
+    def is_shape(self) -> bool:
+        """Whether it says how the effect acts, not how strongly; where a model does not give it, it has its usual value."""
+        return self.null == self.probe
+
+    @property
+    def scale(self) -> float:
+        """A small but visible change of it."""
+        return abs(self.probe - self.null) or self.change or 0.3 * abs(self.probe)
 
 
 @dataclass
@@ -106,6 +124,25 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class Saturating(Memory):
+    """A memory of an input whose way back saturates: dy/dt = drive - decay y / (scale + slowing |y|), at most 1 / slowing, elementwise.
+
+    Attributes:
+        slowing: as a function of y and of the time left until the input is what it was when the memory was asked for.
+    """
+
+    slowing: Callable[[ca.SX, ca.SX], ca.SX]
+
+    def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
+        """y after a time over which drive and decay stay as they are: by the slowing in the middle, exact where nothing slows it."""
+        middle = state + time / 2 * self.drive
+        for part in (time / 2, time):
+            slowed = self.scale + self.slowing(middle, time / 2) * ca.fabs(middle)
+            middle = Memory(self.drive, self.decay, slowed).after(state, part)
+        return middle
+
+
+@dataclass(frozen=True)
 class Play:
     """An internal state of an input that goes against the input's changes until it reaches a limit, where it stays, elementwise.
 
@@ -146,9 +183,13 @@ class Effect:
         name: identifier (SPEC section 5).
         explains: one line for people.
         reference: where the physics is from.
-        parameters: the effect's own parameters.
+        parameters: the effect's own parameters; of one whose parameters depend on the robot `parameters_of`.
         detail: what the effect's detail names: "actuator", "point" or None where there is none.
         smooth: whether outputs are differentiable in the parameters at their null values (else: probe).
+        corners: whether what it does to the properties has corners along the inputs.
+        delays_forces: whether its delay is one of known forces, too.
+        further_probes: values by name, where its parameters' probes are not all that one would look for it at.
+        timed: whether it asks what time it is; `parameters` then has `CLOCK` and `BEGAN`, too.
     """
 
     name: ClassVar[str]
@@ -157,6 +198,14 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     detail: ClassVar[str | None] = None
     smooth: ClassVar[bool] = True
+    corners: ClassVar[bool] = False
+    timed: ClassVar[bool] = False
+    delays_forces: ClassVar[bool] = False
+    further_probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
+
+    def parameters_of(self, layout: Layout) -> tuple[Parameter, ...]:
+        """The effect's parameters in a robot."""
+        return self.parameters
 
     @classmethod
     def has(cls, hook: str) -> bool:
@@ -199,6 +248,41 @@ class Effect:
             context: what else it may know.
         """
         return ca.SX(0)
+
+    def edge_drag(self, edge: Edge, length: ca.SX, rate: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        """Additional force of an edge in N that pulls its ends together, as a function of how fast its length changes; 0 at rest.
+
+        Args:
+            edge: which one of a segment.
+            length: its length in m.
+            rate: of its length in m/s.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
+        return ca.SX(0)
+
+    def point_energy(self, point: int, position: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        """Potential in J of a force on a reference point that depends on where it is: a wall, a hose, a spring to the ground.
+
+        Args:
+            point: its number from 0.
+            position: of the point in G, (3,) in m.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
+        return ca.SX(0)
+
+    def point_drag(self, point: int, position: ca.SX, velocity: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        """Force on a reference point in G that its motion meets, (3,) in N; 0 at rest.
+
+        Args:
+            point: its number from 0.
+            position: of the point in G, (3,) in m.
+            velocity: of the point in G, (3,) in m/s.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
+        return ca.SX.zeros(3)
 
     def pressure_memory(
         self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
@@ -248,12 +332,24 @@ class Effect:
         return None
 
     def delay(self, parameters: Mapping[str, ca.SX]) -> ca.SX:
-        """Time in s by which all commands take effect late."""
+        """Time in s by which all commands, and known forces where `delays_forces` says so, take effect late."""
         return ca.SX(0)
 
     def outputs(self, points: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
         """Output map: reference points in G as measured from those in truth, both (3, points) in m."""
         return points
+
+    def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
+        """Values of shape parameters at which to look for this effect, by name, from what a model without it leaves.
+
+        An effect that has this is nearly linear in its other parameters at such values, even if it is anything but that in these.
+
+        Args:
+            clock: time in the session of every sample, increasing, (samples,) in s.
+            began: when its run began, (samples,) in s.
+            left: measured less modelled coordinates over their noise, 0 where missing, (samples, coordinates).
+        """
+        return {}
 
 
 @dataclass(frozen=True)

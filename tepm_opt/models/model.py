@@ -46,7 +46,9 @@ class Model:
 
     def __post_init__(self) -> None:
         check_parameters(self.robot, self.parameters, "model")
-        check_effects(self.effects, Layout.of(self.robot), "model")
+        layout = Layout.of(self.robot)
+        check_effects(self.effects, layout, "model")
+        object.__setattr__(self, "effects", tuple(_with_shapes(effect, layout) for effect in self.effects))
 
     def with_parameters(self, **values: float) -> Model:
         """This model with other values of robot parameters."""
@@ -54,7 +56,7 @@ class Model:
 
     def with_effect(self, name: str, detail: str | None = None, **parameters: float) -> Model:
         """This model with one more effect; parameters not given have their probe values."""
-        values = {parameter.name: parameter.probe for parameter in find_effect(name).parameters}
+        values = {parameter.name: parameter.probe for parameter in find_effect(name).parameters_of(Layout.of(self.robot))}
         return replace(self, effects=(*self.effects, ActiveEffect(name, detail, {**values, **parameters})))
 
     def __repr__(self) -> str:
@@ -70,8 +72,14 @@ class Model:
             rows.append((name, f"{value:g}", UNITS[name], f"instead of {nominal:g}" if name in self.parameters else "robot file"))
         for effect in self.effects:
             kind = find_effect(effect.name)
-            rows += [(f"{effect.label}.{p.name}", f"{effect.parameters[p.name]:g}", p.unit, kind.explains) for p in kind.parameters]
+            own = kind.parameters_of(Layout.of(self.robot))
+            rows += [(f"{effect.label}.{p.name}", f"{effect.parameters[p.name]:g}", p.unit, kind.explains) for p in own]
         return html_table(("parameter", "value", "unit", ""), rows, f"model of {self.robot.name}")
+
+    @property
+    def timed(self) -> bool:
+        """Whether an effect asks what time it is."""
+        return any(find_effect(effect.name).timed for effect in self.effects)
 
     @property
     def values(self) -> dict[str, float]:
@@ -106,7 +114,7 @@ def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
         raise InputError(f"{where}: effect {effect.name!r} has no detail, found detail = {effect.detail!r}")
     if kind.detail is not None and effect.detail not in details:
         raise unknown_name(f"{kind.detail} in the detail of effect {effect.name!r}", str(effect.detail), details, where)
-    known = {parameter.name: parameter for parameter in kind.parameters}
+    known = {parameter.name: parameter for parameter in kind.parameters_of(layout)}
     for name, value in effect.parameters.items():
         if name not in known:
             raise unknown_name(f"parameter of effect {effect.name!r}", name, known, where)
@@ -114,8 +122,19 @@ def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not (number and math.isfinite(value) and low <= value <= high):
             raise InputError(f"{where}: effect {effect.name!r}: {name} = {value!r}; valid: {low:g} … {high:g} {unit}")
-    if missing := sorted(known.keys() - effect.parameters.keys()):
-        raise InputError(f"{where}: effect {effect.name!r}: parameter {missing[0]!r} is missing; it needs: {', '.join(sorted(known))}")
+    needed = sorted(name for name, parameter in known.items() if not parameter.is_shape)
+    if missing := [name for name in needed if name not in effect.parameters]:
+        raise InputError(f"{where}: effect {effect.name!r}: parameter {missing[0]!r} is missing; it needs: {', '.join(needed)}")
+
+
+def _with_shapes(effect: ActiveEffect, layout: Layout) -> ActiveEffect:
+    """An effect with the usual values of the shape parameters that it does not give."""
+    usual = {p.name: p.null for p in find_effect(effect.name).parameters_of(layout) if p.is_shape}
+    return (
+        effect
+        if usual.keys() <= effect.parameters.keys()
+        else replace(effect, parameters={**effect.parameters, **usual, **effect.parameters})
+    )
 
 
 def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -> None:

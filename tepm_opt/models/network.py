@@ -17,7 +17,7 @@ import casadi as ca
 
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
-from tepm_opt.models.symbols import Writer, function, norm, property_rows, pull_apart, spread
+from tepm_opt.models.symbols import Writer, function, norm, pull_apart, spread
 
 ROWS = 3
 """Number of weighted sums whose gradients the adjoint functions of a segment return at once."""
@@ -32,20 +32,17 @@ class Network:
         parameter_names: of theta, the parameter vector.
         functions: by name, see `write_network`.
         driven: rows of P that inputs or external forces change.
+        property_rows: rows of P by name.
     """
 
     layout: Layout
     parameter_names: tuple[str, ...]
     functions: Mapping[str, ca.Function]
     driven: tuple[int, ...]
+    property_rows: Mapping[str, slice]
 
     def __repr__(self) -> str:
         return f"Network({self.layout.levels} levels, {len(self.parameter_names)} parameters, {len(self.functions)} functions)"
-
-    @property
-    def property_rows(self) -> dict[str, slice]:
-        """Rows of P by name."""
-        return property_rows(self.layout)
 
 
 def _segment_functions(writer: Writer, driven: list[int]) -> dict[str, ca.Function]:
@@ -74,7 +71,14 @@ def _segment_functions(writer: Writer, driven: list[int]) -> dict[str, ca.Functi
         spread(layout, edge, (curvature - across) * along @ along.T + across * ca.SX.eye(3), stiffness)
         across, curvature = ca.fmax(across, 0), ca.fmax(curvature, 0)
         spread(layout, edge, (curvature - across) * along @ along.T + across * ca.SX.eye(3), convex)
-        spread(layout, edge, s.column[writer.rows["damping"]][index] * along @ along.T, damping)
+        drag = s.column[writer.rows["damping"]][index] + writer.drag_at_rest(edge, length)
+        spread(layout, edge, drag * along @ along.T, damping)
+    for met in writer.point_forces(s):
+        energy += met.energy
+        force += ca.mtimes(met.way.T, met.force)
+        stiffness += met.way.T @ met.stiffness @ met.way
+        convex += met.way.T @ ca.diag(ca.fmax(ca.diag(met.stiffness), 0)) @ met.way
+        damping += met.way.T @ met.damping @ met.way
     if layout.guided:
         off, rail, rub = writer.rails(s.upper)
         energy += ca.dot(rail, off**2) / 2
@@ -137,4 +141,4 @@ def write_network(model: Model) -> Network:
         "observe_adjoint": _adjoint("observe_adjoint", [x, theta], [x, theta], [points, lengths]),
         **_segment_functions(writer, driven),
     }
-    return Network(writer.layout, writer.names, functions, tuple(driven))
+    return Network(writer.layout, writer.names, functions, tuple(driven), writer.rows)

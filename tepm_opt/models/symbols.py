@@ -8,21 +8,23 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from tepm_opt.models.effect import Context, Effect, Properties
+from tepm_opt.models.effect import BEGAN, CLOCK, Context, Effect, Properties
 from tepm_opt.models.effects import STANDARD, find_effect
 from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Edge, Layout
 from tepm_opt.models.model import Model
 
 RAIL = 100.0  # strength of a guide over that of a segment's muscles
 SOFT = 1.0  # N/m, of a muscle more, so that rails hold where the muscles have no stiffness
-PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "load", "mass")
-"""Rows of P: of every edge (three times), axial force of every vertical edge, force on and mass of a node of the upper level."""
+PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "load", "number", "mass")
+"""Rows of P: of every edge (three times), axial force of every vertical edge, force on a node of the upper level, number of the segment
+from 0 where forces on points depend on their motion, mass of a node of the upper level."""
+POINT_HOOKS = ("point_energy", "point_drag")
 
 
-def property_rows(layout: Layout) -> dict[str, slice]:
-    """Rows of each property in the column that holds them all."""
+def property_rows(layout: Layout, numbered: bool) -> dict[str, slice]:
+    """Rows of each property in the column that holds them all; `numbered`: whether the segments' numbers are among them."""
     edges = len(layout.edges)
-    sizes = dict(zip(PROPERTY_ROWS, (edges, edges, edges, layout.actuators, 3, 1), strict=True))
+    sizes = dict(zip(PROPERTY_ROWS, (edges, edges, edges, layout.actuators, 3, int(numbered), 1), strict=True))
     ends = np.cumsum(list(sizes.values()))
     return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
@@ -32,8 +34,7 @@ class Writer:
 
     def __init__(self, model: Model) -> None:
         self.layout = layout = Layout.of(model.robot)
-        self.rows = property_rows(layout)
-        self.names = tuple(model.values)
+        self.names = (*model.values, *((CLOCK, BEGAN) if model.timed else ()))
         self.theta = ca.SX.sym("theta", len(self.names))
         self.value = dict(zip(self.names, ca.vertsplit(self.theta), strict=True))
         mount = model.robot.mount
@@ -41,13 +42,17 @@ class Writer:
         gravity = mount.rotation.T @ np.array(mount.gravity_m_per_s2)
 
         def active(kind: Effect, prefix: str, detail: str | None) -> tuple[Effect, dict[str, ca.SX], Context]:
-            own = {p.name: self.value[f"{prefix}.{p.name}"] for p in kind.parameters}
+            own = {p.name: self.value[f"{prefix}.{p.name}"] for p in kind.parameters_of(layout)}
+            own |= {name: self.value[name] for name in (CLOCK, BEGAN) if kind.timed}
             index = None if detail is None else layout.details(kind.detail).index(detail)
             return kind, own, Context(layout, index, self.rotation, self.position, gravity)
 
         self.effects = [active(kind, kind.name, None) for kind in STANDARD]
         for effect in model.effects:
             self.effects.append(active(find_effect(effect.name), effect.label, effect.detail))
+
+        self.numbered = any(kind.has(hook) for kind, _, _ in self.effects for hook in POINT_HOOKS)
+        self.rows = property_rows(layout, self.numbered)
 
     def rest_ring(self) -> ca.SX:
         """Nodes of a level at rest about its centre, (3, actuators)."""
@@ -87,6 +92,7 @@ class Writer:
         axial = ca.horzcat(*(axial[j // layout.segments, :].T for j in range(n)))
         parts = {"stiffness": network.stiffness, "damping": network.damping, "rest": network.rest}
         parts |= {"axial": axial, "load": force / layout.actuators, "mass": network.mass.T}
+        parts["number"] = ca.SX(ca.DM(np.arange(n, dtype=float)[None])) if self.numbered else ca.SX(0, n)
         return a, external, ca.vertcat(*(parts[name] for name in PROPERTY_ROWS)), ca.vec(self.rest_ring())
 
     def _edge_at_rest(self, edge: Edge) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -127,6 +133,41 @@ class Writer:
         law = ca.Function("law", [length, column, self.theta], [energy, slope, ca.gradient(slope, length)])
         return lambda at: tuple(law.call([at, column, self.theta]))  # type: ignore[return-value]
 
+    def drag_at_rest(self, edge: Edge, length: ca.SX) -> ca.SX:
+        """Damping in N s/m that effects add to an edge at rest."""
+        rate = ca.SX.sym("rate")
+        drag = sum((kind.edge_drag(edge, length, rate, own, context) for kind, own, context in self.effects), start=ca.SX(0))
+        return ca.substitute(ca.gradient(drag, rate), rate, ca.SX(0))
+
+    def point_forces(self, s: Segment, velocity: ca.SX | None = None) -> list[PointForce]:
+        """Forces on the reference points of a segment that depend on their motion; at rest without velocities.
+
+        Args:
+            s: the segment's symbols.
+            velocity: of its nodes, (2 · block,).
+        """
+        layout, found = self.layout, []
+        for point in range(layout.points) if self.numbered else ():
+            weights = layout.point_weights[point]
+            segment = int(np.flatnonzero(weights)[-1]) - 1
+            turned = [
+                ca.repmat(ca.DM(self.rotation) * (weight / layout.actuators), 1, layout.actuators) for weight in weights[segment:][:2]
+            ]
+            way = ca.horzcat(*turned)  # from the segment's nodes to the point
+            place, speed = ca.SX.sym("place", 3), ca.SX.sym("speed", 3)
+            energy = sum((kind.point_energy(point, place, own, context) for kind, own, context in self.effects), start=ca.SX(0))
+            drag = sum((kind.point_drag(point, place, speed, own, context) for kind, own, context in self.effects), start=ca.SX.zeros(3))
+            here = ca.if_else(s.column[self.rows["number"]] == segment, 1.0, 0.0)
+            force = ca.gradient(energy, place) - drag
+            by_place, by_speed = ca.jacobian(force, place), ca.jacobian(force, speed)
+            at = [
+                ca.mtimes(way, ca.vertcat(s.lower, s.upper)) + ca.DM(self.position),
+                ca.SX.zeros(3) if velocity is None else ca.mtimes(way, velocity),
+            ]
+            parts = ca.substitute([here * energy, here * force, here * by_place, here * by_speed], [place, speed], at)
+            found.append(PointForce(way, *parts))
+        return found
+
     def observe(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """All levels 0 … n (block · (n + 1)), reference points in G (3 · points), actuator lengths (modules · actuators)."""
         layout = self.layout
@@ -156,6 +197,24 @@ class Segment:
         """Positions of an edge's two nodes."""
         levels = (self.lower, self.upper)
         return tuple(levels[level][3 * node : 3 * node + 3] for level, node in (edge.a, edge.b))  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class PointForce:
+    """What a reference point's motion meets: energy, force that holds the point against it, and the force's derivatives.
+
+    Attributes:
+        way: from the segment's nodes to the point, (3, 2 · block).
+        energy: in J.
+        force: in G, (3,) in N.
+        stiffness, damping: by place and by velocity, (3, 3) in N/m and N s/m.
+    """
+
+    way: ca.DM
+    energy: ca.SX
+    force: ca.SX
+    stiffness: ca.SX
+    damping: ca.SX
 
 
 def norm(vector: ca.SX) -> ca.SX:

@@ -10,7 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tepm_opt.control.controllers import DEFAULT
+from tepm_opt.discrepancy.freeform.invent import Invention
 from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.jobs.blind import BlindRun
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.jobs.gain import GainRun
@@ -20,11 +22,13 @@ from tepm_opt.jobs.paper import Study
 from tepm_opt.jobs.plan import PlanRun
 from tepm_opt.jobs.simulate import SimulateRun
 from tepm_opt.jobs.statics import StaticsRun
+from tepm_opt.plots.blind import blind_figures
 from tepm_opt.plots.control import distance_figure, error_figure, inputs_figure, path_figure, times_figure
 from tepm_opt.plots.discrepancy import discovery_figures
 from tepm_opt.plots.figure import save
 from tepm_opt.plots.gain import gain_figure
 from tepm_opt.plots.ik import ik_figure
+from tepm_opt.plots.law import law_figure
 from tepm_opt.plots.linear import modes_figures
 from tepm_opt.plots.motion import lengths_figure, tip_figure
 from tepm_opt.plots.paper import draw as experiment_figure
@@ -114,5 +118,7 @@ FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     ClosedLoop: _loop,
     Study: _study,
     Discovery: discovery_figures,
+    Invention: lambda law: {law.written.name: law_figure(law)},
+    BlindRun: lambda run: blind_figures(run.analysis),
 }
 """What is drawn of the run of each job."""

@@ -19,6 +19,7 @@ HEADINGS = {
     VerdictStatus.NAMED: "The missing effect is named",
     VerdictStatus.NO_DISCREPANCY: "No discrepancy",
     VerdictStatus.INDISTINGUISHABLE: "Several effects explain the data equally well",
+    VerdictStatus.PARTIAL: "A known effect explains a part",
     VerdictStatus.UNEXPLAINED: "Not explained by any known effect",
 }
 RIVALS = 15  # listed on the page

@@ -198,7 +198,7 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
     C = np.zeros((len(observed), len(A)))
     C[:, :size] = observed[:, layout.block : layout.block + size]
     inputs, outputs = _names(layout)
-    delay = 0.0 if equilibrium.mapped else float(model.reference_stepper.value("delay", model.theta).item())
+    delay = 0.0 if equilibrium.mapped else float(model.reference_stepper.value("delay", model.theta)[0].item())
     return Linear(
         A=A, B=B, C=C, D=np.zeros((len(C), B.shape[1])), inputs=inputs, outputs=outputs, delay=delay,
         ranges=np.append(model.input_max, np.full(forces, FORCE_RANGE)), equilibrium=equilibrium,

@@ -70,13 +70,14 @@ def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) ->
     """Parameters by full name with their ranges; without names those that the robot file has priors for.
 
     A robot parameter with a prior keeps to it, around the robot file's value; one without is believed to be right to 100 %. A
-    parameter of an effect keeps to the effect's range.
+    parameter of an effect keeps to the effect's range; one of a group that scatters is believed to do so by its `scale` at first.
 
     Raises:
         InputError: no such parameter; a value outside its prior.
     """
     robot, known = model.robot, model.values
-    effects = {f"{effect.label}.{p.name}": p for effect in model.model.effects for p in find_effect(effect.name).parameters}
+    active = [(effect.label, find_effect(effect.name).parameters_of(model.layout)) for effect in model.model.effects]
+    effects = {f"{label}.{parameter.name}": parameter for label, own in active for parameter in own}
     found = []
     for name in robot.priors if names is None else names:
         if name not in known:
@@ -84,8 +85,9 @@ def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) ->
         value = known[name]
         if name in effects:
             kind = effects[name]
-            scale = abs(kind.probe - kind.null) or 0.3 * abs(kind.probe)
-            found.append(Free(name, kind.unit, value, kind.low, kind.high, scale))
+            doubt = kind.scale if kind.spread else np.inf
+            refines = kind.is_shape and not kind.null
+            found.append(Free(name, kind.unit, value, kind.low, kind.high, kind.scale, kind.null, doubt, kind.spread, refines))
             continue
         nominal = float(getattr(robot.parameters, name))
         low, high = _physical_range(name)

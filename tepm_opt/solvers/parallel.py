@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from typing import TypeVar, cast
 
@@ -13,12 +14,24 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Other = TypeVar("Other")
 
+_most: ContextVar[int | None] = ContextVar("_most", default=None)  # cores that may be used, where that is limited
 _interrupted: ContextVar[threading.Event | None] = ContextVar("_interrupted", default=None)  # set where the user has ended the whole
 
 
 def cores() -> int:
-    """Cores this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores this process may run on, and this piece of work may use."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(there, _most.get() or there)
+
+
+@contextmanager
+def on_cores(most: int) -> Iterator[None]:
+    """What is done in the block uses at most so many cores: others work beside it."""
+    before = _most.set(most)
+    try:
+        yield
+    finally:
+        _most.reset(before)
 
 
 def in_parallel(

@@ -29,6 +29,8 @@ class Free:
         low, high: its range; for a robot parameter with a prior the prior's (SPEC section 4: uniform).
         scale: a small but visible change of it.
         prior_mean, prior_std: of a normal prior besides the range; infinite standard deviation for none.
+        group: of alike parameters whose common `prior_std` the data tell (see `hierarchy`); none where empty.
+        refines: whether it refines how something acts that acts without it, too: a corner, a bend.
     """
 
     name: str
@@ -39,6 +41,8 @@ class Free:
     scale: float
     prior_mean: float = 0.0
     prior_std: float = np.inf
+    group: str = ""
+    refines: bool = False
 
     @property
     def spread(self) -> float:

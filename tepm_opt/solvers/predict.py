@@ -32,15 +32,22 @@ def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: b
         InputError: no such parameter.
         PredictionError: the model has no stable equilibrium or no motion under these inputs, or they are outside the robot's limits.
     """
-    directions = Directions.of(model, names)
+    telling = [name for name in names if name not in model.without_size]
+    directions = Directions.of(model, telling)
     if static:
-        return _equilibria(model, run, directions)
-    setpoints = SetPoints(run.time, run.inputs, run.tip_force)
-    try:
-        found = simulate(model, setpoints, step=step, directions=directions if names else None, progress=_told).complete()
-    except (SimulationError, InputError) as error:
-        raise PredictionError(f"{run.file}: {error}") from error
-    return Prediction(found.points, found.sensitivities)
+        found = _equilibria(model, run, directions)
+    else:
+        setpoints, along = SetPoints(run.time, run.inputs, run.tip_force), directions if telling else None
+        try:
+            motion = simulate(model, setpoints, step=step, directions=along, progress=_told, began=run.began).complete()
+        except (SimulationError, InputError) as error:
+            raise PredictionError(f"{run.file}: {error}") from error
+        found = Prediction(motion.points, motion.sensitivities)
+    if len(telling) == len(names):
+        return found
+    by = np.zeros((len(names), *found.points.shape))
+    by[[name in telling for name in names]] = found.by
+    return Prediction(found.points, by)
 
 
 def predict_all(

@@ -46,7 +46,8 @@ class Directions:
         names: one a direction.
         parameters: change of theta, (directions, parameters).
         inputs: change of u at every sample, (samples, directions, inputs), or at all of them alike, (directions, inputs).
-        loads: change of the forces on the points at all samples alike, (directions, points, 3).
+        loads: change of the forces on the points at every sample, (samples, directions, points, 3), or at all of them alike,
+            (directions, points, 3).
     """
 
     names: tuple[str, ...]
@@ -152,7 +153,7 @@ class Simulation:
 def simulate(
     model: CompiledModel, setpoints: SetPoints, method: Method = "implicit", step: float | None = None, hold: bool = False,
     loads: np.ndarray | None = None, directions: Directions | None = None, tolerance: float = 1e-6,
-    progress: Progress = silent, error: float | None = None,
+    progress: Progress = silent, error: float | None = None, began: float = 0.0,
 ) -> Simulation:  # fmt: skip
     """Simulate from the equilibrium under the first row; the result's outcome says whether it came to the last.
 
@@ -172,12 +173,13 @@ def simulate(
         tolerance: residual forces in N to which implicit stages are solved.
         progress: told the time simulated in s, about once per simulated second.
         error: of the nodes in m at which adaptive steps aim. Default: 0.1 mm.
+        began: time in the session in s at the first row, for effects that ask.
 
     Raises:
         InputError: set points that do not fit, "rk4" with a step above its stable one, with directions or with an error, both an
             error and a step, no stable equilibrium to start from.
     """
-    return run(prepare(model, setpoints, method, step, hold, loads, directions, tolerance, error), progress)
+    return run(prepare(model, setpoints, method, step, hold, loads, directions, tolerance, error, began), progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +187,7 @@ class Job:
     """A simulation that is prepared.
 
     Attributes:
-        model, setpoints, method: see `simulate`.
+        model, setpoints, method: see `simulate`; the model as it is when the motion begins.
         step: longest of equal steps in s; None where they adapt.
         start: equilibrium under the first row.
         drive, scheme, record: what the backend is told, and what it fills.
@@ -239,12 +241,12 @@ class Job:
 
 def prepare(
     model: CompiledModel, setpoints: SetPoints, method: Method, step: float | None, hold: bool, loads: np.ndarray | None,
-    directions: Directions | None, tolerance: float, error: float | None,
+    directions: Directions | None, tolerance: float, error: float | None, began: float = 0.0,
 ) -> Job:  # fmt: skip
     """Check what a simulation is asked for, and find where it starts.
 
     Args:
-        model, setpoints, method, step, hold, loads, directions, tolerance, error: see `simulate`.
+        model, setpoints, method, step, hold, loads, directions, tolerance, error, began: see `simulate`.
 
     Raises:
         InputError: as for `simulate`.
@@ -257,6 +259,8 @@ def prepare(
         raise InputError("error: steps adapt to it with method 'implicit' and without a step")
     if error is not None and not LEAST_ERROR <= error <= MOST_ERROR:
         raise InputError(f"error: {error:g} m; valid: {LEAST_ERROR:g} … {MOST_ERROR:g} m")
+    _ = model.stepper  # compiled now: the model of every time shares it
+    model = model.at_time(began)
     drive = _drive(model, setpoints, hold, loads, directions)
     start = _start(model, setpoints, 0, drive)
     if method == "rk4":
@@ -338,7 +342,7 @@ def _drive(model: CompiledModel, setpoints: SetPoints, hold: bool, loads: np.nda
         if directions.inputs is not None:
             d_rows[:, :, : model.layout.inputs] = directions.inputs
         if directions.loads is not None:
-            d_rows[:, :, model.layout.inputs :] = directions.loads.reshape(len(directions.names), -1)
+            d_rows[:, :, model.layout.inputs :] = directions.loads.reshape(*directions.loads.shape[:-2], -1)
     return Drive(setpoints.time, rows, hold, directions.parameters, d_rows)
 
 
@@ -348,7 +352,6 @@ def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float)
     What a bend matters is taken from the gain at the start: by how much it changes the speed with which the points follow.
     """
     inputs, points = model.layout.inputs, 3 * model.layout.points
-    late = (model.command_delay or 0.0, 0.0)
     parts = drive.rows[:, :inputs], drive.rows[:, inputs:]
     if drive.hold:
         found = [drive.time[1:][(np.diff(part, axis=0) != 0).any(axis=1)] for part in parts]
@@ -362,7 +365,10 @@ def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float)
         ]
         speeds = [np.linalg.norm(bend.reshape(len(bend), points // 3, 3), axis=2).max(axis=1, initial=0.0) for bend in bends]
         found = [drive.time[1:-1][speed > BEND * error] for speed in speeds]
-    return np.unique(np.concatenate([times + delay for times, delay in zip(found, late, strict=True)]))
+    late = [model.delays(times - drive.time[0], forces) for times, forces in zip(found, (False, True), strict=True)]
+    for _ in range(2 if model.model.timed else 0):  # they act when it is later, which may change how late
+        late = [model.delays(times + after - drive.time[0], k == 1) for k, (times, after) in enumerate(zip(found, late, strict=True))]
+    return np.unique(np.concatenate([times + after for times, after in zip(found, late, strict=True)]))
 
 
 def _start(model: CompiledModel, setpoints: SetPoints, row: int, drive: Drive, strict: bool = True) -> Equilibrium:

@@ -30,11 +30,13 @@ class Motion:
         setpoints: inputs over time; it starts from the equilibrium under the first row.
         theta: values of the parameters, (parameters,) in SI; by default the model's.
         loads: further known forces on the reference points in G, (samples, points, 3) in N.
+        began: time in the session in s at the first row, for effects that ask.
     """
 
     setpoints: SetPoints
     theta: np.ndarray | None = None
     loads: np.ndarray | None = None
+    began: float = 0.0
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -65,7 +67,7 @@ def simulate_many(
     for number, motion in enumerate(motions, start=1):
         try:
             its = model if motion.theta is None else model.with_theta(motion.theta)
-            jobs.append(prepare(its, motion.setpoints, method, step, hold, motion.loads, directions, tolerance, error))
+            jobs.append(prepare(its, motion.setpoints, method, step, hold, motion.loads, directions, tolerance, error, motion.began))
         except InputError as wrong:
             raise InputError(f"motion {number}: {wrong}") from wrong
     many = None if directions is not None or len(jobs) < 2 else model.many

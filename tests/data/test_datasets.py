@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import string
 from dataclasses import replace
 from pathlib import Path
@@ -132,6 +133,42 @@ def test_no_tip_force_columns_is_no_tip_force(tmp_path: Path) -> None:
     lines = [line.split(",") for line in (tmp_path / "run.csv").read_text().splitlines()]
     (tmp_path / "run.csv").write_text("\n".join(",".join(line[:13] + line[16:]) for line in lines))
     assert_same_run(read_run(tmp_path / "run.csv"), replace(run, file="run.csv"))
+
+
+def began(folder: Path) -> list[float]:
+    return [run.began for run in read_dataset(folder).runs]
+
+
+class TestSession:
+    """Runs of 5.98 s, one after the other."""
+
+    def test_runs_follow_each_other_5_s_apart_unless_one_says_when_it_began(self, tmp_path: Path) -> None:
+        write_dataset(make_dataset(), tmp_path)
+        assert began(tmp_path) == [0.0, pytest.approx(10.98)]
+        text = (tmp_path / "dataset.toml").read_text()
+        (tmp_path / "dataset.toml").write_text(text.replace('role = "fit"', 'role = "fit"\nbegan_s = 20'))
+        assert began(tmp_path) == [20.0, pytest.approx(30.98)]
+
+    def test_what_is_said_is_written_and_what_is_usual_is_not(self, tmp_path: Path) -> None:
+        first, second = make_dataset().runs
+        write_dataset(replace(make_dataset(), runs=(first, replace(second, began=100.0))), tmp_path)
+        assert began(tmp_path) == [0.0, 100.0]
+        write_dataset(read_dataset(tmp_path), tmp_path / "again")
+        assert (tmp_path / "again" / "dataset.toml").read_text() == (tmp_path / "dataset.toml").read_text()
+        write_dataset(make_dataset(), tmp_path / "usual")
+        write_dataset(read_dataset(tmp_path / "usual"), tmp_path / "usual again")
+        assert "began_s" not in (tmp_path / "usual again" / "dataset.toml").read_text()
+
+    @pytest.mark.parametrize(
+        ("value", "message"),
+        [("-1.0", "valid: 0 … 1e+07 s after the first run"), ('"noon"', "began_s"), ("0", "when the run before it began")],
+    )
+    def test_a_time_that_cannot_be_is_refused(self, tmp_path: Path, value: str, message: str) -> None:
+        write_dataset(make_dataset(), tmp_path)
+        text = (tmp_path / "dataset.toml").read_text()
+        (tmp_path / "dataset.toml").write_text(text.replace('role = "validation"', f'role = "validation"\nbegan_s = {value}'))
+        with pytest.raises(InputError, match=r"dataset.toml.*" + re.escape(message)):
+            read_dataset(tmp_path)
 
 
 class TestEquilibria:

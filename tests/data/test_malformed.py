@@ -217,11 +217,15 @@ CASES = {
         severity="warning",
     ),
     "interchanged": Case(points(lambda p: swapped(p, 1, 2)), STEPS, "s2 and s3 interchanged? Along the robot the points lie", "s2 s3"),
-    "frozen": Case(points(lambda p: assign(p, (slice(120, 160), 1), p[120, 1])), STEPS, "lines 122 to 161: frozen", "s2"),
+    "frozen": Case(points(lambda p: assign(p, (slice(120, 200), 1), p[120, 1])), STEPS, "lines 122 to 201: frozen", "s2"),
+    "frozen for a moment": Case(
+        points(lambda p: assign(p, (slice(120, 160), 1), p[120, 1])), STEPS, "lines 122 to 161: frozen", "s2", severity="warning"
+    ),
     "one coordinate frozen": Case(
         points(lambda p: assign(p, (slice(120, 160), 1, 2), p[120, 1, 2])), STEPS, "lines 122 to 161: frozen", "s2_z_m"
     ),
-    "spike": Case(points(lambda p: p[150, 2].__iadd__(0.08)), STEPS, "line 152: spikes of up to 8", "s3"),
+    "spike": Case(points(lambda p: p[150, 2].__iadd__(0.08)), STEPS, "line 152: spikes of up to 8", "s3", severity="warning"),
+    "spikes": Case(points(lambda p: p[10::9, 2].__iadd__(0.08)), STEPS, "2.7 % of the run's samples stray", "s3"),
     "shift": Case(points(lambda p: p[200:, 3].__iadd__(0.06)), STEPS, "line 202: jumps by up to 10", "s4"),
     "not at rest": Case(values(swing), STEPS, "not at rest at the start: moves at", "s"),
     "pasted": Case(points(lambda p: assign(p, slice(200, 240), p[100:140])), STEPS, "40 rows repeat the poses from line 102 on"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,20 +20,17 @@ from typing import Any
 
 import numpy as np
 
+from tepm_opt.blind import machine
+from tepm_opt.blind.causes import commanded
+from tepm_opt.blind.excitation import RATE, Excitation, excitations
+from tepm_opt.blind.machine import Commands, Deviation, Sight, rig_file
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
-from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.hw.simulation.rig import SimulatedRig
-from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.jobs.record import seed_of
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import load_robot
-from tests.discrepancy.excitation import RATE, Excitation, excitations
 
 ROBOT = load_robot("kang2017")
-STEP = 1 / 2800  # s, or less where the robot does not bear it
-
-Change = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class Hidden:
         sizes: parameters of the model's effects by full name, as far as they correspond to the rig's forms.
         seed: of the true parameters, the inputs and the noise.
         noise: of the tracker, 1 sigma per axis in m.
-        before, after: what acts on the commands (rows, 12) and on the points (rows, points, 3) besides the rig's imperfections.
+        before, after: what acts on the commands and on the points besides the rig's imperfections.
     """
 
     key: str
@@ -58,8 +55,8 @@ class Hidden:
     sizes: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     noise: float = 3e-4
-    before: Change | None = None
-    after: Change | None = None
+    before: Commands | None = None
+    after: Sight | None = None
 
 
 def true_factors(case: Hidden) -> dict[str, float]:
@@ -74,30 +71,10 @@ def true_parameters(case: Hidden) -> dict[str, float]:
     return {name: values[name] * factor for name, factor in true_factors(case).items()}
 
 
-def rig_file(case: Hidden) -> RigFile:
-    """The rig of a case: perfect devices but for the tracker's noise."""
-    return RigFile.model_validate(
-        {
-            "name": "hidden",
-            "robot": ROBOT.name,
-            "seed": case.seed,
-            "simulation": {"step_s": STEP},
-            "parameter_factors": true_factors(case),
-            "tracker": {"rate_hz": RATE, "noise_rms_m": np.sqrt(3) * case.noise},
-            "imperfections": case.imperfections,
-        }
-    )
-
-
 def played(case: Hidden, run: Excitation) -> Run:
     """A run as it is recorded: inputs as commanded, points as measured."""
-    rig, asked = SimulatedRig(rig_file(case)), run.setpoints
-    rig.reseed(seed_of(case.seed, run.file))
-    inputs = asked.inputs if case.before is None else case.before(asked.inputs)
-    rig.schedule(SetPoints(asked.time, inputs, asked.tip_force))
-    seen = np.array([sample.points for sample in rig.read_many(len(asked.time))])
-    points = seen if case.after is None else case.after(seen)
-    return Run(run.file, run.role, asked.time, asked.inputs, asked.tip_force, points)
+    hidden = Deviation(case.imperfections, true_factors(case), case.before, case.after)
+    return machine.played(rig_file(ROBOT, hidden, case.noise, case.seed), hidden, run, seed_of(case.seed, run.file))
 
 
 def make(case: Hidden, folder: Path, short: bool, jobs: int = 1) -> Path:
@@ -132,32 +109,36 @@ def label(case: Hidden) -> dict[str, Any]:
     }
 
 
-def curved_lens(points: np.ndarray) -> np.ndarray:
+def curved_lens(time: np.ndarray, points: np.ndarray) -> np.ndarray:
     """A foreign effect: the tracker's field bends with the square of the place, by 9 mm at 150 mm from its axis."""
     x, y, z = np.moveaxis(points, -1, 0)
     return points + 0.4 * np.stack([x * (z - 0.2), y * (z - 0.2) + 0.5 * x * y, -(x**2) - y**2], axis=-1)
 
 
-def sagging_supply(inputs: np.ndarray) -> np.ndarray:
+@commanded
+def sagging_supply(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A foreign effect: the common supply gives way under load, all pressures by 20 % where all muscles are at 0.3 MPa."""
-    pressures, tensions = np.split(inputs, 2, axis=1)
     sag = 0.2 * (pressures.mean(axis=1, keepdims=True) / 0.3e6) ** 1.5
-    return np.hstack([pressures * (1 - np.minimum(sag, 0.5)), tensions])
+    return pressures * (1 - np.minimum(sag, 0.5)), tensions
 
 
-def sticking_tendons(inputs: np.ndarray) -> np.ndarray:
+@commanded
+def sticking_tendons(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Tendon friction without motion of the muscle: the tension at the end plays within 0.15 N and 15 % around the motor's."""
-    pressures, tensions = np.split(inputs, 2, axis=1)
     ends = tensions.copy()
     for before, now in pairwise(ends):
         now[:] = np.clip(before, np.maximum(0.85 * now - 0.15, 0.0), 1.15 * now + np.minimum(now, 0.15))
-    return np.hstack([pressures, ends])
+    return pressures, ends
 
 
 def _single(name: str, seed: int, sizes: Mapping[str, float], noise: float = 3e-4, detail: str = "", **rig: Any) -> Hidden:
     owner = f"{name}[{detail}]" if detail else name
     full = {f"{owner}.{key}": value for key, value in sizes.items()}
     return Hidden(name, {name: rig}, (name,), {name: detail} if detail else {}, full, seed, noise)
+
+
+def _form(name: str, key: str, seed: int, detail: str = "", **imperfections: Mapping[str, Any]) -> Hidden:
+    return Hidden(key, imperfections, (name,), {name: detail} if detail else {}, {}, seed)
 
 
 def _pair(first: Hidden, second: Hidden, seed: int, noise: float) -> Hidden:
@@ -196,11 +177,35 @@ SINGLES: tuple[Hidden, ...] = (
         rotation_deg=(0.8, -0.6, 1.2),
         shift_m=(0.003, -0.002, 0.004),
     ),
+    _single("actuator_offset", 119, {"pressure": 1e-3 * 358.86 / 50.27e-6}, detail="23", length_m={"23": 1e-3}),
+    _single("regulator_leak", 124, {"share": 0.04 / 1.04}, detail="13", share={"13": 0.04}),
+    _single("tension_gain", 125, {"loss": 0.25}, detail="21", loss={"21": 0.27}, bend=0.03),
+    _single("actuator_scatter", 126, {}, area_spread=0.02, length_spread_m=3e-4, draw=1),
+    _single(
+        "tracker_drift",
+        130,
+        {},
+        shift_m=(0.004, -0.003, 0.002),
+        rotation_deg=(0.5, -0.3, 0.4),
+        period_s=300.0,
+    ),
+    _single("warm_up", 131, {}, change=-0.06, full_s=25.0),
+    _single("tendon_slip", 132, {"share": 0.4}, detail="12", share={"12": 0.4}, instant_s=17.0),
+    _single("clock_skew", 133, {"rate": 0.004}, rate=0.004, bend_per_s=1e-5),
+    _single("base_vibration", 134, {}, amplitude_m=(1e-3, -5e-4, 3e-4), frequency_Hz=7.3, phase_deg=50.0),
     _single("sensor_offset", 118, {"x": 0.005, "y": -0.004, "z": 0.003}, 2e-4, detail="s3", offset_m={"s3": (0.005, -0.004, 0.003)}),
 )
+OTHER_FORMS: tuple[Hidden, ...] = (
+    _form("regulator_lag", "choked_filling", 120, choked_filling={"rate_per_s": 0.5, "band_Pa": 2e4}),
+    _form("pressure_hysteresis", "uneven_hysteresis", 121, pressure_hysteresis={"width_Pa": 12e3, "asymmetry": -0.5}),
+    _form("pressure_dead_zone", "soft_dead_zone", 122, pressure_dead_zone={"threshold_Pa": 18e3, "softness_Pa": 9e3}),
+    _form("actuator_offset", "regulator_zero", 123, "12", actuator_offset={"zero_Pa": {"12": 4e3}}),
+)
+"""Causes in forms that differ more from the model's: valves that choke, loops that are not even, corners that are soft."""
 _BY_KEY = {case.key: case for case in SINGLES}
 CASES: tuple[Hidden, ...] = (
     *SINGLES,
+    *OTHER_FORMS,
     _pair(_BY_KEY["payload"], _BY_KEY["regulator_lag"], 201, 3e-4),
     _pair(_BY_KEY["base_tilt"], _BY_KEY["pressure_dead_zone"], 202, 2e-4),
     Hidden(

@@ -48,7 +48,7 @@ class Case:
         spoil: the data set with it, from the machine.
         edit: what is done to the files then.
         says: expressions that the refusal must match, in any order; None where it need not be refused.
-        allowed: names of effects that are no wrong answer.
+        allowed: names or labels of effects that are no wrong answer.
         status: what a verdict must be, where that is certain.
         notes: expressions that the verdict's notes must match.
         slow: whether it takes long to see that nothing explains it.
@@ -255,7 +255,25 @@ CASES = [
     Case("four in ten samples missing", every(some(0.4, np.nan)), status=VerdictStatus.NO_DISCREPANCY, slow=True),
     Case("zeros for missing samples", every(some(0.1, 0.0)), says=("all coordinates are 0",)),
     Case("a frozen sensor", first(sensor(3, lambda p: np.where(np.arange(len(p))[:, None] > 100, p[100], p))), says=("s4", "frozen")),
-    Case("spikes", every(some(0.02, 0.5)), says=("spikes",)),
+    Case("few spikes", every(some(0.02, 0.5)), status=VerdictStatus.NO_DISCREPANCY, notes=("Outliers: .* are left out",)),
+    Case("many spikes", every(some(0.1, 0.5)), says=("spikes", "samples stray")),
+    Case(
+        "a sensor frozen for a moment",
+        first(sensor(3, lambda p: np.where((np.arange(len(p)) // 30 == 3)[:, None], p[90], p))),
+        status=VerdictStatus.NO_DISCREPANCY,
+        notes=("Frozen: 29 of",),
+    ),
+    Case(
+        "noise of 0.45 mm",
+        every(points(lambda p: p + 0.75**0.5 * NOISE * np.random.default_rng(1).normal(size=p.shape))),
+        status=VerdictStatus.NO_DISCREPANCY,
+        notes=("3[0-9] % above the 0.3 mm assumed",),
+    ),
+    Case(
+        "a table that vibrates",
+        every(lambda run: {"points": run.points + 1e-3 * np.sin(14 * run.time + run.rows)[:, None, None] * [1, 0.5, 0.2]}),
+        slow=True,
+    ),
     Case("noise only", every(lambda run: {"points": at_rest(run)["points"]}), slow=True),
     Case(
         "noise of 20 mm", lambda m: replace(m.dataset, runs=tuple(cut(noisy(run, 20e-3), SECONDS) for run in m.clean), position_noise=20e-3)
@@ -287,10 +305,10 @@ CASES = [
     Case("absolute pressures", every(inputs(lambda u: u + np.repeat([101325.0, 0], 6))), allowed=("pressure_dead_zone",), slow=True),
     Case("muscles named in another order", every(inputs(lambda u: u[:, [1, 0, 2, 3, 4, 5, 7, 6, 8, 9, 10, 11]])), slow=True),
     # time
-    Case("clock late by 1 s", late(1.0), says=("shifted clock", "trail")),
-    Case("clock early by 0.3 s", late(-0.3), says=("shifted clock|not at rest",)),
-    Case("clock early by 2 s", late(-2.0), says=("shifted clock|not at rest",)),
-    Case("clock of one run late", late(1.0, 0.0, 0.0, 0.0), says=("shifted clock", FIRST)),
+    Case("clock late by 1 s", late(1.0), notes=("shifted clock.*trail",), status=VerdictStatus.UNEXPLAINED, slow=True),
+    Case("clock early by 0.3 s", late(-0.3), says=("not at rest",)),
+    Case("clock early by 2 s", late(-2.0), says=("not at rest",)),
+    Case("clock of one run late", late(1.0, 0.0, 0.0, 0.0), notes=(f"{FIRST}: shifted clock",), slow=True),
     Case("time in ms", every(lambda run: {"time": 1e3 * run.time}), says=("milliseconds",)),
     Case("time going back", first(backwards), says=("time goes back",)),
     Case("time standing", edit=field(30, 0, "0.56"), says=("time_s",)),
@@ -311,8 +329,8 @@ CASES = [
     # robot
     Case("unknown robot", edit=text(TOML, '"kang2017"', '"kang2018"'), says=("'kang2018'",)),
     Case("robot of one module", edit=robot("modules = 2", "modules = 1"), says=("no actuator|other",)),
-    Case("robot of other length", edit=robot(r"L_0 = 0\.200", "L_0 = 0.150"), slow=True),
-    Case("robot of other radius", edit=robot(r"\nr = 0\.040", "\nr = 0.030"), slow=True),
+    Case("robot of other length", edit=robot(r"L_0 = 0\.200", "L_0 = 0.150"), allowed=("parameter[L_0]",), slow=True),
+    Case("robot of other radius", edit=robot(r"\nr = 0\.040", "\nr = 0.030"), allowed=("parameter[r]",), slow=True),
 ]
 
 
@@ -320,7 +338,11 @@ def wrongly_sure(verdict: Verdict, allowed: tuple[str, ...]) -> list[str]:
     """Effects named with more than even odds that are not there."""
     if verdict.status is not VerdictStatus.NAMED:
         return []
-    return [each.candidate.label for each in verdict.effects if each.probability >= 0.5 and each.candidate.name not in allowed]
+    return [
+        each.candidate.label
+        for each in verdict.effects
+        if each.probability >= 0.5 and {each.candidate.name, each.candidate.label}.isdisjoint(allowed)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -350,18 +372,21 @@ def test_bad_data_are_refused_or_humbly_explained(machine: Machine, tmp_path: Pa
     assert not missing, verdict.notes
 
 
-def test_a_shifted_clock_is_lifted_by_the_option(machine: Machine, tmp_path: Path) -> None:
-    write_dataset(late(1.0)(machine), tmp_path / "data")
+@pytest.mark.slow
+def test_a_clock_that_leads_names_nothing(machine: Machine, tmp_path: Path) -> None:
+    """What the data check would refuse, since it moves before its inputs do."""
+    write_dataset(late(-0.3)(machine), tmp_path / "data")
     verdict = run_discrepancy(tmp_path / "data", tmp_path / "out", despite_errors=True).verdict
-    assert re.search("shifted clock: positions trail", verdict.notes[0])
-    assert not wrongly_sure(verdict, ("command_delay", "regulator_lag")), verdict.paragraph
+    assert re.match("all runs: shifted clock: positions lead the inputs by 0.[23]", verdict.notes[0])
+    assert verdict.status is VerdictStatus.UNEXPLAINED
+    assert "Next: put inputs and positions on one clock" in verdict.paragraph
 
 
 def test_no_case_twice() -> None:
     assert len({case.name for case in CASES}) == len(CASES) >= 30
 
 
-@pytest.mark.parametrize("name", ["positions in mm", "missing column", "clock late by 1 s"])
+@pytest.mark.parametrize("name", ["positions in mm", "missing column", "pressures in bar"])
 def test_the_command_says_so_in_one_line(machine: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     (case,) = (case for case in CASES if case.name == name)
     folder, out = tmp_path / "data", tmp_path / "out"

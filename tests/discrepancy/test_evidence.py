@@ -62,6 +62,24 @@ class TestLeaveOut:
         moved = [replace(run, points=run.points + 2e-3 * np.sin(3 * run.time)[:, None, None]) for run in runs]
         assert leave_out(fitted(kang, moved)).excess > 1.0
 
+    @pytest.mark.parametrize("refines", [True, False], ids=["refines", "at a bound"])
+    def test_what_refines_a_form_and_what_is_at_a_bound_stay(self, kang: CompiledModel, runs: list[Run], refines: bool) -> None:
+        estimate = fitted(kang, runs)
+        first, *others = estimate.problem.free
+        at = float(estimate.values[0])
+        stays = replace(first, refines=True) if refines else replace(first, low=at)
+        beside = [replace(residual, by=residual.by[:, 1:]) for residual in estimate.residuals]
+        without = replace(estimate, problem=replace(estimate.problem, free=tuple(others)), values=estimate.values[1:], residuals=beside)
+        found = leave_out(replace(estimate, problem=replace(estimate.problem, free=(stays, *others))))
+        np.testing.assert_allclose(found.squares, leave_out(without).squares, rtol=1e-6)
+        assert not np.allclose(found.squares, leave_out(estimate).squares, rtol=1e-4), "it does move where nothing holds it"
+
+    def test_a_run_alone_is_left_out_by_whole_blocks(self, kang: CompiledModel, runs: list[Run]) -> None:
+        estimate = fitted(kang, runs[:1])
+        (residual,) = estimate.residuals
+        counts = np.bincount(residual.block, residual.present.reshape(len(residual.values), -1).sum(axis=1))
+        np.testing.assert_array_equal(leave_out(estimate).counts, counts)
+
     def test_missing_samples_do_not_count(self, kang: CompiledModel, runs: list[Run]) -> None:
         holey = [replace(run, points=np.where(np.arange(4)[:, None] == 1, np.nan, run.points)) for run in runs]
         holey[0].points[50:120] = np.nan  # a second and a half in which nothing is seen

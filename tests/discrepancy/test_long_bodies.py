@@ -87,7 +87,12 @@ def test_what_laws_make_of_a_signal(name: str, p: dict[str, float], expected: li
 
 
 @pytest.mark.parametrize(
-    ("hidden", "value"), [("", 0.0), ("tendon_slack[tension].slack", 1.2), ("capstan_friction[tension].friction", 0.4)]
+    ("hidden", "value"),
+    [
+        pytest.param("", 0.0, marks=pytest.mark.slow),
+        pytest.param("tendon_slack[tension].slack", 1.2, marks=pytest.mark.slow),
+        ("capstan_friction[tension].friction", 0.4),
+    ],
 )
 def test_what_is_hidden_in_a_rod_is_named(tmp_path: Path, hidden: str, value: float) -> None:
     file = tmp_path / "rod.py"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import black_box, fits, localise, screen
+from tepm_opt.discrepancy import black_box, first_order, fits, localise
 from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.workflow import discover
 from tepm_opt.models.compile import CompiledModel
@@ -21,8 +21,8 @@ PER_SAMPLE = 2500  # B; 150 MB for 20 minutes
 
 @pytest.mark.slow
 def test_of_a_verdict_per_sample(kang: CompiledModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (screen, fits):
-        monkeypatch.setattr(module, "MEMORY", 0)  # as if the data were long: as many passes as there are candidates, one fit at a time
+    monkeypatch.setattr(fits, "MEMORY", 0)  # as if the data were long: one fit at a time
+    monkeypatch.setattr(first_order, "MEMORY", 2_000_000)  # and what is long is thinned
     monkeypatch.setattr(black_box, "SAMPLES", 50)  # what does not grow any more with long data
     monkeypatch.setattr(localise, "CHUNK", 20_000)
     runs = measured(changed(kang, **true_values(kang)), planned(("single_pressure.csv", "elongation.csv", "mixed.csv")))

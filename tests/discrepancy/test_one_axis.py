@@ -96,8 +96,9 @@ def passes_the_base(force: float) -> float:
     return float(solve_ivp(rates, (0.0, 1.5), [0.0, 0.0], rtol=1e-9, atol=1e-12, max_step=0.01, events=there).t[-1])
 
 
-@pytest.mark.parametrize("backend", ["auto", "python"])
-@pytest.mark.parametrize("step", [None, 0.02])
+@pytest.mark.parametrize(
+    ("backend", "step"), [("auto", None), ("auto", 0.02), ("python", 0.02), pytest.param("python", None, marks=pytest.mark.slow)]
+)
 def test_a_mass_that_runs_through_its_base_is_told(backend: Literal["auto", "python"], step: float | None) -> None:
     model = compile_model(FILE, backend=backend)
     assert simulate(model, pushed(-40.0), step=step).solved, "it comes within 15 mm"
@@ -194,7 +195,7 @@ class TestWithoutASpring:
     [
         pytest.param({"friction": 0.8}, "structural_friction", None, marks=pytest.mark.slow),
         pytest.param({"filling": 0.15}, "regulator_lag", 0.15, marks=pytest.mark.slow),
-        ({}, None, None),
+        pytest.param({}, None, None, marks=pytest.mark.slow),
     ],
     ids=["friction", "lag", "nothing"],
 )

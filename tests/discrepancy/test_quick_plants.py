@@ -11,6 +11,7 @@ from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.equations import Equations
 from tepm_opt.discrepancy.evidence import REFITS, leave_out
+from tepm_opt.discrepancy.first_order import linearised
 from tepm_opt.discrepancy.screen import screen
 from tepm_opt.discrepancy.words import beyond
 from tepm_opt.solvers.identify import Problem, identify
@@ -100,7 +101,9 @@ def test_a_probe_is_judged_by_what_a_few_steps_gain() -> None:
         for k, run in enumerate(runs(4, 2.0))
     )
     estimate = identify(Problem(machine, measured, machine.free(machine.known), NOISE))
-    score = next(s for s in screen(estimate, machine.candidates) if s.candidate.name == "input_lag")
+    score = next(
+        s for s in screen(linearised(estimate, estimate.problem.free, (), ()), machine.candidates) if s.candidate.name == "input_lag"
+    )
     assert score.gain > 0.9
     assert score.start["input_lag[inflow].time"] == pytest.approx(lag, rel=0.3)
     assert score.start["leak"] == pytest.approx(2.3, rel=0.1), "what is known follows"

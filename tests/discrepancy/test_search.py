@@ -12,6 +12,8 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy import fits as fitting
+from tepm_opt.discrepancy import search
+from tepm_opt.discrepancy.first_order import linearised
 from tepm_opt.discrepancy.fits import Fits, SearchSettings
 from tepm_opt.discrepancy.network import candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.screen import screen
@@ -116,12 +118,18 @@ class TestLibrary:
             assert missing.probes[0].keys() == missing.null.keys() == set(missing.parameters)
             assert missing.probes[0] != missing.null, missing.label
 
+    def test_what_one_actuator_does_a_gauge_may_show(self) -> None:
+        """Whatever the hook it is written with: a muscle's offset may be its regulator's zero."""
+        stages = {candidate.name: candidate.stage for candidate in candidates(NOMINAL)}
+        assert stages["actuator_offset"] == stages["actuator_gain"] == stages["regulator_lag"] == "input"
+        assert stages["payload"] == stages["sensor_offset"] == "body"
+
 
 class TestScreening:
     @pytest.mark.parametrize("apart", [0.0, 0.04])
     def test_what_is_missing_promises_most(self, library: CompiledModel, runs: list[Run], apart: float) -> None:
         estimate = identify(replace(problem(library, runs), derivatives_apart=apart))
-        scores = screen(estimate, candidates(NOMINAL))
+        scores = screen(linearised(estimate, estimate.problem.free, (), candidates(NOMINAL)))
         gains = [score.gain for score in scores]
         assert gains == sorted(gains, reverse=True)
         assert scores[0].candidate.label == "sensor_offset[s3]"
@@ -134,7 +142,10 @@ class TestScreening:
         """First-order gains of all effects, those that are probed as well."""
         estimate = identify(problem(library, runs))
         sparse = replace(estimate, problem=replace(estimate.problem, derivatives_apart=0.04))
-        whole, few = ({s.candidate.label: s for s in screen(each, candidates(NOMINAL))} for each in (estimate, sparse))
+        whole, few = (
+            {s.candidate.label: s for s in screen(linearised(each, each.problem.free, (), candidates(NOMINAL)))}
+            for each in (estimate, sparse)
+        )
         assert whole.keys() == few.keys()
         gains = {label: (score.gain, few[label].gain) for label, score in whole.items()}
         assert all(other == pytest.approx(one, abs=0.02) for one, other in gains.values()), gains
@@ -197,6 +208,7 @@ class TestFits:
         self, library: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         settings = SearchSettings(tolerance=1e-7)  # so that all have steps to make
+        monkeypatch.setattr(search, "NEAR", np.inf)  # and are fitted
         found = []
         for lost in (fitting.LOST, np.inf):
             monkeypatch.setattr(fitting, "LOST", lost)
@@ -238,7 +250,7 @@ class TestAnswer:
 
     def test_every_other_effect_is_a_rival_with_a_reason(self, result: Discovery) -> None:
         rivals = {rival.candidate.name: rival for rival in result.verdict.rivals}
-        assert set(rivals) == {effect.name for effect in effects()} - {"sensor_offset"}
+        assert set(rivals) == {effect.name for effect in effects()} - {"sensor_offset"} | {"parameter"}
         assert all(rival.why for rival in rivals.values())
         for effect, group in result.explanation.groups.items():
             assert sum(weight for _, weight in group) == pytest.approx(1.0), effect
@@ -252,13 +264,13 @@ class TestAnswer:
         assert read_model(out / MODEL) == result.verdict.model
 
     def test_is_the_same_after_an_interruption(self, folder: Path, out: Path, result: Discovery, lines: list[str], tmp_path: Path) -> None:
-        work = [line for line in lines if line.startswith(("fitting", "screening"))]
+        work = [line for line in lines if line.startswith(("fitting", "screening", "judging"))]
         assert len(work) >= 4, work
         said: list[str] = []
 
         def interrupt(stage: str, done: float, of: float) -> None:
             said.append(stage)
-            if len([line for line in said if line.startswith(("fitting", "screening"))]) == len(work) - 1:
+            if len([line for line in said if line.startswith(("fitting", "screening", "judging"))]) == len(work):
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):

@@ -47,7 +47,7 @@ class Table:
         """Runs whose points swing by `MOTION` times the noise."""
         points = MOTION * NOISE * np.sqrt(2) * np.sin(2 * np.pi * np.arange(ROWS) / ROWS)[:, None, None] * np.ones((1, 4, 3))
         run = Run("swing.csv", "fit", np.arange(ROWS) / 50, np.zeros((ROWS, 12)), np.zeros((ROWS, 3)), points)
-        return SimpleNamespace(runs=(run,), noise=NOISE, noises=(NOISE,), plant=SimpleNamespace(static=False))
+        return SimpleNamespace(runs=(run,), noise=NOISE, noises=(NOISE,), plant=SimpleNamespace(static=False, quick=False))
 
     def fit(self, effects: Effects, _: object) -> Hypothesis:
         effects = tuple(sorted(effects, key=lambda c: c.label))
@@ -62,6 +62,10 @@ class Table:
     def finished(self, found: Hypothesis) -> Hypothesis:
         return found
 
+    def linear(self, base: Hypothesis, _: object) -> Any:
+        """What promises nothing in pairs, or in the place of others."""
+        return SimpleNamespace(gain=lambda effects: (0.0, {}), able=list(EFFECTS.values()), effects=base.effects)
+
     def screen(self, base: Hypothesis, _: object) -> list[Score]:
         scores = [Score(EFFECTS[label], gain, {}) for label, gain in self.gains.items() if EFFECTS[label] not in base.effects]
         return sorted(scores, key=lambda score: -score.gain)
@@ -69,8 +73,9 @@ class Table:
 
 @pytest.fixture(autouse=True)
 def exact_forms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No doubt about the effects' forms."""
+    """No doubt about the effects' forms, and outputs that differ."""
     monkeypatch.setattr(search, "_output", lambda *_: 0.0)
+    monkeypatch.setattr(search, "coincidence", lambda *_: 0.0)
 
 
 def searched(excess: dict[str, float], gains: dict[str, float] | None = None, uneven: dict[str, float] | None = None, **settings: Any):
@@ -104,11 +109,11 @@ def test_an_effect_must_beat_going_without() -> None:
         assert tuple(c.detail for c in found.widest.effects) == tried
 
 
-def test_even_odds_ask_for_a_share_of_what_is_left() -> None:
+def test_what_stays_takes_away_a_share_of_what_is_left() -> None:
     """Here s1 takes away 3 times as much as it leaves."""
     excess = {"": 4.0, "s1": 1.0, "s2": 3.9, "s1 s2": 1.0}
-    assert named(searched(excess, even_odds_ratio=2.0)[0]) == "s1"
-    assert named(searched(excess, even_odds_ratio=4.0)[0]) == ""
+    assert named(searched(excess, least_share=2.0)[0]) == "s1"
+    assert named(searched(excess, least_share=4.0)[0]) == ""
 
 
 def test_where_much_is_unexplained_nothing_is_named() -> None:
@@ -131,11 +136,17 @@ class TestRules:
     """What is no setting."""
 
     def test_only_what_promises_a_share_of_the_best_is_fitted(self) -> None:
-        _, table = searched(ONE, {"s1": 1.0, "s2": 0.3, "s3": 0.2})
+        _, table = searched({**ONE, "s1": 1.0}, {"s1": 1.0, "s2": 0.3, "s3": 0.2}, max_effects=1)
         assert {c.detail for effects in table.done for c in effects} == {"s1", "s2"}
 
-    @pytest.mark.parametrize(("left", "tried"), [(0.95, ["s1"]), (0.8, ["s1", "s2"])])
-    def test_one_more_effect_must_close_a_tenth(self, left: float, tried: list[str]) -> None:
+    @pytest.mark.parametrize(("own", "fitted"), [(0.99, {"s1"}), (0.9, {"s1", "s2"})])
+    def test_where_an_effect_leaves_only_noise_far_rivals_are_not_fitted(self, own: float, fitted: set[str]) -> None:
+        """What they promise to leave is more than first order is wrong by, as the effect's own promise shows."""
+        _, table = searched(ONE, {"s1": own, "s2": 0.6})
+        assert {c.detail for effects in table.done for c in effects} == fitted
+
+    @pytest.mark.parametrize(("left", "tried"), [(0.85, ["s1"]), (0.75, ["s1", "s2"])])
+    def test_one_more_effect_must_close_a_fifth(self, left: float, tried: list[str]) -> None:
         found, _ = searched({"": 8.0, "s1": 1.0, "s2": 7.0, "s1 s2": left})
         assert [c.detail for c in found.widest.effects] == tried
 

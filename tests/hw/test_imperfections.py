@@ -6,10 +6,13 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command
 from tepm_opt.hw.simulation.imperfections import Imperfections
+from tepm_opt.hw.simulation.imperfections.around import TipDrag
 from tepm_opt.hw.simulation.imperfections.base import Body
-from tepm_opt.hw.simulation.imperfections.body import BaseTilt, MassDistribution, Payload, RigidPlates, UnevenMass
+from tepm_opt.hw.simulation.imperfections.body import BaseTilt, MassDistribution, Payload, RigidPlates, SoftPart, TwistedBody, UnevenMass
+from tepm_opt.hw.simulation.imperfections.unlike import ActuatorScatter
+from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
-from tests.hw.rigs import AREA, DAMPING, LENGTH, RADIUS, STIFFNESS, bar, inputs, ramps, read_until, resting, rig_of
+from tests.hw.rigs import AREA, DAMPING, LENGTH, RADIUS, STIFFNESS, bar, inputs, ramps, read_until, resting, rig_of, robot_file
 
 G = 9.81
 
@@ -28,13 +31,15 @@ def centre(body: Body) -> np.ndarray:
 
 
 def test_every_name_of_the_specification_is_there_and_off():
-    """SPEC section 5, and two foreign ones."""
+    """SPEC section 5, and some more: other forms, and foreign ones."""
     names = {
         "payload", "mass_distribution", "rigid_plates", "stiffness_hardening", "structural_friction", "creep", "pressure_dead_zone",
         "pressure_hysteresis", "regulator_lag", "time_delay", "actuator_gain", "pressure_crosstalk", "tendon_friction", "tendon_slack",
-        "external_load", "base_tilt", "sensor_misalignment", "sensor_offset",
+        "external_load", "base_tilt", "sensor_misalignment", "sensor_offset", "actuator_offset", "regulator_leak", "actuator_scatter",
     }  # fmt: skip
-    assert set(Imperfections.model_fields) == names | {"uneven_mass", "field_distortion"}
+    foreign = {"uneven_mass", "soft_part", "twisted_body", "tip_wall", "tethered_tip", "tip_drag", "field_distortion"}
+    timed = {"warm_up", "tracker_drift", "tendon_slip", "base_vibration", "clock_skew", "sample_jitter"}
+    assert set(Imperfections.model_fields) == names | foreign | timed | {"choked_filling", "tension_gain"}
     assert Imperfections().active == {}
 
 
@@ -84,6 +89,79 @@ def test_rigid_plates():
     assert factor[:, 3:6] == pytest.approx(1)  # horizontals
     with pytest.raises(InputError, match="leaves nothing of a segment"):
         body_with(RigidPlates(clamped_length_m=0.04))
+
+
+def test_soft_part():
+    """One of the bar's two segments gives way by 1 / 0.8 of what it did."""
+    soft = resting(bar(soft_part={"loss": 0.2, "first": 2, "last": 2}), 0.2e6) - LENGTH
+    assert soft == pytest.approx(np.full(3, (0.5 + 0.5 / 0.8) * 0.2e6 * AREA / STIFFNESS), rel=2e-3)
+    with pytest.raises(InputError, match="segments 2 … 13; valid: 1 … 12"):
+        body_with(SoftPart(loss=0.1, first=2, last=13))
+
+
+def test_twisted_body():
+    """A segment turns until its diagonals are as they are made: a diagonal's square changes by 2 r^2 (cos 120° - cos(120° + twist))."""
+    body = body_with(TwistedBody(strain=0.01))
+    assert body.rest[:, body.verticals] == pytest.approx(LENGTH / 6)
+    rig = rig_of(imperfections={"twisted_body": {"strain": 0.01}}, robot=robot_file(gravity_m_per_s2=(0, 0, 0)))
+    resting(rig)
+    nodes = rig.true_nodes - rig.true_nodes.mean(axis=1, keepdims=True)
+    angle = np.unwrap(np.arctan2(nodes[:, 0, 1], nodes[:, 0, 0]))
+    square = 3 * RADIUS**2 + (LENGTH / 6) ** 2
+    expected = 2 * 0.01 * square / (np.sqrt(3) * RADIUS**2)
+    assert np.diff(angle) == pytest.approx(np.full(12, expected), rel=0.05)
+    straight = rig_of(imperfections={"twisted_body": {"strain": -0.01}}, robot=robot_file(gravity_m_per_s2=(0, 0, 0)))
+    resting(straight)
+    assert np.arctan2(*straight.true_nodes[1, 0, 1::-1]) - np.pi / 2 == pytest.approx(-(angle[1] - np.pi / 2), rel=1e-3)
+
+
+def hanging(**imperfections) -> float:
+    """How far the tip of a hanging robot is from the axis under 0.2 N along +x, in m."""
+    rig = rig_of(robot_file(gravity_m_per_s2=(0, 0, 9.81)), imperfections=imperfections)
+    rig.push(np.array([0.2, 0.0, 0.0]))
+    resting(rig)
+    return rig.true_points[-1, 0]
+
+
+def test_tip_wall():
+    """Where it rests the wall pushes with its stiffness times the depth: as far as a load that is less by that."""
+    free = hanging()
+    place, stiffness = 0.5 * free, 500.0
+    stopped = hanging(tip_wall={"stiffness_N_per_m": stiffness, "place_m": (place, 0, 0), "normal": (-2, 0, 0)})
+    depth = stopped - place
+    assert 0 < depth < 0.1 * free
+    assert hanging(external_load={"force_N": (-stiffness * depth, 0, 0)}) == pytest.approx(stopped, abs=1e-6)
+    assert hanging(tip_wall={"stiffness_N_per_m": stiffness, "place_m": (1.1 * free, 0, 0)}) == pytest.approx(free, abs=1e-9)
+    with pytest.raises(InputError, match="tip_wall: normal"):
+        hanging(tip_wall={"stiffness_N_per_m": 1.0, "normal": (0, 0, 0)})
+
+
+def test_tethered_tip():
+    """Where it rests the hose pulls as a load does that is its stiffness times the way to where it is tied."""
+    rig = rig_of(imperfections={"tethered_tip": {"stiffness_N_per_m": 0.5, "place_m": (0.05, 0.02, 0.4)}})
+    resting(rig, 0.1e6)
+    force = 0.5 * (np.array([0.05, 0.02, 0.4]) - rig.true_points[-1])
+    loaded = rig_of(imperfections={"external_load": {"force_N": tuple(force)}})
+    resting(loaded, 0.1e6)
+    assert rig.true_points == pytest.approx(loaded.true_points, abs=1e-7)
+    assert np.linalg.norm(force[:2]) > 5e-3
+
+
+def test_tip_drag():
+    """It takes power off with the cube of the speed, and nothing from what stands still."""
+    law = TipDrag(size_N_s2_per_m2=0.4).tip_stage(load_robot("kang2017"))
+    velocity = np.array([[0.3, 0.0, -0.4], [0.0, 0.0, 0.0]])
+    force = law.force(np.zeros((2, 3)), velocity)
+    assert np.sum(force * velocity, axis=1) == pytest.approx([-0.4 * 0.5**3, 0.0])
+    left = []
+    for size in (0.0, 5.0):
+        rig = rig_of(imperfections={"tip_drag": {"size_N_s2_per_m2": size}} if size else {})
+        rig.push(np.array([0.1, 0.0, 0.0]))
+        rig.read()
+        rig.push(np.zeros(3))
+        samples = read_until(rig, 5.0)
+        left.append(np.ptp([sample.points[-1, 0] for sample in samples[len(samples) // 2 :]]))
+    assert left[1] < 0.7 * left[0]
 
 
 def test_base_tilt():
@@ -203,6 +281,75 @@ def test_actuator_gain():
     assert angle == pytest.approx(-30, abs=5)  # it bends towards the weak muscle, at 330°
     with pytest.raises(InputError, match=r"actuator '31'.*valid: 11, 12, 13"):
         rig_of(imperfections={"actuator_gain": {"loss": {"31": 0.06}}})
+
+
+def test_an_asymmetric_hysteresis_is_as_wide_but_lies_lower():
+    plain, even = there_and_back(bar()), there_and_back(bar(pressure_hysteresis={"width_Pa": 8e3}))
+    found = there_and_back(bar(pressure_hysteresis={"width_Pa": 8e3, "asymmetry": 0.5}))
+    lower = 0.5 * 4e3 * AREA / STIFFNESS
+    assert [even[k] - found[k] for k in (0, 1)] == pytest.approx([lower, lower], rel=1e-2)
+    assert found[0] < plain[0] < found[1]
+
+
+def test_actuator_offset():
+    """Only the named muscles are longer: by their rest length, and by what the pressure that their regulator adds makes of it."""
+    lengths = resting(bar(actuator_offset={"length_m": {"12": 2e-3}, "zero_Pa": {"13": -5e3}}), 0.1e6) - LENGTH
+    assert lengths == pytest.approx(0.1e6 * AREA / STIFFNESS + np.array([0, 2e-3, -5e3 * AREA / STIFFNESS]), abs=2e-5)
+    tip = rig_of(imperfections={"actuator_offset": {"length_m": {"13": 3e-3}}})
+    resting(tip, 0.0)
+    angle = np.degrees(np.arctan2(tip.true_points[-1, 1], tip.true_points[-1, 0]))
+    assert angle == pytest.approx(150, abs=5)  # it bends away from the long muscle, at 330°, without any pressure
+    with pytest.raises(InputError, match=r"actuator '31'.*valid: 11, 12, 13"):
+        rig_of(imperfections={"actuator_offset": {"zero_Pa": {"31": 5e3}}})
+
+
+def test_actuator_scatter():
+    """Areas and lengths are what the draw says, and spread as they should; another draw is another machine."""
+    layout = Layout.of(load_robot("kang2017"))
+    many = [ActuatorScatter(area_spread=0.02, length_spread_m=1e-3, draw=k).drawn(layout) for k in range(300)]
+    areas, lengths = (np.array(part) for part in zip(*many, strict=True))
+    assert (areas.mean(), areas.std()) == (pytest.approx(1, abs=2e-3), pytest.approx(0.02, rel=0.05))
+    assert (lengths.mean(), lengths.std()) == (pytest.approx(0, abs=1e-4), pytest.approx(1e-3, rel=0.05))
+    rig = bar(actuator_scatter={"area_spread": 0.02, "length_spread_m": 1e-3, "draw": 4})
+    area, length = ActuatorScatter(area_spread=0.02, length_spread_m=1e-3, draw=4).drawn(rig.layout)
+    assert resting(rig, 0.2e6) - LENGTH == pytest.approx(0.2e6 * AREA / STIFFNESS * area + length, abs=5e-5)
+
+
+def test_tension_gain():
+    """A motor that believes a dynamometer that shows a tenth too much pulls a tenth less; a zero acts without a command, too."""
+    pulled = resting(bar(tension_gain={"loss": {"12": 0.1}, "zero_N": {"13": 0.3}}), 0.2e6, 2.0)
+    free = LENGTH + 0.2e6 * AREA / STIFFNESS
+    assert free - pulled == pytest.approx(np.array([2.0, 1.8, 2.3]) / STIFFNESS, abs=3e-5)
+
+
+def test_choked_filling():
+    """A choked supply fills at a rate that does not depend on how far it has to go; what is left goes exponentially."""
+    sections = {"pressure_monitor": {"fitted": True}}
+    rig = bar(sections=sections, choked_filling={"rate_per_s": 1.0, "supply_Pa": 1.4e6, "band_Pa": 2e4, "critical_ratio": 0.3})
+    rig.read()
+    rig.apply(Command.of(inputs(rig, 0.3e6)))
+    frames = read_until(rig, 0.1)  # choked up to 0.3 · 1.5 MPa absolute
+    rate = 1.0 * (1.4e6 + 101325.0)
+    assert frames[-1].pressures == pytest.approx(np.full(3, 0.1 * rate), rel=1e-2)
+    assert read_until(rig, 2.0)[-1].pressures == pytest.approx(np.full(3, 0.3e6), rel=1e-4)
+    rig.apply(Command.of(inputs(rig, 0.0)))
+    frames = read_until(rig, 2.05)  # choked while more than 3.3 times the atmosphere is inside
+    assert frames[-1].pressures == pytest.approx(np.full(3, (0.3e6 + 101325.0) * np.exp(-0.05) - 101325.0), rel=1e-2)
+
+
+def test_regulator_leak():
+    """A choked leak takes its share of the absolute pressure, none without pressure; the other muscles do not feel it."""
+    settled = {}
+    for pressure in (0.0, 0.05e6, 0.4e6):
+        rig = bar(sections={"pressure_monitor": {"fitted": True}}, regulator_leak={"share": {"12": 0.05}, "critical_ratio": 0.3})
+        resting(rig, pressure)
+        read_until(rig, 0.2)  # it stays where it settled
+        settled[pressure] = rig.read().pressures
+    assert settled[0.0] == pytest.approx(np.zeros(3), abs=1.0)
+    assert settled[0.4e6] == pytest.approx([0.4e6, (0.4e6 - 0.05 * 101325.0) / 1.05, 0.4e6], rel=1e-6)
+    inside = settled[0.05e6][1] + 101325.0
+    lost = 0.05 * inside * np.sqrt(1 - ((101325.0 / inside - 0.3) / 0.7) ** 2)
+    assert 0.05e6 + 101325.0 - inside == pytest.approx(lost, rel=1e-6)
 
 
 def test_pressure_crosstalk():

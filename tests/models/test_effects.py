@@ -9,13 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.effect import Memory
+from tepm_opt.models.effect import ActiveEffect, Context, Memory
 from tepm_opt.models.effects import effects, find_effect, register
 from tepm_opt.models.effects.payload import Payload
-from tepm_opt.models.layout import VERTICAL
+from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.model import Model
+from tepm_opt.solvers.kinematics import solve_ik
 from tepm_opt.solvers.modes import poles
 from tepm_opt.solvers.statics import solve_statics
+from tests.independent import Network
 from tests.tools import in_company, random_inputs, variant, with_effect
 
 NOMINAL = Model.of("kang2017")
@@ -130,6 +132,143 @@ def test_a_weak_actuator_loses_a_share_of_its_pressure():
     np.testing.assert_allclose(model.statics.actuation(u, model.theta), u * [1, 1, 1.1, 0.75, 1, 1, 1, 1, 1, 1, 1, 1], rtol=1e-14)
 
 
+def test_a_muscles_offset_is_a_rest_length_that_is_off(kang):
+    """The network of another route with longer rest lengths; the force is there at no pressure, behind a dead zone, and pulls, too."""
+    network = Network()
+    for off in (3e-3, -1e-3):
+        pressure = 358.86 * off / 50.27e-6
+        model = compile_model(in_company(actuator_offset={"pressure": pressure}, pressure_dead_zone={"threshold": 2e4}))
+        network.rest = Network().rest.copy()
+        network.rest[:6, 2] += off / 6  # in_company's effect is on actuator 13
+        for u in (np.zeros(12), np.append(np.full(6, 2e5), np.arange(6))):
+            effective = model.statics.actuation(u, model.theta)
+            nodes, _ = network.solve(network.push(effective), network.loads(), solve_statics(kang, effective).nodes)
+            assert abs(solve_statics(model, u).points - network.points(nodes)).max() < 1e-9
+
+
+def test_a_regulator_gives_no_less_than_nothing(kang):
+    """One-sided, an offset below 0 takes no more than there is; above 0 it is the same."""
+    for pressure, at, left in ((-5e3, 2e3, 0.0), (-5e3, 8e3, 3e3), (5e3, 0.0, 5e3)):
+        model = compile_model(in_company(actuator_offset={"pressure": pressure, "one_sided": 1.0}))
+        u, expected = np.full(12, 1e5), np.full(12, 1e5)
+        u[6:] = expected[6:] = 1.0
+        u[2], expected[2] = at, left
+        assert abs(solve_statics(model, u).points - solve_statics(kang, expected).points).max() < 1e-12
+
+
+def test_scatter_is_gains_and_offsets_of_all_at_once():
+    gains, offsets = 0.01 * np.arange(-3, 3), 1e3 * np.arange(6)
+    names = Layout.of(NOMINAL.robot).actuator_names
+    values = {f"gain_{name}": gain for name, gain in zip(names, gains, strict=True)}
+    values |= {f"offset_{name}": offset for name, offset in zip(names, offsets, strict=True)}
+    at_once, one_by_one = NOMINAL.with_effect("actuator_scatter", **values), NOMINAL
+    for name, gain, offset in zip(names, gains, offsets, strict=True):
+        one_by_one = one_by_one.with_effect("actuator_gain", name, loss=-gain).with_effect("actuator_offset", name, pressure=offset)
+    for part in (0.0, 0.3):
+        for name, found in properties(at_once, part=part).items():
+            np.testing.assert_allclose(found, properties(one_by_one, part=part)[name], rtol=1e-12, atol=1e-12)
+
+
+def test_scatter_has_parameters_of_every_muscle_a_robot_has():
+    model = Model.of(variant(geometry={"modules": 3, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0)})).with_effect("actuator_scatter")
+    assert len(model.effects[0].parameters) == 2 * 12 + 1
+    assert {"gain_34", "offset_11"} <= model.effects[0].parameters.keys()
+    assert compile_model(model, backend="python").values["actuator_scatter.gain_34"] == 0.02
+
+
+def test_a_choked_leak_takes_a_share_of_the_absolute_pressure():
+    """Next to nothing without pressure, monotonous between; a loss that no gain and no offset has."""
+    model = in_python(NOMINAL.with_effect("regulator_leak", "11", share=0.05))
+    gauge = np.array([0.0, 1e4, 5e4, 3e5, 4e5])
+    lost = np.array([p - model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in gauge])
+    np.testing.assert_allclose(lost[[0, 3, 4]], [0.0, 0.05 * 401325.0, 0.05 * 501325.0], rtol=1e-9, atol=1e-6)
+    assert (np.diff(lost) > 0).all()
+    inside = gauge[1:3] + 101325.0  # beside the orifice without its laminar beginning
+    sharp = 0.05 * inside * np.sqrt(1 - ((101325.0 / inside - 0.35) / 0.65) ** 2)
+    assert (abs(lost[1:3] - sharp) < 0.1 * 0.05 * inside).all()
+
+
+def test_a_tendons_gain_leaves_its_muscle_alone():
+    model = in_python(NOMINAL.with_effect("tension_gain", "21", loss=0.25))
+    u = np.array([1e5, 2e5, 3e5, 4e5, 5e5, 1e5, 1, 2, 3, 4, 5, 6])
+    np.testing.assert_allclose(model.statics.actuation(u, model.theta), u * [1, 1, 1, 1, 1, 1, 1, 1, 1, 0.75, 1, 1], rtol=1e-14)
+
+
+def muscle_pressures(model, path, duration=0.02):
+    """Effective pressure of muscle 11 along commanded pressures, (rows,), each reached linearly after a duration in s."""
+    y, found = np.zeros(6), [path[0]]
+    for before, now in pairwise(path):
+        inputs, rate = np.zeros(12), np.zeros(12)
+        inputs[0], rate[0] = now, (now - before) / duration
+        a, y = model.reference_stepper.values("input_motion", inputs, rate, y, duration, model.theta)
+        found.append(float(a.ravel()[0]))
+        y = y.ravel()
+    return np.array(found)
+
+
+def test_a_choked_valve_fills_at_a_rate():
+    """Far from the set point at 1 / choke, near it with the time constant: the solution of dy/dt = -y / (T + c |y|)."""
+    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.1, filling_choke=2e-6))
+    found = muscle_pressures(model, np.concatenate([[0.0], np.full(60, 3e5)]), 0.01)[2:]
+    left, time = 3e5 - found, 0.01 * np.arange(len(found))
+    expected = 0.05 * np.log(left[0] / left) + 2e-6 * (left[0] - left)  # time since the first of them
+    np.testing.assert_allclose(expected, time, atol=2e-3)
+    assert np.diff(found)[0] < 0.01 / 2e-6
+    emptying = muscle_pressures(model, np.concatenate([[3e5], np.zeros(20)]), 0.01)[2:]
+    np.testing.assert_allclose(emptying[1:] / emptying[:-1], np.exp(-0.1), rtol=1e-9)  # exhausting does not choke
+
+
+def test_a_choked_valve_empties_the_slower_the_less_is_inside():
+    """At 1 / choke at 125 kPa, by sqrt(P² - P_a²) elsewhere, down to a tenth of the atmosphere's flow."""
+    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.0, exhausting_time=0.0, exhausting_choke=5e-6))
+    found = muscle_pressures(model, np.concatenate([[4e5], np.zeros(4000)]), 1e-3)[2:]
+    rates = -np.diff(found) / 1e-3
+    for gauge in (3e5, 1.25e5, 5e4):
+        k = int(np.argmin(abs(found - gauge)))
+        assert rates[k] * 5e-6 == pytest.approx(np.sqrt((gauge + 101325.0) ** 2 - 101325.0**2) / (2 * 101325.0), rel=0.02)
+    assert 0 <= found[-1] < 1.0
+
+
+def test_a_hysteresis_may_be_uneven():
+    """Trails by its width on the way up, by its ratio of it on the way down."""
+    model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=1e3, falling_ratio=0.25))
+    path = np.concatenate([np.linspace(0, 2e5, 101), np.linspace(2e5, 1e5, 51)[1:]])
+    found = muscle_pressures(model, path)
+    assert path[100] - found[100] == pytest.approx(4e3, rel=1e-6)
+    assert found[-1] - path[-1] == pytest.approx(1e3, rel=1e-6)
+
+
+def test_a_dead_zones_corner_may_be_soft():
+    """With a wide corner there is some force from the beginning on, none without pressure, and no corner at all."""
+    for rounding in (0.2, 1.0, 3.0):
+        model = in_python(NOMINAL.with_effect("pressure_dead_zone", threshold=2e4, rounding=rounding))
+        pressures = np.linspace(0, 1e5, 1001)
+        found = np.array([model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in pressures])
+        assert found[0] == 0
+        slopes = np.diff(found) / np.diff(pressures)
+        assert slopes.min() >= -1e-12
+        assert slopes.max() <= 1 + 1e-12
+        assert np.abs(np.diff(slopes)).max() < 0.02  # continuous
+        assert (slopes[0] > 0.01) == (rounding > 1)
+
+
+def test_shapes_that_a_model_does_not_give_are_usual():
+    """Files from before an effect had them go on to mean the same; what says how strongly has to be there."""
+    given = Model(NOMINAL.robot, effects=(ActiveEffect("regulator_lag", None, {"filling_time": 0.1, "exhausting_time": 0.2}),))
+    assert given.effects[0].parameters == {"filling_time": 0.1, "exhausting_time": 0.2, "filling_choke": 0.0, "exhausting_choke": 0.0}
+    assert given == NOMINAL.with_effect("regulator_lag", filling_time=0.1, exhausting_time=0.2)
+    with pytest.raises(InputError, match="parameter 'filling_time' is missing; it needs: exhausting_time, filling_time"):
+        Model(NOMINAL.robot, effects=(ActiveEffect("regulator_lag", None, {"exhausting_time": 0.2}),))
+
+
+def test_the_inverse_kinematics_knows_a_muscles_offset():
+    model = compile_model(in_company(actuator_offset={"pressure": 2e4}))
+    found = solve_ik(model, [0.05, 0.02, 0.38])
+    assert found.outcome.solved
+    reached = solve_statics(model, found.allocation.inputs)
+    assert abs(reached.points[-1] - [0.05, 0.02, 0.38]).max() < 1e-6
+
+
 def test_crosstalk_reaches_the_neighbours_in_the_module():
     model = in_python(NOMINAL.with_effect("pressure_crosstalk", coupling=0.1))
     u = np.array([1e5, 2e5, 3e5, 4e5, 0, 0, 1, 2, 3, 4, 5, 6])
@@ -234,10 +373,31 @@ def test_an_offset_displaces_one_point():
     np.testing.assert_allclose(moved, [[0, 0, 0], [0, 0, 0], [0.01, -0.02, 0.03], [0, 0, 0]], atol=1e-15)
 
 
+def test_an_arm_turns_with_the_backbone():
+    """Two arcs in planes of their own, turned as a whole: the arm at their end against rotations about the arcs' normals."""
+    mount = Rotation.from_euler("XYZ", [0.5, -0.3, 0.2])
+    bends, planes, length = (0.9, -0.6), (0.4, 1.7), 0.2
+    at, frame, points = np.zeros(3), mount, []
+    for bend, plane in zip(bends, planes, strict=True):
+        turn = Rotation.from_euler("z", plane)
+        for part in (0.5, 1.0):
+            arc = length / bend * np.array([1 - np.cos(part * bend), 0, np.sin(part * bend)])
+            points.append(at + frame.apply(turn.apply(arc)))
+        at, frame = points[-1], frame * turn * Rotation.from_euler("y", bend) * turn.inv()
+    arm, layout = np.array([0.01, -0.02, 0.03]), Layout.of(NOMINAL.robot)
+    context = Context(layout, 3, mount.as_matrix(), np.zeros(3), np.zeros(3))
+    for turns in (0.0, 0.4, 1.0):
+        values = {**dict(zip("xyz", map(ca.SX, arm), strict=True)), "turns": ca.SX(turns)}
+        measured = ca.evalf(find_effect("sensor_offset").outputs(ca.SX(ca.DM(np.array(points).T)), values, context)).full().T
+        expected = np.array(points)
+        expected[3] += (1 - turns) * arm + turns * (frame * mount.inv()).apply(arm)
+        np.testing.assert_allclose(measured, expected, atol=1e-14)
+
+
 def test_all_together_vanish_at_their_null_values(kang):
     model = NOMINAL
     for effect in effects():
-        model = with_effect(model, effect, **{parameter.name: parameter.null for parameter in effect.parameters})
+        model = with_effect(model, effect, **{p.name: p.null for p in effect.parameters_of(Layout.of(NOMINAL.robot))})
     assert len(model.effects) >= 18
     everything, (u,) = in_python(model), random_inputs(kang, 1, 0)
     found, plain = (solve_statics(m, u, [0.2, 0.0, 0.1]) for m in (everything, kang))

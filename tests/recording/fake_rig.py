@@ -126,7 +126,7 @@ class FakeSimulation(FakeRig):
     def read_many(self, count: int) -> list[Sample]:
         return [self.read()]
 
-    def reseed(self, noise: int) -> None:
+    def reseed(self, noise: int, began: float = 0.0) -> None:
         self.random = np.random.default_rng(noise)
 
     def apply(self, command: Command) -> None:

@@ -10,9 +10,11 @@ from typing import Literal
 import numpy as np
 
 from tepm_opt.data.channels import Channels
+from tepm_opt.data.outliers import strays, stuck
 from tepm_opt.data.run import Run
 
 Severity = Literal["error", "warning"]
+COARSE = 1e-4  # m, steps of a tracker that are no jumps
 MAD = 1.4826
 """Standard deviation over median absolute deviation of a normal distribution."""
 
@@ -92,6 +94,16 @@ class Subject:
     def noise(self) -> np.ndarray:
         """Noise of each coordinate in m, 1 sigma, from second differences, (points, 3); NaN where there are too few samples."""
         return noise_level(self.points)
+
+    @cached_property
+    def strays(self) -> np.ndarray:
+        """Samples that jump away from their neighbours and back, (rows, points)."""
+        return strays(self.run.time, self.points, noise=COARSE)
+
+    @cached_property
+    def stuck(self) -> np.ndarray:
+        """Samples that are exactly those before them for long, (rows, points)."""
+        return stuck(self.points)
 
     @cached_property
     def repeated(self) -> float:

@@ -8,9 +8,14 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from tepm_opt.data.checks.findings import Finding, Subject, intervals, spread
+from tepm_opt.data.outliers import FEW, far
 
 SPEED, ACCELERATION = 5.0, 50.0
 """Beyond what a robot does, in heights a second (squared): free sway from 2.5 N at the tip reaches 3.5 and 20."""
+SWAY = 0.01
+"""Of its height, gone under steady inputs: a robot that does so is not at rest; below, what it stands on may vibrate."""
+SHORT = 0.2
+"""Part of a run for which a point may be frozen and the others still tell."""
 
 
 def check_motion(subject: Subject) -> Iterator[Finding]:
@@ -42,10 +47,10 @@ def _rest(subject: Subject) -> Iterator[Finding]:
         )
         return
     time = (np.arange(rows) - (rows - 1) / 2) * subject.step
-    worst, name, speed = 1.0, "", 0.0
+    worst, name, speed, way = 1.0, "", 0.0, 0.0
     for k, point in enumerate(subject.channels.points):
         start = subject.points[:rows, k]
-        seen = np.isfinite(start).all(axis=1)
+        seen = np.isfinite(start).all(axis=1) & ~subject.strays[:rows, k]
         if seen.sum() < 8:
             continue
         centred = time[seen] - time[seen].mean()
@@ -54,9 +59,10 @@ def _rest(subject: Subject) -> Iterator[Finding]:
         excess = np.max(np.abs(slopes) / np.maximum(6 * doubt, 4e-3))
         if excess > worst:
             worst, name, speed = excess, point, float(np.linalg.norm(slopes))
+            way = float(np.max(np.ptp(start[seen], axis=0) - 6 * np.nan_to_num(subject.noise[k])))
     if name:
         message = f"not at rest at the start: moves at {1e3 * speed:.0f} mm/s under steady inputs"
-        yield subject.found("error", name, message, range(rows))
+        yield subject.found("error" if way > SWAY * _height(subject) else "warning", name, message, range(rows))
 
 
 def _repeats(subject: Subject) -> Iterator[Finding]:
@@ -95,7 +101,8 @@ def _frozen(subject: Subject) -> Iterator[Finding]:
                 rows = np.concatenate([np.arange(first, last + 1) for first, last in found])
                 message = f"frozen: the same value in {len(rows)} rows, {_value(point[rows[0]], channel)} m at first"
                 message += "" if subject.noisy else ", while inputs or other points move"
-                yield subject.found("error" if subject.noisy else "warning", channel, message, rows)
+                much = channel != name or len(rows) > SHORT * run.rows
+                yield subject.found("error" if subject.noisy and much else "warning", channel, message, rows)
 
 
 def _value(point: np.ndarray, channel: str) -> str:
@@ -150,7 +157,9 @@ def _median(blocks: np.ndarray) -> np.ndarray:
 
 def _spikes(subject: Subject) -> Iterator[Finding]:
     """Samples off their neighbours, and jumps, beyond what the robot's speed and acceleration allow."""
-    points, step, height = subject.points, subject.step, _height(subject)
+    step, height = subject.step, _height(subject)
+    points = np.where(subject.stuck[:, :, None], np.nan, subject.points)  # what is frozen jumps where it thaws
+    share = subject.strays.sum() / max(np.isfinite(points).any(axis=2).sum(), 1)
     for k, name in enumerate(subject.channels.points):
         rows = np.flatnonzero(np.isfinite(points[:, k]).all(axis=1))
         if len(rows) < 12:
@@ -158,15 +167,16 @@ def _spikes(subject: Subject) -> Iterator[Finding]:
         values, noise = points[rows, k], 10 * np.nan_to_num(subject.noise[k])
         off = np.abs(values - median_filter(values, size=(5, 1), mode="nearest"))
         allowed = np.maximum(noise, max(2 * ACCELERATION * height * step**2, 1e-3))
-        spike = np.any(off > allowed, axis=1)
-        speed = np.diff(values, axis=0) / np.diff(rows)[:, None]
+        spike = np.any(off > allowed, axis=1) & ~far(subject.run.time[rows])
+        speed = np.diff(values, axis=0) / (np.diff(subject.run.time[rows]) / step)[:, None]
         jump = np.abs(speed - median_filter(speed, size=(11, 1), mode="nearest"))
         jumps = np.any(jump > np.maximum(noise, max(SPEED * height * step, 1e-3)), axis=1)
         jumps[1:] &= ~spike[1:-1]
         jumps &= ~(spike[1:] | spike[:-1])
         if spike.any():
             size = 1e3 * float(off[spike].max())
-            yield subject.found("error", name, f"spikes of up to {size:.0f} mm; leave such samples empty", rows[spike])
+            message = f"spikes of up to {size:.0f} mm, {100 * share:.2g} % of the run's samples stray; leave such samples empty"
+            yield subject.found("error" if share > FEW or spike.mean() > 2 * FEW else "warning", name, message, rows[spike])
         if jumps.any():
             size = 1e3 * float(np.linalg.norm(np.diff(values, axis=0)[jumps], axis=1).max())
             yield subject.found("error", name, f"jumps by up to {size:.0f} mm within a row, faster than the robot can", rows[1:][jumps])

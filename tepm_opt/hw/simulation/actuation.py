@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from tepm_opt.hw.simulation.devices import on_grid
-from tepm_opt.hw.simulation.imperfections.pressure import RegulatorLag
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.robot import Robot
 
@@ -29,8 +28,8 @@ class ActuationDynamics:
     def __init__(self, file: RigFile, robot: Robot) -> None:
         active = file.imperfections.active.values()
         stages = [(item, stage) for item in active if (stage := item.pressure_stage(robot)) is not None]
-        self.regulators = [stage for item, stage in stages if isinstance(item, RegulatorLag)]
-        self.muscles = [stage for item, stage in stages if not isinstance(item, RegulatorLag)]
+        self.regulators = [stage for item, stage in stages if item.of_regulators]
+        self.muscles = [stage for item, stage in stages if not item.of_regulators]
         self.tendons = [stage for item in active if (stage := item.tension_stage(robot)) is not None]
         self.area = robot.parameters.A
         self.grids = (file.regulator.step_of(robot), file.stepper.step_of(robot))

@@ -63,8 +63,8 @@ class BenchRig:
     def __repr__(self) -> str:
         return f"BenchRig({self.file.name!r}, {self.time:.3f} s)"
 
-    def reseed(self, noise: int) -> None:
-        """Other noise of the same machine; 0 is the rig file's own."""
+    def reseed(self, noise: int, began: float = 0.0) -> None:
+        """Other noise of the same machine; 0 is the rig file's own. A bench starts each session anew."""
         self._lens = Lens(self.file.tracker, 2, self.file.seed, noise)
 
     def read(self) -> Sample:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tepm_opt.hw.simulation.engine import EDGE, PRESSURE, TENSION, CompiledNetwork
+from tepm_opt.hw.simulation.engine import EDGE, PRESSURE, TENSION, TIP, CompiledNetwork
 from tepm_opt.hw.simulation.imperfections.base import Numbers, Stage
 from tepm_opt.hw.simulation.machine import Frames, Machine
 from tepm_opt.hw.simulation.rigfile import RigFile
@@ -37,7 +37,8 @@ class CompiledMachine(Machine):
 
     def _stages(self) -> list[list[Numbers]]:
         actuation = self.actuation
-        groups = (actuation.regulators, PRESSURE), (actuation.muscles, PRESSURE), (actuation.tendons, TENSION), (self.edges, EDGE)
+        pressures = (actuation.regulators, PRESSURE), (actuation.muscles, PRESSURE)
+        groups = *pressures, (actuation.tendons, TENSION), (self.edges, EDGE), (self.around, TIP)
         return [[_numbers(stage, kinds) for stage in group] for group, kinds in groups]
 
     def settle(self, command: np.ndarray, forces: np.ndarray) -> None:
@@ -45,9 +46,17 @@ class CompiledMachine(Machine):
         super().settle(command, forces)
         actuation = self.actuation
         self.network.equip(
-            self._stages(), tick=self.tick, ticks=self.ticks, follows_shape=self.follows_shape, area=actuation.area,
-            pressure_grid=actuation.grids[0], tension_grid=actuation.grids[1], winding=actuation.rate, now=self.now,
-        )  # fmt: skip
+            self._stages(),
+            tick=self.tick,
+            ticks=self.ticks,
+            follows_shape=self.follows_shape,
+            area=actuation.area,
+            pressure_grid=actuation.grids[0],
+            tension_grid=actuation.grids[1],
+            winding=actuation.rate,
+            now=self.now,
+        )
+        self.network.shake(self.shaking, self.began)  # fmt: skip
         self.network.monitors(actuation.pressure, actuation.tension)
 
     def record(self, at: Sequence[int], commands: Timeline, forces: Timeline) -> Frames:
@@ -65,8 +74,9 @@ def _numbers(stage: Stage, kinds: tuple[str, ...]) -> Numbers:
     Raises:
         Unknown: it has nothing to hand over, C does not know it in its place, or it inherits its numbers but not its steps.
     """
-    owners = {name: next((owner for owner in type(stage).__mro__ if name in vars(owner)), None) for name in ("numbers", "step")}
-    own = owners["numbers"] is not None and owners["step"] is not None and issubclass(owners["numbers"], owners["step"])
+    names = "numbers", "force" if kinds is TIP else "step"
+    numbers_of, steps_of = (next((owner for owner in type(stage).__mro__ if name in vars(owner)), None) for name in names)
+    own = numbers_of is not None and steps_of is not None and issubclass(numbers_of, steps_of)
     if not own or (numbers := stage.numbers()).kind not in kinds:
         raise Unknown(f"{type(stage).__name__} has no counterpart in C")
     return numbers

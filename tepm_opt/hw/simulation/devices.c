@@ -21,14 +21,16 @@ typedef struct { /* the order is engine.py's */
   integer tick;                            /* steps between updates */
   integer ticks, follows_shape;            /* whether there is anything to update; whether from lengths and rates */
   integer actuators, modules, points;      /* all modules' actuators; reference points */
-  const integer *stages;                   /* how many act on the regulators' pressures, on the muscles', on the tensions, on the edges */
-  stage *regulators, *muscles, *tendons, *along; /* their stages, in their order */
+  const integer *stages;                   /* how many act on the regulators' pressures, on the muscles', on the tensions, on the edges, on the tip */
+  stage *regulators, *muscles, *tendons, *along, *around; /* their stages, in their order */
   double area, pressure_grid, tension_grid, winding; /* m2, Pa, N, N/s; grids are 0 where there is none */
   const double *weights, *turn, *base, *external;    /* (points, levels + 1), (3, 3), (3,), (points, 3): of the points, of the frame G */
   double *pressure, *tension;              /* (actuators,) measured by monitors */
   double *loaded;                          /* (points, 3): commanded forces that the network carries */
   double *work;                            /* 2 x 3 actuators, 2 x points x 3, 2 x 2 actuators, 4 x (nodes, width) */
-  integer now;                             /* steps since the start */
+  const double *free_fall, *shaking;        /* (3,) without the base's motion; (sines, 5): angular frequency, phase, acceleration of the base */
+  double began;                            /* s: time in the session at the start */
+  integer sines, now;                      /* of the base's motion; steps since the start */
 } rig;
 
 static inline double larger(double a, double b) { return a > b ? a : b; }
@@ -62,6 +64,37 @@ static void unequal_lag(const stage *s, double *p, integer count, double duratio
   }
 }
 
+static const double ATMOSPHERE = 101325; /* Pa */
+
+static double flow(double upstream, double downstream, double critical_ratio) {
+  const double over = larger(smaller(downstream / upstream, 1) - critical_ratio, 0) / (1 - critical_ratio);
+  return upstream * sqrt(1 - over * over);
+}
+
+static void orifices(const stage *s, double *p, integer count, double duration) {
+  const double rate = s->numbers[0], supply = s->numbers[1], band = s->numbers[2], critical_ratio = s->numbers[3];
+  double *state = s->numbers + 4;
+  for (integer i = 0; i < count; i++) {
+    const double before = state[i], error = (p[i] + p[count + i]) / 2 - before, inside = larger(before, 0) + ATMOSPHERE;
+    const double through = error > 0 ? flow(supply + ATMOSPHERE, inside, critical_ratio) : flow(inside, ATMOSPHERE, critical_ratio);
+    state[i] = before + error * -expm1(-(rate * through * duration) / larger(fabs(error), band));
+    p[i] = before, p[count + i] = state[i];
+  }
+}
+
+static void leak(const stage *s, double *p, integer count, double duration) {
+  const double constant = s->numbers[0], critical_ratio = s->numbers[1], *share = s->numbers + 2;
+  double *state = s->numbers + 2 + count;
+  for (integer i = 0; i < count; i++) {
+    if (share[i] > 0) {
+      const double before = state[i], loss = share[i] * flow(larger(before, 0) + ATMOSPHERE, ATMOSPHERE, critical_ratio);
+      const double goal = (p[i] + p[count + i]) / 2 - loss;
+      p[i] = before, p[count + i] = larger(goal + (before - goal) * exp(-duration / constant), 0);
+    }
+    state[i] = p[count + i];
+  }
+}
+
 static double soft(double pressure, double threshold, double softness) { /* log(1 + exp(x)), which does not overflow */
   const double x = (pressure - threshold) / softness;
   return softness * (larger(x, 0) + log1p(exp(-fabs(x))));
@@ -72,14 +105,14 @@ static void soft_zone(const stage *s, double *p, integer count) {
 }
 
 static void play_stack(const stage *s, double *p, integer count) {
-  const double *radii = s->numbers;
-  double *state = s->numbers + s->count;
+  const double *below = s->numbers, *above = below + s->count;
+  double *state = s->numbers + 2 * s->count;
   for (integer end = 0; end < 2; end++)
     for (integer i = 0; i < count; i++) {
       double *value = p + end * count + i, sum = 0;
       for (integer k = 0; k < s->count; k++) {
         double *y = state + k * count + i;
-        *y = smaller(larger(*y, *value - radii[k]), *value + radii[k]);
+        *y = smaller(larger(*y, *value - below[k]), *value + above[k]);
         sum += *y;
       }
       *value = sum / s->count;
@@ -100,13 +133,20 @@ static void gain(const stage *s, double *p, integer count) {
   for (integer i = 0; i < 2 * count; i++) p[i] *= s->numbers[i % count];
 }
 
+static void shift(const stage *s, double *p, integer count) {
+  for (integer i = 0; i < 2 * count; i++) p[i] += s->numbers[i % count];
+}
+
 static void on_pressures(const stage *s, double *p, integer count, double duration) {
   switch (s->kind) {
     case UNEQUAL_LAG: unequal_lag(s, p, count, duration); break;
+    case ORIFICES: orifices(s, p, count, duration); break;
+    case LEAK: leak(s, p, count, duration); break;
     case SOFT_ZONE: soft_zone(s, p, count); break;
     case PLAY_STACK: play_stack(s, p, count); break;
     case SQUEEZE: squeeze(s, p, count); break;
     case GAIN: gain(s, p, count); break;
+    case SHIFT: shift(s, p, count); break;
   }
 }
 
@@ -144,10 +184,31 @@ static void sheath(const stage *s, double *t, const double *rate, integer count,
   }
 }
 
+static void load_cell(const stage *s, double *t, integer count) {
+  const double bend = s->numbers[0], largest = s->numbers[1], *loss = s->numbers + 2, *zero = loss + count;
+  for (integer i = 0; i < 2 * count; i++) {
+    const integer k = i % count;
+    const double bent = loss[k] != 0 ? bend * t[i] * (1 - t[i] / largest) : 0;
+    t[i] = larger(t[i] * (1 - loss[k]) + bent + zero[k], 0);
+  }
+}
+
+static void slip(const stage *s, double *t, integer count, double duration) {
+  double *clock = s->numbers;
+  const double instant = s->numbers[1], slides = s->numbers[2], *share = s->numbers + 3;
+  for (integer end = 0; end < 2; end++) {
+    const double over = smaller(larger((*clock - instant) / slides, 0), 1);
+    for (integer i = 0; i < count; i++) t[end * count + i] *= 1 - share[i] * over;
+    if (!end) *clock += duration;
+  }
+}
+
 static void on_tensions(const stage *s, double *t, const double *length, const double *rate, integer count, double duration) {
   switch (s->kind) {
     case TAKE_UP: take_up(s, t, length, rate, count, duration); break;
     case SHEATH: sheath(s, t, rate, count, duration); break;
+    case LOAD_CELL: load_cell(s, t, count); break;
+    case SLIP: slip(s, t, count, duration); break;
   }
 }
 
@@ -191,11 +252,24 @@ static void exponential(const stage *s, const double *length, const double *rate
   }
 }
 
+static void warming(const stage *s, const double *length, const double *rate, integer count, double duration, double *push) {
+  double *clock = s->numbers;
+  const double full = s->numbers[1], *change = s->numbers + 2, *rest = change + count;
+  const double start = smaller(*clock / full, 1);
+  *clock += duration;
+  const double end = smaller(*clock / full, 1);
+  for (integer i = 0; i < count; i++) {
+    push[i] -= start * change[i] * (length[i] - rest[i]);
+    push[count + i] -= end * change[i] * (length[i] + rate[i] * duration - rest[i]);
+  }
+}
+
 static void along_edges(const stage *s, const double *length, const double *rate, integer count, double duration, double *push) {
   switch (s->kind) {
     case BRISTLES: bristles(s, length, rate, count, duration, push); break;
     case PRONY: prony(s, rate, count, duration, push); break;
     case EXPONENTIAL: exponential(s, length, rate, count, duration, push); break;
+    case WARMING: warming(s, length, rate, count, duration, push); break;
   }
 }
 
@@ -300,6 +374,57 @@ void carry(rig *r, const double *forces) {
   rest_on(m);
 }
 
+/* A reference point's place over the base, or its velocity, in the axes of G, of all nodes' (nodes, 3, row). */
+static void turned(const rig *r, const double *of, integer point, double *out) {
+  const mechanics *m = &r->network;
+  const integer row = row_of(m);
+  double place[3] = {0, 0, 0};
+  for (integer j = 0; j <= m->levels; j++) {
+    const double weight = r->weights[point * (m->levels + 1) + j];
+    if (weight == 0) continue;
+    for (integer k = 0; k < 3; k++) {
+      double sum = 0;
+      for (integer i = 0; i < NODES; i++) sum += of[(3 * i + k) * row + LANES - 1 + j];
+      place[k] += weight * (sum / NODES);
+    }
+  }
+  for (integer k = 0; k < 3; k++) out[k] = r->turn[3 * k] * place[0] + r->turn[3 * k + 1] * place[1] + r->turn[3 * k + 2] * place[2];
+}
+
+/* --- forces on the tip, added to `force` (3,); place and velocity (3,) in G --- */
+
+static void wall(const double *numbers, const double *place, const double *velocity, double *force) {
+  const double *at = numbers, *normal = numbers + 3, stiffness = numbers[6], damping = numbers[7];
+  double depth = 0, away = 0;
+  for (integer k = 0; k < 3; k++) depth -= (place[k] - at[k]) * normal[k], away += velocity[k] * normal[k];
+  const double push = depth > 0 ? larger(stiffness * depth - damping * away, 0) : 0;
+  for (integer k = 0; k < 3; k++) force[k] += push * normal[k];
+}
+
+static void tether(const double *numbers, const double *place, double *force) {
+  for (integer k = 0; k < 3; k++) force[k] += numbers[3] * (numbers[k] - place[k]);
+}
+
+static void drag(const double *numbers, const double *velocity, double *force) {
+  const double speed = sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]);
+  for (integer k = 0; k < 3; k++) force[k] -= numbers[0] * speed * velocity[k];
+}
+
+static void meet(const rig *r, double *force) {
+  if (!r->stages[4]) return;
+  double place[3], velocity[3];
+  turned(r, r->network.x, r->points - 1, place), turned(r, r->network.v, r->points - 1, velocity);
+  for (integer k = 0; k < 3; k++) place[k] += r->base[k];
+  for (integer s = 0; s < r->stages[4]; s++) {
+    const stage *each = r->around + s;
+    switch (each->kind) {
+      case WALL: wall(each->numbers, place, velocity, force); break;
+      case TETHER: tether(each->numbers, place, force); break;
+      case DRAG: drag(each->numbers, velocity, force); break;
+    }
+  }
+}
+
 /* Nodes (levels + 1, nodes, 3) in the base frame and reference points (points, 3) in G; whether no node has left all bounds. */
 static int look(const rig *r, double *nodes, double *points) {
   const mechanics *m = &r->network;
@@ -313,20 +438,24 @@ static int look(const rig *r, double *nodes, double *points) {
         bounded &= fabs(m->x[at] - m->rest[at]) < m->bound; /* no where it is not a number */
       }
   for (integer p = 0; p < r->points; p++) {
-    double place[3] = {0, 0, 0};
-    for (integer j = 0; j <= m->levels; j++) {
-      const double weight = r->weights[p * (m->levels + 1) + j];
-      if (weight == 0) continue;
-      for (integer k = 0; k < 3; k++) {
-        double sum = 0;
-        for (integer i = 0; i < NODES; i++) sum += nodes[3 * (j * NODES + i) + k];
-        place[k] += weight * (sum / NODES);
-      }
-    }
-    for (integer k = 0; k < 3; k++)
-      points[3 * p + k] = r->turn[3 * k] * place[0] + r->turn[3 * k + 1] * place[1] + r->turn[3 * k + 2] * place[2] + r->base[k];
+    turned(r, m->x, p, points + 3 * p);
+    for (integer k = 0; k < 3; k++) points[3 * p + k] += r->base[k];
   }
   return bounded;
+}
+
+/* What masses feel of the base's motion at a time since the start: it sets in within FADE, as a run begins at rest. */
+static void shake(rig *r, double passed) {
+  mechanics *m = &r->network;
+  if (!r->sines) return;
+  double *fall = (double *)m->fall;
+  const double part = smaller(passed / FADE, 1);
+  for (integer k = 0; k < 3; k++) fall[k] = r->free_fall[k];
+  for (integer s = 0; s < r->sines; s++) {
+    const double *sine = r->shaking + 5 * s, wave = part * part * sin(sine[0] * (r->began + passed) + sine[1]);
+    for (integer k = 0; k < 3; k++) fall[k] -= wave * sine[2 + k];
+  }
+  rest_on(m);
 }
 
 /* Advance to a step. */
@@ -342,8 +471,10 @@ static void advance(rig *r, integer until, const timeline *commands, const timel
     between(commands, *command, m->step, r->now, end, values);
     between(forces, *force, m->step, r->now, end, pushed);
     for (integer i = 0; i < forces->size; i++) pushed[i] = (pushed[i] + pushed[forces->size + i]) / 2;
+    meet(r, pushed + forces->size - 3);
     drive(r, values, (end - r->now) * m->step);
     carry(r, pushed);
+    shake(r, (r->now + end) / 2.0 * m->step);
     move(m, end - r->now);
     r->now = end;
   }

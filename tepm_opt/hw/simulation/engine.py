@@ -10,6 +10,7 @@ from importlib import resources
 import numpy as np
 
 from tepm_opt.hw.simulation.imperfections.base import Body, Numbers
+from tepm_opt.hw.simulation.imperfections.session import FADE
 from tepm_opt.hw.simulation.network import Network
 from tepm_opt.hw.simulation.timeline import Timeline
 from tepm_opt.models.backends import compiler
@@ -18,11 +19,12 @@ from tepm_opt.models.layout import Layout
 LANES = 4  # levels in a vector
 WORK = 7  # arrays of all coordinates, see work_of in mechanics.c
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
-PRESSURE = ("unequal_lag", "soft_zone", "play_stack", "squeeze", "gain")
-TENSION = ("take_up", "sheath")
-EDGE = ("bristles", "prony", "exponential")
-KINDS = (*PRESSURE, *TENSION, *EDGE)
-"""Functions of devices.c that stand for stages: of pressures, of tensions, along the edges."""
+PRESSURE = ("unequal_lag", "orifices", "leak", "soft_zone", "play_stack", "squeeze", "gain", "shift")
+TENSION = ("take_up", "sheath", "load_cell", "slip")
+EDGE = ("bristles", "prony", "exponential", "warming")
+TIP = ("wall", "tether", "drag")
+KINDS = (*PRESSURE, *TENSION, *EDGE, *TIP)
+"""Functions of devices.c that stand for stages: of pressures, of tensions, along the edges, around the tip."""
 
 Pointer, Integer, Real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
@@ -48,10 +50,12 @@ class _Rig(ctypes.Structure):
     _fields_ = [
         ("network", _Mechanics),
         *((name, Integer) for name in ("tick", "ticks", "follows_shape", "actuators", "modules", "points")),
-        *((name, Pointer) for name in ("stages", "regulators", "muscles", "tendons", "along")),
+        *((name, Pointer) for name in ("stages", "regulators", "muscles", "tendons", "along", "around")),
         *((name, Real) for name in ("area", "pressure_grid", "tension_grid", "winding")),
         *((name, Pointer) for name in ("weights", "turn", "base", "external", "pressure", "tension", "loaded", "work")),
-        ("now", Integer),
+        *((name, Pointer) for name in ("free_fall", "shaking")),
+        ("began", Real),
+        *((name, Integer) for name in ("sines", "now")),
     ]
 
 
@@ -63,7 +67,7 @@ def library(layout: Layout) -> ctypes.CDLL | None:
 @cache
 def _library(nodes: int, ends: tuple[tuple[int, ...], ...], lanes: int) -> ctypes.CDLL | None:
     folder = resources.files("tepm_opt.hw.simulation")
-    sizes = [f"#define {name} {value}" for name, value in (("LANES", lanes), ("NODES", nodes), ("EDGES", len(ends)))]
+    sizes = [f"#define {name} {value}" for name, value in (("LANES", lanes), ("NODES", nodes), ("EDGES", len(ends)), ("FADE", FADE))]
     listed = ", ".join(f"{{{', '.join(map(str, each))}}}" for each in ends)
     parts = [(folder / name).read_text(encoding="utf-8") for name in ("mechanics.c", "devices.c")]
     kinds = f"enum {{ {', '.join(kind.upper() for kind in KINDS)} }};"
@@ -120,6 +124,7 @@ class CompiledNetwork(Network):
             "turn": np.array(self.turn, dtype=float),
             "base": self.base,
             "external": np.array(body.load, dtype=float),
+            "free_fall": np.array(body.gravity, dtype=float),
             "pressure": np.zeros(self.count),
             "tension": np.zeros(self.count),
             "loaded": np.full((points, 3), np.nan),
@@ -149,11 +154,11 @@ class CompiledNetwork(Network):
         """Give the devices what they begin with.
 
         Args:
-            stages: of the regulators, of the muscles' pressures, of the tensions, along the edges.
+            stages: of the regulators, of the muscles' pressures, of the tensions, along the edges, around the tip.
             devices: fields of the C struct.
         """
         self.rig.stages = self._keep("stages", np.array([len(group) for group in stages], dtype=np.int64))
-        for name, group in zip(("regulators", "muscles", "tendons", "along"), stages, strict=True):
+        for name, group in zip(("regulators", "muscles", "tendons", "along", "around"), stages, strict=True):
             made = (_Stage * len(group))()
             for k, (stage, each) in enumerate(zip(made, group, strict=True)):
                 stage.kind, stage.count = KINDS.index(each.kind), each.count
@@ -165,6 +170,10 @@ class CompiledNetwork(Network):
             setattr(self.rig, name, ctypes.addressof(made))
         for name, value in devices.items():
             setattr(self.rig, name, value)
+
+    def shake(self, sines: np.ndarray, began: float) -> None:
+        """Move the base, as by `Imperfection.shaking`, from a time in the session in s."""
+        self.rig.shaking, self.rig.sines, self.rig.began = self._keep("shaking", sines), len(sines), began
 
     def monitors(self, pressure: np.ndarray, tension: np.ndarray) -> None:
         """Set what the monitors measure, (modules · actuators,) in Pa and N."""

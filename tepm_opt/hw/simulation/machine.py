@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from math import ceil
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -41,6 +42,13 @@ class Frames:
     tensions: np.ndarray
 
 
+@runtime_checkable
+class Clocked(Protocol):
+    """A stage that asks what time it is in the session."""
+
+    clock: float
+
+
 class Machine(ABC):
     """A robot that carries out a timeline of commands and loads, in whole steps.
 
@@ -52,8 +60,11 @@ class Machine(ABC):
         tick: steps between updates of the states of actuators and frictions.
         actuation: from the commands to the axial forces.
         edges: stages of the forces along the vertical edges, in their order.
+        around: stages of the forces that the tip meets, in their order.
+        shaking: sines of the base's motion, (sines, 5) as by `Imperfection.shaking`.
         network: the moving parts.
         now: steps since the start.
+        began: time in the session in s at the start.
     """
 
     def __init__(self, file: RigFile) -> None:
@@ -65,11 +76,15 @@ class Machine(ABC):
         self.step = _step(file, self.body)
         self.tick = self._tick(file.simulation.tick_s)
         self.edges = [stage for item in self.imperfections.values() if (stage := item.edge_stage(self.body)) is not None]
+        self.around = [stage for item in self.imperfections.values() if (stage := item.tip_stage(self.robot)) is not None]
         self.actuation = ActuationDynamics(file, self.robot)
-        self.ticks = bool(self.edges) or not self.actuation.direct
+        moves = [rows for item in self.imperfections.values() if (rows := item.shaking(self.body)) is not None]
+        self.shaking = np.concatenate([np.zeros((0, 5)), *moves])
+        self.ticks = bool(self.edges or self.around or moves) or not self.actuation.direct
         self.follows_shape = bool(self.edges) or self.actuation.uses_lengths
         self.network = self._network()
         self.now = 0
+        self.began = 0.0
 
     @abstractmethod
     def _network(self) -> Network:
@@ -97,6 +112,9 @@ class Machine(ABC):
         Raises:
             NoEquilibriumError: there is no stable equilibrium to be found.
         """
+        for stage in (*self.edges, *self.actuation.tendons):
+            if isinstance(stage, Clocked):
+                stage.clock = self.began
         self.actuation.settle(command)
         self.network.load(forces)
         position = find_equilibrium(self._force, np.zeros(self.network.rest[1:].size))
@@ -109,7 +127,15 @@ class Machine(ABC):
         axial = self.actuation.force_at_rest(self.network.of_actuators(lengths))
         edges = reduce(np.add, (stage.settle(lengths) for stage in self.edges)) if self.edges else None
         push = np.broadcast_to(self.network.push(axial, edges), lengths.shape)
-        return self.network.forces_at_rest(positions, push)
+        forces = self.network.forces_at_rest(positions, push)
+        if self.around:
+            tip = self.network.tip(self.network.placed(positions))
+            forces = forces + self.network.at_tip(self._met(tip, np.zeros_like(tip)))
+        return forces
+
+    def _met(self, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Force in G that the tip meets where it is, (…, 3) in N."""
+        return reduce(np.add, (stage.force(place, velocity) for stage in self.around))
 
     @abstractmethod
     def record(self, at: Sequence[int], commands: Timeline, forces: Timeline) -> Frames:

@@ -7,6 +7,7 @@ from functools import reduce
 
 import numpy as np
 
+from tepm_opt.hw.simulation.imperfections.session import felt
 from tepm_opt.hw.simulation.machine import Frames, Machine
 from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 from tepm_opt.hw.simulation.timeline import Timeline
@@ -47,7 +48,13 @@ class MujocoMachine(Machine):
                 lengths, rates = network.of_actuators(lengths), network.of_actuators(rates)
             axial = self.actuation.step(commands.between(self.now, end), lengths, rates, duration)
             network.drive(network.push(axial, edges), duration)
-            force = forces.between(self.now, end)
-            network.load((force[0] + force[1]) / 2)
+            force = np.mean(forces.between(self.now, end), axis=0)
+            if self.around:
+                motion = network.tip(network.velocities) - network.base
+                force[-1] += self._met(network.tip(network.nodes), motion)
+            network.load(force)
+            if len(self.shaking):
+                passed = (self.now + end) / 2 * self.step
+                network.fall(self.body.gravity - felt(self.shaking, self.began + passed, passed))
             network.advance(end - self.now)
             self.now = end

@@ -60,6 +60,10 @@ class MujocoNetwork(Network):
         levels = self._weights.T @ (forces + self.body.load) @ self.turn
         self.data.qfrc_applied[:] = np.repeat(levels[:, None], self.layout.actuators, axis=1).ravel()
 
+    def fall(self, gravity: np.ndarray) -> None:
+        """Set the acceleration of what is free, (3,) in m/s²."""
+        self.model.opt.gravity[:] = gravity
+
     @property
     def finite(self) -> bool:
         """Whether the simulation has not diverged."""

@@ -74,9 +74,22 @@ class Network(ABC):
 
     def lengths(self, positions: np.ndarray) -> np.ndarray:
         """Lengths of the vertical edges, (…, n, actuators) in m, at displacements (…, 3 n actuators) in m from the rest geometry."""
+        return np.linalg.norm(np.diff(self.placed(positions), axis=-3), axis=-1)
+
+    def placed(self, positions: np.ndarray) -> np.ndarray:
+        """All nodes, (…, n + 1, actuators, 3) in m, at displacements (…, 3 n actuators) in m from the rest geometry."""
         nodes = np.broadcast_to(self.rest, (*positions.shape[:-1], *self.rest.shape)).copy()
         nodes[..., 1:, :, :] += positions.reshape(*positions.shape[:-1], self.layout.levels, -1, 3)
-        return np.linalg.norm(np.diff(nodes, axis=-3), axis=-1)
+        return nodes
+
+    def tip(self, nodes: np.ndarray) -> np.ndarray:
+        """The tip in G, (…, 3) in m, of nodes (…, n + 1, actuators, 3)."""
+        return self.in_tracker_frame(np.einsum("j,...jik->...k", self.layout.point_weights[-1] / self.layout.actuators, nodes))
+
+    def at_tip(self, force: np.ndarray) -> np.ndarray:
+        """Forces on all free coordinates, (…, 3 n actuators) in N, of a force on the tip in G, (…, 3)."""
+        weights = np.repeat(self.layout.point_weights[-1, 1:] / self.layout.actuators, self.layout.actuators)
+        return (weights[:, None] * (force @ self.turn)[..., None, :]).reshape(*force.shape[:-1], -1)
 
     def verticals(self) -> tuple[np.ndarray, np.ndarray]:
         """Lengths and rates of the vertical edges, (n, actuators) each in m and m/s."""

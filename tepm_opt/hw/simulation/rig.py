@@ -52,6 +52,7 @@ class SimulatedRig:
         self._distortions = [item for item in self.machine.imperfections.values() if type(item).measure is not Imperfection.measure]
         self._lens = Lens(self.file.tracker, self.layout.points, self.file.seed)
         self._random = {name: generator(self.file.seed, name) for name in ("pressure_monitor", "dynamometer")}
+        self._jitter = generator(self.file.seed, "jitter")
         self._delay = round(self.file.imperfections.time_delay.delay_s / self.machine.step)
         self._commands = Timeline(np.zeros(3 * self.machine.network.count), self.machine.step)
         self._forces = Timeline(np.zeros((self.layout.points, 3)), self.machine.step)
@@ -62,9 +63,14 @@ class SimulatedRig:
     def __repr__(self) -> str:
         return f"SimulatedRig({self.file.name!r}, robot {self.robot.name!r}, {self.time:.3f} s)"
 
-    def reseed(self, noise: int) -> None:
-        """Other noise of the same machine: what was drawn once (its masses) stays. 0 is the rig file's own."""
+    def reseed(self, noise: int, began: float = 0.0) -> None:
+        """Other noise of the same machine, before its first `read`: what was drawn once (its masses) stays. 0 is the rig file's own.
+
+        `began` is the time in the session in s at which this rig starts.
+        """
         seed = self.file.seed
+        self.machine.began = began
+        self._jitter = generator(seed, "jitter", noise)
         self._lens.random = generator(seed, "tracker", noise)
         self._random = {name: generator(seed, name, noise) for name in self._random}
 
@@ -195,32 +201,43 @@ class SimulatedRig:
             Diverged: it diverges before the first one.
         """
         step, tracker, first = self.machine.step, self.file.tracker, self._frame
-        at = [round(frame / tracker.rate_hz / step) for frame in range(first, first + count)]
+        told = [round(frame / tracker.rate_hz / step) for frame in range(first, first + count)]
+        at = self._exposed(told)
         frames = self.machine.record(at, self._commands, self._forces)
         self._present, done = (frames.nodes[-1], frames.points[-1]), len(frames.points)
         self._frame += done
-        last = at[done - 1]
-        self._commands.forget(last)
-        self._forces.forget(last)
-        before, self.time = self.time, last * step + tracker.latency_s
+        self._commands.forget(at[done - 1])
+        self._forces.forget(at[done - 1])
+        before, self.time = self.time, told[done - 1] * step + tracker.latency_s
         self._wait(self.time - before)
         pressures, tensions = self._monitored(frames.pressures), self._weighed(frames.tensions)
         samples = []
         for k in range(done):
-            points = self._lens.look(self._seen(frames, k))
+            points = self._lens.look(self._seen(frames, k, at[k] * step))
             lost = self._lost(points) if np.isnan(points).any() else ()
             status = f"tracker lost {', '.join(lost)}" if lost else "ok"
             pressure, tension = (None if of is None else of[k] for of in (pressures, tensions))
-            samples.append(Sample(at[k] * step, points, pressure, tension, status=status))
+            samples.append(Sample(told[k] * step, points, pressure, tension, status=status))
         return samples
 
-    def _seen(self, frames: Frames, k: int) -> np.ndarray:
-        """Reference points of a frame as the tracker sees them but for its noise, (points, 3) in m."""
+    def _exposed(self, told: list[int]) -> list[int]:
+        """Steps at which frames are exposed that say that it was at these: a clock that runs apart, jitter. None is before the last."""
+        imperfections, step = self.file.imperfections, self.machine.step
+        skew, jitter = imperfections.clock_skew, imperfections.sample_jitter
+        if not (skew.active or jitter.active):
+            return told
+        time = np.array(told) * step
+        late = skew.rate * time + skew.bend_per_s * time**2 / 2 + jitter.up_to_s * self._jitter.random(len(told))
+        steps = np.maximum(np.round((time - late) / step).astype(int), self.machine.now)
+        return np.maximum.accumulate(steps).tolist()
+
+    def _seen(self, frames: Frames, k: int, time: float) -> np.ndarray:
+        """Reference points of a frame, of a time since the start in s, as the tracker sees them but for its noise, (points, 3) in m."""
         network, points = self.machine.network, frames.points[k]
         if self._distortions:
             nodes = network.in_tracker_frame(frames.nodes[k])
             for imperfection in self._distortions:
-                points = imperfection.measure(Sighting(points, nodes, network.rest, self.layout))
+                points = imperfection.measure(Sighting(points, nodes, network.rest, self.layout, self.machine.began + time))
         return points
 
     def _lost(self, points: np.ndarray) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from tepm_opt.models.backends.interface import (
 )
 from tepm_opt.models.backends.step_control import STEP_CONTROL
 from tepm_opt.models.dynamics import Dynamics
+from tepm_opt.models.effect import BEGAN, CLOCK
 from tepm_opt.models.network import ROWS, Network
 
 AT_ONCE = 32
@@ -247,6 +249,8 @@ def stepping_unit(dynamics: Dynamics) -> Unit:
         "NIN": dynamics.input_states,
         "NEDGE": dynamics.edge_states,
     }
+    names = dynamics.parameter_names
+    sizes |= {name.upper(): names.index(name) for name in (CLOCK, BEGAN) if name in names}
     symbols, lanes = ("integrate", "state_size", "tangent_size"), ("segment_motion", "segment_tangent", "segment_by")
     return Unit(dynamics.functions, sizes, {}, STEPPING, symbols, lanes)
 
@@ -257,6 +261,7 @@ class CompiledTimeStepper:
     def __init__(self, dynamics: Dynamics, library: ctypes.CDLL) -> None:
         self.dynamics = dynamics
         self._integrate, self._sizes = library.integrate, (library.state_size(), library.tangent_size())
+        self._packed: WeakKeyDictionary[Drive, np.ndarray] = WeakKeyDictionary()
         p, i, n, d = ctypes.c_void_p, ctypes.c_int, ctypes.c_long, ctypes.c_double
         self._integrate.argtypes = [i, i, n, n, n, p, p, d, d, i, d, d, p, p, p, p, i, p, p, p, p, p, n, p]
 
@@ -273,8 +278,8 @@ class CompiledTimeStepper:
         """See `TimeStepper.integrate`."""
         carried, tangents = state
         directions, groups, samples = len(drive.d_theta), tangents.shape[1], len(drive.time)
-        d_theta = _in_lanes(drive.d_theta.T, groups).swapaxes(0, 1).copy()
-        d_rows = None if drive.d_rows is None else _in_lanes(drive.d_rows.swapaxes(1, 2), groups).swapaxes(1, 2).copy()
+        d_theta = _in_lanes(drive.d_theta, groups)
+        d_rows = self._rows_along(drive, groups)
         time, rows = np.ascontiguousarray(drive.time), np.ascontiguousarray(drive.rows)
         d_observed = np.zeros((samples if groups else 0, groups, record.observed.shape[1], LANES))
         info = np.zeros(7)
@@ -290,9 +295,18 @@ class CompiledTimeStepper:
             record.d_observed[new] = flat[:, :, :directions]
         return STATUSES[status], Effort(*info.tolist())
 
+    def _rows_along(self, drive: Drive, groups: int) -> np.ndarray | None:
+        """Changes of the rows in lanes, made once for all parts of a motion."""
+        if drive.d_rows is None:
+            return None
+        if drive not in self._packed:
+            self._packed[drive] = _in_lanes(drive.d_rows, groups)
+        return self._packed[drive]
+
 
 def _in_lanes(values: np.ndarray, groups: int) -> np.ndarray:
-    """The last axis in groups of LANES, filled with zeros: (…, groups, LANES)."""
-    padded = np.zeros((*values.shape[:-1], groups * LANES))
-    padded[..., : values.shape[-1]] = values
-    return padded.reshape(*values.shape[:-1], groups, LANES)
+    """Directions in groups of LANES, filled with zeros: (…, directions, n) as (…, groups, n, LANES)."""
+    *front, directions, n = values.shape
+    padded = np.zeros((*front, groups * LANES, n))
+    padded[..., :directions, :] = values
+    return padded.reshape(*front, groups, LANES, n).swapaxes(-1, -2).copy()

@@ -394,7 +394,7 @@ class TimeStepper(Protocol):
             drive: inputs and forces at all samples, and the directions.
             first, last: numbers of the samples, from 0.
             scheme: how to step.
-            theta: parameters, (parameters,) in SI.
+            theta: parameters, (parameters,) in SI; where effects ask what time it is, the clock is that of each moment, `began` as given.
             record: what is filled.
         """
         ...

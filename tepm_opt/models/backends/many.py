@@ -27,7 +27,7 @@ def many_unit(dynamics: Dynamics) -> Unit:
     """The C of `ManyStepper`, with as many lanes as the vectors of the compiler's target have."""
     sizes = {name: size for name, size in stepping_unit(dynamics).sizes.items() if name != "LANES"} | {"MANY": 1}
     kernels = {name: dynamics.functions[name] for name in ("delay", *KERNELS)}
-    return Unit(kernels, sizes, {}, LOOPS, SYMBOLS, KERNELS, "many_motions")
+    return Unit(kernels, sizes, {}, LOOPS, SYMBOLS, tuple(kernels), "many_motions")
 
 
 @dataclass(frozen=True, eq=False)

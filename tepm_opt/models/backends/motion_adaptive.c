@@ -128,7 +128,7 @@ static int plan(motion *o, double *step, double *h) {
   const double last = o->inputs.time[*o->ends];
   int jumps = 0;
   while (o->knots_left && *o->knots < o->t - JUMP_TIME) { o->knots++; o->knots_left--; }
-  if (o->knots_left && *o->knots <= o->t + JUMP_TIME) {
+  while (o->knots_left && *o->knots <= o->t + JUMP_TIME) { /* commands and forces may jump at the same time, but for rounding */
     jumps = o->inputs.hold;
     if (jumps) *step = fmin(*step, FIRST_STEP);
     o->knots++;

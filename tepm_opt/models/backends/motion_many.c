@@ -16,9 +16,9 @@ void pool_enter(pool *o, int lane, int hold, long samples, const double *time, c
                 const double *x, double *observed, double *trajectory, const double *knots, long knots_left, const long *ends,
                 long ends_left) {
   const double *arg[] = {theta};
-  double late, *res[] = {&late};
+  double late[2], *res[] = {late};
   run(delay, &o->w, arg, res);
-  o->m.motion[lane] = (motion){.inputs = {.time = time, .rows = rows, .samples = samples, .hold = hold, .delay = late},
+  o->m.motion[lane] = (motion){.inputs = {.time = time, .rows = rows, .samples = samples, .hold = hold, .delay = {late[COMMANDS], late[FORCES]}},
                                .records = {observed, trajectory, 0}, .knots = knots, .knots_left = knots_left, .ends = ends,
                                .ends_left = ends_left, .phase = TO_BEGIN, .t = time[0], .span = step};
   real *all = (real *)&o->c, *effort[] = {&o->m.steps, &o->m.iterations, &o->m.factors, &o->m.halvings, &o->m.reached, &o->m.longest};

@@ -1,7 +1,7 @@
 /* Forces and matrices of many motions side by side, which have no directions. A segment's tangent, columns of the lower
    and the upper level, is the front in which its lower level is eliminated; what is left for the upper one goes on to the next front. */
 #define copy(m, to, from) ((void)0)
-#define move_inputs_along(m, w, arg, until, duration, left) ((void)0)
+#define move_inputs_along(m, w, arg, at, duration, left) ((void)0)
 #define keep_actuation_along(m, i) ((void)0)
 #define stage_along(m, w, i, t, step, before, a, v_0) NONE
 #define step_along(m, h) ((void)0)
@@ -10,6 +10,7 @@
 #define record_along(m, w, arg, d, k) ((void)0)
 #define weigh_along(m, by, p) ((void)0)
 #define pack(w) ((void)0)
+#define know_time(w) ((void)0)
 
 typedef real (*corner)[2 * NB]; /* a block within a front, column by column */
 static inline corner lower(front f) { return f; }                          /* of the lower level: L U, with the inverses of U's pivots */

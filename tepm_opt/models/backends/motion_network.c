@@ -162,6 +162,10 @@ static mask assemble(stepper *m, work *w, double step, mask on, int all) {
 /* The edges' pulls at the last evaluation are trusted from now on. */
 static void trust(work *w, mask on) { if (on) memcpy(w->trusted, w->pull, sizeof w->pull); }
 
+#ifdef CLOCK
+static void know_time(work *w) { w->packed_theta[CLOCK] = (vector){0} + w->theta[CLOCK]; }
+#endif
+
 static void pack(work *w) {
   for (int s = 0; s < BATCHES * LANES; s++)
     for (int k = 0; k < NPROP; k++) w->packed_P[s / LANES][k][s % LANES] = w->P[s < NLEV ? s : NLEV - 1][k];

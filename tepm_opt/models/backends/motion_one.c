@@ -15,8 +15,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
   int status = STUCK;
   if (w && p && kept && rates && d_a) {
     memset(w, 0, sizeof *w);
-    w->theta = theta;
-    for (int k = 0; k < NTHETA; k++) w->packed_theta[k] = (vector){0} + theta[k];
+    for (int k = 0; k < NTHETA; k++) w->packed_theta[k] = (vector){0} + (w->theta[k] = theta[k]);
     carried *c = (carried *)s;
     stepper m = {.scheme = scheme, .adaptive = !(step > 0), .groups = groups, .tolerance = tolerance, .max_correction = max_correction,
                  .goal = goal, .close = step > 0 ? 0 : CLOSE * goal, .smooth = smooth, .divisor = smooth ? RICHARDSON / 2. : 1,
@@ -31,7 +30,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
     *p = (pair){.d_fine = kept, .d_middle = kept + groups, .d_coarse = kept + 2 * groups, .d_between = kept + 3 * groups};
     if (groups) choose(w, groups, o->inputs.d_theta);
     const double *arg[] = {theta};
-    double *res[] = {&o->inputs.delay}, *res_by[] = {o->inputs.by_delay};
+    double *res[] = {o->inputs.delay}, *res_by[] = {o->inputs.by_delay};
     run(delay, w, arg, res);
     run(delay_by, w, arg, res_by);
     move_on(&m, w, c, p, -1);

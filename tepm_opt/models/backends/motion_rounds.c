@@ -3,6 +3,7 @@ static void take_stock(stepper *m, work *w, const state *s, mask on) {
   real *y = w->in_inputs.y, *zero = w->in_inputs.rate, *a = w->in_inputs.a, moment = each(JUMP_TIME), t = ZERO;
   memset(zero, 0, NU * sizeof(real));
   for (int lane = 0; lane < WIDTH; lane++) if (LANE(on, lane)) LANE(t, lane) = m->motion[lane].t;
+  tell(m, w, t);
   const real *now[] = {s->u, zero, s->y_inputs, &moment, w->theta};
   real *result[] = {a, y};
   CALL(input_motion, w, now, result);

@@ -28,6 +28,7 @@ class Run(Stages):
 
     def take_stock(self, state: State, t: float) -> None:
         """The edges' pulls where the motion stands."""
+        self.tell(t)
         arguments = state.u, 0 * state.u, state.y_inputs, JUMP_TIME, self.theta
         self.set_properties(self.of.values("input_motion", *arguments)[0].ravel(), t)
         self.forces(state.x, state.v, state.y_edges, 0.0)
@@ -35,7 +36,7 @@ class Run(Stages):
 
     def jump(self, state: State, t: float) -> None:
         """Move to just after a jump of the inputs, where they hold; what was expected of the accelerations is void."""
-        self.move_inputs(state, t, JUMP_TIME, left=False)
+        self.move_inputs(state, self.known_at(t), JUMP_TIME, left=False)
         state.past = ((), ())
 
     def steps_to(self, state: State, k: int, record: Record) -> Status:
@@ -69,7 +70,9 @@ class Run(Stages):
         """
         of, d = self.of, stage.d
         directions = d["x"].shape[-1]
-        outer = np.concatenate([d_a, self.look(t, False)[2][self.inputs :], self.drive.d_theta.T])
+        _, slope, along = self.look(self.known_at(t, forces=True), False)
+        d_external = (along - np.outer(slope, self.later(forces=True)))[self.inputs :]
+        outer = np.concatenate([d_a, d_external, self.drive.d_theta.T])
         d_outer = of._sparse("properties_by", a, self.external.reshape(-1, 3), self.theta) @ outer
         d_P, d["x"][0] = d_outer[: self.P.size].reshape(*self.P.shape, directions), d_outer[self.P.size :]
         by = of.segment_jacobian(x, v, y, step, self.P, self.thetas)
@@ -105,7 +108,8 @@ class Run(Stages):
         state.u, _, along = (part[: self.inputs] for part in self.look(t, False))
         if state.d:
             state.d["u"] = along
-        self.move_inputs(state, t + self.delay, JUMP_TIME, left=False)
+        self.tell(t)
+        self.move_inputs(state, t, JUMP_TIME, left=False)
         self.set_properties(state.a, t)
         state.x[0] = self.level_0
         if state.d:
@@ -157,7 +161,7 @@ class Run(Stages):
         a: list[np.ndarray] = [np.zeros(0)] * 2
         d_a: list[np.ndarray] = [np.zeros(0)] * 2
         for k, (until, duration) in enumerate(((times[1], (1 - GAMMA) * h), (times[0], (2 * GAMMA - 1) * h), (t + h, (1 - GAMMA) * h))):
-            self.move_inputs(state, until, duration, left=k == 2)
+            self.move_inputs(state, self.known_at(until), duration, left=k == 2)
             if k < 2:
                 a[1 - k], d_a[1 - k] = state.a, state.d.get("a", d_a[0])
         stages: list[Stage] = []
@@ -205,7 +209,7 @@ class Run(Stages):
         sums = [np.zeros_like(x), np.zeros_like(v), np.zeros_like(y)]
         for i, (at, weight) in enumerate(zip((0, 0.5, 0.5, 1), (1 / 6, 1 / 3, 1 / 3, 1 / 6), strict=True)):
             if i in (1, 3):
-                self.move_inputs(state, t + at * h, h / 2, left=i == 3)
+                self.move_inputs(state, self.known_at(t + at * h), h / 2, left=i == 3)
             if i != 2:
                 self.set_properties(state.a, t + at * h)
             here = [start + at * h * rate for start, rate in zip((x, v, y), rates, strict=True)]
@@ -226,6 +230,7 @@ class Run(Stages):
             x, v: levels and velocities.
             d_x: change of the levels along the directions; None without.
         """
+        self.tell(float(self.drive.time[k]))
         points, lengths = self.of.values("observe", x.ravel(), self.theta)
         record.observed[k] = np.concatenate([points.ravel(), lengths.ravel()])
         record.trajectory[k] = x, v

@@ -20,6 +20,7 @@ from tepm_opt.models.backends.interface import (
 )
 from tepm_opt.models.backends.rotations import move
 from tepm_opt.models.backends.step_control import CLOSE, RICHARDSON, SLOW
+from tepm_opt.models.effect import BEGAN, CLOCK
 
 if TYPE_CHECKING:
     from tepm_opt.models.backends.time_stepping import PythonTimeStepper
@@ -69,16 +70,30 @@ class Stages:
     """
 
     def __init__(self, of: PythonTimeStepper, drive: Drive, theta: np.ndarray, scheme: Scheme) -> None:
-        self.of, self.drive, self.theta, self.scheme = of, drive, theta, scheme
+        self.of, self.drive, self.theta, self.scheme = of, drive, theta.copy(), scheme
         self.inputs = of.dynamics.layout.inputs
-        self.thetas = np.broadcast_to(theta, (of.n, len(theta)))
-        self.delay = float(of.values("delay", theta)[0].item())
-        self.d_delay = (of._sparse("delay_by", theta) @ drive.d_theta.T).ravel()
+        self.thetas = np.broadcast_to(self.theta, (of.n, len(theta)))
+        self.timed = [of.dynamics.parameter_names.index(name) for name in (CLOCK, BEGAN) if name in of.dynamics.parameter_names]
         self.effort = Effort()
         self.P, self.external, self.level_0 = np.zeros((of.n, 1)), np.zeros(0), np.zeros(0)
         self.divisor = RICHARDSON / 2 if scheme.smooth else 1.0
         self.close = 0.0 if scheme.step > 0 else CLOSE * scheme.error
         self.pull = self.trusted = np.zeros((of.n, len(of.dynamics.layout.edges)))
+
+    def tell(self, t: float) -> None:
+        """Tell functions what time it is, where an effect asks."""
+        if self.timed:
+            clock, began = self.timed
+            self.theta[clock] = self.theta[began] + (t - self.drive.time[0])
+
+    def known_at(self, t: float, forces: bool = False) -> float:
+        """When what acts at a time was commanded, or when forces that act then are known of."""
+        self.tell(t)
+        return t - float(self.of.values("delay", self.theta)[0][int(forces)].item())
+
+    def later(self, forces: bool = False) -> np.ndarray:
+        """How much later commands, or known forces, act along the directions at the time that functions know, (directions,)."""
+        return np.asarray(self.of._sparse("delay_by", self.theta) @ self.drive.d_theta.T)[int(forces)]
 
     def look(self, t: float, left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Row at a time, its slope, and its change along the directions (row, directions); `left`: just before a jump."""
@@ -95,20 +110,20 @@ class Stages:
             along = (drive.d_rows[k] + part * (drive.d_rows[k + 1] - drive.d_rows[k])).T
         return drive.rows[k] + part * change, slope, along
 
-    def move_inputs(self, state: State, until: float, duration: float, left: bool) -> None:
+    def move_inputs(self, state: State, at: float, duration: float, left: bool) -> None:
         """Move the inputs and their internal states on.
 
         Args:
             state: what is moved.
-            until, duration: to which time, and how long it takes, in s.
+            at, duration: time of the inputs, and how long they take to move there, in s.
             left: whether to stop just before a jump at that time.
         """
-        row, slope, along = (part[: self.inputs] for part in self.look(until - self.delay, left))
+        row, slope, along = (part[: self.inputs] for part in self.look(at, left))
         rate = (row - state.u) / duration
         arguments = row, rate, state.y_inputs, duration, self.theta
         a, y = (result.ravel() for result in self.of.values("input_motion", *arguments))
         if state.d:
-            along = along - np.outer(slope, self.d_delay)
+            along = along - np.outer(slope, self.later())
             stacked = np.concatenate([along, (along - state.d["u"]) / duration, state.d["y_inputs"], self.drive.d_theta.T])
             state.d["u"] = along
             state.d["a"], state.d["y_inputs"] = np.split(self.of._sparse("input_motion_by", *arguments) @ stacked, [self.inputs])
@@ -116,7 +131,7 @@ class Stages:
 
     def set_properties(self, a: np.ndarray, t: float) -> None:
         """P and level 0 under an effective actuation and the forces at a time."""
-        self.external = self.look(t, False)[0][self.inputs :]
+        self.external = self.look(self.known_at(t, forces=True), False)[0][self.inputs :]
         columns, level_0 = self.of.values("properties", a, self.external.reshape(-1, 3), self.theta)
         self.P, self.level_0 = np.ascontiguousarray(columns.T), level_0.ravel()
 

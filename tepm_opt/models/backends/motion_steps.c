@@ -9,18 +9,46 @@ static void look(stepper *m, real t, int left, int from, int count, real *values
   }
 }
 
-/* Move the inputs and their internal states on to a time, and w->a with them. */
-static void move_inputs(stepper *m, work *w, state *s, real until, real duration, int left, mask on) {
+#ifdef CLOCK
+/* From now on kernels know that it is this time. */
+static void tell(stepper *m, work *w, real t) {
+  for (int lane = 0; lane < WIDTH; lane++) {
+    const history *h = &m->motion[lane].inputs;
+    if (h->rows) LANE(w->theta[CLOCK], lane) = LANE(w->theta[BEGAN], lane) + (LANE(t, lane) - h->time[0]);
+  }
+  know_time(w);
+}
+#else
+#define tell(m, w, t) ((void)0)
+#endif
+
+/* When what acts at a time was commanded, or when forces that act then are known of; not inlined, so that the time is rounded alike
+   wherever that is asked. */
+static __attribute__((noinline)) real known_at(stepper *m, work *w, real t, int what) {
+  real late = ZERO;
+#ifdef CLOCK
+  real both[2];
+  const real *arg[] = {w->theta};
+  real *res[] = {both};
+  tell(m, w, t);
+  CALL(delay, w, arg, res);
+  for (int k = 0; k < 2; k++) for (int lane = 0; lane < WIDTH; lane++) m->motion[lane].inputs.delay[k] = LANE(both[k], lane);
+#endif
+  for (int lane = 0; lane < WIDTH; lane++) LANE(late, lane) = m->motion[lane].inputs.delay[what];
+  return t - late;
+}
+
+/* Move the inputs, those of the time `at`, and their internal states on, and w->a with them. */
+static void move_inputs(stepper *m, work *w, state *s, real at, real duration, int left, mask on) {
   const real often = 1 / duration;
-  real *u = w->in_inputs.u, *rate = w->in_inputs.rate, *y = w->in_inputs.y, *a = w->in_inputs.a, late = ZERO;
+  real *u = w->in_inputs.u, *rate = w->in_inputs.rate, *y = w->in_inputs.y, *a = w->in_inputs.a;
   memset(u, 0, NU * sizeof(real));
-  for (int lane = 0; lane < WIDTH; lane++) LANE(late, lane) = m->motion[lane].inputs.delay;
-  look(m, until - late, left, 0, NU, u);
+  look(m, at, left, 0, NU, u);
   for (int k = 0; k < NU; k++) rate[k] = (u[k] - s->u[k]) * often;
   const real *arg[] = {u, rate, s->y_inputs, &duration, w->theta};
   real *res[] = {a, y};
   CALL(input_motion, w, arg, res);
-  move_inputs_along(m, w, arg, until, duration, left);
+  move_inputs_along(m, w, arg, at, duration, left);
   blend(w->a, a, sizeof w->a, on);
   blend(s->u, u, sizeof s->u, on);
   blend(s->y_inputs, y, NIN * sizeof(real), on);
@@ -28,7 +56,7 @@ static void move_inputs(stepper *m, work *w, state *s, real until, real duration
 
 /* P and level 0 under the actuation a and the external forces at a time. */
 static void set_properties(stepper *m, work *w, const real *a, real t) {
-  look(m, t, 0, NU, NEXT, w->external);
+  look(m, known_at(m, w, t, FORCES), 0, NU, NEXT, w->external);
   const real *arg[] = {a, w->external, w->theta};
   real *res[] = {w->P[0], w->level_0};
   CALL(properties, w, arg, res);
@@ -63,7 +91,7 @@ static mask implicit_step(stepper *m, work *w, state *s, const state *guide, rea
   edge_states *Y = w->in_step.Y;
   mask failed = NONE;
   for (int k = 0; k < 3; k++) { /* the second stage's time comes first */
-    move_inputs(m, w, s, t + c[k] * h, (c[k] - (k ? c[k - 1] : 0)) * h, k == 2, on);
+    move_inputs(m, w, s, known_at(m, w, t + c[k] * h, COMMANDS), (c[k] - (k ? c[k - 1] : 0)) * h, k == 2, on);
     if (k == 2) break;
     memcpy(a[1 - k], w->a, sizeof w->a);
     keep_actuation_along(m, 1 - k);
@@ -103,8 +131,8 @@ static void explicit_step(stepper *m, work *w, state *s, real t, real h, mask on
   const state *start = &w->in_step.start;
   w->in_step.start = *s;
   for (int i = 0; i < 4; i++) {
-    if (i == 1) move_inputs(m, w, s, t + h / 2, h / 2, 0, on);
-    if (i == 3) move_inputs(m, w, s, t + h, h / 2, 1, on);
+    if (i == 1) move_inputs(m, w, s, known_at(m, w, t + h / 2, COMMANDS), h / 2, 0, on);
+    if (i == 3) move_inputs(m, w, s, known_at(m, w, t + h, COMMANDS), h / 2, 1, on);
     if (i != 2) set_properties(m, w, w->a, t + at[i] * h);
     memcpy(w->x[0], w->level_0, sizeof w->level_0);
     for (int l = 1; l <= NLEV; l++)
@@ -136,6 +164,9 @@ static mask bounded(const state *s) {
 
 /* The next row of what is observed: points in G and lengths, levels and velocities, directions. */
 static void record(stepper *m, work *w, levels x, levels v, const tangent *d, mask on) {
+  real now = ZERO;
+  for (int lane = 0; lane < WIDTH; lane++) if (LANE(on, lane)) LANE(now, lane) = m->motion[lane].inputs.time[m->motion[lane].sample];
+  tell(m, w, now);
   real *observed = w->in_record.observed;
   const real *arg[] = {x[0], w->theta};
   real *res[] = {observed, observed + NOBS - NU / 2};
@@ -154,16 +185,17 @@ static void record(stepper *m, work *w, levels x, levels v, const tangent *d, ma
 
 /* Rest under the first row: actuation, level 0, directions; s holds the equilibrium's levels. Returns where that failed. */
 static mask begin(stepper *m, work *w, state *s, mask on) {
-  real t = ZERO, late = ZERO, *u = w->in_inputs.u;
+  real t = ZERO, *u = w->in_inputs.u;
   memset(u, 0, NU * sizeof(real));
   for (int lane = 0; lane < WIDTH; lane++) {
     history *h = &m->motion[lane].inputs;
-    if (h->rows) { LANE(t, lane) = h->time[0]; LANE(late, lane) = h->delay; }
+    if (h->rows) LANE(t, lane) = h->time[0];
   }
   look(m, t, 0, 0, NU, u);
   blend(s->u, u, sizeof s->u, on);
   begin_along(m, t);
-  move_inputs(m, w, s, t + late, each(JUMP_TIME), 0, on);
+  tell(m, w, t);
+  move_inputs(m, w, s, t, each(JUMP_TIME), 0, on);
   set_properties(m, w, w->a, t);
   blend(s->x[0], w->level_0, sizeof w->level_0, on);
   return rest_along(m, w, s, t);
@@ -171,6 +203,6 @@ static mask begin(stepper *m, work *w, state *s, mask on) {
 
 /* To just after a jump of the inputs, where they hold; what was expected of the accelerations is void. */
 static void jump(stepper *m, work *w, state *s, real t, mask on) {
-  move_inputs(m, w, s, t, each(JUMP_TIME), 0, on);
+  move_inputs(m, w, s, known_at(m, w, t, COMMANDS), each(JUMP_TIME), 0, on);
   for (int i = 0; i < 2; i++) s->past[i].known = pick(on, ZERO, s->past[i].known);
 }

@@ -1,26 +1,37 @@
-/* How the inputs at that time change in the directions of a group; `late` where the delay moves the time. */
-static void look_along(history *h, double t, int left, int from, int count, int late, int group, vector *values) {
+/* How the inputs at that time change in the directions of a group; `what` are those whose delay moves the time. */
+static void look_along(history *h, double t, int left, int from, int count, int what, int group, vector *values) {
   double part = place(h, t, left), slope = part > 0 && part < 1 ? 1 / (h->time[h->at + 1] - h->time[h->at]) : 0;
   const double *row = h->rows + h->at * NINPUT + from;
   const vector *d = h->d_rows ? h->d_rows + (h->at * h->groups + group) * NINPUT + from : 0;
   vector sooner = {0};
-  if (late) for (int k = 0; k < delay_by_nnz; k++) sooner -= h->by_delay[k] * h->d_theta[group * NTHETA + delay_by_col[k]];
+  for (int k = 0; k < delay_by_nnz; k++)
+    if (delay_by_row[k] == what) sooner -= h->by_delay[k] * h->d_theta[group * NTHETA + delay_by_col[k]];
   for (int k = 0; k < count; k++) {
     values[k] = sooner * slope * (row[NINPUT + k] - row[k]);
     if (d) values[k] += d[k] + part * (d[h->groups * NINPUT + k] - d[k]);
   }
 }
 
+/* How the delay changes with the parameters at the time that kernels know. */
+static void delay_along(stepper *m, work *w) {
+#ifdef CLOCK
+  const double *arg[] = {w->theta};
+  double *res[] = {m->motion->inputs.by_delay};
+  run(delay_by, w, arg, res);
+#endif
+}
+
 /* Move the inputs along the directions with those of the motion itself. */
-static void move_inputs_along(stepper *m, work *w, const double **arg, double until, double duration, int left) {
+static void move_inputs_along(stepper *m, work *w, const double **arg, double at, double duration, int left) {
   if (!m->groups) return;
   history *h = &m->motion->inputs;
   double *by[] = {w->by_inputs};
+  delay_along(m, w);
   run(input_motion_by, w, arg, by);
   for (int g = 0; g < m->groups; g++) {
     tangent *d = m->d + g;
     vector *in = w->in_directions.in, *out = w->in_directions.out;
-    look_along(h, until - h->delay, left, 0, NU, 1, g, in);
+    look_along(h, at, left, 0, NU, COMMANDS, g, in);
     for (int k = 0; k < NU; k++) { in[NU + k] = (in[k] - d->u[k]) / duration; d->u[k] = in[k]; }
     memcpy(in + 2 * NU, d->y_inputs, NIN * sizeof(vector));
     memcpy(in + 2 * NU + NIN, h->d_theta + g * NTHETA, NTHETA * sizeof(vector));
@@ -37,7 +48,7 @@ enum { AT_V = 2 * NB, AT_Y = 4 * NB, AT_P = AT_Y + NEDGE, AT_THETA = AT_P + NPRO
 static void properties_along(stepper *m, work *w, double t, const vector *a, int group, vector *P_level_0) {
   vector *in = w->in_directions.in;
   memcpy(in, a, NU * sizeof(vector));
-  look_along(&m->motion->inputs, t, 0, NU, NEXT, 0, group, in + NU);
+  look_along(&m->motion->inputs, t - m->motion->inputs.delay[FORCES], 0, NU, NEXT, FORCES, group, in + NU);
   memcpy(in + NU + NEXT, m->motion->inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
   memset(P_level_0, 0, (NLEV * NPROP + NB) * sizeof(vector));
   for (int k = 0; k < properties_by_nnz; k++) P_level_0[properties_by_row[k]] += w->by_properties[k] * in[properties_by_col[k]];
@@ -78,7 +89,8 @@ static inline vector product(const work *w, int s, int from, int until, const ve
 }
 
 /* Jacobians of a stage: segments (and, if `resting`, the factored stiffness of the network at rest), properties. */
-static int linearise(work *w, double step, const double *a, int resting) {
+static int linearise(stepper *m, work *w, double step, const double *a, int resting) {
+  delay_along(m, w);
   const double *arg_P[] = {a, w->external, w->theta};
   double *res_P[] = {w->by_properties};
   run(properties_by, w, arg_P, res_P);
@@ -149,7 +161,7 @@ static mask stage_along(stepper *m, work *w, int i, double t, double step, doubl
   if (!m->groups) return 0;
   forces(w, step, 0); /* the pulls at the solution, for the exact matrix */
   trust(w, -1);
-  if (assemble(m, w, step, -1, 1) || linearise(w, step, a, 0)) return -1;
+  if (assemble(m, w, step, -1, 1) || linearise(m, w, step, a, 0)) return -1;
   for (int g = 0; g < m->groups; g++) {
     lane_rates *d = m->stage[i] + g;
     tangent *d_s = m->d + g;
@@ -180,7 +192,7 @@ static void step_along(stepper *m, double h) {
 static void begin_along(stepper *m, double t) {
   for (int g = 0; g < m->groups; g++) {
     memset(m->d + g, 0, sizeof m->d[g]);
-    look_along(&m->motion->inputs, t, 0, 0, NU, 0, g, m->d[g].u);
+    look_along(&m->motion->inputs, t, 0, 0, NU, NOTHING, g, m->d[g].u);
   }
 }
 static mask rest_along(stepper *m, work *w, const state *s, double t) {
@@ -188,7 +200,7 @@ static mask rest_along(stepper *m, work *w, const state *s, double t) {
   memcpy(w->x, s->x, sizeof w->x);
   memcpy(w->v, s->v, sizeof w->v);
   memcpy(w->y, s->y_edges, sizeof w->y);
-  if (linearise(w, 0, w->a, 1)) return -1;
+  if (linearise(m, w, 0, w->a, 1)) return -1;
   for (int g = 0; g < m->groups; g++) {
     lane_rates *d = m->stage[0] + g;
     memset(d, 0, sizeof *d);

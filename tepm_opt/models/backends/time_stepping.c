@@ -6,7 +6,8 @@
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P (MASS the one of the mass), NU inputs, NEXT external
    force components, NTHETA parameters, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges,
-   SZ_W, SZ_IW work of the kernels. For every sparse Jacobian `f` there are f_nnz, f_row and f_col. Level 0 is fixed.
+   SZ_W, SZ_IW work of the kernels. Where an effect asks what time it is, CLOCK and BEGAN are the places of the time in the session and of
+   when the motion began in theta. For every sparse Jacobian `f` there are f_nnz, f_row and f_col. Level 0 is fixed.
    Statuses, schemes and limits are macros too: interface.py has them. */
 #define NINPUT (NU + NEXT)
 #define ALIGNED __attribute__((aligned(64))) /* what crosses lines of the cache takes a seventh more time */
@@ -68,12 +69,11 @@ typedef struct {
   real P[NLEV][NPROP], level_0[NB], a[NU], external[AT_LEAST_1(NEXT)];
   levels step;
   vector pull[BATCHES][NEDGES], trusted[BATCHES][NEDGES]; /* of the edges: at the last evaluation, and in the last stage that was solved */
+  real theta[NTHETA];
 #if MANY
   front matrix[NLEV], spare[NLEV];
-  real theta[NTHETA];
 #else
   blocks matrix ALIGNED;
-  const double *theta;
   vector packed_P[BATCHES][NPROP] ALIGNED, packed_theta[NTHETA]; /* a segment is a lane of a batch */
   double by[NLEV][segment_by_nnz]; /* segment_by of every segment, as the selection orders it */
   selection chosen;
@@ -101,7 +101,7 @@ typedef struct { /* inputs over time */
   const double *time, *rows;
   long samples, at;
   int hold;
-  double delay;
+  double delay[2]; /* s, of commands and of known forces */
 #if !MANY
   const vector *d_rows; /* [sample][group][NINPUT], or null */
   int groups;
@@ -112,6 +112,7 @@ typedef struct { /* inputs over time */
 
 typedef struct { double *observed, *trajectory; vector *d_observed; } records; /* what is left at the samples, row by row */
 
+enum { COMMANDS, FORCES, NOTHING }; /* what is delayed */
 enum { OVER, TO_BEGIN, TO_TAKE_STOCK, MOVING };
 
 typedef struct { /* one motion: what drives it, how far it is, what it leaves */
@@ -142,7 +143,13 @@ typedef struct {
 #endif
 } stepper;
 
-static void run(kernel *f, work *w, const double **arg, double **res) { f(arg, res, w->kernel_iwork, w->kernel_work, 0); }
+/* Calls a kernel. What vectors have left in the upper halves of registers slows the mathematical library's code down by far: cleared before. */
+static void run(kernel *f, work *w, const double **arg, double **res) {
+#ifdef __AVX__
+  __builtin_ia32_vzeroupper();
+#endif
+  f(arg, res, w->kernel_iwork, w->kernel_work, 0);
+}
 
 /* Finds the sample at or before a time and returns the part of the way to the next one: inputs change linearly, or hold until it;
    `left` is just before a jump. */

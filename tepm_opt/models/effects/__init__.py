@@ -12,7 +12,7 @@ from tepm_opt.models.effect import Effect
 from tepm_opt.models.effects.gravity import Gravity
 from tepm_opt.models.effects.known_loads import KnownLoads
 
-__all__ = ["STANDARD", "effects", "find_effect", "register"]
+__all__ = ["STANDARD", "effects", "find_effect", "register", "unregister"]
 
 STANDARD: tuple[Effect, ...] = (Gravity(), KnownLoads())
 """What every model carries; model files do not list it."""
@@ -29,7 +29,7 @@ def _registry() -> dict[str, Effect]:
 
 def effects() -> tuple[Effect, ...]:
     """All effects a model can be given, by name."""
-    return tuple(_registry().values())
+    return tuple(effect for _, effect in sorted(_registry().items()))
 
 
 def find_effect(name: str, where: str = "") -> Effect:
@@ -52,3 +52,8 @@ def register(effect: Effect) -> None:
     if effect.name in _registry():
         raise InputError(f"effect {effect.name!r} exists already")
     _registry()[effect.name] = effect
+
+
+def unregister(name: str) -> None:
+    """Take an effect away that `register` added; one that is not there is none."""
+    _registry().pop(name, None)

@@ -23,6 +23,7 @@ class Creep(Effect):
         Parameter("share", "1", null=0.0, probe=0.1, low=0.0, high=10.0),
         Parameter("relaxation_time", "s", null=1.0, probe=1.0, low=1e-3, high=1e4),
     )
+    further_probes = ({"relaxation_time": 0.2}, {"relaxation_time": 5.0})
 
     def edge_memory(
         self, edge: Edge, length: ca.SX, rate: ca.SX, properties: Mapping[str, ca.SX], parameters: Mapping[str, ca.SX], context: Context

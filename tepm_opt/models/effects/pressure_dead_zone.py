@@ -7,17 +7,25 @@ from collections.abc import Mapping
 import casadi as ca
 
 from tepm_opt.models.effect import Context, Effect, Parameter
-from tepm_opt.models.effects.corners import above
+from tepm_opt.models.effects.corners import ROUNDING, above
 
 
 class PressureDeadZone(Effect):
-    """Effective pressure max(p - threshold, 0), its corner rounded by a parabola so that the gain is continuous."""
+    """Effective pressure max(p - threshold, 0), its corner rounded by a parabola so that the gain is continuous.
+
+    `rounding` is the corner's half-width over the threshold. Above 1 the muscle gives some force from the beginning on, but none
+    without pressure.
+    """
 
     name = "pressure_dead_zone"
     explains = "no force until a threshold pressure"
     reference = "Tao and Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, 1996, ch. 2"
     smooth = False  # at no threshold and no pressure the derivative by the threshold has a jump
-    parameters = (Parameter("threshold", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),)
+    parameters = (
+        Parameter("threshold", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),
+        Parameter("rounding", "1", null=ROUNDING, probe=ROUNDING, low=0.0, high=5.0),
+    )
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
-        return above(pressure, parameters["threshold"]), tension
+        corner = parameters["threshold"], parameters["rounding"]
+        return above(pressure, *corner) - above(ca.SX(0), *corner), tension

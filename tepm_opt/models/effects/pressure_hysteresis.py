@@ -10,7 +10,10 @@ from tepm_opt.models.effect import Context, Effect, Memory, Parameter
 
 
 class PressureHysteresis(Effect):
-    """Bouc-Wen with exponent 1: effective pressure trails by `width` after travelling some `distance` since the last reversal."""
+    """Bouc-Wen with exponent 1: effective pressure trails by `width` after travelling some `distance` since the last reversal.
+
+    On the way down it is above by `falling_ratio` times the width that it is below on the way up.
+    """
 
     name = "pressure_hysteresis"
     explains = "the muscles' force lags pressure reversals, independent of rate"
@@ -18,10 +21,12 @@ class PressureHysteresis(Effect):
     parameters = (
         Parameter("width", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),
         Parameter("distance", "Pa", null=2e4, probe=2e4, low=1.0, high=1e6),
+        Parameter("falling_ratio", "1", null=1.0, probe=1.0, low=0.0, high=10.0),
     )
+    further_probes = ({"distance": 5e3},)
 
     def pressure_memory(
         self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
     ) -> Memory | None:
-        width, distance = parameters["width"], parameters["distance"]
+        width, distance = parameters["width"] * ca.if_else(rate > 0, 1, parameters["falling_ratio"]), parameters["distance"]
         return Memory(-width / distance * rate, ca.fabs(rate), distance * ca.SX.ones(*state.shape))

@@ -6,28 +6,41 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effect import Context, Effect, Lag, Memory, Parameter
+from tepm_opt.models.effect import Context, Effect, Lag, Parameter, Saturating
 
 LOOK_AHEAD = 1e-6  # s; looks this far ahead to see whether a muscle fills or empties
+ATMOSPHERE = 101_325.0  # Pa
+LAMINAR = 0.1  # of the atmosphere, keeps the flow out of a muscle above 0 where nothing drives it any more
 
 
 class RegulatorLag(Effect):
-    """First-order lag with a time constant for filling and one for exhausting: y = pressure in the muscle less pressure commanded."""
+    """First-order lag with a time constant for filling and one for exhausting: y = pressure in the muscle less pressure commanded.
+
+    Where the valve's flow chokes, the pressure changes by no more than a rate, however far it has to go: dy/dt = -y / (time + choke |y|).
+    It rises by at most 1 / `filling_choke` and falls by at most 1 / `exhausting_choke` at 125 kPa (gauge), where the flow out of the
+    muscle, which goes with sqrt(P² - P_a²) of the absolute pressures, is twice the atmosphere.
+    """
 
     name = "regulator_lag"
     explains = "the regulators fill and empty with a time constant"
-    reference = "Richer and Hurmuzlu, A high performance pneumatic force actuator system, ASME JDSMC 122 (2000), small-signal form"
+    reference = "Richer and Hurmuzlu, A high performance pneumatic force actuator system, ASME JDSMC 122 (2000), small signals"
     parameters = (
         Parameter("filling_time", "s", null=0.0, probe=0.05, low=0.0, high=10.0),
         Parameter("exhausting_time", "s", null=0.0, probe=0.05, low=0.0, high=10.0),
+        Parameter("filling_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=2e-7),
+        Parameter("exhausting_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=2e-7),
     )
 
     def lag(self, parameters: Mapping[str, ca.SX]) -> Lag:
         return Lag(parameters["filling_time"], parameters["exhausting_time"])
 
-    def pressure_memory(
-        self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
-    ) -> Memory | None:
+    def pressure_memory(self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Saturating:
         lag = self.lag(parameters)
         filling = state - LOOK_AHEAD * rate < 0
-        return Memory(-rate, ca.SX.ones(*state.shape), ca.if_else(filling, lag.filling, lag.exhausting))
+
+        def slowing(state: ca.SX, left: ca.SX) -> ca.SX:
+            inside = ca.fmax(pressure - left * rate + state, 0) + ATMOSPHERE
+            outflow = ca.sqrt(inside**2 - (1 - LAMINAR**2) * ATMOSPHERE**2) / (2 * ATMOSPHERE)
+            return ca.if_else(filling, parameters["filling_choke"], parameters["exhausting_choke"] / outflow)
+
+        return Saturating(-rate, ca.SX.ones(*state.shape), ca.if_else(filling, lag.filling, lag.exhausting), slowing)

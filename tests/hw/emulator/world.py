@@ -74,7 +74,7 @@ class World:
         tracker = rig.file.tracker
         if self.time >= self._due / tracker.rate_hz - 1e-9:
             self._due += 1
-            points = rig._lens.look(rig._seen(frames, 0))
+            points = rig._lens.look(rig._seen(frames, 0, self.time))
             lost = [f"s{k + 1}" for k in range(len(points)) if np.isnan(points[k]).any()]
             status = f"tracker lost {', '.join(lost)}" if lost else "ok"
             self.frames.append((self.time + tracker.latency_s, Frame(self.time, points, np.full((4, 4, 4), np.nan), status)))

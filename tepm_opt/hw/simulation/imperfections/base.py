@@ -6,17 +6,30 @@ model on the rig proves something.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from tepm_opt.data.documents import Section
+from tepm_opt.errors import unknown_name
 from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Layout
 from tepm_opt.models.robot import Robot
 
-__all__ = ["Body", "EdgeStage", "Imperfection", "Numbers", "PressureStage", "Section", "Sighting", "StaticMap", "TensionStage"]
+__all__ = [
+    "Body",
+    "EdgeStage",
+    "Imperfection",
+    "Numbers",
+    "PressureStage",
+    "Section",
+    "Sighting",
+    "StaticMap",
+    "TensionStage",
+    "TipStage",
+    "of_actuators",
+]
 
 
 @dataclass
@@ -144,6 +157,14 @@ class EdgeStage(Stage, Protocol):
         ...
 
 
+class TipStage(Stage, Protocol):
+    """A force on the tip that depends on where it is and how it moves, without memory; arrays are (…, 3) in the frame G."""
+
+    def force(self, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Force in N of the tip's place in m and velocity in m/s."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Sighting:
     """What a sensor's imperfection may know.
@@ -153,12 +174,14 @@ class Sighting:
         nodes: true nodes in G, (n + 1, actuators, 3) in m.
         rest: nodes at rest in the base frame, (n + 1, actuators, 3) in m.
         layout: of the network.
+        time: in the session in s.
     """
 
     points: np.ndarray
     nodes: np.ndarray
     rest: np.ndarray
     layout: Layout
+    time: float = 0.0
 
 
 class StaticMap:
@@ -180,16 +203,33 @@ class StaticMap:
         return self.function(pressure)
 
 
+def of_actuators(values: Mapping[str, float], layout: Layout, where: str) -> np.ndarray:
+    """Values by actuator name as an array, 0 for all others, (modules · actuators,).
+
+    Raises:
+        InputError: no such actuator.
+    """
+    names = layout.actuator_names
+    found = np.zeros(len(names))
+    for name, value in values.items():
+        if name not in names:
+            raise unknown_name("actuator", name, names, f"imperfections: {where}")
+        found[names.index(name)] = value
+    return found
+
+
 class Imperfection(Section):
     """Base of all imperfections: every key has a default, and with all defaults nothing happens.
 
     Attributes:
         of_one_actuator: whether a single actuator on a bench has it too.
         of_devices: whether it belongs to the devices, which are the same for any robot.
+        of_regulators: whether its pressure stage stands before a pressure monitor, which shows what it does.
     """
 
     of_one_actuator: ClassVar[bool] = False
     of_devices: ClassVar[bool] = False
+    of_regulators: ClassVar[bool] = False
 
     @property
     def active(self) -> bool:
@@ -216,6 +256,14 @@ class Imperfection(Section):
 
     def edge_stage(self, body: Body) -> EdgeStage | None:
         """The force along the vertical edges, if any."""
+        return None
+
+    def tip_stage(self, robot: Robot) -> TipStage | None:
+        """The force that the tip meets, if any."""
+        return None
+
+    def shaking(self, body: Body) -> np.ndarray | None:
+        """How the base moves, if it does: angular frequency, phase and acceleration in the base frame of sines, (sines, 5), SI."""
         return None
 
     def measure(self, measured: Sighting) -> np.ndarray:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tepm_opt.data.documents import Number, between
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.imperfections.base import Body, Imperfection
+from tepm_opt.models.layout import DIAGONAL, Edge, Layout
 
 Vector = Annotated[tuple[Number, Number, Number], Field(description="three numbers")]
 Offset = Annotated[float, between(-1, 1, "m")]
@@ -85,6 +86,40 @@ class RigidPlates(Imperfection):
         if free.min() < 0.05:
             raise InputError(f"rigid_plates: clamped_length_m = {self.clamped_length_m:g} leaves nothing of a segment of {height:g} m")
         body.stiffness[:, body.upright] /= free[:, None]
+
+
+class SoftPart(Imperfection):
+    """Some segments are softer than the others, as a worn or a longer braid makes them: all their springs but the plates'.
+
+    Segments count from 1 at the base; those from `first` to `last` lose a part of their stiffness.
+    """
+
+    loss: Annotated[float, between(-1, 0.9, "of the stiffness")] = 0.0
+    first: Annotated[int, Field(strict=True, ge=1, description="1 … number of segments")] = 1
+    last: Annotated[int, Field(strict=True, ge=1, description="1 … number of segments")] = 1
+
+    def change_body(self, body: Body) -> None:
+        if not self.first <= self.last <= body.layout.levels:
+            raise InputError(f"soft_part: segments {self.first} … {self.last}; valid: 1 … {body.layout.levels}, rising")
+        body.stiffness[self.first - 1 : self.last, body.upright] *= 1 - self.loss
+
+
+class TwistedBody(Imperfection):
+    """Muscles and braces wound round the body: diagonals of one hand are longer by a part of their length, those of the other shorter."""
+
+    strain: Annotated[float, between(-0.2, 0.2, "of the diagonals' length")] = 0.0
+
+    def change_body(self, body: Body) -> None:
+        hand = [_hand(edge, body.layout) for edge in body.layout.edges]
+        body.rest *= 1 + self.strain * np.array(hand)
+
+
+def _hand(edge: Edge, layout: Layout) -> float:
+    """Sense in which an edge winds round the axis on its way up: 1, −1, or 0 where it is no diagonal."""
+    if edge.kind != DIAGONAL:
+        return 0.0
+    low, high = (layout.angles[node] for _, node in sorted((edge.a, edge.b)))
+    return float(np.sign(np.sin(high - low)))
 
 
 class BaseTilt(Imperfection):

@@ -8,8 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from tepm_opt.data.documents import between
-from tepm_opt.errors import unknown_name
-from tepm_opt.hw.simulation.imperfections.base import Imperfection, Numbers, PressureStage, StaticMap
+from tepm_opt.hw.simulation.imperfections.base import Imperfection, Numbers, PressureStage, StaticMap, of_actuators
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
@@ -41,6 +40,7 @@ class RegulatorLag(Imperfection):
 
     of_one_actuator: ClassVar[bool] = True
     of_devices: ClassVar[bool] = True
+    of_regulators: ClassVar[bool] = True
     fill_s: Annotated[float, between(0, 30, "s")] = 0.0
     exhaust_s: Annotated[float, between(0, 30, "s")] = 0.0
 
@@ -66,39 +66,44 @@ class PlayStack:
     """Prandtl–Ishlinskii: the mean of play operators of rising radius; settles as if filled from zero.
 
     Attributes:
-        radii: of the operators, (operators, 1) in Pa.
+        below, above: how far the operators stay below a rising and above a falling pressure, (operators, 1) in Pa each.
         state: of the operators, (operators, modules · actuators) in Pa.
     """
 
-    def __init__(self, radii: np.ndarray) -> None:
-        self.radii = radii[:, None]
-        self.state = np.zeros((len(radii), 0))
+    def __init__(self, below: np.ndarray, above: np.ndarray) -> None:
+        self.below, self.above = below[:, None], above[:, None]
+        self.state = np.zeros((len(below), 0))
 
     def settle(self, pressure: np.ndarray) -> np.ndarray:
-        self.state = np.maximum(pressure - self.radii, 0.0)
+        self.state = np.maximum(pressure - self.below, 0.0)
         return self.state.mean(axis=0)
 
     def step(self, pressure: np.ndarray, duration: float) -> np.ndarray:
         out = []
         for value in pressure:
-            self.state = np.minimum(np.maximum(self.state, value - self.radii), value + self.radii)
+            self.state = np.minimum(np.maximum(self.state, value - self.below), value + self.above)
             out.append(self.state.mean(axis=0))
         return np.array(out)
 
     def numbers(self) -> Numbers:
-        return Numbers("play_stack", tuple(self.radii[:, 0]), (self.state,), len(self.radii))
+        return Numbers("play_stack", (*self.below[:, 0], *self.above[:, 0]), (self.state,), len(self.below))
 
 
 class PressureHysteresis(Imperfection):
-    """Stacked play operators; `width_Pa` is the full width of a large loop along the pressure axis."""
+    """Stacked play operators; `width_Pa` is the full width of a large loop along the pressure axis.
+
+    With an `asymmetry` above 0 more of it lies on the way up: force stays further below a rising than above a falling pressure.
+    """
 
     of_one_actuator: ClassVar[bool] = True
     width_Pa: Annotated[float, between(0, 1e6, "Pa")] = 0.0
+    asymmetry: Annotated[float, between(-1, 1, "")] = 0.0
     operators: Annotated[int, Field(strict=True, ge=1, le=20, description="1 … 20")] = 4
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
         steps = np.arange(1, self.operators + 1)
-        return PlayStack(self.width_Pa / 2 * steps / steps.mean())
+        radii = self.width_Pa / 2 * steps / steps.mean()
+        return PlayStack((1 + self.asymmetry) * radii, (1 - self.asymmetry) * radii)
 
 
 class PressureCrosstalk(Imperfection):
@@ -129,10 +134,5 @@ class ActuatorGain(Imperfection):
     loss: dict[str, Annotated[float, between(-1, 1, "of the pressure's force")]] = Field(default_factory=dict)
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
-        names = Layout.of(robot).actuator_names
-        factor = np.ones(len(names))
-        for name, loss in self.loss.items():
-            if name not in names:
-                raise unknown_name("actuator", name, names, "imperfections: actuator_gain: loss")
-            factor[names.index(name)] -= loss
+        factor = 1 - of_actuators(self.loss, Layout.of(robot), "actuator_gain: loss")
         return StaticMap(lambda pressure: pressure * factor, Numbers("gain", channels=(factor,)))

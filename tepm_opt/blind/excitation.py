@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tepm_opt.data.datasets import APART
 from tepm_opt.data.run import Role
 from tepm_opt.data.setpoints import SetPoints
 
@@ -20,11 +22,12 @@ Knots = list[tuple[float, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A run to be made."""
+    """A run to be made, which begins at a time in the session in s."""
 
     file: str
     role: Role
     setpoints: SetPoints
+    began: float = 0.0
 
 
 def excitations(seed: int, short: bool) -> tuple[Excitation, ...]:
@@ -44,8 +47,48 @@ def excitations(seed: int, short: bool) -> tuple[Excitation, ...]:
     fit |= {"elongation": [*spread, *steps]} if short else {"elongation": spread, "steps": [(0.0, _level(90e3)), *steps]}
     fit["tip_load"] = _pushed(random, slower)
     validation = {"circle": _circle(2, 3.2) if short else _circle(3, 7.0), "mixed": _mixed(random, 6.5 if short else 20.0)}
-    planned = [(name, role, knots) for role, runs in (("fit", fit), ("validation", validation)) for name, knots in runs.items()]
-    return tuple(Excitation(f"{name}.csv", role, _sampled(knots)) for name, role, knots in planned)
+    roles: dict[Role, dict[str, Knots]] = {"fit": fit, "validation": validation}
+    return _one_after_the_other(
+        Excitation(f"{name}.csv", role, _sampled(knots)) for role, runs in roles.items() for name, knots in runs.items()
+    )
+
+
+def _one_after_the_other(runs: Iterable[Excitation]) -> tuple[Excitation, ...]:
+    """Runs of a session."""
+    found: list[Excitation] = []
+    for run in runs:
+        began = found[-1].began + float(found[-1].setpoints.time[-1]) + APART if found else 0.0
+        found.append(replace(run, began=began))
+    return tuple(found)
+
+
+def drawn(random: np.random.Generator, shortest: float, longest: float, fit: int | None = None, judges: int = 2) -> tuple[Excitation, ...]:
+    """Runs of designs, levels and lengths that are drawn: three to five to fit to and some to judge by.
+
+    Pressures apart and together, tensions and steps or ramps are always among three and more runs to fit to.
+
+    Args:
+        random: what is drawn from.
+        shortest, longest: length of a run in s.
+        fit: how many runs there are to fit to; drawn where None.
+        judges: how many there are to judge by.
+    """
+    count = int(random.integers(3, 6)) if fit is None else fit
+    first = [random.choice(kinds) for kinds in (("single_pressure", "elongation"), ("single_tension", "mixed"), ("steps", "ramps"))]
+    first = list(random.permutation(first)) if count < len(first) else first
+    names = [*first, *random.choice([name for name in DESIGNS if name not in first], max(count - 3, 0), replace=False)][:count]
+    judging = random.choice(JUDGES, judges, replace=False)
+    runs = []
+    for number, name in enumerate(map(str, (*names, *judging)), start=1):
+        knots = DESIGNS[name](random, random.uniform(shortest, longest) - LEAD)
+        runs.append(Excitation(f"{number}_{name}.csv", "fit" if number <= len(names) else "validation", _sampled(knots)))
+    return _one_after_the_other(runs)
+
+
+def thinned(run: Excitation, every: int) -> Excitation:
+    """The same run at a part of the sample rate."""
+    asked = run.setpoints
+    return replace(run, setpoints=SetPoints(asked.time[::every], asked.inputs[::every], asked.tip_force[::every]))
 
 
 def _level(
@@ -71,6 +114,16 @@ def _one_by_one(rest: np.ndarray, peaks: np.ndarray, slower: float, tension: boo
             level = rest.copy()
             level[k + COUNT * tension] += part * peak
             knots.append((slower * seconds, level))
+    return knots
+
+
+def _ramps(random: np.random.Generator, duration: float) -> Knots:
+    """Everything to levels that are drawn, linearly, each in its time; tensions are slack now and then."""
+    knots: Knots = [(0.0, _level(random.uniform(60e3, 140e3)))]
+    while (left := duration - sum(seconds for seconds, _ in knots)) > 0.1:
+        pressures = random.uniform(40e3, 220e3) + random.uniform(-30e3, 30e3, COUNT)
+        tensions = random.uniform(0.0, 2.5, COUNT) * (random.uniform(size=COUNT) < 0.6)
+        knots.append((min(random.uniform(0.3, 1.6), left), _level(pressures, tensions)))
     return knots
 
 
@@ -129,6 +182,42 @@ def _mixed(random: np.random.Generator, duration: float) -> Knots:
 
     pressures = 140e3 + 150e3 * sines((0.17, 0.43, 1.1), 1) + 40e3 * sines((0.23, 0.61, 1.9), COUNT)
     return _rows(np.clip(pressures, 5e3, 350e3), np.maximum(2.4 * sines((0.19, 0.53, 1.3), COUNT), 0.0))
+
+
+Design = Callable[[np.random.Generator, float], Knots]
+"""What is drawn from, and the length in s; knots of a run."""
+
+
+def _singles(tension: bool) -> Design:
+    def knots(random: np.random.Generator, duration: float) -> Knots:
+        rest, peak = (_level(random.uniform(80e3, 160e3)), 3.5) if tension else (_level(), np.repeat((85e3, 125e3), 3))
+        return _one_by_one(rest, peak * random.uniform(0.7, 1.2, COUNT), duration / (1.2 * COUNT), tension)
+
+    return knots
+
+
+def _random_steps(random: np.random.Generator, duration: float) -> Knots:
+    count = int(random.integers(4, 11))
+    return [(0.0, _level(random.uniform(60e3, 140e3))), *_steps(random, count, duration / count - 0.04)]
+
+
+def _turns(random: np.random.Generator, duration: float) -> Knots:
+    turns = int(random.integers(1, 4))
+    return _circle(turns, duration / turns)
+
+
+DESIGNS: dict[str, Design] = {
+    "single_pressure": _singles(tension=False),
+    "single_tension": _singles(tension=True),
+    "elongation": lambda random, duration: _spread(duration / 3.2),
+    "steps": _random_steps,
+    "ramps": _ramps,
+    "tip_load": lambda random, duration: _pushed(random, duration / 5.5),
+    "circle": _turns,
+    "mixed": _mixed,
+}
+JUDGES = ("circle", "mixed", "steps", "ramps")
+"""Designs of the runs to judge by."""
 
 
 def _fade(time: np.ndarray, within: float) -> np.ndarray:

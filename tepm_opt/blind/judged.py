@@ -1,0 +1,144 @@
+"""One blind trial judged: what acts, what was said, what of it is right. Pure functions on a line of `trials.jsonl`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+EVEN = 0.5  # probability from which an effect counts as said
+REFUSED = "refused"
+NAMED, PARTIAL, NOTHING = "named", "partial", "no_discrepancy"
+
+Name = tuple[str, str | None]
+"""An effect and which actuator, point or parameter it is about."""
+
+
+@dataclass(frozen=True)
+class Listed:
+    """An effect that a verdict lists, with its stated probability, and whether it acts; None where that cannot be said."""
+
+    name: Name
+    probability: float
+    acts: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A trial that has its label.
+
+    Attributes:
+        result: line of `trials.jsonl`.
+    """
+
+    result: Mapping[str, Any]
+
+    @property
+    def label(self) -> Mapping[str, Any]:
+        """What is hidden."""
+        return self.result["label"]
+
+    @property
+    def family(self) -> str:
+        """Family of the trial."""
+        return self.result["family"]
+
+    @property
+    def causes(self) -> list[Mapping[str, Any]]:
+        """Hidden causes."""
+        return self.label["causes"]
+
+    @property
+    def truth(self) -> set[Name]:
+        """What should be named."""
+        detail = self.label["detail"]
+        return {(name, detail.get(name)) for name in self.label["names"]}
+
+    @property
+    def status(self) -> str:
+        """Status of the verdict; "refused" where there is none."""
+        return self.result["verdict"]["status"] if self.result["verdict"] else REFUSED
+
+    @cached_property
+    def listed(self) -> list[Listed]:
+        """All effects that the verdict lists."""
+        effects = self.result["verdict"]["effects"] if self.result["verdict"] else []
+        names = [((each["name"], each["detail"]), float(each["probability"] or 0.0)) for each in effects]
+        return [Listed(name, probability, self._acts(name)) for name, probability in names]
+
+    def _acts(self, name: Name) -> bool | None:
+        return None if name[0] in self.label["allowed"] else name in self.truth
+
+    @property
+    def said(self) -> set[Name]:
+        """Effects that are listed with at least even odds."""
+        return {each.name for each in self.listed if each.probability >= EVEN}
+
+    def false_above(self, probability: float) -> bool:
+        """Whether an effect that does not act is listed with more than this probability."""
+        return any(each.acts is False and each.probability > probability for each in self.listed)
+
+    @property
+    def right(self) -> bool:
+        """Whether everything hidden is said with its detail, and nothing else.
+
+        What has no name is right where nothing false is said; nothing hidden where no discrepancy is. A cause of some runs only is
+        right as `partial`, too, but only with its runs.
+        """
+        if self.label["kind"] in ("null", "noise"):
+            return self.status == NOTHING
+        if not self.truth:
+            return self.status != REFUSED and not self.false_above(EVEN)
+        said = {name for name in self.said if name[0] not in self.label["allowed"]}
+        if "runs" in self.label:
+            return self.status in (NAMED, PARTIAL) and said == self.truth and self._runs_right
+        return self.status == NAMED and said == self.truth
+
+    @property
+    def _runs_right(self) -> bool:
+        told = [set(each["runs"]) for each in self.result["verdict"]["effects"] if each.get("runs")]
+        return told == [set(self.label["runs"])] * len(self.truth)
+
+    @property
+    def abstained(self) -> bool:
+        """Whether the answer is not right, and says nothing false with at least even odds either."""
+        return not self.right and not self.false_above(EVEN)
+
+    def found(self, cause: Mapping[str, Any]) -> bool:
+        """Whether a hidden cause is listed with at least even odds."""
+        return all((name, self.label["detail"].get(name)) in self.said for name in cause["names"])
+
+    def clear(self, misfit: float) -> bool:
+        """Whether each cause leaves at least this misfit, over the noise."""
+        return all(cause["misfit_over_noise"] >= misfit for cause in self.causes)
+
+    @property
+    def closed(self) -> float | None:
+        """Part of the gap that recalibration leaves on validation runs and the effects close; None where there is none or no answer."""
+        if not self.result["verdict"]:
+            return None
+        errors = self.result["verdict"]["rmse_m"]
+        gap = errors["recalibrated"] - errors["noise_floor"]
+        return (errors["recalibrated"] - errors["corrected"]) / gap if gap > 0.1 * errors["noise_floor"] else None
+
+    @property
+    def covered(self) -> dict[str, bool]:
+        """Whether each true value lies in its 95 % interval: effects' parameters that mean the same, and the robot's own."""
+        if not self.result["verdict"]:
+            return {}
+        verdict, found = self.result["verdict"], {}
+        stated = {
+            f"{_label(each['name'], each['detail'])}.{name}": value
+            for each in verdict["effects"]
+            for name, value in each["parameters"].items()
+        } | verdict["recalibrated"]
+        for name, true in {**self.label["sizes"], **self.label["true_parameters"]}.items():
+            value = stated.get(name)
+            if value and value["std"] is not None and value["value"] is not None:
+                found[name] = abs(value["value"] - true) <= 1.96 * value["std"]
+        return found
+
+
+def _label(name: str, detail: str | None) -> str:
+    return f"{name}[{detail}]" if detail else name

@@ -1,0 +1,164 @@
+"""How sure it is that an effect acts: against its rivals, against laws that nobody has named, against what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from tepm_opt.discrepancy.constancy import Sizes
+from tepm_opt.discrepancy.evidence import weights
+from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
+from tepm_opt.discrepancy.freeform.places import ALL, Place
+from tepm_opt.discrepancy.freeform.score import Scored, alternatives
+from tepm_opt.discrepancy.network import PARAMETER
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.search import Explanation
+from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks
+
+CLEAR = 0.8  # probability from which an effect is named: that it is a cause, and it rather than its rivals
+POSSIBLE = 0.1  # probability from which a rival counts
+EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as likely as not a cause
+UNEVEN = 0.3  # spread of sizes that is worth a remark
+LISTED = 0.3  # probability from which what explains a part is told as such
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """What an effect that leaves structure has to beat.
+
+    Attributes:
+        holds: probability of the effect rather than of a smooth law elsewhere in its place.
+        elsewhere: the law that does best there.
+    """
+
+    holds: float
+    elsewhere: Scored
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the search's best hypothesis is worth.
+
+    Attributes:
+        status: what became of the question.
+        cause: by effect, the probability that it is a cause, not a stand-in for something that is in no library.
+        remarks: what spoke against effects, in sentences.
+        listed: effects that the answer tells, each with the hypothesis it is from and its probability: the best hypothesis' own, and
+            those that cannot be told from them.
+    """
+
+    status: VerdictStatus
+    cause: Mapping[Candidate, float] = field(default_factory=dict)
+    listed: tuple[tuple[Candidate, Candidate, Hypothesis, float], ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def doubts(explanation: Explanation, settings: SearchSettings, seed: int) -> dict[Candidate, Doubt]:
+    """What the effects of the best hypothesis have to beat, where they leave more than noise.
+
+    A law in the place of an effect that acts through something else, or elsewhere, and predicts left-out data better, although it is only
+    fitted to first order, says that the effect stands in for something.
+    """
+    best = explanation.best
+    if best.only_noise(settings):
+        return {}
+    found = {}
+    for effect in best.effects:
+        rest = next((h for h in explanation.tried if h.effects == tuple(c for c in best.effects if c != effect)), None)
+        laws = [] if rest is None else [law for law in alternatives(rest.estimate) if not _may_be(effect, law.place)]
+        if laws:
+            first = min(laws, key=lambda law: law.evidence.excess)
+            found[effect] = Doubt(float(weights([best.evidence, first.evidence], seed)[0]), first)
+    return found
+
+
+def _may_be(effect: Candidate, place: Place) -> bool:
+    """Whether an effect acts where a law does, so that both may say the same."""
+    if place.kind not in effect.acts:
+        return False
+    return place.kind == "force" or place.target == (effect.detail or ALL) or effect.name == PARAMETER
+
+
+def judged(
+    explanation: Explanation, errors: Errors, settings: SearchSettings, unseen: bool, doubted: Mapping[Candidate, Doubt],
+    constancy: Mapping[Candidate, Mapping[str, Sizes]],
+) -> Judgement:  # fmt: skip
+    """What the best hypothesis is worth.
+
+    Args:
+        explanation: what the search found.
+        errors: of the models, on runs not used where there are such.
+        settings: of the search.
+        unseen: whether there are runs not used.
+        doubted: what effects have to beat besides their rivals.
+        constancy: sizes of effects in parts of the data.
+    """
+    best = explanation.best
+    if not best.effects:
+        only_noise = explanation.without.only_noise(settings)
+        return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
+    holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
+    same = {effect: _same(constancy.get(effect, {})) for effect in best.effects}
+    cause = {effect: _cause(effect, explanation.shares[effect], settings) * holds[effect] * same[effect] for effect in best.effects}
+    unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
+    listed = []
+    for effect in best.effects:
+        for hypothesis, weight in explanation.groups[effect]:
+            other = next((c for c in hypothesis.effects if c not in best.effects), effect)
+            if hypothesis is best or (weight > POSSIBLE and unclear):
+                listed.append((effect, other, hypothesis, cause[effect] * weight))
+    listed.sort(key=lambda each: -each[-1])
+    most = {effect: max(p for of, _, _, p in listed if of == effect) for effect in best.effects}
+    if unseen and not shrinks(errors):
+        status = VerdictStatus.PARTIAL
+    elif unclear and all(cause[effect] >= LISTED for effect in best.effects):
+        status = VerdictStatus.INDISTINGUISHABLE
+    elif min(most.values()) >= CLEAR:
+        status = VerdictStatus.NAMED
+    else:
+        status = VerdictStatus.PARTIAL if max(most.values()) >= LISTED else VerdictStatus.UNEXPLAINED
+    remarks = tuple(_remarks(explanation, doubted, constancy))
+    return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)
+
+
+def _remarks(
+    explanation: Explanation, doubted: Mapping[Candidate, Doubt], constancy: Mapping[Candidate, Mapping[str, Sizes]]
+) -> Iterator[str]:
+    """What speaks against effects, a sentence each."""
+    for effect, doubt in doubted.items():
+        if doubt.holds < 0.5:
+            law = doubt.elsewhere
+            yield (
+                f"{effect.told} fits as well as anything known, but it stands in for something: "
+                f"a smooth law {law.place.label} in its place predicts left-out data better."
+            )
+    for effect, by in constancy.items():
+        for name, sizes in by.items():
+            if sizes.spread > UNEVEN:
+                files = [run.file for run in explanation.best.estimate.problem.runs]
+                parts = ", ".join(f"{ratio:.2g} {_part(name, part, files)}" for part, ratio in zip(sizes.parts, sizes.ratio, strict=True))
+                yield f"{effect.told} is not of one size: it is {parts} of what it is over all."
+
+
+def _part(partition: str, part: Hashable, files: Sequence[str]) -> str:
+    """A part of the data in words."""
+    if partition == "run":
+        return f"in {files[int(str(part))]}"
+    if partition == "half":
+        return "in the second halves of the runs" if part else "in the first halves of the runs"
+    return "where inputs rise" if part else "where inputs fall"
+
+
+def _cause(effect: Candidate, share: float, settings: SearchSettings) -> float:
+    """Probability that an effect is a cause: even odds where what only it takes away is so many times what is left.
+
+    An effect whose form is known leaves nothing, so that what is left weighs more against it.
+    """
+    even = settings.even_odds_exact if effect.exact else settings.even_odds_ratio
+    return 1 / (1 + even / max(share, 1e-9))
+
+
+def _same(sizes: Mapping[str, Sizes]) -> float:
+    """Probability that what has these sizes in parts of the data is one cause: even odds where they spread by `EVEN_SPREAD`."""
+    most = max((each.spread for each in sizes.values()), default=0.0)
+    return 1 / (1 + (most / EVEN_SPREAD) ** 2)

@@ -1,0 +1,35 @@
+"""One muscle that pushes more or less than the others whatever it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from tepm_opt.models.effect import Context, Effect, Parameter, Properties
+from tepm_opt.models.effects.corners import offset
+
+
+class ActuatorOffset(Effect):
+    """A constant axial force of one muscle, given as the pressure that would make it; there at no pressure, too, and of either sign.
+
+    A muscle whose rest length is off by d pushes by K_a d more, a regulator whose zero is off by p by A p. Positions cannot tell the
+    two: for `kang2017` 1 kPa is 0.050 N or 0.14 mm, and 1 mm is 0.359 N or 7.1 kPa. A tendon's dynamometer with a wrong zero is a
+    third form, with the sign turned round: 1 N of tension is -19.9 kPa. Where a regulator gives too little it still gives no less than
+    nothing: `one_sided` 1, which tells it from a rest length (0).
+    """
+
+    name = "actuator_offset"
+    explains = "one muscle's rest length or its regulator's zero is off"
+    reference = "additive actuator fault; Isermann, Fault-Diagnosis Systems, 2006"
+    detail = "actuator"
+    corners = True
+    parameters = (
+        Parameter("pressure", "Pa", null=0.0, probe=-2e3, low=-1e6, high=1e6),
+        Parameter("one_sided", "1", null=0.0, probe=0.0, low=0.0, high=1.0, change=0.2),
+    )
+
+    def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
+        # Not an input map: a threshold or a slack further down would cut off what is there without a command.
+        at = divmod(context.detail or 0, context.layout.actuators)
+        properties.pressure[at] = offset(properties.pressure[at], parameters["pressure"], parameters["one_sided"])

@@ -1,0 +1,75 @@
+"""A base that moves to and fro."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+from scipy.fft import next_fast_len
+from scipy.ndimage import uniform_filter1d
+
+from tepm_opt.models.effect import BEGAN, CLOCK, Context, Effect, Parameter, Properties
+
+RISE = 0.5  # s over which the masses begin to feel it in a run, which begins at rest
+FINE = 4  # frequencies to one that the session's length resolves
+AROUND, SLOWEST = 1.0, 0.5  # Hz: surroundings of a line, and below which it is no vibration
+
+
+class BaseVibration(Effect):
+    """The base plate moves as a sine of one frequency along each axis of the tracker frame G.
+
+    Its phase is the session's, or, as of a pump that starts with the recording, begins anew with each run (`restarts` is 1).
+
+    In the base's frame the masses feel its acceleration, turned round; the tracker sees their motion in that frame and the base's.
+    `inertia` is 1 where the base moves and the tracker stands, 0 where the tracker's stand moves and the robot's does not. A run begins
+    at rest and statics are of its beginning: there the masses feel nothing yet.
+    """
+
+    name = "base_vibration"
+    explains = "the base moves to and fro"
+    reference = "base excitation; Meirovitch, Fundamentals of Vibrations, 2001, section 2.6"
+    timed = True
+    parameters = (
+        *(Parameter(f"sine_{axis}", "m", null=0.0, probe=2e-4, low=-0.05, high=0.05) for axis in "xyz"),
+        *(Parameter(f"cosine_{axis}", "m", null=0.0, probe=2e-4, low=-0.05, high=0.05) for axis in "xyz"),
+        Parameter("frequency", "Hz", null=3.0, probe=3.0, low=0.1, high=50.0, change=0.01),
+        Parameter("restarts", "1", null=0.0, probe=0.0, low=0.0, high=1.0, change=0.1),
+        Parameter("inertia", "1", null=1.0, probe=1.0, low=0.0, high=1.0),
+    )
+
+    def loads(self, properties: Properties, external: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        passed = (parameters[CLOCK] - parameters[BEGAN]) / RISE
+        force = parameters["inertia"] * -ca.expm1(-(passed**2)) * (2 * np.pi * parameters["frequency"]) ** 2 * self._motion(parameters)
+        return context.layout.actuators * ca.mtimes(ca.mtimes(ca.DM(context.rotation.T), force), properties.mass.T)
+
+    def outputs(self, points: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        return points + ca.repmat(self._motion(parameters), 1, context.layout.points)
+
+    @staticmethod
+    def _motion(parameters: Mapping[str, ca.SX]) -> ca.SX:
+        """Place of the base in G beside where it rests, (3,) in m."""
+        phase = 2 * np.pi * parameters["frequency"] * (parameters[CLOCK] - parameters["restarts"] * parameters[BEGAN])
+        sine, cosine = (ca.vertcat(*(parameters[f"{part}_{axis}"] for axis in "xyz")) for part in ("sine", "cosine"))
+        return sine * ca.sin(phase) + cosine * ca.cos(phase)
+
+    def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
+        """The line that stands out most from its surroundings in the spectrum of all runs together, with phases of either kind."""
+        step, starts = float(np.median(np.diff(clock))), np.unique(began)
+        length = next_fast_len(int(FINE * (clock[-1] - clock[0]) / step) + 1, real=True) or 1
+        frequency = np.fft.rfftfreq(length, step)
+        alone = []
+        for start in starts:
+            run = began == start
+            samples = np.zeros((length, left.shape[1]))
+            samples[np.round((clock[run] - start) / step).astype(int)] = left[run] - left[run].mean(axis=0)
+            alone.append(np.fft.rfft(samples, axis=0))
+        turned = [np.exp(-2j * np.pi * frequency * start)[:, None] * own for start, own in zip(starts, alone, strict=True)]
+        around = 2 * int(AROUND / frequency[1]) + 1
+        best = (0.0, {})
+        for restarts, parts in ((0.0, turned), (1.0, alone)):
+            power = np.sum(np.abs(sum(parts)) ** 2, axis=1)
+            contrast = power / np.maximum(uniform_filter1d(power, around, mode="nearest"), 1e-30)
+            at = int(np.argmax(np.where(frequency > SLOWEST, contrast, 0.0)))
+            best = max(best, (float(power[at]), {"frequency": float(frequency[at]), "restarts": restarts}), key=lambda line: line[0])
+        return best[1]

@@ -1,0 +1,35 @@
+"""Muscles whose stiffness changes while they warm up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from tepm_opt.models.effect import CLOCK, Context, Effect, Parameter, Properties
+
+
+class WarmUp(Effect):
+    """The muscles' stiffness changes by a share as they warm up over the session, exponentially from none at its start.
+
+    Lumped heat capacity: temperature, and with it the rubber's stiffness, nears its end with one time constant. At rest the clock stands
+    still, by default at the session's start: the muscles are as cold as K_a says.
+    """
+
+    name = "warm_up"
+    explains = "the muscles' stiffness changes as they warm up over the session"
+    reference = "lumped capacitance; Incropera and DeWitt, Fundamentals of Heat and Mass Transfer, 6th ed., 2007, section 5.1"
+    timed = True
+    parameters = (
+        Parameter("change", "1", null=0.0, probe=-0.05, low=-0.9, high=10.0),
+        Parameter("time_constant", "s", null=100.0, probe=100.0, low=1.0, high=1e5),
+    )
+
+    def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
+        warmth = -ca.expm1(-parameters[CLOCK] / parameters["time_constant"])
+        properties.stiffness[: context.layout.actuators, :] *= 1 + parameters["change"] * warmth
+
+    def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
+        """A third of the session, in which most of the change happens."""
+        return {"time_constant": float(np.clip(clock[-1] / 3, 1.0, 1e5))}

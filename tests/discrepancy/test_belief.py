@@ -1,0 +1,85 @@
+"""What an answer is called: by probabilities, by what rivals, unknown laws and runs not used say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tepm_opt.discrepancy.belief import Doubt, judged
+from tepm_opt.discrepancy.constancy import Sizes
+from tepm_opt.discrepancy.evidence import Evidence
+from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
+from tepm_opt.discrepancy.network import candidate
+from tepm_opt.discrepancy.search import Explanation
+from tepm_opt.discrepancy.verdict import Errors, VerdictStatus
+
+LAG, LOAD = candidate("regulator_lag"), candidate("external_load")
+SHRUNK = Errors(noise_floor=5e-4, nominal=5e-3, recalibrated=4e-3, corrected=6e-4, black_box=1e-3)
+SETTINGS = SearchSettings()
+
+
+def hypothesis(effects: tuple[Any, ...], excess: float) -> Hypothesis:
+    counts = np.full(10, 100)
+    problem = SimpleNamespace(runs=(SimpleNamespace(file="a.csv"), SimpleNamespace(file="b.csv")))
+    estimate: Any = SimpleNamespace(cost=1000 * (1 + excess), count=1000, problem=problem)
+    return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1, np.zeros(1)))
+
+
+def answer(effect: Any, share: float, weight: float = 1.0, errors: Errors = SHRUNK, doubt: Any = None, spread: float = 0.0) -> Any:
+    best, other, without = hypothesis((effect,), 0.1), hypothesis((candidate("creep"),), 0.2), hypothesis((), 10.0)
+    found = Explanation(without, best, best, [without, best, other], [], {effect: share}, {effect: [(best, weight), (other, 1 - weight)]})
+    constancy = {effect: {"run": Sizes((0, 1), np.array([0.2, 1.8]), np.ones(2), spread)}}
+    law: Any = SimpleNamespace(place=SimpleNamespace(label="axial[12](length)"))
+    return judged(found, errors, SETTINGS, True, {} if doubt is None else {effect: Doubt(doubt, law)}, constancy)
+
+
+def test_sure_effects_are_named() -> None:
+    found = answer(LAG, 100.0)
+    assert found.status is VerdictStatus.NAMED
+    assert [(effect, round(p, 2)) for _, effect, _, p in found.listed] == [(LAG, 0.97)]
+
+
+def test_named_asks_for_four_fifths_of_the_product() -> None:
+    assert answer(LAG, 9.0).status is VerdictStatus.PARTIAL
+    assert answer(LAG, 20.0, weight=0.85).status is VerdictStatus.PARTIAL
+
+
+def test_what_is_left_weighs_more_against_an_exact_form() -> None:
+    assert answer(LAG, 15.0).status is VerdictStatus.NAMED
+    assert answer(LOAD, 15.0).status is VerdictStatus.PARTIAL
+    assert answer(LOAD, 3.0).status is VerdictStatus.UNEXPLAINED
+    assert answer(LOAD, 3.0).listed == ()
+
+
+def test_nothing_is_named_that_does_not_shrink_the_gap_on_runs_not_used() -> None:
+    same = replace(SHRUNK, corrected=SHRUNK.recalibrated)
+    assert answer(LAG, 1000.0, errors=same).status is VerdictStatus.PARTIAL
+
+
+def test_runs_not_used_that_show_nothing_say_nothing() -> None:
+    quiet = replace(SHRUNK, recalibrated=5e-4, corrected=5e-4)
+    assert answer(LAG, 1000.0, errors=quiet).status is VerdictStatus.NAMED
+
+
+def test_rivals_are_listed() -> None:
+    found = answer(LAG, 100.0, weight=0.6)
+    assert found.status is VerdictStatus.INDISTINGUISHABLE
+    assert [effect.name for _, effect, _, _ in found.listed] == ["regulator_lag", "creep"]
+
+
+@pytest.mark.parametrize(("holds", "status"), [(1.0, VerdictStatus.NAMED), (0.5, VerdictStatus.PARTIAL), (0.1, VerdictStatus.UNEXPLAINED)])
+def test_a_law_elsewhere_that_predicts_better_casts_doubt(holds: float, status: VerdictStatus) -> None:
+    found = answer(LAG, 1000.0, doubt=holds)
+    assert found.status is status
+    assert any("axial[12](length)" in remark for remark in found.remarks) == (holds < 0.5)
+
+
+def test_what_is_of_another_size_in_every_run_is_no_cause() -> None:
+    assert answer(LAG, 1000.0, spread=0.05).status is VerdictStatus.NAMED
+    found = answer(LAG, 1000.0, spread=1.0)
+    assert found.status is VerdictStatus.UNEXPLAINED
+    assert found.remarks == ("regulator_lag is not of one size: it is 0.2 in a.csv, 1.8 in b.csv of what it is over all.",)

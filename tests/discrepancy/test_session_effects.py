@@ -1,0 +1,88 @@
+"""What the rig does in a session's time in forms of its own, explained by the effects that ask what time it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tepm_opt.blind.excitation import excitations
+from tepm_opt.blind.machine import Deviation, played, rig_file
+from tepm_opt.discrepancy.network import candidate
+from tepm_opt.discrepancy.suggest import suggested
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.effects import find_effect
+from tepm_opt.models.model import Model
+from tepm_opt.models.robot import load_robot
+from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.network_plant import NetworkPlant
+from tests.tools import in_company
+
+KANG, NOISE = load_robot("kang2017"), 3e-4
+HIDDEN: dict[str, tuple[str, dict[str, Any], dict[str, float]]] = {
+    "muscles that warm linearly": ("warm_up", {"change": -0.1, "full_s": 40.0}, {}),
+    "a pose that goes to and fro": ("tracker_drift", {"shift_m": (0.004, -0.003, 0.002), "period_s": 200.0}, {}),
+    "a tendon that slides": ("tendon_slip", {"share": {"13": 0.4}, "instant_s": 15.8}, {"share": 0.4}),
+    "a base with harmonics": ("base_vibration", {"amplitude_m": (1e-3, -5e-4, 3e-4), "frequency_Hz": 7.3}, {"frequency": 7.3}),
+    "a stand that moves": (
+        "base_vibration", {"amplitude_m": (1e-3, -5e-4, 3e-4), "frequency_Hz": 7.3, "felt": False}, {"frequency": 7.3, "inertia": 0.0}
+    ),
+    "a clock that gains more and more": ("clock_skew", {"rate": 0.005, "bend_per_s": 5e-5}, {"rate": 0.005}),
+}  # fmt: skip
+"""By what it is: the effect, the rig's sizes, and parameters that mean the same."""
+EVERY_DAY = ("a tendon that slides",)
+
+
+@pytest.fixture(scope="module")
+def company() -> CompiledModel:
+    """All effects at their null values, those of actuators on the third."""
+    return compile_model(in_company())
+
+
+def excess(estimate: ParameterEstimate) -> float:
+    return sum(r.squares for r in estimate.residuals) / sum(r.count for r in estimate.residuals) - 1
+
+
+@pytest.mark.parametrize("what", [pytest.param(what, marks=() if what in EVERY_DAY else pytest.mark.slow) for what in HIDDEN])
+def test_it_is_explained_from_what_the_residuals_suggest(company: CompiledModel, what: str) -> None:
+    name, sizes, same = HIDDEN[what]
+    hidden = Deviation({name: sizes})
+    runs = tuple(played(rig_file(KANG, hidden, NOISE, 1), hidden, run, k) for k, run in enumerate(excitations(3, short=True)[:4], start=1))
+    plant = NetworkPlant(company)
+    known = plant.free(tuple(KANG.priors))
+    without = identify(Problem(plant, runs, known, NOISE, step=0.02, derivatives_apart=0.04))
+    missing = candidate(name, "13" if find_effect(name).detail else None)
+    problem = suggested(without, [missing]).problem
+    own = problem.plant.free(missing.parameters)
+    start = tuple(replace(f, start=float(value)) for f, value in zip(known, without.values, strict=True))
+    found = identify(replace(problem, free=(*start, *own)), 15)
+    assert excess(without) > 1
+    assert excess(found) < 0.05 * excess(without)
+    for parameter, value in same.items():
+        label = f"{missing.label}.{parameter}"
+        assert found.named[label] == pytest.approx(value, rel=0.05, abs=0.01), label
+
+
+def test_what_is_suggested_for_runs_of_a_known_session() -> None:
+    """An instant, and a line of either kind of phase, in noise."""
+    random, began = np.random.default_rng(2), np.repeat([0.0, 25.3, 50.1], 1000)
+    clock, left = began + np.tile(np.arange(1000) / 50, 3), random.normal(size=(3000, 12))
+    slip, shaken = find_effect("tendon_slip"), find_effect("base_vibration")
+    later = left + np.where(clock > 31.7, 2 * np.sin(clock), 0.0)[:, None]
+    assert slip.suggested(clock, began, later)["instant"] == pytest.approx(31.7, abs=0.3)
+    for restarts in (0.0, 1.0):
+        line = left + 0.3 * np.sin(2 * np.pi * 7.3 * (clock - restarts * began) + 1)[:, None] + 2 * np.sin(0.8 * clock)[:, None]
+        found = shaken.suggested(clock, began, line)
+        assert found["frequency"] == pytest.approx(7.3, abs=7e-3)
+        assert found["restarts"] == restarts
+
+
+def test_data_of_equilibria_suggest_nothing() -> None:
+    model = compile_model(Model.of("kang2017"))
+    without = Problem(NetworkPlant(model, static=True), (), (), NOISE)
+    estimate = ParameterEstimate.__new__(ParameterEstimate)
+    object.__setattr__(estimate, "problem", without)
+    object.__setattr__(estimate, "residuals", [])
+    assert suggested(estimate, [candidate("warm_up")]) is estimate

@@ -1,0 +1,171 @@
+"""A cause that acts in some runs only, a wrong robot file: to first order, fitted, sized run by run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.constancy import onward, runs_of, sizes, spread
+from tepm_opt.discrepancy.first_order import Linearised, linearised
+from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.network import SearchableNetwork, candidate, wrong_values
+from tepm_opt.discrepancy.plant import Candidate, InSomeRuns, acting, freed
+from tepm_opt.discrepancy.search import explain
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.model import Model
+from tepm_opt.solvers.identify import Problem
+from tests.discrepancy.small import NOISE, changed, cut, dataset_of, measured, planned, true_values
+
+NOMINAL = Model.of("kang2017")
+FILES = ("single_pressure.csv", "elongation.csv", "tip_load.csv", "mixed.csv")
+LATE = ("tip_load.csv",)
+MASS = 0.012  # kg, put on before the last of the runs fitted to
+PAYLOAD = candidate("payload")
+RADIUS = next(c for c in wrong_values(NOMINAL) if c.detail == "r")
+
+
+@pytest.fixture(scope="module")
+def loadable() -> CompiledModel:
+    """With a payload and a load of null."""
+    return compile_model(NOMINAL.with_effect("payload", mass=0.0).with_effect("external_load", x=0.0, y=0.0, z=0.0))
+
+
+@pytest.fixture(scope="module")
+def heavy(loadable: CompiledModel) -> CompiledModel:
+    return changed(loadable, **{"payload.mass": MASS})
+
+
+@pytest.fixture(scope="module")
+def network(kang: CompiledModel, loadable: CompiledModel) -> SearchableNetwork:
+    channels = dataset_of(kang, []).channels
+    others = (PAYLOAD, candidate("external_load"), RADIUS)
+    return SearchableNetwork(loadable, known_model=NOMINAL, candidates=others, signals=channels.signals)
+
+
+@pytest.fixture(scope="module")
+def runs(kang: CompiledModel, heavy: CompiledModel) -> list[Run]:
+    """Of a machine that carries something in the last run fitted to, and in the one kept for validation."""
+    asked = planned(FILES)
+    found = []
+    for k, (light, loaded) in enumerate(zip(*(measured(changed(m, **true_values(m)), asked) for m in (kang, heavy)), strict=True)):
+        found.append(cut(loaded if k >= 2 else light, 4.0))
+    return found
+
+
+@pytest.fixture(scope="module")
+def fits(network: SearchableNetwork, runs: list[Run]) -> Fits:
+    fit = tuple(run for run in runs if run.role == "fit")
+    problem = Problem(network, fit, network.free(network.known), NOISE, derivatives_apart=network.derivatives_apart)
+    return Fits(problem, SearchSettings())
+
+
+@pytest.fixture(scope="module")
+def without(fits: Fits) -> Hypothesis:
+    found = fits.fit((), {})
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def linear(fits: Fits, without: Hypothesis, network: SearchableNetwork) -> Linearised:
+    return fits.linear(without, network.candidates)
+
+
+LIMITED = replace(PAYLOAD, runs=LATE)
+
+
+class TestFirstOrder:
+    def test_what_acts_in_one_run_promises_more_there(self, linear: Linearised) -> None:
+        everywhere, late = linear.gain([PAYLOAD])[0], linear.gain([LIMITED])[0]
+        early = linear.gain([replace(PAYLOAD, runs=FILES[:2])])[0]
+        assert late == pytest.approx(1.0, abs=0.05)
+        assert max(everywhere, early) < 0.8
+        assert linear.gain([LIMITED])[1]["payload.mass"] == pytest.approx(MASS, rel=0.1)
+
+    def test_a_set_promises_no_less_than_its_parts(self, linear: Linearised, network: SearchableNetwork) -> None:
+        alone = [linear.gain([c])[0] for c in network.candidates]
+        assert linear.gain(network.candidates)[0] >= max(alone) - 1e-9
+
+    def test_an_effect_of_the_fit_can_be_taken_back(self, fits: Fits, without: Hypothesis, network: SearchableNetwork) -> None:
+        """What a fit leaves without its effect is what was left before it, up to the second order."""
+        with_it = fits.fit((LIMITED,), {"payload.mass": 0.01})
+        assert with_it is not None
+        linear = linearised(with_it.estimate, fits.problem.free, (LIMITED,), network.candidates)
+        left = linear.cost.sum() - linear.gain([])[0] * linear.excess
+        before = without.estimate.cost * linear.count.sum() / without.estimate.count
+        assert left == pytest.approx(before, rel=0.1)
+        assert linear.gain([LIMITED])[0] * linear.excess == pytest.approx(0.0, abs=20.0), "what a refit to fewer samples gains"
+
+    def test_memory_is_bounded_by_thinning(
+        self, fits: Fits, without: Hypothesis, network: SearchableNetwork, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("tepm_opt.discrepancy.first_order.MEMORY", 80_000)
+        few = linearised(without.estimate, fits.problem.free, (), network.candidates)
+        assert few.count.sum() < 0.5 * sum(np.isfinite(run.points).sum() for run in fits.problem.sparse.runs)
+        assert few.gain([LIMITED])[0] == pytest.approx(1.0, abs=0.1)
+
+
+class TestPlant:
+    def test_an_effect_acts_in_its_runs_only(self, network: SearchableNetwork, runs: list[Run]) -> None:
+        plant = acting(network, [LIMITED]).with_values({"payload.mass": MASS})
+        light, late = runs[0], next(run for run in runs if run.file in LATE)
+        assert np.array_equal(plant.predict(light).points, network.predict(light).points)
+        assert not np.allclose(plant.predict(late).points, network.predict(late).points)
+        assert not plant.predict(light, ["payload.mass", "K_a"]).by[0].any()
+        assert plant.predict(light, ["payload.mass", "K_a"]).by[1].any()
+        assert acting(network, [PAYLOAD]) is network
+
+    def test_a_wrong_value_is_free_of_its_prior(self, network: SearchableNetwork) -> None:
+        stiffness = next(c for c in wrong_values(NOMINAL) if c.detail == "K_a")
+        known = network.free(network.known)
+        free = {f.name: f for f in freed(known, network, [stiffness, RADIUS])}
+        assert (free["K_a"].low, free["K_a"].high) == pytest.approx((179.43, 717.72))
+        assert (free["r"].low, free["r"].high) == pytest.approx((0.02, 0.08))
+        assert len(free) == len(known) + 1
+
+
+class TestSearch:
+    def test_finds_in_which_runs_a_cause_acts(self, fits: Fits, network: SearchableNetwork, kang: CompiledModel, runs: list[Run]) -> None:
+        found = explain(fits, network.candidates, 0)
+        assert [c.told for c in found.best.effects] == ["payload in tip_load.csv"]
+        dataset = dataset_of(kang, runs)
+        best = found.best.estimate
+        assert runs_of(found.best.effects[0], best, dataset, NOISE) == ("tip_load.csv", "mixed.csv")
+        onwards = onward(best.plant, dataset)
+        assert isinstance(onwards, InSomeRuns)
+        assert onwards.effects[0].runs == ("tip_load.csv", "mixed.csv"), "it is taken to go on"
+
+    def test_what_ended_before_validation_is_told_so(self, fits: Fits, kang: CompiledModel, runs: list[Run]) -> None:
+        """The same, with a validation run of the light machine."""
+        best = fits.fit((LIMITED,), {"payload.mass": 0.01})
+        assert best is not None
+        light = [replace(run, role="validation", file="again.csv") if k == 0 else run for k, run in enumerate(runs) if k != 3]
+        dataset = dataset_of(kang, [runs[0], *light[1:], light[0]])
+        assert runs_of(LIMITED, best.estimate, dataset, NOISE) == LATE
+
+
+class TestSizes:
+    def test_a_cause_is_of_the_same_size_everywhere(self, fits: Fits, heavy: CompiledModel) -> None:
+        loaded = [cut(run, 4.0) for run in measured(changed(heavy, **true_values(heavy)), planned(FILES)) if run.role == "fit"]
+        everywhere = Fits(replace(fits.problem, runs=tuple(loaded)), fits.settings)
+        once = Fits(replace(fits.problem, runs=tuple(run for run in fits.problem.runs if run.file != "single_pressure.csv")), fits.settings)
+        for own, same in ((everywhere, True), (once, False)):
+            found = own.fit((PAYLOAD,), {"payload.mass": 0.01})
+            assert found is not None
+            by_run = sizes(linearised(found.estimate, own.problem.free, (PAYLOAD,), ()), PAYLOAD)["run"]
+            assert (by_run.spread < 0.2) == same, by_run
+
+    def test_chance_spreads_nothing(self) -> None:
+        random = np.random.default_rng(0)
+        std = np.full(200, 0.1)
+        assert spread(1 + std * random.normal(size=200), std) < 0.05
+        assert spread(1 + 0.3 * random.normal(size=200), std) == pytest.approx(np.sqrt(0.3**2 - 0.1**2), rel=0.15)
+
+
+def test_a_candidate_says_where_it_acts() -> None:
+    assert LIMITED.told == "payload in tip_load.csv"
+    assert LIMITED != PAYLOAD
+    assert isinstance(LIMITED, Candidate)
