@@ -127,6 +127,7 @@ def solve_with_effect(effect: Effect, parameters, detail, inputs, tip_force, sta
     own = {name: ca.SX(float(value)) for name, value in {**parameters, CLOCK: time, BEGAN: time}.items()}
     pressure, tension = (ca.SX(ca.DM(part)) for part in np.reshape(inputs, (2, network.modules, network.actuators)))
     pressure, tension = effect.inputs(pressure, tension, own, context)
+    pressure = pressure + effect.pressure_begun(pressure, own, context)
     damping = np.full(network.rest.T.shape, 15.50)
     arrays = (ca.SX(ca.DM(array)) for array in (network.stiffness.T, damping, network.rest.T, network.mass))
     properties = Properties(*arrays, pressure, tension)
@@ -142,6 +143,15 @@ def solve_with_effect(effect: Effect, parameters, detail, inputs, tip_force, sta
         slope = ca.gradient(energy, length)
         law = ca.Function("law", [length, rest], [energy, slope, ca.gradient(slope, length)])
         network.laws.append((index, lambda at, rest, law=law: [np.array(part).ravel() for part in law(at[None], rest[None])]))
+    tensions = _numbers(properties.tension).repeat(layout.segments, axis=0)
+    for index in range(layout.actuators if effect.has("tendon_energy") else 0):
+        length, rest, tension = (ca.SX.sym(name) for name in ("length", "rest", "tension"))
+        energy = ca.SX(effect.tendon_energy(length, rest, tension, own, context))
+        slope = ca.gradient(energy, length)
+        law = ca.Function("law", [length, rest, tension], [energy, slope, ca.gradient(slope, length)])
+        network.laws.append(
+            (index, lambda at, rest, law=law, of=tensions[:, index]: [np.array(p).ravel() for p in law(at[None], rest[None], of[None])])
+        )
     actuation = np.concatenate([_numbers(properties.pressure).ravel(), _numbers(properties.tension).ravel()])
     nodes, _ = network.solve(network.push(actuation), network.loads(tip_force) + added / network.actuators, start)
     return _numbers(effect.outputs(ca.SX(ca.DM(network.points(nodes).T)), own, context)).T

@@ -21,7 +21,7 @@ from tepm_opt.solvers.network_plant import NetworkPlant
 
 PARAMETER = "parameter"  # the cause that a value of the robot file is wrong
 THROUGH = {
-    "axial": ("inputs", "pressure_memory", "tension_memory", "delay", "edge_energy", "edge_memory", "properties"),
+    "axial": ("inputs", "pressure_memory", "tension_memory", "delay", "edge_energy", "tendon_energy", "edge_memory", "properties"),
     "force": ("loads", "properties"),
     "measurement": ("outputs",),
 }  # what an effect acts through, by its hooks
@@ -33,7 +33,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
     effect, label = find_effect(name), ActiveEffect(name, detail).label
     own = effect.parameters if layout is None else effect.parameters_of(layout)
     shape = any(p.is_shape and p.null for p in own)  # parameters without which the others say nothing; what is 0 only refines
-    acts_first = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "delay"))
+    acts_first = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "tendon_energy", "delay"))
     inputs = acts_first or effect.detail == "actuator"  # what one actuator does otherwise its gauges may show
     remembers = any(effect.has(hook) for hook in ("pressure_memory", "tension_memory", "edge_memory", "edge_energy", "delay"))
     return Candidate(

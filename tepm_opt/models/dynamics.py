@@ -17,6 +17,8 @@ from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread
 
+PRESSURE = 0  # of [pressures, tensions]
+
 
 @dataclass(frozen=True)
 class Dynamics:
@@ -96,12 +98,15 @@ def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
                 continue
             state = ca.SX.sym("y", half)
             y = writer.actuators(state)
-            memory = remembers(signal[which], speed[which], y, own, context)
+            begun, last = ca.SX.zeros(*y.shape), ca.SX.zeros(*y.shape)  # what y is counted from, now and when `time` began
+            if which == PRESSURE and kind.has("pressure_begun"):
+                begun, last = (kind.pressure_begun(at, own, context) for at in (signal[0], signal[0] - time * speed[0]))
+            memory = remembers(signal[which], speed[which], last + y, own, context)
             if memory is not None:
-                reached = memory.after(y, time)
-                signal[which], speed[which] = signal[which] + reached, speed[which] + (reached - y) / time
+                reached = memory.after(last + y, time)
+                signal[which], speed[which] = signal[which] + reached, speed[which] + (reached - last - y) / time
                 before.append(state)
-                after.append(ca.vec(reached.T))
+                after.append(ca.vec((reached - begun).T))
     a = ca.vertcat(*(ca.vec(part.T) for part in signal))
     y, reached = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *after)
     arguments = [u, rate, y, time, writer.theta]

@@ -249,6 +249,18 @@ class Effect:
         """
         return ca.SX(0)
 
+    def tendon_energy(self, length: ca.SX, rest: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        """Additional potential in J of the tendon along a vertical edge, beside tension times length.
+
+        Args:
+            length: of the edge in m.
+            rest: its rest length in m.
+            tension: the effective one after the input maps in N.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
+        return ca.SX(0)
+
     def edge_drag(self, edge: Edge, length: ca.SX, rate: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
         """Additional force of an edge in N that pulls its ends together, as a function of how fast its length changes; 0 at rest.
 
@@ -297,6 +309,16 @@ class Effect:
             context: what else it may know.
         """
         return None
+
+    def pressure_begun(self, pressure: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        """State of the pressure memory in statics and where a run begins, (modules, actuators) in Pa.
+
+        Args:
+            pressure: what this effect's input map has left, (modules, actuators) in Pa.
+            parameters: the effect's own by name, SI symbols.
+            context: what else it may know.
+        """
+        return ca.SX.zeros(*pressure.shape)
 
     def tension_memory(
         self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context

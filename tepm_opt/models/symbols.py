@@ -15,16 +15,17 @@ from tepm_opt.models.model import Model
 
 RAIL = 100.0  # strength of a guide over that of a segment's muscles
 SOFT = 1.0  # N/m, of a muscle more, so that rails hold where the muscles have no stiffness
-PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "load", "number", "mass")
-"""Rows of P: of every edge (three times), axial force of every vertical edge, force on a node of the upper level, number of the segment
-from 0 where forces on points depend on their motion, mass of a node of the upper level."""
+PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "tension", "load", "number", "mass")
+"""Rows of P: of every edge (three times), axial force of every vertical edge, tension in it where tendons have potentials of their own,
+force on a node of the upper level, number of the segment from 0 where forces on points depend on their motion, mass of a node of the
+upper level."""
 POINT_HOOKS = ("point_energy", "point_drag")
 
 
-def property_rows(layout: Layout, numbered: bool) -> dict[str, slice]:
-    """Rows of each property in the column that holds them all; `numbered`: whether the segments' numbers are among them."""
-    edges = len(layout.edges)
-    sizes = dict(zip(PROPERTY_ROWS, (edges, edges, edges, layout.actuators, 3, int(numbered), 1), strict=True))
+def property_rows(layout: Layout, strung: bool, numbered: bool) -> dict[str, slice]:
+    """Rows of each property in the column that holds them all; `strung`, `numbered`: whether tensions and segments' numbers are there."""
+    edges, actuators = len(layout.edges), layout.actuators
+    sizes = dict(zip(PROPERTY_ROWS, (edges, edges, edges, actuators, strung * actuators, 3, int(numbered), 1), strict=True))
     ends = np.cumsum(list(sizes.values()))
     return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
@@ -52,7 +53,8 @@ class Writer:
             self.effects.append(active(find_effect(effect.name), effect.label, effect.detail))
 
         self.numbered = any(kind.has(hook) for kind, _, _ in self.effects for hook in POINT_HOOKS)
-        self.rows = property_rows(layout, self.numbered)
+        self.strung = any(kind.has("tendon_energy") for kind, _, _ in self.effects)
+        self.rows = property_rows(layout, self.strung, self.numbered)
 
     def rest_ring(self) -> ca.SX:
         """Nodes of a level at rest about its centre, (3, actuators)."""
@@ -71,6 +73,7 @@ class Writer:
         pressure, tension = self.actuators(u[:half]), self.actuators(u[half:])
         for kind, own, context in self.effects:
             pressure, tension = kind.inputs(pressure, tension, own, context)
+            pressure = pressure + kind.pressure_begun(pressure, own, context)
         return u, ca.vertcat(ca.vec(pressure.T), ca.vec(tension.T))
 
     def properties(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -89,9 +92,9 @@ class Writer:
         for kind, own, context in self.effects:
             force += kind.loads(network, external, own, context)
         axial = value["A"] * network.pressure - network.tension  # F_a = p A - lambda, Eq. (3)
-        axial = ca.horzcat(*(axial[j // layout.segments, :].T for j in range(n)))
+        axial, tension = (ca.horzcat(*(each[j // layout.segments, :].T for j in range(n))) for each in (axial, network.tension))
         parts = {"stiffness": network.stiffness, "damping": network.damping, "rest": network.rest}
-        parts |= {"axial": axial, "load": force / layout.actuators, "mass": network.mass.T}
+        parts |= {"axial": axial, "tension": tension if self.strung else ca.SX(0, n), "load": force / layout.actuators, "mass": network.mass.T}
         parts["number"] = ca.SX(ca.DM(np.arange(n, dtype=float)[None])) if self.numbered else ca.SX(0, n)
         return a, external, ca.vertcat(*(parts[name] for name in PROPERTY_ROWS)), ca.vec(self.rest_ring())
 
@@ -127,6 +130,8 @@ class Writer:
         energy = stiffness / 2 * (length - rest) ** 2
         if edge.kind == VERTICAL:
             energy -= column[self.rows["axial"]][index] * length
+            for kind, own, context in self.effects if self.strung else ():
+                energy += kind.tendon_energy(length, rest, column[self.rows["tension"]][index], own, context)
         for kind, own, context in self.effects:
             energy += kind.edge_energy(edge, length, rest, own, context)
         slope = ca.gradient(energy, length)

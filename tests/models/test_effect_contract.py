@@ -29,7 +29,7 @@ from tests.independent import solve_with_effect
 from tests.models.laws import written
 from tests.tools import PRECISE, observed, one_sided_slope, random_directions, random_inputs, relative, slope, with_all_effects, with_effect
 
-STATIC_HOOKS = ("inputs", "properties", "loads", "edge_energy", "outputs")
+STATIC_HOOKS = ("inputs", "properties", "loads", "edge_energy", "tendon_energy", "outputs")
 MOTION_HOOKS = ("pressure_memory", "tension_memory", "edge_memory", "edge_drag", "point_drag", "delay")
 NOMINAL = Model.of("kang2017")
 LAYOUT = Layout.of(NOMINAL.robot)

@@ -336,12 +336,49 @@ def test_friction_only_resists(parameters):
     assert (np.diff(found) * np.diff(commanded)).min() > -1e-9
 
 
+def carried(commanded: float, stretch: float, **parameters: float) -> float:
+    """Tension in a tendon of an edge that is stretched by a share of its rest length: the slope of its potential."""
+    length = ca.SX.sym("length")
+    own = {name: ca.SX(value) for name, value in parameters.items()}
+    context = Context(Layout.of(NOMINAL.robot), None, np.eye(3), np.zeros(3), np.zeros(3))
+    energy = commanded * length + find_effect("tendon_slack").tendon_energy(length, ca.SX(0.05), ca.SX(commanded), own, context)
+    return float(ca.Function("slope", [length], [ca.gradient(energy, length)])(0.05 * (1 + stretch)))
+
+
 def test_slack_is_taken_up_first():
-    model = in_python(NOMINAL.with_effect("tendon_slack", tension=0.5))
-    u = np.array([1e5, 2e5, 3e5, 4e5, 5e5, 1e5, 0, 0.3, 0.4, 0.5, 0.6, 5])
-    effective = model.statics.actuation(u, model.theta)
-    np.testing.assert_array_equal(effective[:6], u[:6])
-    np.testing.assert_allclose(effective[6:], [0, 0, 0, 0.025, 0.1, 4.5], atol=1e-12)  # the corner is 0.1 N wide to either side
+    for tension, left in ((0.0, 0.0), (0.3, 0.0), (0.4, 0.0), (0.5, 0.025), (0.6, 0.1), (5.0, 4.5)):  # the corner is 0.1 N wide either side
+        assert carried(tension, 0.1, tension=0.5, take_up=0.0) == pytest.approx(left, abs=1e-12)
+
+
+def test_a_muscle_that_lengthens_takes_up_its_tendons_slack():
+    """10 N a length: 0.5 N of slack is half gone at 2.5 %, all at 5 %; none comes back where the tendon carries all that is commanded."""
+    for stretch, left in ((0.0, 4.5), (0.025, 4.75), (0.07, 5.0), (0.3, 5.0), (-0.05, 4.0)):
+        assert carried(5.0, stretch, tension=0.5, take_up=10.0) == pytest.approx(left, abs=1e-12)
+    assert carried(0.3, 0.3, tension=0.5, take_up=10.0) == pytest.approx(0.3, abs=1e-12)
+    assert carried(0.0, 0.3, tension=0.5, take_up=10.0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_slack_that_is_hardly_taken_up_is_as_good_as_constant():
+    """The potential's two formulae agree where one takes over from the other."""
+    for tension in (0.05, 0.45, 0.55, 3.0):
+        slopes = [carried(tension, 0.1, tension=0.5, take_up=take_up) for take_up in (0.0, 0.99e-3, 1.01e-3, 2e-3)]
+        np.testing.assert_allclose(slopes, slopes[0], atol=2.1e-4)
+
+
+def test_a_muscle_filled_from_zero_begins_below_its_middle():
+    """Statics and the first sample of a run alike; from there a run goes on as if it had come from zero."""
+    model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=1e4, filled=1.0))
+    u, still = np.append(np.array([0, 1e4, 3e4, 2e5, 0, 5e4]), np.zeros(6)), np.zeros(12)
+    below = -4e3 * (1 - np.exp(-u[:6] / 1e4))
+    np.testing.assert_allclose(model.statics.actuation(u, model.theta)[:6], u[:6] + below, rtol=1e-12)
+    a, y = (part.ravel() for part in model.reference_stepper.values("input_motion", u, still, np.zeros(6), 0.1, model.theta))
+    np.testing.assert_allclose(a[:6], u[:6] + below, rtol=1e-12)
+    np.testing.assert_allclose(y, 0, atol=1e-9)
+    rate = np.append(np.full(6, 1e4), np.zeros(6))
+    further = u + 0.5 * rate
+    a, y = (part.ravel() for part in model.reference_stepper.values("input_motion", further, rate, y, 0.5, model.theta))
+    np.testing.assert_allclose(a[:6], further[:6] - 4e3 * (1 - np.exp(-further[:6] / 1e4)), rtol=1e-9)
+    np.testing.assert_allclose(y, 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("model", [NOMINAL, HANGING])

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 import casadi as ca
 
 from tepm_opt.models.effect import Context, Effect, Parameter
-from tepm_opt.models.effects.corners import above
+from tepm_opt.models.effects.corners import ROUNDING, SMALLEST_WIDTH, mean_ramp
 
 
 class TendonSlack(Effect):
-    """Tension in the tendon max(λ - tension, 0): what is commanded up to that tension only takes up slack. The corner is rounded.
+    """What is commanded up to a tension only takes up slack: max(λ - max(tension - take_up · stretch, 0), 0) is in the tendon.
 
-    A muscle that pressure lengthens takes up slack, too: `take_up` less is left of that tension with every pascal.
+    A muscle that lengthens takes up slack, too: `take_up` is the elasticity of motor and dynamometer (N/m) times the muscle's length,
+    the stretch that of each edge over its rest length. Corners are rounded.
     """
 
     name = "tendon_slack"
@@ -22,10 +23,13 @@ class TendonSlack(Effect):
     smooth = False  # at no slack and no tension the derivative by the slack has a jump
     parameters = (
         Parameter("tension", "N", null=0.0, probe=0.1, low=0.0, high=100.0),
-        Parameter("take_up", "N/Pa", null=0.0, probe=0.0, low=0.0, high=1e-2, change=1e-6),
+        Parameter("take_up", "N", null=0.0, probe=0.0, low=0.0, high=1e4, change=1.0),
     )
-    further_probes = ({"tension": 0.1, "take_up": 1e-6}, {"tension": 0.1, "take_up": 4e-6})
+    further_probes = ({"tension": 0.1, "take_up": 2.0}, {"tension": 0.4, "take_up": 8.0})
 
-    def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
-        left = ca.fmax(parameters["tension"] - parameters["take_up"] * ca.fmax(pressure, 0), 0)
-        return pressure, above(tension, left)
+    def tendon_energy(self, length: ca.SX, rest: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
+        slack = parameters["tension"]
+        width = ca.fmax(ROUNDING * slack, SMALLEST_WIDTH)
+        taken_up = parameters["take_up"] * (length - rest) / rest
+        carried = mean_ramp(tension - slack, taken_up, width) - mean_ramp(-slack, taken_up, width)
+        return (length - rest) * (carried - tension)
