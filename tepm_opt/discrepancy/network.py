@@ -32,7 +32,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
     """An effect of the network, on its detail where it has one, as a candidate; of one whose parameters depend on it with the layout."""
     effect, label = find_effect(name), ActiveEffect(name, detail).label
     own = effect.parameters if layout is None else effect.parameters_of(layout)
-    shape = any(p.is_shape and p.null for p in own)  # parameters without which the others say nothing; what is 0 only refines
+    shape = any(p.is_shape and not p.refines for p in own)  # parameters without which the others say nothing
     acts_first = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "tendon_energy", "delay"))
     inputs = acts_first or effect.detail == "actuator"  # what one actuator does otherwise its gauges may show
     remembers = any(effect.has(hook) for hook in ("pressure_memory", "tension_memory", "edge_memory", "edge_energy", "delay"))

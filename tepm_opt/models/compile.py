@@ -119,7 +119,7 @@ class CompiledModel:
         found: list[str] = []
         for effect in self.model.effects:
             own = {f"{effect.label}.{p.name}": p for p in find_effect(effect.name).parameters_of(self.layout)}
-            if all(self.values[name] == p.null for name, p in own.items() if not p.is_shape):
+            if all(self.values[name] == p.null for name, p in own.items() if not (p.is_shape and p.null)):
                 found += [name for name, p in own.items() if p.is_shape]
         return frozenset(found)
 

@@ -28,6 +28,7 @@ class Parameter:
         probe: a small but visible size, for finite probes and as start of a fit; of a shape parameter the same as `null`.
         low, high: the values that make physical sense; others are refused.
         change: of a shape parameter that is 0 at its null, a small but visible change.
+        finer: of a shape parameter that is not 0 at its null, whether it only shapes what refines the effect.
         spread: group of alike parameters that scatter about their null values with a spread of their own (see `solvers.hierarchy`).
     """
 
@@ -39,6 +40,12 @@ class Parameter:
     high: float = np.inf
     change: float = 0.0
     spread: str = ""
+    finer: bool = False
+
+    @property
+    def refines(self) -> bool:
+        """Whether it refines how the effect acts, which acts without it, too: a corner, a bend."""
+        return self.is_shape and (self.finer or not self.null)
 
     @property
     def is_shape(self) -> bool:
@@ -125,19 +132,21 @@ class Memory:
 
 @dataclass(frozen=True)
 class Saturating(Memory):
-    """A memory of an input whose way back saturates: dy/dt = drive - decay y / (scale + slowing |y|), at most 1 / slowing, elementwise.
+    """A memory of an input whose way back saturates: dy/dt = drive - decay y / (scale + slowing max(|y|, opening)), elementwise.
 
     Attributes:
         slowing: as a function of y and of the time left until the input is what it was when the memory was asked for.
+        opening: |y| up to which the way back is in proportion to it.
     """
 
     slowing: Callable[[ca.SX, ca.SX], ca.SX]
+    opening: ca.SX
 
     def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
         """y after a time over which drive and decay stay as they are: by the slowing in the middle, exact where nothing slows it."""
         middle = state + time / 2 * self.drive
         for part in (time / 2, time):
-            slowed = self.scale + self.slowing(middle, time / 2) * ca.fabs(middle)
+            slowed = self.scale + self.slowing(middle, time / 2) * ca.fmax(ca.fabs(middle), self.opening)
             middle = Memory(self.drive, self.decay, slowed).after(state, part)
         return middle
 

@@ -94,7 +94,12 @@ class Writer:
         axial = value["A"] * network.pressure - network.tension  # F_a = p A - lambda, Eq. (3)
         axial, tension = (ca.horzcat(*(each[j // layout.segments, :].T for j in range(n))) for each in (axial, network.tension))
         parts = {"stiffness": network.stiffness, "damping": network.damping, "rest": network.rest}
-        parts |= {"axial": axial, "tension": tension if self.strung else ca.SX(0, n), "load": force / layout.actuators, "mass": network.mass.T}
+        parts |= {
+            "axial": axial,
+            "tension": tension if self.strung else ca.SX(0, n),
+            "load": force / layout.actuators,
+            "mass": network.mass.T,
+        }
         parts["number"] = ca.SX(ca.DM(np.arange(n, dtype=float)[None])) if self.numbered else ca.SX(0, n)
         return a, external, ca.vertcat(*(parts[name] for name in PROPERTY_ROWS)), ca.vec(self.rest_ring())
 

@@ -86,8 +86,7 @@ def free_parameters(model: CompiledModel, names: Sequence[str] | None = None) ->
         if name in effects:
             kind = effects[name]
             doubt = kind.scale if kind.spread else np.inf
-            refines = kind.is_shape and not kind.null
-            found.append(Free(name, kind.unit, value, kind.low, kind.high, kind.scale, kind.null, doubt, kind.spread, refines))
+            found.append(Free(name, kind.unit, value, kind.low, kind.high, kind.scale, kind.null, doubt, kind.spread, kind.refines))
             continue
         nominal = float(getattr(robot.parameters, name))
         low, high = _physical_range(name)

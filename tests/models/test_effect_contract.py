@@ -416,11 +416,14 @@ def test_sensitivities_in_motion(driven, excitation):
 
 
 def test_in_motion_it_recovers_its_own_parameters(moving, excitation):
-    """Data by the other scheme; the fit starts at the probe, the truth is 30 % off, or a small change where the probe is 0."""
+    """Data by the other scheme; the fit starts at the probe, the truth is 30 % off, or a small change where the probe is 0.
+
+    What shapes a refinement is half as large, so that it shows in gentle motion.
+    """
     own = list(moving.own)
     start = np.array([float(p.probe != 0) for p in own])
     probe = np.array([p.probe or p.scale for p in own])
-    truth = np.where(start, 1.3, 1.0) * probe
+    truth = np.where([p.finer for p in own], 0.5, np.where(start, 1.3, 1.0)) * probe
     data = simulate(moving.at(dict(zip(own, truth, strict=True))), excitation, "rk4").points
     names = [moving.compiled.network.parameter_names[at] for at in moving.own.values()]
     directions = Directions.of(moving.compiled, names)

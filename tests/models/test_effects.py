@@ -208,7 +208,7 @@ def muscle_pressures(model, path, duration=0.02):
 
 def test_a_choked_valve_fills_at_a_rate():
     """Far from the set point at 1 / choke, near it with the time constant: the solution of dy/dt = -y / (T + c |y|)."""
-    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.1, filling_choke=2e-6))
+    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.1, filling_choke=2e-6, opening=0.0))
     found = muscle_pressures(model, np.concatenate([[0.0], np.full(60, 3e5)]), 0.01)[2:]
     left, time = 3e5 - found, 0.01 * np.arange(len(found))
     expected = 0.05 * np.log(left[0] / left) + 2e-6 * (left[0] - left)  # time since the first of them
@@ -218,9 +218,19 @@ def test_a_choked_valve_fills_at_a_rate():
     np.testing.assert_allclose(emptying[1:] / emptying[:-1], np.exp(-0.1), rtol=1e-9)  # exhausting does not choke
 
 
+def test_a_valve_opens_in_proportion_to_the_error_and_then_no_further():
+    """At 1 / choke beyond 30 kPa, with choke times 30 kPa as time constant within."""
+    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.0, exhausting_time=0.0, filling_choke=2e-6, opening=3e4))
+    found = muscle_pressures(model, np.concatenate([[0.0], np.full(400, 3e5)]), 1e-3)[2:]
+    far, near = found < 3e5 - 3.1e4, found > 3e5 - 2.9e4
+    np.testing.assert_allclose(np.diff(found[far]), 1e-3 / 2e-6, rtol=1e-5)
+    left = 3e5 - found[near]
+    np.testing.assert_allclose(left[1:] / left[:-1], np.exp(-1e-3 / 0.06), rtol=1e-6)
+
+
 def test_a_choked_valve_empties_the_slower_the_less_is_inside():
     """At 1 / choke at 125 kPa, by sqrt(P² - P_a²) elsewhere, down to a tenth of the atmosphere's flow."""
-    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.0, exhausting_time=0.0, exhausting_choke=5e-6))
+    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.0, exhausting_time=0.0, exhausting_choke=5e-6, opening=0.0))
     found = muscle_pressures(model, np.concatenate([[4e5], np.zeros(4000)]), 1e-3)[2:]
     rates = -np.diff(found) / 1e-3
     for gauge in (3e5, 1.25e5, 5e4):
@@ -255,7 +265,8 @@ def test_a_dead_zones_corner_may_be_soft():
 def test_shapes_that_a_model_does_not_give_are_usual():
     """Files from before an effect had them go on to mean the same; what says how strongly has to be there."""
     given = Model(NOMINAL.robot, effects=(ActiveEffect("regulator_lag", None, {"filling_time": 0.1, "exhausting_time": 0.2}),))
-    assert given.effects[0].parameters == {"filling_time": 0.1, "exhausting_time": 0.2, "filling_choke": 0.0, "exhausting_choke": 0.0}
+    shapes = {"filling_choke": 0.0, "exhausting_choke": 0.0, "opening": 1e4}
+    assert given.effects[0].parameters == {"filling_time": 0.1, "exhausting_time": 0.2, **shapes}
     assert given == NOMINAL.with_effect("regulator_lag", filling_time=0.1, exhausting_time=0.2)
     with pytest.raises(InputError, match="parameter 'filling_time' is missing; it needs: exhausting_time, filling_time"):
         Model(NOMINAL.robot, effects=(ActiveEffect("regulator_lag", None, {"exhausting_time": 0.2}),))

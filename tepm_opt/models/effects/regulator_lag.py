@@ -16,8 +16,8 @@ LAMINAR = 0.1  # of the atmosphere, keeps the flow out of a muscle above 0 where
 class RegulatorLag(Effect):
     """First-order lag with a time constant for filling and one for exhausting: y = pressure in the muscle less pressure commanded.
 
-    Where the valve's flow chokes, the pressure changes by no more than a rate, however far it has to go: dy/dt = -y / (time + choke |y|).
-    It rises by at most 1 / `filling_choke` and falls by at most 1 / `exhausting_choke` at 125 kPa (gauge), where the flow out of the
+    A valve opens in proportion to y up to `opening`, then no further, and its flow chokes: dy/dt = -y / (time + choke max(|y|, opening)).
+    Pressure rises by at most 1 / `filling_choke` and falls by at most 1 / `exhausting_choke` at 125 kPa (gauge), where the flow out of the
     muscle, which goes with sqrt(P² - P_a²) of the absolute pressures, is twice the atmosphere.
     """
 
@@ -27,8 +27,9 @@ class RegulatorLag(Effect):
     parameters = (
         Parameter("filling_time", "s", null=0.0, probe=0.05, low=0.0, high=10.0),
         Parameter("exhausting_time", "s", null=0.0, probe=0.05, low=0.0, high=10.0),
-        Parameter("filling_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=2e-7),
-        Parameter("exhausting_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=2e-7),
+        Parameter("filling_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=5e-7),
+        Parameter("exhausting_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=5e-7),
+        Parameter("opening", "Pa", null=1e4, probe=1e4, low=0.0, high=1e6, finer=True),
     )
 
     def lag(self, parameters: Mapping[str, ca.SX]) -> Lag:
@@ -43,4 +44,4 @@ class RegulatorLag(Effect):
             outflow = ca.sqrt(inside**2 - (1 - LAMINAR**2) * ATMOSPHERE**2) / (2 * ATMOSPHERE)
             return ca.if_else(filling, parameters["filling_choke"], parameters["exhausting_choke"] / outflow)
 
-        return Saturating(-rate, ca.SX.ones(*state.shape), ca.if_else(filling, lag.filling, lag.exhausting), slowing)
+        return Saturating(-rate, ca.SX.ones(*state.shape), ca.if_else(filling, lag.filling, lag.exhausting), slowing, parameters["opening"])
