@@ -84,7 +84,7 @@ class Pilot:
             left = measured - points
             least = min(least, _rms(left))
             step = lsq_linear(by, left, (-1 - at, np.maximum(1 - at, -1 - at + TINY))).x
-            if _rms(left - by @ step) > (1 - WORTH) * least:
+            if _rms(left - by @ step) >= (1 - WORTH) * least:
                 break
             at = at + step
             moved = simulated(self.robot, self.machine + self._recalibrated(now, at), self.runs, self.rate)

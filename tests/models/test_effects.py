@@ -285,6 +285,9 @@ def test_crosstalk_reaches_the_neighbours_in_the_module():
     u = np.array([1e5, 2e5, 3e5, 4e5, 0, 0, 1, 2, 3, 4, 5, 6])
     expected = [1.5e5, 2.4e5, 3.3e5, 4e5, 4e4, 4e4, *u[6:]]
     np.testing.assert_allclose(model.statics.actuation(u, model.theta), expected, rtol=1e-14)
+    model = in_python(NOMINAL.with_effect("pressure_crosstalk", coupling=0.1, bend=1e-6))
+    expected = [1.5e5 + 1.3e4, 2.4e5 + 1e4, 3.3e5 + 5e3, 4e5, 4e4 + 1.6e4, 4e4 + 1.6e4, *u[6:]]
+    np.testing.assert_allclose(model.statics.actuation(u, model.theta), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("bracing", ["single", "crossed"])
