@@ -5,20 +5,27 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from tepm_opt.discrepancy.constancy import Sizes
 from tepm_opt.discrepancy.evidence import weights
 from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
 from tepm_opt.discrepancy.freeform.places import ALL, Place
 from tepm_opt.discrepancy.freeform.score import Scored, alternatives
 from tepm_opt.discrepancy.network import PARAMETER
-from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.plant import Candidate, InSomeRuns
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks
+from tepm_opt.solvers.hierarchy import clustering
+from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.network_plant import NetworkPlant
 
 CLEAR = 0.8  # probability from which an effect is named: that it is a cause, and it rather than its rivals
 POSSIBLE = 0.1  # probability from which a rival counts
 EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as likely as not a cause
 UNEVEN = 0.3  # spread of sizes that is worth a remark
+UNLIKELY = 0.05  # chance of a pattern at which it is as likely as not that what scatters is something else
+GIVES_WAY = 0.5  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 LISTED = 0.3  # probability from which what explains a part is told as such
 
 
@@ -62,8 +69,13 @@ def doubts(explanation: Explanation, settings: SearchSettings, seed: int) -> dic
     best = explanation.best
     if best.only_noise(settings):
         return {}
-    found = {}
-    for effect in best.effects:
+    found: dict[Candidate, Doubt] = {}
+    if pushing := [effect for effect in best.effects if effect.exact and effect.acts == ("force",)]:
+        springs = [law for law in alternatives(best.estimate) if law.place.kind == "force" and law.place.variable == "position"]
+        first = min(springs, key=lambda law: law.evidence.excess, default=None)
+        if first is not None and first.evidence.excess < GIVES_WAY * best.excess:  # a force of known form that gives way is a spring
+            found = dict.fromkeys(pushing, Doubt(float(weights([best.evidence, first.evidence], seed)[0]), first))
+    for effect in (effect for effect in best.effects if effect not in found):
         rest = next((h for h in explanation.tried if h.effects == tuple(c for c in best.effects if c != effect)), None)
         laws = [] if rest is None else [law for law in alternatives(rest.estimate) if not _may_be(effect, law.place)]
         if laws:
@@ -98,8 +110,8 @@ def judged(
         only_noise = explanation.without.only_noise(settings)
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
-    same = {effect: _same(constancy.get(effect, {})) for effect in best.effects}
-    cause = {effect: _cause(effect, explanation.shares[effect], settings) * holds[effect] * same[effect] for effect in best.effects}
+    one = {e: holds[e] * _same(constancy.get(e, {})) * _unclustered(best.estimate, e) for e in best.effects}
+    cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
     unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
     listed = []
     for effect in best.effects:
@@ -130,7 +142,7 @@ def _remarks(
             law = doubt.elsewhere
             yield (
                 f"{effect.told} fits as well as anything known, but it stands in for something: "
-                f"a smooth law {law.place.label} in its place predicts left-out data better."
+                f"a smooth law {law.place.label} in its place, or beside it, predicts left-out data better."
             )
     for effect, by in constancy.items():
         for name, sizes in by.items():
@@ -149,13 +161,33 @@ def _part(partition: str, part: Hashable, files: Sequence[str]) -> str:
     return "where inputs rise" if part else "where inputs fall"
 
 
-def _cause(effect: Candidate, share: float, settings: SearchSettings) -> float:
+def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings) -> float:
     """Probability that an effect is a cause: even odds where what only it takes away is so many times what is left.
 
-    An effect whose form is known leaves nothing, so that what is left weighs more against it.
+    An effect whose form is known leaves nothing, so that what is left weighs more against it; hardly, where that is only noise.
     """
     even = settings.even_odds_exact if effect.exact else settings.even_odds_ratio
-    return 1 / (1 + even / max(share, 1e-9))
+    even = settings.even_odds_noise if explanation.best.only_noise(settings) else even
+    return 1 / (1 + even / max(explanation.shares[effect], 1e-9))
+
+
+def _beside(effect: Candidate, believed: Mapping[Candidate, float], explanation: Explanation) -> float:
+    """Probability that an effect is not only there to mend what others that stand in for something leave.
+
+    The more of the structure they take away alone, the more it depends on them.
+    """
+    left = explanation.best.excess
+    taken = {other: min(explanation.shares[other] * left / max(explanation.without.excess, 1e-12), 1.0) for other in believed}
+    return float(np.prod([1 - (1 - believed[other]) * taken[other] for other in believed if other != effect]))
+
+
+def _unclustered(estimate: ParameterEstimate, effect: Candidate) -> float:
+    """Probability that what is said to scatter over all actuators does so by chance, not from module to module: even odds at 5 %."""
+    plant = estimate.plant.plant if isinstance(estimate.plant, InSomeRuns) else estimate.plant
+    if not isinstance(plant, NetworkPlant):
+        return 1.0
+    chances = clustering(estimate, plant.model.layout.modules, list(effect.parameters))
+    return float(np.prod([1 / (1 + (UNLIKELY / max(chance, 1e-12)) ** 2) for chance in chances]))
 
 
 def _same(sizes: Mapping[str, Sizes]) -> float:

@@ -147,6 +147,7 @@ class Saturating(Memory):
         middle = state + time / 2 * self.drive
         for part in (time / 2, time):
             slowed = self.scale + self.slowing(middle, time / 2) * ca.fmax(ca.fabs(middle), self.opening)
+            slowed = ca.if_else(slowed < 0, 0, slowed)  # with its slope at 0
             middle = Memory(self.drive, self.decay, slowed).after(state, part)
         return middle
 

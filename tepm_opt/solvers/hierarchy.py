@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import f
 
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
@@ -36,6 +38,33 @@ def with_spreads(problem: Problem, found: dict[str, float]) -> Problem:
         return replace(free, prior_std=max(found[free.group], SMALLEST * free.scale)) if free.group in found else free
 
     return replace(problem, free=tuple(spread(free) for free in problem.free))
+
+
+def clustering(estimate: ParameterEstimate, clusters: int, names: Collection[str]) -> list[float]:
+    """Chance that members of a group, if they scatter about one mean, differ as much between clusters; one for every group.
+
+    Fisher's F over the members' scatter within clusters, with what is not known of them; members of a cluster stand side by side.
+
+    Args:
+        estimate: with the groups.
+        clusters: how many of equal size.
+        names: of the parameters whose groups are asked for.
+    """
+    members: dict[str, list[tuple[float, float]]] = {}
+    for free, value, std in zip(estimate.problem.free, estimate.values, estimate.std, strict=True):
+        if free.group and free.name in names:
+            members.setdefault(free.group, []).append((float(value), float(std)))
+    found = []
+    for group in members.values():
+        values, stds = np.array(group).T
+        each = len(values) // clusters
+        if clusters < 2 or each < 2 or each * clusters != len(values):
+            continue
+        parts = values.reshape(clusters, each)
+        between = each * float(np.var(parts.mean(axis=1), ddof=1))
+        within = float(np.mean(np.var(parts, axis=1, ddof=1)) + np.mean(stds**2))
+        found.append(float(f.sf(between / max(within, 1e-300), clusters - 1, clusters * (each - 1))))
+    return found
 
 
 def identify_with_spreads(

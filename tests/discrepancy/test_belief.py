@@ -25,12 +25,14 @@ SETTINGS = SearchSettings()
 def hypothesis(effects: tuple[Any, ...], excess: float) -> Hypothesis:
     counts = np.full(10, 100)
     problem = SimpleNamespace(runs=(SimpleNamespace(file="a.csv"), SimpleNamespace(file="b.csv")))
-    estimate: Any = SimpleNamespace(cost=1000 * (1 + excess), count=1000, problem=problem)
+    estimate: Any = SimpleNamespace(cost=1000 * (1 + excess), count=1000, problem=problem, plant=None)
     return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1, np.zeros(1)))
 
 
-def answer(effect: Any, share: float, weight: float = 1.0, errors: Errors = SHRUNK, doubt: Any = None, spread: float = 0.0) -> Any:
-    best, other, without = hypothesis((effect,), 0.1), hypothesis((candidate("creep"),), 0.2), hypothesis((), 10.0)
+def answer(
+    effect: Any, share: float, weight: float = 1.0, errors: Errors = SHRUNK, doubt: Any = None, spread: float = 0.0, left: float = 0.2
+) -> Any:
+    best, other, without = hypothesis((effect,), left), hypothesis((candidate("creep"),), 2 * left), hypothesis((), 10.0)
     found = Explanation(without, best, best, [without, best, other], [], {effect: share}, {effect: [(best, weight), (other, 1 - weight)]})
     constancy = {effect: {"run": Sizes((0, 1), np.array([0.2, 1.8]), np.ones(2), spread)}}
     law: Any = SimpleNamespace(place=SimpleNamespace(label="axial[12](length)"))
@@ -51,8 +53,25 @@ def test_named_asks_for_four_fifths_of_the_product() -> None:
 def test_what_is_left_weighs_more_against_an_exact_form() -> None:
     assert answer(LAG, 15.0).status is VerdictStatus.NAMED
     assert answer(LOAD, 15.0).status is VerdictStatus.PARTIAL
-    assert answer(LOAD, 3.0).status is VerdictStatus.UNEXPLAINED
-    assert answer(LOAD, 3.0).listed == ()
+    assert answer(LOAD, 2.0).status is VerdictStatus.UNEXPLAINED
+    assert answer(LOAD, 2.0).listed == ()
+
+
+def test_where_only_noise_is_left_little_weighs_against_any_form() -> None:
+    for effect in (LAG, LOAD):
+        assert answer(effect, 10.0, left=0.02).status is VerdictStatus.NAMED
+        assert answer(effect, 2.0, left=0.02).status is VerdictStatus.PARTIAL
+
+
+def test_what_mends_a_stand_in_is_doubted_with_it() -> None:
+    """As much as the stand-in takes away of the structure."""
+    best, without = hypothesis((LAG, LOAD), 0.2), hypothesis((), 10.0)
+    law: Any = SimpleNamespace(place=SimpleNamespace(label="axial[12](length)"))
+    groups = {effect: [(best, 1.0)] for effect in best.effects}
+    for taken in (9.0, 1.0):
+        found = Explanation(without, best, best, [without, best], [], {LAG: taken / 0.2, LOAD: 1e9}, groups)
+        doubted = {LAG: Doubt(0.1, law)}
+        assert judged(found, SHRUNK, SETTINGS, True, doubted, {}).cause[LOAD] == pytest.approx(1 - 0.9 * taken / 10, rel=1e-6)
 
 
 def test_nothing_is_named_that_does_not_shrink_the_gap_on_runs_not_used() -> None:

@@ -220,7 +220,7 @@ def test_a_choked_valve_fills_at_a_rate():
 
 def test_a_valve_opens_in_proportion_to_the_error_and_then_no_further():
     """At 1 / choke beyond 30 kPa, with choke times 30 kPa as time constant within."""
-    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.0, exhausting_time=0.0, filling_choke=2e-6, opening=3e4))
+    model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.06, exhausting_time=0.0, filling_choke=2e-6, opening=3e4))
     found = muscle_pressures(model, np.concatenate([[0.0], np.full(400, 3e5)]), 1e-3)[2:]
     far, near = found < 3e5 - 3.1e4, found > 3e5 - 2.9e4
     np.testing.assert_allclose(np.diff(found[far]), 1e-3 / 2e-6, rtol=1e-5)

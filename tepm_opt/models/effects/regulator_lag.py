@@ -16,9 +16,10 @@ LAMINAR = 0.1  # of the atmosphere, keeps the flow out of a muscle above 0 where
 class RegulatorLag(Effect):
     """First-order lag with a time constant for filling and one for exhausting: y = pressure in the muscle less pressure commanded.
 
-    A valve opens in proportion to y up to `opening`, then no further, and its flow chokes: dy/dt = -y / (time + choke max(|y|, opening)).
-    Pressure rises by at most 1 / `filling_choke` and falls by at most 1 / `exhausting_choke` at 125 kPa (gauge), where the flow out of the
-    muscle, which goes with sqrt(P² - P_a²) of the absolute pressures, is twice the atmosphere.
+    A valve opens in proportion to y up to `opening`, then no further, and its flow chokes:
+    dy/dt = -y / (time + choke max(|y| - opening, 0)). A valve that does nothing but choke has choke times opening as time constant, and
+    pressure changes by no more than 1 / choke. On the way down both go with the flow out of the muscle, sqrt(P² - P_a²) of the absolute
+    pressures, and are those at 125 kPa (gauge), where it is twice the atmosphere.
     """
 
     name = "regulator_lag"
@@ -44,4 +45,6 @@ class RegulatorLag(Effect):
             outflow = ca.sqrt(inside**2 - (1 - LAMINAR**2) * ATMOSPHERE**2) / (2 * ATMOSPHERE)
             return ca.if_else(filling, parameters["filling_choke"], parameters["exhausting_choke"] / outflow)
 
-        return Saturating(-rate, ca.SX.ones(*state.shape), ca.if_else(filling, lag.filling, lag.exhausting), slowing, parameters["opening"])
+        times, opening = ca.if_else(filling, lag.filling, lag.exhausting), parameters["opening"]
+        choke = ca.if_else(filling, parameters["filling_choke"], parameters["exhausting_choke"])
+        return Saturating(-rate, ca.SX.ones(*state.shape), times - choke * opening, slowing, opening)
