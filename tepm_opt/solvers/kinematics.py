@@ -20,12 +20,13 @@ from tepm_opt.solvers.allocation import Allocation, allocate
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.ik_problem import Balance, IkProblem, IkSettings
 from tepm_opt.solvers.nearest import nearest
-from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.statics import Equilibrium, equilibrium
 from tepm_opt.solvers.text import millimetres
 
 FORCE_TOLERANCE = 1e-6  # N of change below which forces of redundant actuators are of minimum norm; set points are coarser
 MAX_OVERSHOOT = 0.5  # parts of the forces' range by which the search may leave it; beyond, the nearest point within them is sought
 MISSED = 1e-6  # N of axial force: set points that miss more do not hold the configuration
+HOLDING_STEPS = 8
 BINDING = 1e-6  # parts of its range within which a force is at its limit
 DEFAULT = IkSettings()
 
@@ -106,7 +107,7 @@ def solve_ik(
     problem, target = _problem(model, loads, mode, mid_tension, settings), finite_array(target, (3,), "target")
     near = None if start is None else start.equilibrium
     found, status = _quick(problem, target[None], near)
-    return found[0] if found else _thorough(problem, target, near, status)
+    return _holding(problem, found[0] if found else _thorough(problem, target, near, status))
 
 
 def each_configuration(
@@ -133,7 +134,7 @@ def each_configuration(
         if status != Status.SOLVED:
             found.append(_thorough(problem, left[len(found)], found[-1].equilibrium if found else last, status))
         last = next((each.equilibrium for each in reversed(found) if each.solved), last)
-        yield from found
+        yield from (_holding(problem, each) for each in found)
         left = left[len(found) :]
 
 
@@ -170,6 +171,29 @@ def _posed(problem: IkProblem, target: np.ndarray, pose: Pose) -> Configuration:
     forces, made = problem.area * pose.actuation[: problem.half], Allocation(pose.inputs, pose.rounded, pose.missed)
     limits = _limits(problem, forces) if pose.room <= BINDING else ()
     return Configuration(target, at, forces, made, _judged(made), math.dist(points[-1], target), limits, int(pose.steps))
+
+
+def _holding(problem: IkProblem, found: Configuration) -> Configuration:
+    """The configuration with set points that hold it, where what tendons carry depends on the configuration, too.
+
+    Newton on the forces asked of the set points, until these lead to the tip and length differences of the configuration.
+    """
+    model, at = problem.model, found.equilibrium
+    if not model.network.strung:
+        return found
+    for _ in range(HOLDING_STEPS):
+        effective = model.statics.actuation(found.allocation.inputs, model.theta)
+        held = equilibrium(model, effective, problem.loads, at, mapped=True, explain=False)
+        off = problem.errors(held, at.tip)
+        if not held.solved or np.abs(off).max() < problem.settings.tolerance:
+            break
+        try:
+            forces = found.forces - np.linalg.lstsq(problem.jacobian(held), off, rcond=None)[0]
+        except np.linalg.LinAlgError:
+            break
+        made = allocate(model, forces, problem.mode, problem.mid_tension)
+        found = replace(found, forces=forces, allocation=made, outcome=_judged(made) if found.solved else found.outcome)
+    return found
 
 
 def _judged(made: Allocation) -> Outcome:

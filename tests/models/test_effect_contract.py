@@ -17,9 +17,10 @@ from scipy.optimize import least_squares
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.effect import ActiveEffect, Effect, Lag, Memory, Parameter
+from tepm_opt.models.effect import ActiveEffect, Effect, Parameter
 from tepm_opt.models.effects import _registry, effects, find_effect, register
 from tepm_opt.models.layout import VERTICAL, Layout
+from tepm_opt.models.memories import Lag, Memory
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.solvers.gain import solve_gain
 from tepm_opt.solvers.modes import full

@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.models.effect import ActiveEffect, Context, Memory
+from tepm_opt.models.effect import ActiveEffect, Context
 from tepm_opt.models.effects import effects, find_effect, register
 from tepm_opt.models.effects.payload import Payload
 from tepm_opt.models.layout import VERTICAL, Layout
+from tepm_opt.models.memories import Memory
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.kinematics import solve_ik
 from tepm_opt.solvers.modes import poles

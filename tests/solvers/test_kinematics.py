@@ -321,6 +321,18 @@ def test_effects_are_made_up_for(mode):
         check_held(model, found)
 
 
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("take_up", [0.0, 5.0])
+def test_set_points_hold_the_configuration_where_tendons_hang_loose(mode, take_up):
+    """Half a newton of slack, of which a muscle that lengthens takes up some."""
+    model = compile_model(in_company(tendon_slack={"tension": 0.5, "take_up": take_up}))
+    for target, found in zip(CIRCLE[::4], solve_trajectory(model, CIRCLE[::4], mode), strict=True):
+        assert found.solved
+        held = solve_statics(model, found.allocation.inputs)
+        assert np.linalg.norm(held.tip - target) < 1e-7
+        assert np.ptp(held.lengths, axis=0).max() < 1e-7
+
+
 def test_a_frame_moved_and_turned_moves_and_turns_the_targets(kang):
     """Base moved and turned about gravity: the same forces at the moved and turned target."""
     robot = variant(mount={"base_rotation_deg": (0.0, 0.0, 40.0), "base_position_m": (0.3, -0.2, 0.1)})

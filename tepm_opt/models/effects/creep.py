@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effect import Context, Effect, Memory, Parameter
+from tepm_opt.models.effect import Context, Effect, Parameter
 from tepm_opt.models.layout import VERTICAL, Edge
+from tepm_opt.models.memories import Memory
 
 
 class Creep(Effect):

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effect import Context, Effect, Memory, Parameter
+from tepm_opt.models.effect import Context, Effect, Parameter
+from tepm_opt.models.memories import Memory
 
 
 class PressureHysteresis(Effect):

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effect import Context, Effect, Lag, Parameter, Saturating
+from tepm_opt.models.effect import Context, Effect, Parameter
+from tepm_opt.models.memories import Lag, Saturating
 
 LOOK_AHEAD = 1e-6  # s; looks this far ahead to see whether a muscle fills or empties
 ATMOSPHERE = 101_325.0  # Pa

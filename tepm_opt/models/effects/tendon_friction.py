@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from tepm_opt.models.effect import Context, Effect, Parameter, Play
+from tepm_opt.models.effect import Context, Effect, Parameter
+from tepm_opt.models.memories import Play
 
 SMALLEST_DISTANCE = 1e-6  # N; keeps quotients finite where a tendon is loose
 
