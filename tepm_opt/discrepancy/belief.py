@@ -24,7 +24,7 @@ CLEAR = 0.8  # probability from which an effect is named: that it is a cause, an
 POSSIBLE = 0.1  # probability from which a rival counts
 EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as likely as not a cause
 UNEVEN = 0.3  # spread of sizes that is worth a remark
-UNLIKELY = 0.05  # chance of a pattern at which it is as likely as not that what scatters is something else
+UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.5  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 LISTED = 0.3  # probability from which what explains a part is told as such
 
@@ -182,7 +182,7 @@ def _beside(effect: Candidate, believed: Mapping[Candidate, float], explanation:
 
 
 def _unclustered(estimate: ParameterEstimate, effect: Candidate) -> float:
-    """Probability that what is said to scatter over all actuators does so by chance, not from module to module: even odds at 5 %."""
+    """Probability that what is said to scatter over all actuators does so by chance, not from module to module: even odds at 0.2 %."""
     plant = estimate.plant.plant if isinstance(estimate.plant, InSomeRuns) else estimate.plant
     if not isinstance(plant, NetworkPlant):
         return 1.0
