@@ -225,8 +225,9 @@ def _step(plant: Plant, dataset: RunSet, precise: Sequence[np.ndarray], noise: f
 def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
     """The fit with the finest step, from its values."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
+    step = PRECISE_STEP if estimate.problem.plant.quick else FINEST_STEP
     try:
-        return identify(replace(estimate.problem, free=free, step=FINEST_STEP), 3, near=True)
+        return identify(replace(estimate.problem, free=free, step=step), 3, near=True)
     except PredictionError:
         return estimate
 
