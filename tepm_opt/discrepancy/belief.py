@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
 from tepm_opt.discrepancy.freeform.places import ALL, Place
 from tepm_opt.discrepancy.freeform.score import Scored, alternatives
 from tepm_opt.discrepancy.network import PARAMETER
-from tepm_opt.discrepancy.plant import Candidate, InSomeRuns
+from tepm_opt.discrepancy.plant import Candidate, everywhere
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks
 from tepm_opt.solvers.hierarchy import clustering
@@ -183,7 +183,7 @@ def _beside(effect: Candidate, believed: Mapping[Candidate, float], explanation:
 
 def _unclustered(estimate: ParameterEstimate, effect: Candidate) -> float:
     """Probability that what is said to scatter over all actuators does so by chance, not from module to module: even odds at 0.2 %."""
-    plant = estimate.plant.plant if isinstance(estimate.plant, InSomeRuns) else estimate.plant
+    plant = everywhere(estimate.plant)
     if not isinstance(plant, NetworkPlant):
         return 1.0
     chances = clustering(estimate, plant.model.layout.modules, list(effect.parameters))

@@ -9,7 +9,7 @@ import numpy as np
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.discrepancy.first_order import Cell, Linearised
-from tepm_opt.discrepancy.plant import Candidate, InSomeRuns
+from tepm_opt.discrepancy.plant import Candidate, InSomeRuns, everywhere
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.residuals import independent_after
@@ -114,8 +114,7 @@ def runs_of(effect: Candidate, best: ParameterEstimate, dataset: RunSet, noise: 
         dataset: all runs.
         noise: of what is measured, 1 sigma per axis.
     """
-    unlimited = best.plant.plant if isinstance(best.plant, InSomeRuns) else best.plant
-    problem = replace(best.problem, plant=unlimited, runs=dataset.validation, noise=noise)
+    problem = replace(best.problem, plant=everywhere(best.plant), runs=dataset.validation, noise=noise)
     acting = [run.file for run in dataset.fit if not effect.runs or run.file in effect.runs]
     idle = len(dataset.fit) - len(acting)
     if problem.runs and problem.plant.states:

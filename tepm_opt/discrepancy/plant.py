@@ -177,6 +177,11 @@ def acting(plant: Plant, effects: Iterable[Candidate]) -> Plant:
     return InSomeRuns(plant, partly) if partly else plant
 
 
+def everywhere(plant: Plant) -> Plant:
+    """The plant with all effects in all runs: what `acting` began with."""
+    return plant.plant if isinstance(plant, InSomeRuns) else plant
+
+
 def ranged(plant: Plant, candidate: Candidate) -> tuple[Free, ...]:
     """The parameters of a candidate, to be found within its own ranges where it has some, else within the plant's."""
 
