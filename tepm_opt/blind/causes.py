@@ -5,24 +5,29 @@ Adding a cause is one entry of `LIBRARY`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from tepm_opt.blind.excitation import COUNT
+from tepm_opt.blind.excitation import COUNT, Excitation
 from tepm_opt.blind.machine import Commands, Deviation
 from tepm_opt.data.setpoints import SetPoints
 
 MUSCLES = ("11", "12", "13", "21", "22", "23")
 POINTS = ("s1", "s2", "s3", "s4")
+PULLED = 0.1  # N, from which a tendon shows that it slipped
 
 
 def no_sizes(size: float) -> dict[str, float]:
     """Nothing: parameters of the rig's form are not those of the model's."""
     return {}
+
+
+Alike = Callable[[Sequence[Excitation], Sequence[bool]], tuple[str, ...]]
+"""Names of what looks the same in runs to fit to, in some of which a cause acts."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,7 @@ class Form:
         detail: by name, which actuator, point or parameter.
         sizes: parameters of the model's effects by full name that mean the same, at a size.
         allowed: names that are not wrong, though nobody has to find them.
+        alike: names of what looks the same in the runs of a trial, some of which it acts in: as right as its own.
     """
 
     names: tuple[str, ...]
@@ -46,6 +52,7 @@ class Form:
     detail: Mapping[str, str] = field(default_factory=dict)
     sizes: Callable[[float], dict[str, float]] = no_sizes
     allowed: tuple[str, ...] = ()
+    alike: Alike = lambda runs, acting: ()
 
 
 Cause = Callable[[np.random.Generator], Form]
@@ -185,6 +192,7 @@ def _tension_gain(random: np.random.Generator) -> Form:
         0.8,
         {name: which},
         lambda size: {full: factor * size for full, factor in same.items()},
+        alike=lambda runs, acting: () if acting[0] or not acting[-1] else ("tendon_slip",),
     )
 
 
@@ -288,8 +296,13 @@ def _slipping(random: np.random.Generator) -> Form:
     def at(size: float) -> Deviation:
         return Deviation({name: {"share": {which: size}, "instant_s": instant}})
 
-    same = ("tension_gain",)  # of a tendon that is not pulled before it slips
-    return Form((name,), at, 0.2, 1e-2, 1.0, {name: which}, lambda size: {f"{name}[{which}].share": size}, allowed=same)
+    def alike(runs: Sequence[Excitation], acting: Sequence[bool]) -> tuple[str, ...]:
+        at = COUNT + MUSCLES.index(which)
+        pulled = [run.began + run.setpoints.time[run.setpoints.inputs[:, at] > PULLED] for run in runs if run.role == "fit"]
+        first = min((float(times[0]) for times in pulled if len(times)), default=np.inf)
+        return ("tension_gain",) if first > instant else ()
+
+    return Form((name,), at, 0.2, 1e-2, 1.0, {name: which}, lambda size: {f"{name}[{which}].share": size}, alike=alike)
 
 
 def _shaking(random: np.random.Generator) -> Form:

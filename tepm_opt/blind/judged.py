@@ -68,7 +68,7 @@ class Judged:
         return [Listed(name, probability, self._acts(name)) for name, probability in names]
 
     def _acts(self, name: Name) -> bool | None:
-        return None if name[0] in self.label["allowed"] else name in self.truth
+        return None if name[0] in self.label["allowed"] else self._stands_for(name) in self.truth
 
     @property
     def said(self) -> set[Name]:
@@ -90,10 +90,15 @@ class Judged:
             return self.status == NOTHING
         if not self.truth:
             return self.status != REFUSED and not self.false_above(EVEN)
-        said = {name for name in self.said if name[0] not in self.label["allowed"]}
+        said = {self._stands_for(name) for name in self.said if name[0] not in self.label["allowed"]}
         if "runs" in self.label:
             return self.status in (NAMED, PARTIAL) and said == self.truth and self._runs_right
         return self.status == NAMED and said == self.truth
+
+    def _stands_for(self, name: Name) -> Name:
+        """What is hidden, where a name is of what looks the same in these runs; else the name."""
+        alike = self.label.get("alike", {})
+        return next(((one, name[1]) for one in alike if name[0] in alike[one] and name[1] == self.label["detail"].get(one)), name)
 
     @property
     def _runs_right(self) -> bool:
@@ -107,7 +112,8 @@ class Judged:
 
     def found(self, cause: Mapping[str, Any]) -> bool:
         """Whether a hidden cause is listed with at least even odds."""
-        return all((name, self.label["detail"].get(name)) in self.said for name in cause["names"])
+        said = {self._stands_for(name) for name in self.said}
+        return all((name, self.label["detail"].get(name)) in said for name in cause["names"])
 
     def clear(self, misfit: float) -> bool:
         """Whether each cause leaves at least this misfit, over the noise."""

@@ -27,7 +27,7 @@ class Evidence:
     Attributes:
         squares: sum of the squared errors over the noise of every block of time (about 1 s), (blocks,).
         counts: coordinates measured in every block, (blocks,).
-        parameters: how many are free.
+        parameters: how many are free and matter.
         scatter: jackknife standard deviation of the free parameters over the folds, (parameters,).
         worth: how many independent measurements a coordinate (of a block whose residuals remember longer than it is) is worth, at most 1:
             neighbours in time say nearly the same.
@@ -101,16 +101,15 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
     return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter, worth)
 
 
-def in_sample(estimate: ParameterEstimate) -> Evidence:
-    """What a hypothesis leaves in the data it was fitted to, as `leave_out` says it of left-out data; nothing scatters."""
+def in_sample(estimate: ParameterEstimate, evidence: Evidence) -> Evidence:
+    """What a hypothesis leaves in the data it was fitted to, as its evidence says it of left-out data; nothing scatters."""
     errors, counts = [], []
     for r in estimate.residuals:
         rows, first = len(r.values), r.block - r.block.min()
         errors.append(np.bincount(first, (r.values.reshape(rows, -1) ** 2).sum(axis=1)))
         counts.append(np.bincount(first, r.present.reshape(rows, -1).sum(axis=1)))
     every = np.concatenate(counts)
-    free = len(estimate.problem.free)
-    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], free, np.zeros(free))
+    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], evidence.parameters, np.zeros_like(evidence.scatter))
 
 
 def refitted(estimate: ParameterEstimate) -> Evidence:

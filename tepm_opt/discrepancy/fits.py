@@ -25,6 +25,8 @@ from tepm_opt.solvers.plant import Free, PredictionError
 from tepm_opt.solvers.text import listed, shortened
 
 LOST = 2.0  # how many times the squares of a rival a fit must be sure to leave to be ended early
+SURE = 3.0  # standard deviations from which a refinement counts as a parameter more
+SPAN = 2  # parameters that the runs are worth in which alone an effect acts: the first and the last
 Effects = tuple[Candidate, ...]
 
 
@@ -213,6 +215,7 @@ class Fits:
             evidence = leave_out(found)
         except PredictionError:
             return None
+        evidence = replace(evidence, parameters=_sure(found, evidence) + SPAN * sum(bool(c.runs) for c in effects))
         self._keep(f"early {label}" if found.out_of_reach else f"fit {label}", found.named)
         return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
 
@@ -239,6 +242,13 @@ class Fits:
             if self.store is not None and name not in self._kept:
                 self._kept[name] = value
                 write_atomically(self.store, json.dumps({**self._kept, "key": self.key}))
+
+
+def _sure(estimate: ParameterEstimate, evidence: Evidence) -> int:
+    """How many parameters a fit has but for refinements that may as well not be there: without those it is a plainer one."""
+    doubt = np.hypot(estimate.std, evidence.scatter)
+    free = zip(estimate.problem.free, estimate.values, doubt, strict=True)
+    return sum(not f.refines or abs(value - f.prior_mean) > SURE * std for f, value, std in free)
 
 
 def _starting(free: Free, value: float) -> Free:

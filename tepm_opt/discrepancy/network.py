@@ -49,6 +49,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         reference=effect.reference,
         acts=tuple(kind for kind, hooks in THROUGH.items() if any(effect.has(hook) for hook in hooks)),
         exact=effect.smooth and not remembers,
+        happens=f"{label}.{effect.happens}" if effect.happens else "",
         suggested=partial(_suggested, effect, label) if effect.has("suggested") else None,
     )
 

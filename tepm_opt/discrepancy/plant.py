@@ -39,6 +39,7 @@ class Candidate:
         exact: whether its form is known exactly, so that it leaves nothing but noise where it alone is missing.
         runs: files of the runs in which it acts; none for all of them.
         ranges: lowest and highest value by full name, of parameters that the plant knows within a narrower range or does not free.
+        happens: full name of the parameter that is the instant at which it begins to act for good; empty where it has none.
         suggested: values by full name of what says how it acts, from what a model leaves (see `models.effect.Effect.suggested`).
     """
 
@@ -59,6 +60,7 @@ class Candidate:
     acts: tuple[str, ...] = field(default=(), compare=False, repr=False)
     exact: bool = field(default=False, compare=False, repr=False)
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False, repr=False)
+    happens: str = field(default="", compare=False, repr=False)
     suggested: Callable[[np.ndarray, np.ndarray, np.ndarray], Mapping[str, float]] | None = field(default=None, compare=False, repr=False)
 
     @property

@@ -9,7 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from tepm_opt.discrepancy.evidence import in_sample, weights
-from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, labels
+from tepm_opt.discrepancy.first_order import Linearised
+from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, labels, may
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score, screen_pairs
 from tepm_opt.solvers.identify import Problem
@@ -28,6 +29,7 @@ ABREAST = 1.5  # times the excess of the best set of effects that another may le
 PLAIN = 0.9  # part of a form's gain from which a plainer form of the same is fitted in its place
 NEAR, NEARLY_ALL = 5.0, 0.05  # times what an answer that leaves only noise promised to leave, and a part more: where rivals end
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
+AS_GOOD = 6.0  # squares that one choice of runs may leave more than a shorter one: by chance as much in one case of fifty
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 Shares = dict[Candidate, float]
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
@@ -178,13 +180,18 @@ def _other_moves(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> 
         alone,
     )
     parts = _parts([run.file for run in fits.problem.runs])
-    limited = [
-        max(((*base.effects, replace(one, runs=runs)) for runs in parts), key=lambda each: linear.gain(each)[0]) for one in first if parts
-    ]
+    limited = [_longest(linear, [(*base.effects, replace(one, runs=runs)) for runs in parts]) for one in first if parts]
     best_of(limited, alone + WORTH * rest)
     asked.sort(key=lambda pair: -pair[0])
     trials = fits.fit_all([(effects, {**base.estimate.named, **linear.gain(effects)[1]}) for _, effects in asked[: MOVES + 1]])
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
+
+
+def _longest(linear: Linearised, sets: Sequence[tuple[Candidate, ...]]) -> tuple[Candidate, ...]:
+    """The set that promises most whose last effect acts in as many runs as it may: where a run does not show it, it may act there, too."""
+    gains = [linear.gain(effects)[0] for effects in sets]
+    most = max(gains)
+    return max(zip(sets, gains, strict=True), key=lambda pair: ((most - pair[1]) * linear.excess <= AS_GOOD, len(pair[0][-1].runs)))[0]
 
 
 def _parts(files: Sequence[str]) -> list[tuple[str, ...]]:
@@ -314,12 +321,27 @@ def _alternatives(
     """`best` and what it would be with another effect in the place of `effect`, with probabilities."""
     rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
     others = [] if rest is None else [h for h in _fitted(fits, rest, _scores(fits, rest, effect, missing), best) if effect not in h.effects]
+    if rest is not None:
+        others += [h for h in _begun(fits, rest, effect, missing) if h not in others]
     others = [h for h in others if _beats(h, best, seed, fits.settings) or all(c.form_of != effect.form_of for c in h.effects)]
     group = [best, *(h for h in others if h is not best)]
     weight = weights([h.evidence for h in group], seed)
     if rest is not None and not fits.problem.plant.quick:
         weight = _agreed(group, weight, rest, fits.settings, seed)
     return list(zip(group, weight.tolist(), strict=True))
+
+
+def _begun(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fits of what may have happened in the pause before the runs from which on an effect acts for good."""
+    runs = fits.problem.runs
+    first = next((k for k, run in enumerate(runs) if run.file in effect.runs), 0)
+    if not first or effect.runs != tuple(run.file for run in runs[first:]):
+        return []
+    ended = runs[first - 1].began + runs[first - 1].time[-1]
+    happened = float(ended + runs[first].began) / 2
+    able = [c for c in missing if c.happens and c.detail == effect.detail and may(c, rest.effects)]
+    asked = [((*rest.effects, c), {**rest.estimate.named, **c.probes[0], c.happens: happened}) for c in able]
+    return [h for h in fits.fit_all(asked) if h is not None]
 
 
 def _agreed(group: Sequence[Hypothesis], weight: np.ndarray, rest: Hypothesis, settings: SearchSettings, seed: int) -> np.ndarray:
@@ -339,7 +361,7 @@ def _agreed(group: Sequence[Hypothesis], weight: np.ndarray, rest: Hypothesis, s
     if len(same) < 2:
         return weight
     both = [group[k] for k in same]
-    seen = weights([in_sample(h.estimate) for h in both], seed)
+    seen = weights([in_sample(h.estimate, h.evidence) for h in both], seed)
     alone = min(h.estimate.cost / max(h.estimate.count, 1) for h in both) - 1 <= settings.max_noise_excess
     total = weight[same].sum()
     found = weight.copy()
@@ -355,9 +377,10 @@ def coincidence(rest: Hypothesis, one: Hypothesis, other: Hypothesis) -> float:
 
 
 def _scores(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Score]:
-    """Scores of what may act in the place of an effect: in the same runs."""
+    """Scores of what may act in the place of an effect: where that acts in some runs only, in the same ones or in all."""
     if not effect.runs:
         return [score for score in fits.screen(rest, missing) if not _wide(score.candidate) or score.candidate == effect]
     linear = fits.linear(rest, missing)
-    others = [replace(c, runs=effect.runs) for c in linear.able if not _wide(c)]
+    able = [c for c in linear.able if not _wide(c)]
+    others = [*able, *(replace(c, runs=effect.runs) for c in able)]
     return sorted((Score(c, *linear.gain((*rest.effects, c))) for c in others), key=lambda score: -score.gain)

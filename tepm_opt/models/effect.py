@@ -114,6 +114,7 @@ class Effect:
         delays_forces: whether its delay is one of known forces, too.
         further_probes: values by name, where its parameters' probes are not all that one would look for it at.
         timed: whether it asks what time it is; `parameters` then has `CLOCK` and `BEGAN`, too.
+        happens: the parameter that is the instant of the session at which it begins to act for good; empty where it has none.
     """
 
     name: ClassVar[str]
@@ -124,6 +125,7 @@ class Effect:
     smooth: ClassVar[bool] = True
     corners: ClassVar[bool] = False
     timed: ClassVar[bool] = False
+    happens: ClassVar[str] = ""
     delays_forces: ClassVar[bool] = False
     further_probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
 

@@ -82,6 +82,15 @@ class TestOneTrial:
         assert (unsure.right, unsure.abstained) == (False, True)
         assert [each.acts for each in unsure.listed] == [True, False]
 
+    def test_what_looks_the_same_is_as_right_at_the_same_place(self) -> None:
+        slipped: list[Hidden] = [("tendon_slip", "12", 3.0)]
+        alike = {"tendon_slip": ["tension_gain"]}
+        assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).right
+        assert judged("closed", slipped, "named", [("tendon_slip", "12", 0.97)], alike=alike).right
+        assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).found({"names": ["tendon_slip"]})
+        assert not judged("closed", slipped, "named", [("tension_gain", "13", 0.97)], alike=alike).right
+        assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)]).false_above(0.9)
+
     def test_what_has_no_name_is_right_where_nothing_false_is_said(self) -> None:
         assert Judged(foreign("curved_field", "unexplained", [])).right
         assert Judged(foreign("curved_field", "partial", [("payload", None, 0.3)])).right

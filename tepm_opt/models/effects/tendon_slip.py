@@ -26,6 +26,7 @@ class TendonSlip(Effect):
     reference = "abrupt multiplicative actuator fault; Isermann, Fault-Diagnosis Systems, 2006, ch. 2"
     detail = "actuator"
     timed = True
+    happens = "instant"
     parameters = (
         Parameter("share", "1", null=0.0, probe=0.1, low=-1.0, high=1.0),
         Parameter("instant", "s", null=10.0, probe=10.0, low=0.0, high=1e7, change=0.1),
