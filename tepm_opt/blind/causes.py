@@ -174,8 +174,8 @@ def _actuator_offset(random: np.random.Generator) -> Form:
 
 def _leak(random: np.random.Generator) -> Form:
     name, which = "regulator_leak", str(random.choice(MUSCLES))
-    seconds, critical = random.uniform(2e-3, 5e-3), random.uniform(0.1, 0.5)  # a valve that lags behind the others would be another cause
-    settings = {"time_s": seconds, "critical_ratio": critical}
+    critical = random.uniform(0.1, 0.5)
+    settings = {"time_s": 1e-3, "critical_ratio": critical}  # a valve that lags behind the others would be another cause
     return Form((name,), lambda size: Deviation({name: {"share": {which: size}, **settings}}), 0.02, 1e-4, 0.4, {name: which})
 
 

@@ -22,7 +22,7 @@ UNBEARABLE = (NoEquilibriumError, Diverged, InputError)
 PART = 0.25  # of a prior's width, of the differences by parameters
 NEAR = 0.1  # of the misfit asked for: near enough
 PILOTS = 6  # most for one cause
-RECALIBRATIONS = 5  # most steps for one size, each a simulation
+RECALIBRATIONS = 12  # most steps for one size, each a simulation
 WORTH = 0.03  # of the misfit, that a step must promise
 TINY = 1e-9
 
@@ -65,27 +65,29 @@ class Pilot:
         """
         points = simulated(robot, machine, runs, rate)
         simulated(robot, machine, runs, rate, "validation")  # it has to bear them
-        changes = [Deviation(factors={name: 1 + PART * width}) for name, width in robot.priors.items()]
-        by = [(simulated(robot, machine + change, runs, rate) - points) / PART for change in changes]
-        return Pilot(robot, machine, runs, noise, rate, points, np.array(by).reshape(len(by), -1).T)
+        return Pilot(robot, machine, runs, noise, rate, points, _slopes(robot, machine, runs, rate, points))
 
     def misfit(self, form: Form, size: float) -> float:
         """Root mean square of what a cause changes, less what recalibration within the priors takes up, over the noise.
 
-        Recalibration is Gauss and Newton's, with derivatives that Broyden's rule keeps up to date (Mathematics of Computation 19, 1965).
+        Recalibration is Gauss and Newton's, with derivatives that Broyden's rule keeps up to date (Mathematics of Computation 19, 1965);
+        once it promises no more, new ones are asked.
 
         Raises:
             NoEquilibriumError, Diverged: the machine does not bear the runs with it.
         """
         measured = simulated(self.robot, self.machine + form.at(size), self.runs, self.rate)
         now = np.array([(self.machine.factors.get(name, 1.0) - 1) / width for name, width in self.robot.priors.items()])
-        at, points, by, least = now, self.points, self.by, np.inf
+        at, points, by, least, renewed = now, self.points, self.by, np.inf, False
         for _ in range(RECALIBRATIONS):
             left = measured - points
             least = min(least, _rms(left))
             step = lsq_linear(by, left, (-1 - at, np.maximum(1 - at, -1 - at + TINY))).x
             if _rms(left - by @ step) >= (1 - WORTH) * least:
-                break
+                if renewed or by is self.by:
+                    break
+                by, renewed = _slopes(self.robot, self.machine + self._recalibrated(now, at), self.runs, self.rate, points), True
+                continue
             at = at + step
             moved = simulated(self.robot, self.machine + self._recalibrated(now, at), self.runs, self.rate)
             by = by + np.outer(moved - points - by @ step, step) / (step @ step)
@@ -139,6 +141,21 @@ def simulated(robot: Robot, machine: Deviation, runs: Sequence[Excitation], rate
     """
     file = rig_file(robot, machine, 0.0, rate=rate)
     return np.concatenate([np.empty(0), *(played(file, machine, run, 0).points.ravel() for run in runs if run.role == role)])
+
+
+def _slopes(robot: Robot, machine: Deviation, runs: Sequence[Excitation], rate: float, points: np.ndarray) -> np.ndarray:
+    """Derivatives of points by parameters over half the width of their priors, (coordinates, parameters) in m.
+
+    Args:
+        robot: as its file says.
+        machine: that the points are of.
+        runs: of a trial.
+        rate: of the tracker in Hz.
+        points: of the runs to fit to, (coordinates,) in m.
+    """
+    changes = [Deviation(factors={name: 1 + PART * width}) for name, width in robot.priors.items()]
+    by = [(simulated(robot, machine + change, runs, rate) - points) / PART for change in changes]
+    return np.array(by).reshape(len(by), -1).T
 
 
 def _rms(values: np.ndarray) -> float:

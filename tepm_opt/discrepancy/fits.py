@@ -66,7 +66,7 @@ class SearchSettings:
     fits_later_rounds: int = 3
     max_effects: int = 6
     max_unexplained_ratio: float = 0.1
-    max_iterations: int = 10
+    max_iterations: int = 20
     tolerance: float = 2e-3
     min_share_closed: float = 0.2
     least_share: float = 1.0

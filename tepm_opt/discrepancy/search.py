@@ -10,7 +10,7 @@ import numpy as np
 
 from tepm_opt.discrepancy.evidence import in_sample, weights
 from tepm_opt.discrepancy.first_order import Linearised
-from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, labels, may
+from tepm_opt.discrepancy.fits import Effects, Fits, Hypothesis, SearchSettings, labels, may
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score, screen_pairs
 from tepm_opt.solvers.identify import Problem
@@ -218,11 +218,16 @@ def _fitted(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: Hypoth
         return []
     most = settings.fits_later_rounds if base.effects else settings.fits_first_round
     least = settings.min_share_closed / 2 if base.effects and settings.beam > 1 else 0.0
-    promising = plainest([score for score in scores if score.gain >= max(MIN_GAIN_RATIO * scores[0].gain, least)])[:most]
-    asked = [
-        [((*base.effects, score.candidate), {**base.estimate.named, **start}) for start in score.starts[: settings.starts]]
-        for score in promising
-    ]
+    ranked = plainest([score for score in scores if score.gain >= max(MIN_GAIN_RATIO * scores[0].gain, least)])
+    promising = ranked[:most]
+
+    def begun(some: Sequence[Score]) -> list[list[tuple[Effects, dict[str, float]]]]:
+        return [
+            [((*base.effects, score.candidate), {**base.estimate.named, **start}) for start in score.starts[: settings.starts]]
+            for score in some
+        ]
+
+    asked = begun(promising)
     trials = fits.fit_all(asked[0], bound=_bound(fits, base))[:1] if asked and not rival else []
     solved = rival or next(iter(trials), None)
     first = next((score for score in scores if solved is not None and score.candidate in solved.effects), None)
@@ -232,6 +237,9 @@ def _fitted(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: Hypoth
         )  # what the answer itself promised, with room for what first order does not see
         asked = [each for each, score in zip(asked, promising, strict=True) if score.gain >= reach]
     trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], solved, _bound(fits, base))
+    least_left = min((t for t in trials if t is not None), key=lambda t: t.excess, default=None)
+    if not (base.effects or rival or fits.problem.plant.quick or least_left is None or least_left.only_noise(settings)):
+        trials += fits.fit_all([each for one in begun(ranked[most : 2 * most]) for each in one], least_left, _bound(fits, base))
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
 
 

@@ -87,10 +87,12 @@ class Play:
         """y after a time at whose end the limit is this one: exact for a limit that stays."""
         sense = ca.if_else(self.rising, 1.0, -1.0)
         left, path = sense * (state - self.limit) / self.corner, time * self.pace / self.corner
-        top = ca.fmax(left - path, 0)  # keeps the exponentials finite
-        left = top + ca.log(ca.exp(-top) + ca.exp(left - path - top) - ca.exp(-path - top))
-        return self.limit + sense * self.corner * left
+        near = ca.exp(-path) * ca.expm1(ca.fmin(left, 1))
+        far = ca.exp(ca.fmin(left - path, STRAIGHT)) - ca.exp(-path)
+        rounded = ca.log1p(ca.if_else(left < 1, near, far))
+        return self.limit + sense * self.corner * ca.if_else(left - path > STRAIGHT, left - path, rounded)
 
 
 SHORTEST = 1e-12  # keeps quotients finite where a scale vanishes
 TINY = 1e-30
+STRAIGHT = 40.0  # corners before a limit beyond which nothing is felt of it

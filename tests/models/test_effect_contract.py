@@ -227,12 +227,12 @@ def null(request, subject_of):
 
 @pytest.fixture(scope="module")
 def excitation(kang):
-    """Set points that move and reverse everything so gently that no step is halved, with a rest at the end."""
+    """Set points that move and reverse everything so gently that no step is halved, with a rest at the end; tendons are nearly let go."""
     time = np.linspace(0, 2.0, 101)
     rng, active = np.random.default_rng(11), np.clip(time, 0, 1.6)
     waves = 0.5 - 0.5 * np.cos(np.outer(2 * np.pi * active / 1.6, rng.integers(1, 3, 12)))
     force = 0.05 * np.column_stack([np.sin(4 * active), np.cos(3 * active), 0 * time])
-    points = SetPoints(time, (0.1 + 0.1 * waves) * kang.input_max, force)
+    points = SetPoints(time, (np.repeat([0.1, 0.004], 6) + 0.1 * waves) * kang.input_max, force)
     assert simulate(kang, points, step=0.01).complete().effort.halvings == 0
     return points
 

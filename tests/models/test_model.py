@@ -55,8 +55,8 @@ def test_they_say_in_one_line_what_they_are():
     said = {
         "Robot(kang2017: 2 x 3 actuators, 6 segments a module)": model.robot,
         "Model(kang2017: nominal)": NOMINAL,
-        "Model(kang2017: K_a=350, payload(mass=0.02))": model,
-        "CompiledModel(kang2017 in Python: 12 levels, 12 inputs, 11 parameters)": compiled,
+        "Model(kang2017: K_a=350, payload(mass=0.02, beside_x=0, beside_y=0))": model,
+        "CompiledModel(kang2017 in Python: 12 levels, 12 inputs, 13 parameters)": compiled,
     }
     assert [repr(described) for described in said.values()] == list(said)
     for described in (compiled.network, compiled.reference_stepper.dynamics):
@@ -68,12 +68,13 @@ def test_a_notebook_shows_parameters_and_effects():
     shown = NOMINAL.with_parameters(K_a=350.0).with_effect("payload", mass=0.02)._repr_html_()
     assert "<td>K_a</td><td>350</td><td>N/m</td><td>instead of 358.86</td>" in shown
     assert "<td>payload.mass</td><td>0.02</td><td>kg</td>" in shown
-    assert shown.count("<tr>") == 12  # with the head
+    assert shown.count("<tr>") == 14  # with the head
 
 
 def test_values_are_the_robots_then_the_effects():
     values = NOMINAL.with_parameters(m_d=0.3).with_effect("payload").values
-    assert list(values) == ["L_0", "r", "A", "m_d", "K_a", "c_a", "alpha_1", "alpha_2", "beta_1", "beta_2", "payload.mass"]
+    own = ["payload.beside_x", "payload.beside_y", "payload.mass"]
+    assert list(values) == ["L_0", "r", "A", "m_d", "K_a", "c_a", "alpha_1", "alpha_2", "beta_1", "beta_2", *own]
     assert (values["m_d"], values["L_0"], values["payload.mass"]) == (0.3, 0.2, 0.01)
 
 

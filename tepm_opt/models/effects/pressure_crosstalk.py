@@ -9,11 +9,13 @@ import casadi as ca
 from tepm_opt.models.effect import Context, Effect, Parameter
 from tepm_opt.models.layout import DIAGONAL
 
+USUAL = 1e5  # Pa
+
 
 class PressureCrosstalk(Effect):
     """A share of a muscle's pressure adds to that of the muscles on either side of it in the module.
 
-    The share grows by `bend` with every pascal where the muscle that presses bulges.
+    The share is that at 100 kPa and grows by `bend` of itself with every pascal where the muscle that presses bulges.
     """
 
     name = "pressure_crosstalk"
@@ -30,5 +32,5 @@ class PressureCrosstalk(Effect):
             if edge.kind == DIAGONAL:  # joins two muscles that share a face
                 i, j = edge.a[1], edge.b[1]
                 neighbours[i, j] = neighbours[j, i] = 1
-        pressing = pressure * (1 + parameters["bend"] * pressure)
+        pressing = pressure * (1 + parameters["bend"] * (pressure - USUAL))
         return pressure + parameters["coupling"] * (pressing @ neighbours), tension

@@ -23,8 +23,9 @@ class PressureDeadZone(Effect):
     smooth = False  # at no threshold and no pressure the derivative by the threshold has a jump
     parameters = (
         Parameter("threshold", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),
-        Parameter("rounding", "1", null=ROUNDING, probe=ROUNDING, low=0.0, high=5.0),
+        Parameter("rounding", "1", null=ROUNDING, probe=ROUNDING, low=0.02, high=5.0),
     )
+    further_probes = ({"threshold": 3e4, "rounding": 0.5},)
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
         corner = parameters["threshold"], parameters["rounding"]

@@ -9,7 +9,7 @@ import casadi as ca
 from tepm_opt.models.effect import Context, Effect, Parameter
 
 ATMOSPHERE = 101_325.0  # Pa
-CRITICAL_RATIO = 0.35  # of absolute pressures below which the leak's flow is choked; small holes have 0.2 to 0.5
+CRITICAL_RATIO = 0.35  # where nothing else is known; small holes have 0.2 to 0.5
 LAMINAR = 0.1  # of the choked flow, below which it goes with the pressure, not with its root
 
 
@@ -17,19 +17,23 @@ class RegulatorLeak(Effect):
     """One muscle's pressure falls short by a share of its absolute pressure where the leak's flow is choked, by less below, by 0 at none.
 
     The regulator fills in proportion to the error, the leak is an orifice to the atmosphere; the share is the orifice's conductance over
-    the regulator's.
+    the regulator's. Its flow is choked below the `critical_ratio` of the absolute pressures.
     """
 
     name = "regulator_leak"
     explains = "one valve or muscle leaks"
     reference = "orifice of ISO 6358-1:2013, with a laminar beginning"
     detail = "actuator"
-    parameters = (Parameter("share", "1", null=0.0, probe=0.02, low=0.0, high=0.5),)
+    parameters = (
+        Parameter("share", "1", null=0.0, probe=0.02, low=0.0, high=0.5),
+        Parameter("critical_ratio", "1", null=CRITICAL_RATIO, probe=CRITICAL_RATIO, low=0.05, high=0.6, finer=True),
+    )
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
         at = divmod(context.detail or 0, context.layout.actuators)
         inside = ca.fmax(pressure[at], 0) + ATMOSPHERE
-        over = ca.fmax(ATMOSPHERE / inside - CRITICAL_RATIO, 0) / (1 - CRITICAL_RATIO)
+        critical = parameters["critical_ratio"]
+        over = ca.fmax(ATMOSPHERE / inside - critical, 0) / (1 - critical)
         choked = ca.sqrt(1 - over**2 + LAMINAR**2) - LAMINAR
         less = ca.SX(pressure)
         less[at] = pressure[at] - parameters["share"] * inside * choked / ((1 + LAMINAR**2) ** 0.5 - LAMINAR)

@@ -23,10 +23,12 @@ class StiffnessHardening(Effect):
     parameters = (
         Parameter("quadratic", "N", null=0.0, probe=20.0, low=0.0, high=1e4),
         Parameter("cubic", "N", null=0.0, probe=50.0, low=0.0, high=1e5),
+        Parameter("compressed", "1", null=1.0, probe=1.0, low=0.0, high=1.0, finer=True),
     )
 
     def edge_energy(self, edge: Edge, length: ca.SX, rest: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
         if edge.kind != VERTICAL:
             return ca.SX(0)
         stretch = length / rest - 1
-        return rest * (parameters["quadratic"] * stretch**3 / 3 + parameters["cubic"] * stretch**4 / 4)
+        part = ca.if_else(stretch < 0, parameters["compressed"], 1)
+        return part * rest * (parameters["quadratic"] * stretch**3 / 3 + parameters["cubic"] * stretch**4 / 4)

@@ -17,7 +17,7 @@ class TendonFriction(Effect):
 
     A play with rounded corners: after a reversal the tendon's end sticks until friction has turned over, then it follows;
     `distance` is the commanded tension over which sticking turns into following. What friction holds when the motor lets go
-    stays in the tendon; it never pushes.
+    stays in the tendon, but for the part `released` of the constant one; it never pushes.
     """
 
     name = "tendon_friction"
@@ -26,11 +26,13 @@ class TendonFriction(Effect):
     parameters = (
         Parameter("constant", "N", null=0.0, probe=0.1, low=0.0, high=10.0),
         Parameter("share", "1", null=0.0, probe=0.05, low=0.0, high=0.9),
+        Parameter("released", "1", null=0.0, probe=0.0, low=0.0, high=1.0, change=0.6),
         Parameter("distance", "N", null=0.05, probe=0.05, low=1e-3, high=10.0),
     )
 
     def tension_memory(self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         friction = parameters["constant"] + parameters["share"] * tension
-        limit = ca.if_else(rate > 0, -ca.fmin(friction, tension), friction)
+        let_go = parameters["released"] * ca.fmax(parameters["constant"] - tension, 0)
+        limit = ca.if_else(rate > 0, -ca.fmin(friction, tension), friction - let_go)
         held = ca.fmax(tension + state, 0)  # in the tendon's end; with none left it follows at once
         return Play(limit, rate > 0, ca.fabs(rate), ca.fmin(parameters["distance"], held) + SMALLEST_DISTANCE)
