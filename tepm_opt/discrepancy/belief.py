@@ -26,6 +26,7 @@ EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as
 UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.5  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
+SOME_RUNS = 3.0  # times as much that an effect must take away for even odds where it acts in some of the runs only
 LISTED = 0.3  # probability from which what explains a part is told as such
 
 
@@ -164,10 +165,13 @@ def _part(partition: str, part: Hashable, files: Sequence[str]) -> str:
 def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings) -> float:
     """Probability that an effect is a cause: even odds where what only it takes away is so many times what is left.
 
-    An effect whose form is known leaves nothing, so that what is left weighs more against it; hardly, where that is only noise.
+    An effect whose form is known leaves nothing, so that what is left weighs more against it; hardly, where that is only noise. Structure
+    larger than the noise says that something else acts; and what may act in any of the runs has as many chances to fit.
     """
+    best = explanation.best
     even = settings.even_odds_exact if effect.exact else settings.even_odds_ratio
-    even = settings.even_odds_noise if explanation.best.only_noise(settings) else even
+    even = settings.even_odds_noise if best.only_noise(settings) else even * (1 if best.estimate.problem.plant.quick else 1 + best.excess)
+    even *= SOME_RUNS if effect.runs else 1
     return 1 / (1 + even / max(explanation.shares[effect], 1e-9))
 
 
