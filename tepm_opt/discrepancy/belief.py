@@ -170,7 +170,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
     """
     best = explanation.best
     even = settings.even_odds_exact if effect.exact else settings.even_odds_ratio
-    even = settings.even_odds_noise if best.only_noise(settings) else even * (1 if best.estimate.problem.plant.quick else 1 + best.excess)
+    even = settings.even_odds_noise if best.only_noise(settings) else even * (1 + settings.even_odds_growth * best.excess)
     even *= SOME_RUNS if effect.runs else 1
     return 1 / (1 + even / max(explanation.shares[effect], 1e-9))
 
