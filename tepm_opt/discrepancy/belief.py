@@ -165,12 +165,11 @@ def _part(partition: str, part: Hashable, files: Sequence[str]) -> str:
 def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings) -> float:
     """Probability that an effect is a cause: even odds where what only it takes away is so many times what is left.
 
-    An effect whose form is known leaves nothing, so that what is left weighs more against it; hardly, where that is only noise. Structure
-    larger than the noise says that something else acts; and what may act in any of the runs has as many chances to fit.
+    An effect whose form is known leaves nothing, so that what is left weighs more against it; hardly, where that is only noise. What
+    may act in any of the runs has as many chances to fit.
     """
-    best = explanation.best
     even = settings.even_odds_exact if effect.exact else settings.even_odds_ratio
-    even = settings.even_odds_noise if best.only_noise(settings) else even * (1 + settings.even_odds_growth * best.excess)
+    even = settings.even_odds_noise if explanation.best.only_noise(settings) else even
     even *= SOME_RUNS if effect.runs else 1
     return 1 / (1 + even / max(explanation.shares[effect], 1e-9))
 

@@ -44,7 +44,6 @@ class SearchSettings:
         even_odds_ratio: how many times the excess left the part that only this effect takes away must be for even odds that it is
             a cause, not a stand-in for something outside the library.
         even_odds_exact: the same for an effect whose form is known exactly.
-        even_odds_growth: part by which all of these grow with every noise's squares of structure left.
         even_odds_noise: the same where no more is left than counts as noise.
         fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
         max_effects: most effects at once.
@@ -62,7 +61,6 @@ class SearchSettings:
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0
     even_odds_exact: float = 6.0
-    even_odds_growth: float = 1.0
     even_odds_noise: float = 1.0
     fits_first_round: int = 5
     fits_later_rounds: int = 3
@@ -80,7 +78,7 @@ class SearchSettings:
         """The usual ones; a plant that is quick bears a wider search, and its forms are said to be exact by whoever wrote them."""
         if not plant.quick:
             return SearchSettings()
-        found = SearchSettings(max_effects=3, min_share_closed=0.3, max_unexplained_ratio=0.2, even_odds_exact=10.0, even_odds_growth=0.0)
+        found = SearchSettings(max_effects=3, min_share_closed=0.3, max_unexplained_ratio=0.2, even_odds_exact=10.0)
         return replace(found, max_iterations=30, tolerance=1e-4, beam=2, starts=2)
 
 

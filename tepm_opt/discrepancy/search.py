@@ -9,10 +9,10 @@ from itertools import combinations
 import numpy as np
 
 from tepm_opt.discrepancy.evidence import in_sample, weights
-from tepm_opt.discrepancy.first_order import Linearised
 from tepm_opt.discrepancy.fits import Effects, Fits, Hypothesis, SearchSettings, labels, may
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.screen import Score, screen_pairs
+from tepm_opt.discrepancy.spans import longest, spans
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.text import shortened
@@ -29,7 +29,6 @@ ABREAST = 1.5  # times the excess of the best set of effects that another may le
 PLAIN = 0.9  # part of a form's gain from which a plainer form of the same is fitted in its place
 NEAR, NEARLY_ALL = 5.0, 0.05  # times what an answer that leaves only noise promised to leave, and a part more: where rivals end
 MIN_GAIN_RATIO = 0.25  # part of the best candidate's first-order gain below which others are not worth a fit
-AS_GOOD = 6.0  # squares that one choice of runs may leave more than a shorter one: by chance as much in one case of fifty
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 Shares = dict[Candidate, float]
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
@@ -78,6 +77,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
     best = _forward(fits, without, missing, seed)
+    best = _most_probable([best, *_at_once(fits, without, best, missing)], seed, 1)[0]
     widest, seen = best, set()
     while True:
         best, shares, groups = _settled(fits, best, missing, seed)
@@ -108,6 +108,16 @@ def _forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: i
         front = [h for h in front if h.excess <= ABREAST * front[0].excess]
         best = _most_probable([best, *front], seed, 1)[0] if settings.beam > 1 else next(iter(front), best)
     return best
+
+
+def _at_once(fits: Fits, without: Hypothesis, best: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fits of what is as much as several effects, alone, where several parts of one kind leave more than noise: they may be one."""
+    parts = [effect for effect in best.effects if effect.part and not effect.runs]
+    if fits.problem.plant.quick or best.only_noise(fits.settings) or len(parts) < 2:
+        return []
+    linear = fits.linear(without, missing)
+    asked = [((c,), {**without.estimate.named, **linear.gain((c,))[1]}) for c in linear.able if _wide(c)]
+    return [h for h in fits.fit_all(asked) if h is not None]
 
 
 def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int) -> tuple[Hypothesis, Shares, Groups]:
@@ -179,26 +189,12 @@ def _other_moves(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> 
         ),
         alone,
     )
-    parts = _parts([run.file for run in fits.problem.runs])
-    limited = [_longest(linear, [(*base.effects, replace(one, runs=runs)) for runs in parts]) for one in first if parts]
+    parts = spans([run.file for run in fits.problem.runs])
+    limited = [longest(linear, [(*base.effects, replace(one, runs=runs)) for runs in parts]) for one in first if parts]
     best_of(limited, alone + WORTH * rest)
     asked.sort(key=lambda pair: -pair[0])
     trials = fits.fit_all([(effects, {**base.estimate.named, **linear.gain(effects)[1]}) for _, effects in asked[: MOVES + 1]])
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
-
-
-def _longest(linear: Linearised, sets: Sequence[tuple[Candidate, ...]]) -> tuple[Candidate, ...]:
-    """The set that promises most whose last effect acts in as many runs as it may: where a run does not show it, it may act there, too."""
-    gains = [linear.gain(effects)[0] for effects in sets]
-    most = max(gains)
-    return max(zip(sets, gains, strict=True), key=lambda pair: ((most - pair[1]) * linear.excess <= AS_GOOD, len(pair[0][-1].runs)))[0]
-
-
-def _parts(files: Sequence[str]) -> list[tuple[str, ...]]:
-    """Runs in which something may act that does not act in all: from one on, until one, in one."""
-    count = len(files)
-    spans = {(first, count) for first in range(1, count)} | {(0, end) for end in range(1, count)} | {(k, k + 1) for k in range(count)}
-    return [tuple(files[first:end]) for first, end in sorted(spans) if end - first < count]
 
 
 def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hypothesis | None = None) -> list[Hypothesis]:

@@ -57,12 +57,6 @@ def test_what_is_left_weighs_more_against_an_exact_form() -> None:
     assert answer(LOAD, 2.0).listed == ()
 
 
-def test_structure_larger_than_the_noise_weighs_more_against_any_form() -> None:
-    """The same share of three times the noise's squares as of half of them."""
-    assert answer(LAG, 30.0, left=3.0).listed[0][3] == pytest.approx(30 / (30 + 12))
-    assert answer(LAG, 30.0, left=0.5).listed[0][3] == pytest.approx(30 / (30 + 4.5))
-
-
 def test_what_acts_in_some_runs_only_must_take_away_more() -> None:
     assert answer(LAG, 10.0, left=0.02).status is VerdictStatus.NAMED
     assert answer(replace(LAG, runs=("a.csv",)), 10.0, left=0.02).status is VerdictStatus.PARTIAL
