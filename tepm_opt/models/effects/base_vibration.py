@@ -12,8 +12,9 @@ from scipy.ndimage import uniform_filter1d
 from tepm_opt.models.effect import BEGAN, CLOCK, Context, Effect, Parameter, Properties
 
 RISE = 0.5  # s over which the masses begin to feel it in a run, which begins at rest
-FINE = 4  # frequencies to one that the session's length resolves
+FINE = 8  # frequencies to one that the session's length resolves
 AROUND, SLOWEST = 1.0, 0.5  # Hz: surroundings of a line, and below which it is no vibration
+ALIKE = 0.8  # part of a line from which it is one motion of all points
 
 
 class BaseVibration(Effect):
@@ -54,7 +55,10 @@ class BaseVibration(Effect):
         return sine * ca.sin(phase) + cosine * ca.cos(phase)
 
     def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
-        """The line that stands out most from its surroundings in the spectrum of all runs together, with phases of either kind."""
+        """The line that stands out most from its surroundings in the spectrum of all runs together, with phases of either kind.
+
+        Where all points move alike in it, it is the tracker's stand that moves.
+        """
         step, starts = float(np.median(np.diff(clock))), np.unique(began)
         length = next_fast_len(int(FINE * (clock[-1] - clock[0]) / step) + 1, real=True) or 1
         frequency = np.fft.rfftfreq(length, step)
@@ -68,8 +72,12 @@ class BaseVibration(Effect):
         around = 2 * int(AROUND / frequency[1]) + 1
         best = (0.0, {})
         for restarts, parts in ((0.0, turned), (1.0, alone)):
-            power = np.sum(np.abs(sum(parts)) ** 2, axis=1)
+            lines = np.sum(parts, axis=0)
+            power = np.sum(np.abs(lines) ** 2, axis=1)
             contrast = power / np.maximum(uniform_filter1d(power, around, mode="nearest"), 1e-30)
             at = int(np.argmax(np.where(frequency > SLOWEST, contrast, 0.0)))
-            best = max(best, (float(power[at]), {"frequency": float(frequency[at]), "restarts": restarts}), key=lambda line: line[0])
+            moves = lines[at].reshape(-1, 3)  # every point along every axis
+            alike = len(moves) * np.sum(np.abs(moves.mean(axis=0)) ** 2) > ALIKE * power[at]
+            found = {"frequency": float(frequency[at]), "restarts": restarts, "inertia": 0.0 if alike else 1.0}
+            best = max(best, (float(power[at]), found), key=lambda line: line[0])
         return best[1]
