@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from typing import Literal
+from functools import cached_property, lru_cache, wraps
+from threading import RLock
+from typing import Literal, ParamSpec, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -17,10 +18,24 @@ from tepm_opt.solvers.parallel import give_way
 from tepm_opt.solvers.plant import START, Prediction, PredictionError
 
 Between = Literal["hold", "line", "band"]
+Asked = ParamSpec("Asked")
+Made = TypeVar("Made")
+BUILDING = RLock()
 NEWTON_STEPS, AT_REST = 50, 1e-10
 MOST = 1000  # times the usual steps that a run with all its gaps may last
 BOUND = 1e12  # what is beyond it has diverged
 STEEP = 1e100  # derivatives beyond it have squares that no float holds
+
+
+def built(make: Callable[Asked, Made]) -> Callable[Asked, Made]:
+    """The same function for several threads: expressions of CasADi's share what two threads must not make at a time."""
+
+    @wraps(make)
+    def alone(*args: Asked.args, **kwargs: Asked.kwargs) -> Made:
+        with BUILDING:
+            return make(*args, **kwargs)
+
+    return alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +91,7 @@ class Motion:
         return tuple(name for name in self.states if name not in taken)
 
     @cached_property
+    @built
     def begin(self) -> ca.Function:
         """(x, u, θ) → x with the states that begin as a signal does where they begin."""
         x = list(ca.vertsplit(self.x))
@@ -85,6 +101,7 @@ class Motion:
         return ca.Function("begin", [self.x, self.u, self.theta, self.h], [ca.vertcat(ca.SX(0, 1), *x)])
 
     @cached_property
+    @built
     def rest(self) -> ca.Function:
         """(x, u, θ) → rates of the free states with their derivatives by them and by θ, all others where they begin."""
         free = [self.states.index(name) for name in self.free_states]
@@ -93,6 +110,7 @@ class Motion:
         return ca.Function("rest", [self.x, self.u, self.theta, self.h], [rates, *jacobians])
 
     @cached_property
+    @built
     def measured(self) -> ca.Function:
         """(x, u, θ) → what is measured, with its derivatives by x and θ."""
         jacobians = [ca.jacobian(self.y, self.x), ca.jacobian(self.y, self.theta)]
@@ -321,12 +339,14 @@ def _interpolated(at: np.ndarray, time: np.ndarray, columns: np.ndarray) -> np.n
     return np.array([np.interp(at, time, column) for column in columns.T]).reshape(-1, len(at)).T
 
 
+@built
 @lru_cache(maxsize=256)
 def _reduced(motion: Motion, acting: frozenset[str]) -> Motion:
     """`Motion.of`."""
     return motion.of(acting)
 
 
+@built
 @lru_cache(maxsize=64)
 def _settling(motion: Motion, directions: int) -> ca.Function:
     """`Motion.begin` with its change along directions."""
@@ -337,6 +357,7 @@ def _settling(motion: Motion, directions: int) -> ca.Function:
     return ca.Function("settling", [x, moved, u, theta, turned, h], [at, change])
 
 
+@built
 @lru_cache(maxsize=256)
 def _accumulated(motion: Motion, chosen: tuple[int, ...], substeps: int, samples: int) -> ca.Function:
     """All samples of a run in one call."""

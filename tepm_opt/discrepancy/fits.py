@@ -48,7 +48,7 @@ class SearchSettings:
         fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
         max_effects: most effects at once.
         max_unexplained_ratio: part of the motion's standard deviation that may be left unexplained; where more is, nothing is named.
-        max_iterations: most Gauss-Newton steps of a fit.
+        max_iterations: most Gauss-Newton steps of a fit; what the answer rests on takes as many again where it needs them.
         tolerance: part of the structure left for which a fit makes no further step.
         min_share_closed: part of the excess left on held-out data that one more effect must take away to be tried along.
         least_share: how many times the excess left an effect must take away alone to stay in the model.
@@ -66,7 +66,7 @@ class SearchSettings:
     fits_later_rounds: int = 3
     max_effects: int = 6
     max_unexplained_ratio: float = 0.1
-    max_iterations: int = 20
+    max_iterations: int = 10
     tolerance: float = 2e-3
     min_share_closed: float = 0.2
     least_share: float = 1.0
@@ -140,6 +140,7 @@ class Fits:
     screened: dict[Effects, list[Score]] = field(default_factory=dict)
     linearised: dict[Effects, Linearised] = field(default_factory=dict)
     _kept: dict[str, Any] = field(default_factory=dict)
+    _gone_on: set[Effects] = field(default_factory=set)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __repr__(self) -> str:
@@ -181,8 +182,13 @@ class Fits:
         return [self.done.get(effects) for effects, _ in wanted]
 
     def finished(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The hypothesis with its fit gone on to the end, if it ended early."""
-        return self.fit(hypothesis.effects, hypothesis.estimate.named) or hypothesis
+        """The hypothesis with its fit gone on to the end, if it ended early or for want of steps."""
+        found = self.fit(hypothesis.effects, hypothesis.estimate.named) or hypothesis
+        if found.estimate.solved or found.effects in self._gone_on or self.problem.plant.quick:
+            return found
+        self._gone_on.add(found.effects)
+        self.done[found.effects] = self._fitted(found.effects, [], np.inf, "more") or found
+        return self.done[found.effects]
 
     def _has(self, effects: Effects, early: bool) -> bool:
         return effects in self.done and (early or not self.done[effects].estimate.out_of_reach)
@@ -193,11 +199,11 @@ class Fits:
         most = len(problem.free) + max((sum(len(c.parameters) for c in effects) for effects in hypotheses), default=0)
         return problem.plant.concurrent and 8 * most * sum(run.points.size for run in problem.runs) < MEMORY
 
-    def _fitted(self, effects: Effects, starts: Sequence[dict[str, float]], reached: float) -> Hypothesis | None:
+    def _fitted(self, effects: Effects, starts: Sequence[dict[str, float]], reached: float, stage: str = "fit") -> Hypothesis | None:
         """The best fit from some first values, or from where an earlier one ended; an earlier search's fit as it was."""
         label = " ".join(c.told for c in effects)
         early = np.isfinite(reached) and f"early {label}" in self._kept
-        kept = self._kept.get(f"early {label}" if early else f"fit {label}")
+        kept = self._kept.get(f"early {label}" if early else f"{stage} {label}")
         begun = [self.done[effects].estimate.named] if effects in self.done else starts
         free = freed(self.problem.free, self.problem.plant, effects)
         problem = replace(self.problem, plant=acting(self.problem.plant, effects))
@@ -216,7 +222,7 @@ class Fits:
         except PredictionError:
             return None
         evidence = replace(evidence, parameters=_sure(found, evidence) + SPAN * sum(bool(c.runs) for c in effects))
-        self._keep(f"early {label}" if found.out_of_reach else f"fit {label}", found.named)
+        self._keep(f"early {label}" if found.out_of_reach else f"{stage} {label}", found.named)
         return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
 
     def linear(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> Linearised:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.network import SearchableNetwork, candidate, wrong_values
 from tepm_opt.discrepancy.plant import Candidate, InSomeRuns, acting, freed
 from tepm_opt.discrepancy.search import explain
+from tepm_opt.discrepancy.spans import longest, spans
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
@@ -106,6 +109,18 @@ class TestFirstOrder:
         few = linearised(without.estimate, fits.problem.free, (), network.candidates)
         assert few.count.sum() < 0.5 * sum(np.isfinite(run.points).sum() for run in fits.problem.sparse.runs)
         assert few.gain([LIMITED])[0] == pytest.approx(1.0, abs=0.1)
+
+
+class TestSpans:
+    def test_from_one_on_until_one_or_in_one(self) -> None:
+        assert spans(["a", "b", "c"]) == [("a",), ("a", "b"), ("b",), ("b", "c"), ("c",)]
+
+    def test_a_run_that_does_not_show_an_effect_does_not_end_it(self) -> None:
+        """One that speaks against it does."""
+        for last, expected in ((1000.0 - 1.0, ("b", "c")), (1000.0 - 10.0, ("b",))):
+            gains = {("b",): 1000.0, ("b", "c"): last, ("c",): 0.0}
+            linear: Any = SimpleNamespace(gain=lambda effects, gains=gains: (gains[effects[-1].runs] / 1000, {}), excess=1000.0)
+            assert longest(linear, [(replace(PAYLOAD, runs=runs),) for runs in gains])[-1].runs == expected
 
 
 class TestPlant:

@@ -60,6 +60,19 @@ def test_a_payload_is_inertia_too(kang):
     assert 0.75 < with_mass / without < 0.95
 
 
+def test_a_payload_beside_the_tip_bends_the_body_that_way(kang):
+    """By the moment of its weight: as much as that of two opposite vertical forces on the muscles does, to first order."""
+    u, mass = np.r_[np.full(6, 1.5e5), np.zeros(6)], 2e-3
+    tips = [
+        solve_statics(compile_model(NOMINAL.with_effect("payload", mass=mass, beside_x=x, beside_y=y)), u).points[-1]
+        for x, y in ((0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.2))
+    ]
+    centre, right, left, forward = tips
+    assert right[0] - centre[0] > 1e-4
+    np.testing.assert_allclose(right - centre, (left - centre) * [-1, -1, 1], atol=2e-3 * (right[0] - centre[0]))
+    np.testing.assert_allclose((forward - centre)[1], (right - centre)[0], rtol=0.05)
+
+
 def test_a_dead_zone_takes_the_threshold_off_the_pressure(kang):
     model = compile_model(in_company(pressure_dead_zone={"threshold": 2e4}))
     u = np.array([0, 1.5e4, 1.6e4, 2e4, 2.4e4, 2e5, 0, 1, 2, 3, 4, 5])
@@ -249,6 +262,20 @@ def test_a_hysteresis_may_be_uneven():
     assert found[-1] - path[-1] == pytest.approx(1e3, rel=1e-6)
 
 
+def test_a_hysteresis_that_sticks_leaves_the_force_where_it_is():
+    """On a reversal, over most of the loop's width, as many plays do; without sticking it comes back at once."""
+    path = np.concatenate([np.linspace(0, 2e5, 201), np.linspace(2e5, 1e5, 101)[1:]])
+    held = {}
+    for sticking, distance in ((0.0, 4e3), (1.0, 1e3)):
+        model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=distance, sticking=sticking))
+        found = muscle_pressures(model, path)
+        assert found[200] == pytest.approx(1.96e5, rel=1e-4)
+        assert found[-1] == pytest.approx(1.04e5, rel=1e-4)
+        held[sticking] = found[200] - found[204]  # after half of the width
+    assert held[1.0] == pytest.approx(0, abs=100)
+    assert held[0.0] < -1000, "two widths over the distance is more than the command itself goes back"
+
+
 def test_a_dead_zones_corner_may_be_soft():
     """With a wide corner there is some force from the beginning on, none without pressure, and no corner at all."""
     for rounding in (0.2, 1.0, 3.0):
@@ -339,6 +366,12 @@ def test_a_share_of_the_tension_is_lost_in_the_guides():
 def test_friction_holds_tension_that_the_motor_has_let_go():
     found = tendon_ends((0.0, 5.0, 0.0), 200, constant=0.3, share=0.0, distance=1e-3)[1]
     assert found[-1] == pytest.approx(0.3, abs=2e-3)
+
+
+def test_friction_may_let_go_with_the_motor():
+    found = tendon_ends((0.0, 5.0, 0.0), 200, constant=0.3, share=0.0, distance=1e-3, released=1.0)[1]
+    assert found[-1] == pytest.approx(0.0, abs=2e-3)
+    assert found[200] == pytest.approx(4.7, abs=2e-3)
 
 
 @pytest.mark.parametrize("parameters", [(10.0, 0.9, 10.0), (3.0, 0.0, 0.01), (0.5, 0.2, 5.0), (0.0, 0.9, 1e-3), (2.0, 0.5, 1.0)])
