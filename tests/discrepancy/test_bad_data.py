@@ -272,6 +272,7 @@ CASES = [
     Case(
         "a table that vibrates",
         every(lambda run: {"points": run.points + 1e-3 * np.sin(14 * run.time + run.rows)[:, None, None] * [1, 0.5, 0.2]}),
+        allowed=("base_vibration",),
         slow=True,
     ),
     Case("noise only", every(lambda run: {"points": at_rest(run)["points"]}), slow=True),
