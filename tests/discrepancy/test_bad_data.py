@@ -303,7 +303,13 @@ CASES = [
     Case("pressures above the limit", every(scaled(3, 1)), says=("pressures reach", "500000")),
     Case("negative pressures", every(inputs(lambda u: u - np.repeat([2e4, 0], 6))), says=("negative",)),
     # a threshold is the same thing as pressures counted from another zero
-    Case("absolute pressures", every(inputs(lambda u: u + np.repeat([101325.0, 0], 6))), allowed=("pressure_dead_zone",), slow=True),
+    # where no muscle is empty, as much more pressure in all of them is a threshold, or a rest length that is off
+    Case(
+        "absolute pressures",
+        every(inputs(lambda u: u + np.repeat([101325.0, 0], 6))),
+        allowed=("pressure_dead_zone", "parameter[L_0]"),
+        slow=True,
+    ),
     Case("muscles named in another order", every(inputs(lambda u: u[:, [1, 0, 2, 3, 4, 5, 7, 6, 8, 9, 10, 11]])), slow=True),
     # time
     Case("clock late by 1 s", late(1.0), notes=("shifted clock.*trail",), status=VerdictStatus.UNEXPLAINED, slow=True),
