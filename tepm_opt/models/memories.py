@@ -87,7 +87,7 @@ class Play:
         """y after a time at whose end the limit is this one: exact for a limit that stays."""
         sense = ca.if_else(self.rising, 1.0, -1.0)
         left, path = sense * (state - self.limit) / self.corner, time * self.pace / self.corner
-        near = ca.exp(-path) * ca.expm1(ca.fmin(left, 1))
+        near = ca.exp(-path) * ca.expm1(ca.fmax(ca.fmin(left, 1), -BEYOND))
         far = ca.exp(ca.fmin(left - path, STRAIGHT)) - ca.exp(-path)
         rounded = ca.log1p(ca.if_else(left < 1, near, far))
         return self.limit + sense * self.corner * ca.if_else(left - path > STRAIGHT, left - path, rounded)
@@ -95,4 +95,5 @@ class Play:
 
 SHORTEST = 1e-12  # keeps quotients finite where a scale vanishes
 TINY = 1e-30
+BEYOND = 20.0  # corners behind a limit from where a state comes back at once
 STRAIGHT = 40.0  # corners before a limit beyond which nothing is felt of it

@@ -276,6 +276,14 @@ def test_a_hysteresis_that_sticks_leaves_the_force_where_it_is():
     assert held[0.0] < -1000, "two widths over the distance is more than the command itself goes back"
 
 
+def test_what_is_far_behind_a_limit_comes_back():
+    """Filled from above, a muscle is further above its middle than an uneven hysteresis lets it be on the way down."""
+    model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=50.0, falling_ratio=0.25, filled=-1.0, sticking=1.0))
+    found = muscle_pressures(model, np.concatenate([[1e5], np.full(3, 1e5), np.linspace(1e5, 9e4, 11)]))
+    assert np.isfinite(found).all()
+    assert found[-1] - 9e4 == pytest.approx(1e3, rel=1e-3)
+
+
 def test_a_dead_zones_corner_may_be_soft():
     """With a wide corner there is some force from the beginning on, none without pressure, and no corner at all."""
     for rounding in (0.2, 1.0, 3.0):
