@@ -263,7 +263,7 @@ def _label(experiment: Experiment, machine: Deviation, acting: np.ndarray) -> di
     label = {
         "names": sorted({name for cause in causes for name in cause.form.names}),
         "allowed": sorted({name for cause in causes for name in cause.form.allowed}),
-        "alike": {name: alike for cause in causes for name in cause.form.names if (alike := cause.form.alike(pilot.runs, acting))},
+        "alike": {name: alike for cause in causes for name in cause.form.names if (alike := cause.form.alike(pilot.runs, acting.tolist()))},
         "detail": {name: detail for cause in causes for name, detail in cause.form.detail.items()},
         "kind": experiment.kind,
         "flaw": experiment.flaw_key,

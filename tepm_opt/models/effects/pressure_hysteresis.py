@@ -34,13 +34,13 @@ class PressureHysteresis(Effect):
     further_probes = ({"distance": 5e3},)
 
     def pressure_begun(self, pressure: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
-        play = self._play(ca.fabs(pressure), 1.0, parameters)
+        play = self._play(ca.fabs(pressure), ca.SX(1), parameters)
         return parameters["filled"] * play.after(ca.SX.zeros(*pressure.shape), ca.SX(1))
 
     def pressure_memory(self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         return self._play(rate, rate > 0, parameters)
 
-    def _play(self, rate: ca.SX, rising: ca.SX | float, parameters: Mapping[str, ca.SX]) -> Play:
+    def _play(self, rate: ca.SX, rising: ca.SX, parameters: Mapping[str, ca.SX]) -> Play:
         limit = parameters["width"] * ca.if_else(rising, -1, parameters["falling_ratio"])
         quicker = 1 / (parameters["sticking"] + NO_STICKING)
         return Play(limit, rising, quicker * ca.if_else(rising, rate, -rate), quicker * parameters["distance"])
