@@ -20,7 +20,7 @@ from tepm_opt.models.robot import Robot
 UNBEARABLE = (NoEquilibriumError, Diverged, InputError)
 """What a machine raises that does not bear its runs."""
 PART = 0.25  # of a prior's width, of the differences by parameters
-NEAR = 0.1  # of the misfit asked for: near enough
+NEAR = 0.25  # of the misfit asked for: near enough
 PILOTS = 6  # most for one cause
 RECALIBRATIONS = 12  # most steps for one size, each a simulation
 WORTH = 0.03  # of the misfit, that a step must promise

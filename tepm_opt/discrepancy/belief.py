@@ -25,7 +25,7 @@ POSSIBLE = 0.1  # probability from which a rival counts
 EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as likely as not a cause
 UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
-GIVES_WAY = 0.5  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
+GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 SOME_RUNS = 3.0  # times as much that an effect must take away for even odds where it acts in some of the runs only
 LISTED = 0.3  # probability from which what explains a part is told as such
 
@@ -62,20 +62,21 @@ class Judgement:
 
 
 def doubts(explanation: Explanation, settings: SearchSettings, seed: int) -> dict[Candidate, Doubt]:
-    """What the effects of the best hypothesis have to beat, where they leave more than noise.
+    """What the effects of the best hypothesis have to beat.
 
-    A law in the place of an effect that acts through something else, or elsewhere, and predicts left-out data better, although it is only
-    fitted to first order, says that the effect stands in for something.
+    A force of known form has to hold against one by place beside it, however little is left. Where more than noise is, a law in the place of
+    an effect that acts through something else, or elsewhere, and predicts left-out data better, although it is only fitted to first
+    order, says that the effect stands in for something.
     """
     best = explanation.best
-    if best.only_noise(settings):
-        return {}
     found: dict[Candidate, Doubt] = {}
     if pushing := [effect for effect in best.effects if effect.exact and effect.acts == ("force",)]:
         springs = [law for law in alternatives(best.estimate) if law.place.kind == "force" and law.place.variable == "position"]
         first = min(springs, key=lambda law: law.evidence.excess, default=None)
         if first is not None and first.evidence.excess < GIVES_WAY * best.excess:  # a force of known form that gives way is a spring
             found = dict.fromkeys(pushing, Doubt(float(weights([best.evidence, first.evidence], seed)[0]), first))
+    if best.only_noise(settings):
+        return found
     for effect in (effect for effect in best.effects if effect not in found):
         rest = next((h for h in explanation.tried if h.effects == tuple(c for c in best.effects if c != effect)), None)
         laws = [] if rest is None else [law for law in alternatives(rest.estimate) if not _may_be(effect, law.place)]
@@ -165,10 +166,11 @@ def _part(partition: str, part: Hashable, files: Sequence[str]) -> str:
 def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings) -> float:
     """Probability that an effect is a cause: even odds where what only it takes away is so many times what is left.
 
-    An effect whose form is known leaves nothing, so that what is left weighs more against it; hardly, where that is only noise. What
+    Effects whose forms all are known leave nothing, so that what is left weighs more against them; hardly, where that is only noise. What
     may act in any of the runs has as many chances to fit.
     """
-    even = settings.even_odds_exact if effect.exact else settings.even_odds_ratio
+    exact = all(other.exact for other in explanation.best.effects)
+    even = settings.even_odds_exact if exact else settings.even_odds_ratio
     even = settings.even_odds_noise if explanation.best.only_noise(settings) else even
     even *= SOME_RUNS if effect.runs else 1
     return 1 / (1 + even / max(explanation.shares[effect], 1e-9))

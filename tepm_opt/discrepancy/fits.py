@@ -43,7 +43,7 @@ class SearchSettings:
         min_probability: by which one more effect must beat going without it to be tried along, 0 … 1.
         even_odds_ratio: how many times the excess left the part that only this effect takes away must be for even odds that it is
             a cause, not a stand-in for something outside the library.
-        even_odds_exact: the same for an effect whose form is known exactly.
+        even_odds_exact: the same where the forms of all effects that act are known exactly.
         even_odds_noise: the same where no more is left than counts as noise.
         fits_first_round, fits_later_rounds: most candidates fitted in the first round and in each that follows.
         max_effects: most effects at once.
@@ -60,7 +60,7 @@ class SearchSettings:
     min_excess_removed: float = 0.15
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0
-    even_odds_exact: float = 6.0
+    even_odds_exact: float = 12.0
     even_odds_noise: float = 1.0
     fits_first_round: int = 5
     fits_later_rounds: int = 3

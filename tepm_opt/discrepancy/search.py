@@ -324,8 +324,10 @@ def _alternatives(
 ) -> list[tuple[Hypothesis, float]]:
     """`best` and what it would be with another effect in the place of `effect`, with probabilities."""
     rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
-    others = [] if rest is None else [h for h in _fitted(fits, rest, _scores(fits, rest, effect, missing), best) if effect not in h.effects]
+    others: list[Hypothesis] = []
     if rest is not None:
+        scores = _from_there(fits, best, rest, _scores(fits, rest, effect, missing), missing)
+        others += [h for h in _fitted(fits, rest, scores, best) if effect not in h.effects]
         others += [h for h in _begun(fits, rest, effect, missing) if h not in others]
     others = [h for h in others if _beats(h, best, seed, fits.settings) or all(c.form_of != effect.form_of for c in h.effects)]
     group = [best, *(h for h in others if h is not best)]
@@ -333,6 +335,29 @@ def _alternatives(
     if rest is not None and not fits.problem.plant.quick:
         weight = _agreed(group, weight, rest, fits.settings, seed)
     return list(zip(group, weight.tolist(), strict=True))
+
+
+def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:
+    """Scores of what may take an effect's place, with values to fit from that begin at the best fit where they promise to leave less there.
+
+    Args:
+        fits: all so far.
+        best: with the effect.
+        rest: without it.
+        scores: of what may take its place.
+        missing: the candidates.
+    """
+    if fits.problem.plant.quick or best.only_noise(fits.settings):
+        return scores
+    here, there = fits.linear(rest, missing), fits.linear(best, missing)
+    found = []
+    for score in scores:
+        if score.candidate in there.able:
+            gain, start = there.gain((*rest.effects, score.candidate))
+            if (1 - gain) * there.excess < (1 - score.gain) * here.excess:
+                score = replace(score, start=start)
+        found.append(score)
+    return found
 
 
 def _begun(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Hypothesis]:
