@@ -64,9 +64,9 @@ class Judgement:
 def doubts(explanation: Explanation, settings: SearchSettings, seed: int) -> dict[Candidate, Doubt]:
     """What the effects of the best hypothesis have to beat.
 
-    A force of known form has to hold against one by place beside it, however little is left. Where more than noise is, a law in the place of
-    an effect that acts through something else, or elsewhere, and predicts left-out data better, although it is only fitted to first
-    order, says that the effect stands in for something.
+    A force of known form has to hold against one by place beside it, however little is left. Where more than noise is, a law in the
+    place of an effect that acts through something else, or elsewhere, and predicts left-out data better, although it is only fitted to
+    first order, says that the effect stands in for something.
     """
     best = explanation.best
     found: dict[Candidate, Doubt] = {}
