@@ -60,14 +60,14 @@ class SearchSettings:
     min_excess_removed: float = 0.15
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0
-    even_odds_exact: float = 12.0
+    even_odds_exact: float = 30.0
     even_odds_noise: float = 1.0
     fits_first_round: int = 5
     fits_later_rounds: int = 3
     max_effects: int = 6
     max_unexplained_ratio: float = 0.1
-    max_iterations: int = 10
-    tolerance: float = 2e-3
+    max_iterations: int = 7
+    tolerance: float = 5e-3
     min_share_closed: float = 0.2
     least_share: float = 1.0
     beam: int = 1

@@ -14,6 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from tepm_opt.blind.analysis import Analysis, analysed
 from tepm_opt.blind.table import markdown
 from tepm_opt.blind.trial import Trial, make
@@ -95,7 +97,7 @@ def examined(trial: Trial) -> dict[str, Any]:
     began, used = time.monotonic(), time.process_time()
     making = 0.0
     try:
-        with on_cores(1), tempfile.TemporaryDirectory() as name:
+        with on_cores(1), threadpool_limits(limits=1, user_api="blas"), tempfile.TemporaryDirectory() as name:
             made, folder = make(trial), Path(name)
             result["label"] = made.label
             made.write(folder, "data")

@@ -22,7 +22,7 @@ class StructuralFriction(Effect):
     reference = "Dahl, A solid friction model, Aerospace Corp. TOR-0158(3107-18)-1, 1968"
     parameters = (
         Parameter("force", "N", null=0.0, probe=0.1, low=0.0, high=100.0),
-        Parameter("distance", "m", null=1e-3, probe=1e-3, low=1e-6, high=0.1),
+        Parameter("distance", "m", null=1e-3, probe=1e-3, low=1e-5, high=0.1),
     )
     further_probes = ({"force": 0.02}, {"force": 0.02, "distance": 1e-4})  # little of it may have much to say, where much of it sticks
 
