@@ -13,8 +13,9 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.localise import TIMES_NOISE
 from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.rivals import COINCIDE, coincidence
 from tepm_opt.discrepancy.screen import Score
-from tepm_opt.discrepancy.search import COINCIDE, Explanation, coincidence
+from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus, shrinks
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.discrepancy.belief import Doubt, judged
+from tepm_opt.discrepancy import belief
+from tepm_opt.discrepancy.belief import Doubt, doubts, judged
 from tepm_opt.discrepancy.constancy import Sizes
 from tepm_opt.discrepancy.evidence import Evidence
 from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
@@ -100,6 +101,37 @@ def test_a_law_elsewhere_that_predicts_better_casts_doubt(holds: float, status: 
     found = answer(LAG, 1000.0, doubt=holds)
     assert found.status is status
     assert any("axial[12](length)" in remark for remark in found.remarks) == (holds < 0.5)
+
+
+@pytest.mark.parametrize("effect", [LOAD, LAG])
+@pytest.mark.parametrize("left", [0.01, 0.04])
+def test_a_force_of_known_form_has_to_hold_against_a_spring_however_little_is_left(
+    effect: Any, left: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a hose that is tied somewhere is a constant load wherever only noise is left; other effects need not hold against springs."""
+    best, without = hypothesis((effect,), left), hypothesis((), 1.0)
+    found = Explanation(without, best, best, [without, best], [], {effect: 100.0}, {effect: [(best, 1.0)]})
+
+    def springs(leaves: float) -> Any:
+        place = SimpleNamespace(kind="force", variable="position", label="force[s4](position)")
+        blocks = np.full(10, 10_000)
+        return lambda _: [SimpleNamespace(place=place, evidence=Evidence(blocks * (1 + leaves), blocks, 5, np.zeros(5)))]
+
+    best = replace(best, evidence=Evidence(np.full(10, 10_000) * (1 + left), np.full(10, 10_000), 1, np.zeros(1)))
+    found = replace(found, best=best)
+    monkeypatch.setattr(belief, "alternatives", springs(0.1 * left))
+    held = [doubt.holds for doubt in doubts(found, SETTINGS, 0).values()]
+    assert held == ([pytest.approx(0.0, abs=0.1)] if effect is LOAD else [])
+    monkeypatch.setattr(belief, "alternatives", springs(0.9 * left))
+    assert doubts(found, SETTINGS, 0) == {}
+
+
+def test_an_exact_form_beside_one_that_is_not_may_leave_structure() -> None:
+    """What is left may be the other's."""
+    best, without = hypothesis((LAG, LOAD), 0.2), hypothesis((), 10.0)
+    groups = {effect: [(best, 1.0)] for effect in best.effects}
+    both = judged(Explanation(without, best, best, [without, best], [], {LAG: 15.0, LOAD: 15.0}, groups), SHRUNK, SETTINGS, True, {}, {})
+    assert both.cause[LOAD] == pytest.approx(15 / (15 + SETTINGS.even_odds_ratio))
 
 
 def test_what_is_of_another_size_in_every_run_is_no_cause() -> None:

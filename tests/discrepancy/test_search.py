@@ -12,7 +12,7 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy import fits as fitting
-from tepm_opt.discrepancy import search
+from tepm_opt.discrepancy import rounds
 from tepm_opt.discrepancy.first_order import linearised
 from tepm_opt.discrepancy.fits import Fits, SearchSettings
 from tepm_opt.discrepancy.network import candidate, candidates, narrow, wide
@@ -208,7 +208,7 @@ class TestFits:
         self, library: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         settings = SearchSettings(tolerance=1e-7)  # so that all have steps to make
-        monkeypatch.setattr(search, "NEAR", np.inf)  # and are fitted
+        monkeypatch.setattr(rounds, "NEAR", np.inf)  # and are fitted
         found = []
         for lost in (fitting.LOST, np.inf):
             monkeypatch.setattr(fitting, "LOST", lost)

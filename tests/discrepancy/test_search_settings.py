@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import search
+from tepm_opt.discrepancy import rivals, rounds, search
 from tepm_opt.discrepancy.evidence import Evidence, weights
 from tepm_opt.discrepancy.fits import Effects, Hypothesis, SearchSettings, may
 from tepm_opt.discrepancy.network import candidate
@@ -64,7 +64,7 @@ class Table:
 
     def linear(self, base: Hypothesis, _: object) -> Any:
         """What promises nothing in pairs, or in the place of others."""
-        return SimpleNamespace(gain=lambda effects: (0.0, {}), able=list(EFFECTS.values()), effects=base.effects)
+        return SimpleNamespace(gain=lambda effects: (0.0, {}), able=list(EFFECTS.values()), effects=base.effects, excess=base.excess)
 
     def screen(self, base: Hypothesis, _: object) -> list[Score]:
         scores = [Score(EFFECTS[label], gain, {}) for label, gain in self.gains.items() if EFFECTS[label] not in base.effects]
@@ -75,7 +75,7 @@ class Table:
 def exact_forms(monkeypatch: pytest.MonkeyPatch) -> None:
     """No doubt about the effects' forms, and outputs that differ."""
     monkeypatch.setattr(search, "_output", lambda *_: 0.0)
-    monkeypatch.setattr(search, "coincidence", lambda *_: 0.0)
+    monkeypatch.setattr(rivals, "coincidence", lambda *_: 0.0)
 
 
 def searched(excess: dict[str, float], gains: dict[str, float] | None = None, uneven: dict[str, float] | None = None, **settings: Any):
@@ -157,6 +157,23 @@ class TestRules:
         assert named(searched({"": 8.0, "s1": 0.95, "s2": 7.0, "s1 s2": 0.05})[0]) == kept
 
 
+@pytest.mark.parametrize(("promise", "begins"), [(0.5, "there"), (-50.0, "here")])
+def test_rivals_begin_where_the_best_fit_ended_if_that_promises_more(promise: float, begins: str) -> None:
+    """From the fit without the effect they may have to go so far that first order leads astray."""
+    rest, best, rival = hypothesis((), 8.0), hypothesis((EFFECTS["s1"],), 1.0), EFFECTS["s2"]
+    table = Table(SearchSettings(), {}, {})
+    score = Score(rival, 0.6, {"from": 0.0})
+
+    def linear(base: Hypothesis, _: object) -> Any:
+        gain, start = (promise, {"from": 1.0}) if base is best else (0.6, {"from": 0.0})
+        return SimpleNamespace(gain=lambda effects: (gain, start), able=[rival], excess=base.excess)
+
+    table.linear = linear  # type: ignore[method-assign]
+    (found,) = rivals._from_there(table, best, rest, [score], [rival])  # type: ignore[arg-type]
+    assert found.start == {"from": 1.0 if begins == "there" else 0.0}
+    assert found.gain == score.gain, "what ranks them is what they do in its place"
+
+
 def test_two_sets_are_followed_where_asked_for() -> None:
     """What looks best at first leads nowhere; what is a little worse is one of two causes."""
     excess = {"": 10.0, "s1": 4.0, "s2": 4.2, "s1 s3": 3.9, "s2 s3": 0.02, "s3": 9.9, "s1 s2": 3.9}
@@ -183,4 +200,4 @@ class TestForms:
     @pytest.mark.parametrize(("gain", "kept"), [(0.95, ["dry_friction"]), (0.5, ["hysteresis", "dry_friction"])])
     def test_the_plainer_one_is_tried_where_it_promises_as_much(self, gain: float, kept: list[str]) -> None:
         scores = [Score(self.RICH, 1.0, {}), Score(self.PLAIN, gain, {})]
-        assert [score.candidate.name for score in search.plainest(scores)] == kept
+        assert [score.candidate.name for score in rounds.plainest(scores)] == kept

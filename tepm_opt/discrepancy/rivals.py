@@ -1,0 +1,120 @@
+"""What else would do: another effect in the place of one that was found, fitted and weighed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tepm_opt.discrepancy.evidence import in_sample, weights
+from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, may
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.rounds import beats, fitted, is_wide
+from tepm_opt.discrepancy.screen import Score
+
+COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
+
+
+def alternatives(
+    fits: Fits, best: Hypothesis, effect: Candidate, missing: Sequence[Candidate], seed: int
+) -> list[tuple[Hypothesis, float]]:
+    """A hypothesis, and what it would be with another effect in the place of one of its own, with probabilities.
+
+    Args:
+        fits: all so far.
+        best: the hypothesis.
+        effect: of it.
+        missing: the candidates.
+        seed: of random draws.
+    """
+    rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
+    others: list[Hypothesis] = []
+    if rest is not None:
+        scores = _from_there(fits, best, rest, _scores(fits, rest, effect, missing), missing)
+        others += [h for h in fitted(fits, rest, scores, best) if effect not in h.effects]
+        others += [h for h in _begun(fits, rest, effect, missing) if h not in others]
+    others = [h for h in others if beats(h, best, seed, fits.settings) or all(c.form_of != effect.form_of for c in h.effects)]
+    group = [best, *(h for h in others if h is not best)]
+    weight = weights([h.evidence for h in group], seed)
+    if rest is not None and not fits.problem.plant.quick:
+        weight = _agreed(group, weight, rest, fits.settings, seed)
+    return list(zip(group, weight.tolist(), strict=True))
+
+
+def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:
+    """Scores of what may take an effect's place, with values to fit from that begin at the best fit where they promise to leave less there.
+
+    Args:
+        fits: all so far.
+        best: with the effect.
+        rest: without it.
+        scores: of what may take its place.
+        missing: the candidates.
+    """
+    if fits.problem.plant.quick or best.only_noise(fits.settings):
+        return scores
+    here, there = fits.linear(rest, missing), fits.linear(best, missing)
+    found = []
+    for score in scores:
+        if score.candidate in there.able:
+            gain, start = there.gain((*rest.effects, score.candidate))
+            if (1 - gain) * there.excess < (1 - score.gain) * here.excess:
+                score = replace(score, start=start)
+        found.append(score)
+    return found
+
+
+def _begun(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fits of what may have happened in the pause before the runs from which on an effect acts for good."""
+    runs = fits.problem.runs
+    first = next((k for k, run in enumerate(runs) if run.file in effect.runs), 0)
+    if not first or effect.runs != tuple(run.file for run in runs[first:]):
+        return []
+    ended = runs[first - 1].began + runs[first - 1].time[-1]
+    happened = float(ended + runs[first].began) / 2
+    able = [c for c in missing if c.happens and c.detail == effect.detail and may(c, rest.effects)]
+    asked = [((*rest.effects, c), {**rest.estimate.named, **c.probes[0], c.happens: happened}) for c in able]
+    return [h for h in fits.fit_all(asked) if h is not None]
+
+
+def _agreed(group: Sequence[Hypothesis], weight: np.ndarray, rest: Hypothesis, settings: SearchSettings, seed: int) -> np.ndarray:
+    """Probabilities of hypotheses that say nearly the same as the first of them: those of held-out data and of the data fitted to, both.
+
+    What they would say of the runs is the same, so leaving out runs compares what the other parameters do there. Where one of them leaves
+    only noise, likelihoods are what they say they are, and what is seen counts alone.
+
+    Args:
+        group: the hypotheses.
+        weight: their probabilities from held-out data, (hypotheses,).
+        rest: without the effect in whose place they have others.
+        settings: of the search.
+        seed: of random draws.
+    """
+    same = [k for k, h in enumerate(group) if k == 0 or coincidence(rest, group[0], h) > COINCIDE]
+    if len(same) < 2:
+        return weight
+    both = [group[k] for k in same]
+    seen = weights([in_sample(h.estimate, h.evidence) for h in both], seed)
+    alone = min(h.estimate.cost / max(h.estimate.count, 1) for h in both) - 1 <= settings.max_noise_excess
+    total = weight[same].sum()
+    found = weight.copy()
+    found[same] = total * (seen if alone else (seen + weight[same] / max(total, 1e-30)) / 2)
+    return found
+
+
+def coincidence(rest: Hypothesis, one: Hypothesis, other: Hypothesis) -> float:
+    """Cosine between what two hypotheses change in the modelled positions beside what they have in common."""
+    base, a, b = (np.concatenate([r.values.ravel() for r in h.estimate.residuals]) for h in (rest, one, other))
+    a, b = base - a, base - b
+    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-30))
+
+
+def _scores(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Score]:
+    """Scores of what may act in the place of an effect: where that acts in some runs only, in the same ones or in all."""
+    if not effect.runs:
+        return [score for score in fits.screen(rest, missing) if not is_wide(score.candidate) or score.candidate == effect]
+    linear = fits.linear(rest, missing)
+    able = [c for c in linear.able if not is_wide(c)]
+    others = [*able, *(replace(c, runs=effect.runs) for c in able)]
+    return sorted((Score(c, *linear.gain((*rest.effects, c))) for c in others), key=lambda score: -score.gain)
