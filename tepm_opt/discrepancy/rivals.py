@@ -16,7 +16,7 @@ from tepm_opt.discrepancy.screen import Score
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 
 
-def alternatives(
+def replacements(
     fits: Fits, best: Hypothesis, effect: Candidate, missing: Sequence[Candidate], seed: int
 ) -> list[tuple[Hypothesis, float]]:
     """A hypothesis, and what it would be with another effect in the place of one of its own, with probabilities.

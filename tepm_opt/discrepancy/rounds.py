@@ -41,7 +41,7 @@ def fitted(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: Hypothe
         ]
 
     asked = begun(promising)
-    trials = fits.fit_all(asked[0], bound=bound(fits, base))[:1] if asked and not rival else []
+    trials = fits.fit_all(asked[0], bound=_bound(fits, base))[:1] if asked and not rival else []
     solved = rival or next(iter(trials), None)
     first = next((score for score in scores if solved is not None and score.candidate in solved.effects), None)
     if first is not None and solved is not None and solved.only_noise(settings) and not fits.problem.plant.quick:
@@ -49,14 +49,14 @@ def fitted(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: Hypothe
             1 - NEAR * max(1 - first.gain, 0.01) - NEARLY_ALL
         )  # what the answer itself promised, with room for what first order does not see
         asked = [each for each, score in zip(asked, promising, strict=True) if score.gain >= reach]
-    trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], solved, bound(fits, base))
+    trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], solved, _bound(fits, base))
     least_left = min((t for t in trials if t is not None), key=lambda t: t.excess, default=None)
     if not (base.effects or rival or fits.problem.plant.quick or least_left is None or least_left.only_noise(settings)):
-        trials += fits.fit_all([each for one in begun(ranked[most : 2 * most]) for each in one], least_left, bound(fits, base))
+        trials += fits.fit_all([each for one in begun(ranked[most : 2 * most]) for each in one], least_left, _bound(fits, base))
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
 
 
-def bound(fits: Fits, base: Hypothesis) -> float:
+def _bound(fits: Fits, base: Hypothesis) -> float:
     """Squares below which one more effect must come to be worth its fit's end; no bound where fits take few steps anyway."""
     if fits.settings.beam == 1:
         return np.inf

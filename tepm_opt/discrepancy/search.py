@@ -10,7 +10,7 @@ import numpy as np
 
 from tepm_opt.discrepancy.fits import Fits, Hypothesis, labels
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.rivals import alternatives
+from tepm_opt.discrepancy.rivals import replacements
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide, most_probable, plainest
 from tepm_opt.discrepancy.screen import Score, screen_pairs
 from tepm_opt.discrepancy.spans import longest, spans
@@ -126,7 +126,7 @@ def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: i
     if several and not best.effects:
         alone = [_backward(fits, fits.finished(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
         best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
-    return best, shares, {effect: alternatives(fits, best, effect, missing, seed) for effect in best.effects}
+    return best, shares, {effect: replacements(fits, best, effect, missing, seed) for effect in best.effects}
 
 
 def _motion(problem: Problem) -> float:
