@@ -64,9 +64,9 @@ class Judgement:
 def doubts(explanation: Explanation, settings: SearchSettings, seed: int) -> dict[Candidate, Doubt]:
     """What the effects of the best hypothesis have to beat.
 
-    A force of known form has to hold against one by place beside it, however little is left. Where more than noise is, a law in the
-    place of an effect that acts through something else, or elsewhere, and predicts left-out data better, although it is only fitted to
-    first order, says that the effect stands in for something.
+    A force of known form gives way to one by place beside it that surely predicts better, however little is left. Where more than noise
+    is, a law in the place of an effect that acts through something else, or elsewhere, and predicts left-out data better, although it is
+    only fitted to first order, says that the effect stands in for something.
     """
     best = explanation.best
     found: dict[Candidate, Doubt] = {}
@@ -74,7 +74,9 @@ def doubts(explanation: Explanation, settings: SearchSettings, seed: int) -> dic
         springs = [law for law in alternatives(best.estimate) if law.place.kind == "force" and law.place.variable == "position"]
         first = min(springs, key=lambda law: law.evidence.excess, default=None)
         if first is not None and first.evidence.excess < GIVES_WAY * best.excess:  # a force of known form that gives way is a spring
-            found = dict.fromkeys(pushing, Doubt(float(weights([best.evidence, first.evidence], seed)[0]), first))
+            holds = float(weights([best.evidence, first.evidence], seed)[0])
+            if holds < 1 - settings.min_probability:  # of next to nothing chance may take away half
+                found = dict.fromkeys(pushing, Doubt(holds, first))
     if best.only_noise(settings):
         return found
     for effect in (effect for effect in best.effects if effect not in found):
