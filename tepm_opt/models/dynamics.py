@@ -133,32 +133,35 @@ def _mapped(
 
 def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
     layout, s, step = writer.layout, writer.segment(), ca.SX.sym("step")
-    block = layout.block
+    block, edges = layout.block, len(layout.edges)
     velocity = [ca.SX.sym("v_lower", block), ca.SX.sym("v_upper", block)]
     force, tangent = ca.SX.zeros(2 * block), ca.SX.zeros(2 * block, 2 * block)
     before: list[ca.SX] = []
-    rates: list[ca.SX] = []
+    changes: list[ca.SX] = []
     pulls: list[ca.SX] = []
-    trusted = ca.SX.sym("trusted", len(layout.edges))
+    lengths: list[ca.SX] = []
+    rates: list[ca.SX] = []
+    # forces are written with pulls, and pulls with lengths and their rates, which are put in at the end: derivatives stay short
+    pull, span, speed, trusted = (ca.SX.sym(name, edges) for name in ("pull", "span", "speed", "trusted"))
     for index, edge in enumerate(layout.edges):
-        span, speed = ca.SX.sym("span"), ca.SX.sym("speed")
-        pull, states, changes = _edge_pull(writer, s, index, span, speed, step)
-        stretched, dragged = ca.gradient(pull, span), ca.gradient(pull, speed)
+        law, states, of_states = _edge_pull(writer, s, index, span[index], speed[index], step)
+        stretched, dragged = ca.gradient(law, span[index]), ca.gradient(law, speed[index])
         a, b = s.ends(edge)
         v_a, v_b = (velocity[level][3 * node : 3 * node + 3] for level, node in (edge.a, edge.b))
         length = norm(b - a)
         inverse = 1 / length
         along = inverse * (b - a)
         rate = ca.dot(along, v_b - v_a)
-        pull, stretched, dragged, *changes = ca.substitute([pull, stretched, dragged, *changes], [span, speed], [length, rate])
         across = inverse * trusted[index]
         turning = inverse * ((v_b - v_a) - rate * along)  # how the rate changes with the edge's direction
-        pull_apart(layout, edge, pull * along, force)
+        pull_apart(layout, edge, pull[index] * along, force)
         pair = along @ ((stretched + dragged / step - across) * along + dragged * turning).T + across * ca.SX.eye(3)
         spread(layout, edge, pair, tangent)
         before += states
-        rates += changes
-        pulls.append(pull)
+        changes += of_states
+        pulls.append(law)
+        lengths.append(length)
+        rates.append(rate)
     for met in writer.point_forces(s, ca.vertcat(*velocity)):
         force += ca.mtimes(met.way.T, met.force)
         tangent += met.way.T @ (met.stiffness + met.damping / step) @ met.way
@@ -167,13 +170,20 @@ def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
         force[block:] += rail * off + rub * velocity[1]
         tangent[block:, block:] += ca.diag(rail + rub / step)
     force[block:] -= ca.repmat(s.column[writer.rows["load"]], layout.actuators, 1)
-    y, change = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *rates)
-    arguments, pull = [s.lower, s.upper, *velocity, y, step, s.column, writer.theta], ca.vertcat(*pulls)
-    by = [s.lower, s.upper, *velocity, y, s.column, writer.theta]
+    y, of_y = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *changes)
+    motion, seen = ca.vertcat(span, speed), ca.vertcat(*lengths, *rates)
+    laws = ca.vertcat(*pulls, of_y)
+    by = ca.vertcat(s.lower, s.upper, *velocity, y, s.column, writer.theta)
+    of_laws = ca.jacobian(laws, motion) @ ca.jacobian(seen, by) + ca.jacobian(laws, by)
+    of_force = ca.jacobian(force, pull) @ of_laws[:edges, :] + ca.jacobian(force, by)
+    results = ca.substitute([force, ca.vertcat(of_force, of_laws[edges:, :])], [pull], [ca.vertcat(*pulls)])
+    results = ca.substitute([*results, of_y, ca.vertcat(*pulls), tangent], [motion], [seen])
+    force, jacobian, of_y, pulled, tangent = results
+    arguments = [s.lower, s.upper, *velocity, y, step, s.column, writer.theta]
     return {
-        "segment_motion": function("segment_motion", arguments, [force, change, pull]),
-        "segment_tangent": function("segment_tangent", [*arguments, trusted], [force, change, pull, tangent]),
-        "segment_by": _jacobian("segment_by", arguments, [force, change], by),
+        "segment_motion": function("segment_motion", arguments, [force, of_y, pulled]),
+        "segment_tangent": function("segment_tangent", [*arguments, trusted], [force, of_y, pulled, tangent]),
+        "segment_by": ca.Function("segment_by", arguments, ca.cse([jacobian])),
     }
 
 

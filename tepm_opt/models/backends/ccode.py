@@ -60,7 +60,8 @@ class Unit:
         lines += [f"static const int {name}[] = {{{', '.join(map(str, values)) or '0'}}};" for name, values in arrays.items()]
         loops = [(resources.files("tepm_opt.models.backends") / name).read_text(encoding="utf-8") for name in self.loops]
         kernels = _WRITTEN.sub("", _READ.sub(r"arg[\1][\2]", generator.dump()))  # no argument and no result is ever left out
-        return "\n".join((kernels, *lines, _VECTORS, *(_in_lanes(kernels, name, self.kernels[name]) for name in self.lanes), *loops))
+        each = "\n".join(f"ONE_BY_ONE({name})" for name in _ONE_BY_ONE)
+        return "\n".join((kernels, *lines, _VECTORS, each, *(_in_lanes(kernels, name, self.kernels[name]) for name in self.lanes), *loops))
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
@@ -83,9 +84,25 @@ static inline vector lanes_sqrt(vector x) { return (vector)_mm512_sqrt_pd((__m51
 #else
 static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }
 #endif
-static inline vector lanes_fabs(vector x) { for (int i = 0; i < LANES; i++) x[i] = fabs(x[i]); return x; }
 static inline vector lanes_sign(vector x) { for (int i = 0; i < LANES; i++) x[i] = x[i] < 0 ? -1 : x[i] > 0 ? 1 : x[i]; return x; }
+typedef long long lanes_mask __attribute__((vector_size(8 * LANES), aligned(8)));
+static inline vector lanes_where(lanes_mask m, vector x) { return (vector)(m & (lanes_mask)x); } /* 0 elsewhere */
+static inline vector lanes_one(lanes_mask m) { return lanes_where(m, (vector){0} + 1); }
+static inline vector lanes_less(vector x, vector y) { return lanes_one((lanes_mask)(x < y)); }
+static inline vector lanes_most(vector x, vector y) { return lanes_one((lanes_mask)(x <= y)); }
+static inline vector lanes_same(vector x, vector y) { return lanes_one((lanes_mask)(x == y)); }
+static inline vector lanes_other(vector x, vector y) { return lanes_one((lanes_mask)(x != y)); }
+static inline vector lanes_and(vector x, vector y) { return lanes_one((lanes_mask)(x != 0) & (lanes_mask)(y != 0)); }
+static inline vector lanes_or(vector x, vector y) { return lanes_one((lanes_mask)(x != 0) | (lanes_mask)(y != 0)); }
+static inline vector lanes_not(vector x) { return lanes_one((lanes_mask)(x == 0)); }
+static inline vector lanes_if(vector x, vector y) { return lanes_where((lanes_mask)(x != 0), y); }
+static inline vector lanes_fmin(vector x, vector y) { for (int i = 0; i < LANES; i++) x[i] = fmin(x[i], y[i]); return x; }
+static inline vector lanes_fmax(vector x, vector y) { for (int i = 0; i < LANES; i++) x[i] = fmax(x[i], y[i]); return x; }
+#define ONE_BY_ONE(f) static inline vector lanes_##f(vector x) { for (int i = 0; i < LANES; i++) x[i] = f(x[i]); return x; }
 """
+_ONE_BY_ONE = ("fabs", "exp", "expm1", "log", "log1p", "tanh", "sin", "cos", "tan", "asin", "acos", "atan")
+_ALONE = "|".join(("sq", "sqrt", "sign", "fmin", "fmax", *_ONE_BY_ONE))
+_OPERATORS = {"<": "less", "<=": "most", "==": "same", "!=": "other", "&&": "and", "||": "or"}
 
 
 _LOOP = """
@@ -115,7 +132,10 @@ def _in_lanes(text: str, name: str, function: ca.Function) -> str:
     if body:
         code = body[1].replace("casadi_real", "vector").replace("return 0;", "")
         code = re.sub(r"=(-?[\d.]+(?:e[-+]?\d+)?);", r"=(vector){0}+\1;", code)
-        code = re.sub(r"\b(?:casadi_)?(sq|sqrt|fabs|sign)\(", r"lanes_\1(", code)
+        code = re.sub(rf"\b(?:casadi_)?({_ALONE})\(", r"lanes_\1(", code)
+        code = re.sub(r"\((\w+)(<=?|==|!=|&&|\|\|)(\w+)\)", lambda m: f"lanes_{_OPERATORS[m[2]]}({m[1]},{m[3]})", code)
+        code = re.sub(r"\((\w+)\?(\w+):0\)", r"lanes_if(\1,\2)", code)
+        code = re.sub(r"\(!(\w+)\)", r"lanes_not(\1)", code)
         if not re.search(r"[?<>!&|]|\b(?!lanes_)[A-Za-z_]\w*\(", code):
             return f"static void {name}_lanes(const vector *const *arg, vector *const *res) {{\n{code}\n}}"
     sizes = [function.nnz_in(k) for k in range(function.n_in())], [function.nnz_out(k) for k in range(function.n_out())]

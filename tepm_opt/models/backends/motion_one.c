@@ -12,15 +12,16 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
   tangent *kept = malloc(4 * groups * sizeof *kept + 1);
   lane_rates *rates = malloc(2 * groups * sizeof *rates + 1);
   vector (*d_a)[2][NU] = malloc(groups * sizeof *d_a + 1);
+  changes *changed = malloc(groups * sizeof *changed + 1);
   int status = STUCK;
-  if (w && p && kept && rates && d_a) {
+  if (w && p && kept && rates && d_a && changed) {
     memset(w, 0, sizeof *w);
     for (int k = 0; k < NTHETA; k++) w->packed_theta[k] = (vector){0} + (w->theta[k] = theta[k]);
     carried *c = (carried *)s;
     stepper m = {.scheme = scheme, .adaptive = !(step > 0), .groups = groups, .tolerance = tolerance, .max_correction = max_correction,
                  .goal = goal, .close = step > 0 ? 0 : CLOSE * goal, .smooth = smooth, .divisor = smooth ? RICHARDSON / 2. : 1,
-                 .d = (tangent *)d, .d_fine = (tangent *)d, .d_coarse = (tangent *)d + groups, .stage = {rates, rates + groups}, .d_a = d_a,
-                 .reached = time[first]};
+                 .d = (tangent *)d, .d_fine = (tangent *)d, .d_coarse = (tangent *)d + groups, 
+                 .stage = {rates, rates + groups}, .d_a = d_a, .changes = changed, .reached = time[first]};
     motion *o = m.motion;
     *o = (motion){.inputs = {.time = time, .rows = rows, .d_rows = (const vector *)d_rows, .samples = samples, .hold = hold,
                              .groups = groups, .d_theta = (const vector *)d_theta},
@@ -28,7 +29,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
                   .ends_left = 1, .sample = first ? first + 1 : 0, .phase = first ? TO_TAKE_STOCK : TO_BEGIN, .t = time[first],
                   .span = step};
     *p = (pair){.d_fine = kept, .d_middle = kept + groups, .d_coarse = kept + 2 * groups, .d_between = kept + 3 * groups};
-    if (groups) choose(w, groups, o->inputs.d_theta);
+    if (groups) choose(&m, w);
     const double *arg[] = {theta};
     double *res[] = {o->inputs.delay}, *res_by[] = {o->inputs.by_delay};
     run(delay, w, arg, res);
@@ -38,6 +39,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
     const double effort[] = {m.steps, m.iterations, m.factors, m.halvings, m.reached, c->error, m.longest};
     memcpy(info, effort, sizeof effort);
   }
+  free(changed);
   free(d_a);
   free(rates);
   free(kept);

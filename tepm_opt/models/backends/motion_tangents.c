@@ -21,9 +21,14 @@ static void delay_along(stepper *m, work *w) {
 #endif
 }
 
-/* Move the inputs along the directions with those of the motion itself. */
+/* out += the entries of a Jacobian times what changes, a term after the other. */
+static inline void add_terms(const term *terms, int count, const double *by, const vector *in, vector *out) {
+  for (const term *t = terms; t < terms + count; t++) out[t->row] += by[t->at] * in[t->column];
+}
+
+/* Move the inputs along the directions with those of the motion itself; they do not move where nothing changes them. */
 static void move_inputs_along(stepper *m, work *w, const double **arg, double at, double duration, int left) {
-  if (!m->groups) return;
+  if (!m->groups || !m->inputs_change) return;
   history *h = &m->motion->inputs;
   double *by[] = {w->by_inputs};
   delay_along(m, w);
@@ -36,7 +41,7 @@ static void move_inputs_along(stepper *m, work *w, const double **arg, double at
     memcpy(in + 2 * NU, d->y_inputs, NIN * sizeof(vector));
     memcpy(in + 2 * NU + NIN, h->d_theta + g * NTHETA, NTHETA * sizeof(vector));
     memset(out, 0, sizeof w->in_directions.out);
-    for (int k = 0; k < input_motion_by_nnz; k++) out[input_motion_by_row[k]] += w->by_inputs[k] * in[input_motion_by_col[k]];
+    add_terms(m->changes[g].by_inputs, m->changes[g].inputs, w->by_inputs, in, out);
     memcpy(d->a, out, sizeof d->a);
     memcpy(d->y_inputs, out + NU, NIN * sizeof(vector));
   }
@@ -51,30 +56,66 @@ static void properties_along(stepper *m, work *w, double t, const vector *a, int
   look_along(&m->motion->inputs, t - m->motion->inputs.delay[FORCES], 0, NU, NEXT, FORCES, group, in + NU);
   memcpy(in + NU + NEXT, m->motion->inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
   memset(P_level_0, 0, (NLEV * NPROP + NB) * sizeof(vector));
-  for (int k = 0; k < properties_by_nnz; k++) P_level_0[properties_by_row[k]] += w->by_properties[k] * in[properties_by_col[k]];
+  add_terms(m->changes[group].by_properties, m->changes[group].properties, w->by_properties, in, P_level_0);
 }
 
-/* Columns of parameters that no direction changes are left out. */
-static void choose(work *w, int groups, const vector *d_theta) {
-  char *changes = w->in_directions.changes;
-  memset(changes, 0, NTHETA);
-  for (int k = 0; k < groups * NTHETA; k++) for (int lane = 0; lane < LANES; lane++) changes[k % NTHETA] |= d_theta[k][lane] != 0;
+/* The entries of a Jacobian whose columns before `own` all count, if `others` do, and from there on those of parameters that change. */
+static int choose_terms(term *terms, int count, const int *row, const int *column, int own, int others, const char *changes) {
+  int chosen = 0;
+  for (int k = 0; k < count; k++)
+    if (column[k] < own ? others : changes[column[k] - own]) terms[chosen++] = (term){row[k], k, column[k]};
+  return chosen;
+}
+
+/* Which entries of the Jacobians what is only here or there in a group's directions needs: most are of parameters that it does not change. */
+static void choose(stepper *m, work *w) {
+  const history *h = &m->motion->inputs;
   selection *c = &w->chosen;
-  int count = 0;
+  char of_theta[NTHETA], of_segment[NPROP + NTHETA];
+  int count = 0, place[segment_by_nnz];
   for (int row = 0; row < BY_ROWS; row++) {
     c->start[row] = count;
     for (int of_velocities = 0; of_velocities < 2; of_velocities++) {
       if (of_velocities) c->moving[row] = count;
       for (int k = 0; k < segment_by_nnz; k++) {
         int column = segment_by_col[k];
-        if (segment_by_row[k] != row || (column >= AT_V && column < AT_Y) != of_velocities) continue;
-        if (column >= AT_THETA && !changes[column - AT_THETA]) continue;
+        if (segment_by_row[k] != row || column >= AT_P || (column >= AT_V && column < AT_Y) != of_velocities) continue;
         c->entry[count] = k;
         c->column[count++] = column;
       }
     }
   }
-  c->start[BY_ROWS] = count;
+  c->start[BY_ROWS] = c->count = count;
+  memset(place, 0, sizeof place);
+  m->inputs_change = h->d_rows != 0;
+  for (int g = 0; g < m->groups; g++) {
+    changes *to = m->changes + g;
+    memset(of_theta, 0, sizeof of_theta);
+    for (int k = 0; k < NTHETA; k++) for (int lane = 0; lane < LANES; lane++) of_theta[k] |= h->d_theta[g * NTHETA + k][lane] != 0;
+    int late = 0;
+    for (int k = 0; k < delay_by_nnz; k++) late |= of_theta[delay_by_col[k]];
+    int on_inputs = choose_terms(to->by_inputs, input_motion_by_nnz, input_motion_by_row, input_motion_by_col, 2 * NU + NIN, 0, of_theta);
+    int driven = h->d_rows || late || on_inputs;
+    m->inputs_change |= driven;
+    to->inputs = choose_terms(to->by_inputs, input_motion_by_nnz, input_motion_by_row, input_motion_by_col, 2 * NU + NIN, driven, of_theta);
+    to->properties = choose_terms(to->by_properties, properties_by_nnz, properties_by_row, properties_by_col, NU + NEXT, driven, of_theta);
+    to->observed = choose_terms(to->by_observed, observe_by_nnz, observe_by_row, observe_by_col, (NLEV + 1) * NB, 1, of_theta);
+    memset(of_segment, 0, NPROP);
+    memcpy(of_segment + NPROP, of_theta, NTHETA);
+    for (int k = 0; k < to->properties; k++)
+      if (to->by_properties[k].row < NLEV * NPROP) of_segment[to->by_properties[k].row % NPROP] = 1;
+    int chosen = choose_terms(to->by_segment, segment_by_nnz, segment_by_row, segment_by_col, AT_P, 0, of_segment);
+    to->forces = 0;
+    for (int k = 0; k < chosen; k++) {
+      term entry = to->by_segment[k];
+      if (!place[entry.at]) { c->entry[c->count] = entry.at; place[entry.at] = c->count++; }
+      entry.at = place[entry.at];
+      to->by_segment[k] = to->by_segment[to->forces];
+      if (entry.row < 2 * NB) to->by_segment[to->forces++] = entry;
+      else to->by_segment[k] = entry;
+    }
+    to->edges = chosen - to->forces;
+  }
 }
 
 /* Some of the chosen entries of a segment times a direction; sums of their own that do not wait for each other. */
@@ -101,7 +142,7 @@ static int linearise(stepper *m, work *w, double step, const double *a, int rest
     const vector *arg[] = {b->x[0], b->x[1], b->v[0], b->v[1], b->y, &time, w->packed_P[first / LANES], w->packed_theta};
     vector *res[] = {by};
     segment_by_lanes(arg, res);
-    for (int k = 0; k < w->chosen.start[BY_ROWS]; k++)
+    for (int k = 0; k < w->chosen.count; k++)
       for (int lane = 0; lane < count; lane++) w->by[first + lane][k] = by[w->chosen.entry[k]][lane];
     if (!resting) continue;
     memset(matrix, 0, sizeof w->in_forces.matrix);
@@ -120,6 +161,8 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
   vector *P = w->in_directions.P, (*rhs)[NB] = w->in_directions.rhs, *in = w->in_directions.in;
   memset(rhs, 0, sizeof w->in_directions.rhs);
   const selection *c = &w->chosen;
+  const changes *changed = m->changes + group;
+  const term *of_edges = changed->by_segment + changed->forces;
   properties_along(m, w, t, a, group, P);
   memcpy(d->x[0], P + NLEV * NPROP, sizeof d->x[0]);
   memset(d->v[0], 0, sizeof d->v[0]);
@@ -129,6 +172,8 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
     memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
     memcpy(in + AT_P, P + s * NPROP, NPROP * sizeof(vector));
     for (int i = 0; i < 2 * NB; i++) rhs[s + i / NB][i % NB] -= product(w, s, c->start[i], c->moving[i], in);
+    for (const term *term = changed->by_segment; term < of_edges; term++)
+      rhs[s][term->row] -= w->by[s][term->at] * in[term->column]; /* levels lie one after the other */
     if (step > 0)
       for (int i = 0; i < NB; i++)
         rhs[s + 1][i] += (w->P[s][MASS] * d->v[s + 1][i] - P[s * NPROP + MASS] * (w->v[s + 1][i] - v_0[s + 1][i])) / step;
@@ -147,6 +192,7 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
     memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
     memcpy(in + AT_P, P + s * NPROP, NPROP * sizeof(vector));
     for (int i = 0; i < NEDGE; i++) d->y[s][i] = product(w, s, c->start[2 * NB + i], c->start[2 * NB + i + 1], in);
+    for (const term *term = of_edges; term < of_edges + changed->edges; term++) d->y[s][term->row - 2 * NB] += w->by[s][term->at] * in[term->column];
   }
   memcpy(d->x[1], rhs[1], NLEV * sizeof rhs[0]); /* rates: velocity, acceleration, dy/dt */
 }
@@ -220,6 +266,6 @@ static void record_along(stepper *m, work *w, const double **arg, const tangent 
     memcpy(in, d[g].x, (NLEV + 1) * NB * sizeof(vector));
     memcpy(in + (NLEV + 1) * NB, m->motion->inputs.d_theta + g * NTHETA, NTHETA * sizeof(vector));
     memset(out, 0, NOBS * sizeof(vector));
-    for (int i = 0; i < observe_by_nnz; i++) out[observe_by_row[i]] += by[i] * in[observe_by_col[i]];
+    add_terms(m->changes[g].by_observed, m->changes[g].observed, by, in, out);
   }
 }

@@ -58,9 +58,17 @@ typedef struct { /* levels and edge states of a stage, or their rates */
   vector y[NLEV][AT_LEAST_1(NEDGE)];
 } lane_rates;
 
-typedef struct { /* entries of segment_by that the directions need, row by row, those of velocities behind the others of their row */
+typedef struct { /* entries of segment_by by levels and edge states, row by row, those of velocities behind the others of their row */
   int start[BY_ROWS + 1], moving[BY_ROWS], entry[segment_by_nnz], column[segment_by_nnz];
+  int count; /* of all entries that any direction needs: those by properties and parameters behind the others */
 } selection;
+
+typedef struct { int row, at, column; } term; /* an entry of a sparse Jacobian, and where it is */
+
+typedef struct { /* entries that what a group of directions changes besides needs: of segments those of forces, then those of edge states */
+  int inputs, properties, forces, edges, observed;
+  term by_inputs[input_motion_by_nnz + 1], by_properties[properties_by_nnz + 1], by_segment[segment_by_nnz + 1], by_observed[observe_by_nnz + 1];
+} changes;
 #endif
 
 typedef struct {
@@ -92,7 +100,6 @@ typedef struct {
     vector in[2 * NU + NIN + NEXT + 4 * NB + NEDGE + NPROP + NTHETA], out[NU + NIN], P[NLEV * NPROP + NB], rhs[NLEV + 2][NB];
     vector x[(NLEV + 1) * NB + NTHETA], by[segment_by_nnz];
     double observed_by[observe_by_nnz];
-    char changes[NTHETA];
   } in_directions;
 #endif
 } work;
@@ -140,6 +147,8 @@ typedef struct {
   int groups;
   lane_rates *stage[2];
   vector (*d_a)[2][NU]; /* effective actuation at the stages of a step */
+  changes *changes;
+  int inputs_change;
 #endif
 } stepper;
 
