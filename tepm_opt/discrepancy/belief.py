@@ -15,7 +15,7 @@ from tepm_opt.discrepancy.freeform.score import Scored, alternatives
 from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate, everywhere
 from tepm_opt.discrepancy.search import Explanation
-from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks
+from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks, widens
 from tepm_opt.solvers.hierarchy import clustering
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.network_plant import NetworkPlant
@@ -27,6 +27,7 @@ UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 SOME_RUNS = 3.0  # times as much that an effect must take away for even odds where it acts in some of the runs only
+NOISE_KNOWN = 0.015  # excess that noise which is a little more than was assumed may seem to be
 LISTED = 0.3  # probability from which what explains a part is told as such
 
 
@@ -125,7 +126,10 @@ def judged(
                 listed.append((effect, other, hypothesis, cause[effect] * weight))
     listed.sort(key=lambda each: -each[-1])
     most = {effect: max(p for of, _, _, p in listed if of == effect) for effect in best.effects}
-    if unseen and not shrinks(errors):
+    refuted = [e for e in best.effects if e.runs] if unseen and widens(errors) else []
+    if refuted:  # what does not act in the runs kept for validation should not have spoilt them
+        status = VerdictStatus.UNEXPLAINED
+    elif unseen and not shrinks(errors):
         status = VerdictStatus.PARTIAL
     elif unclear and all(cause[effect] >= LISTED for effect in best.effects):
         status = VerdictStatus.INDISTINGUISHABLE
@@ -133,7 +137,7 @@ def judged(
         status = VerdictStatus.NAMED
     else:
         status = VerdictStatus.PARTIAL if max(most.values()) >= LISTED else VerdictStatus.UNEXPLAINED
-    remarks = tuple(_remarks(explanation, doubted, constancy))
+    remarks = (*_remarks(explanation, doubted, constancy), *(_refuted(effect) for effect in refuted))
     return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)
 
 
@@ -156,6 +160,11 @@ def _remarks(
                 yield f"{effect.told} is not of one size: it is {parts} of what it is over all."
 
 
+def _refuted(effect: Candidate) -> str:
+    """That runs in which an effect does not act speak against it."""
+    return f"{effect.told} stands in for something: with it in the model the runs kept for validation fit worse."
+
+
 def _part(partition: str, part: Hashable, files: Sequence[str]) -> str:
     """A part of the data in words."""
     if partition == "run":
@@ -168,12 +177,16 @@ def _part(partition: str, part: Hashable, files: Sequence[str]) -> str:
 def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings) -> float:
     """Probability that an effect is a cause: even odds where what only it takes away is so many times what is left.
 
-    Effects whose forms all are known leave nothing, so that what is left weighs more against them; hardly, where that is only noise. What
-    may act in any of the runs has as many chances to fit.
+    Effects whose forms all are known leave nothing, so that what is left weighs more against them, the more the farther it is from what
+    chance and a noise known to half a percent leave; of others hardly, where that counts as noise. What may act in any of the runs has as
+    many chances to fit.
     """
-    exact = all(other.exact for other in explanation.best.effects)
+    best, exact = explanation.best, all(other.exact for other in explanation.best.effects)
     even = settings.even_odds_exact if exact else settings.even_odds_ratio
-    even = settings.even_odds_noise if explanation.best.only_noise(settings) else even
+    if best.only_noise(settings):
+        least = max(NOISE_KNOWN, best.by_chance)
+        structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
+        even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
     even *= SOME_RUNS if effect.runs else 1
     return 1 / (1 + even / max(explanation.shares[effect], 1e-9))
 

@@ -105,8 +105,13 @@ class Hypothesis:
         return min(self.excess, max(self.estimate.cost / max(self.estimate.count, 1) - 1, 0.0))
 
     def only_noise(self, settings: SearchSettings) -> bool:
-        """Whether no more is left than counts as noise, or than the noise of so few samples may be by chance (3 sigma)."""
-        return self.left <= max(settings.max_noise_excess, 3 * np.sqrt(2 / max(self.estimate.count, 1)))
+        """Whether no more is left than counts as noise, or than chance may make it."""
+        return self.left <= max(settings.max_noise_excess, self.by_chance)
+
+    @property
+    def by_chance(self) -> float:
+        """Excess that the noise of so few samples may have by chance (3 sigma)."""
+        return float(3 * np.sqrt(2 / max(self.estimate.count, 1)))
 
     @property
     def form_error(self) -> np.ndarray:

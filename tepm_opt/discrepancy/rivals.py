@@ -52,7 +52,7 @@ def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Sco
         scores: of what may take its place.
         missing: the candidates.
     """
-    if fits.problem.plant.quick or best.only_noise(fits.settings):
+    if fits.problem.plant.quick:
         return scores
     here, there = fits.linear(rest, missing), fits.linear(best, missing)
     found = []

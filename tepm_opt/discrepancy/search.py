@@ -21,6 +21,7 @@ from tepm_opt.solvers.text import shortened
 # part of the squared output of the other effects that their forms may be wrong by (5 % of the size); an effect that takes away less
 # beside them may only mend their forms
 FORM_ERROR_RATIO = 0.0025
+MENDS = 0.2  # part of what an effect takes away from which on, where so much is left, it may as well mend the others' forms
 MOVES = 2  # sets of effects fitted of each kind of move that is not one effect more
 WORTH_WIDE = 0.5  # part of what the best pair leaves that an effect as wide as several must promise to close
 WORTH = 0.2  # part of what the best single effect leaves that a pair, or one in some runs, must promise to close besides
@@ -213,22 +214,24 @@ def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[H
 def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
-    What takes away no more than the errors that the others' forms may have is no effect of its own; all that is left counts against each.
+    What takes away no more than the errors that the others' forms may have is no effect of its own, the less so the less it leaves of
+    them: what only mends forms does not mend them to the noise. All that is left counts against each.
     """
     settings = fits.settings
     while True:
-        shares, smaller = {}, {}
+        shares, smaller, lost = {}, {}, {}
         doubt = {effect: FORM_ERROR_RATIO * _output(best, effect) for effect in best.effects}
         left = best.excess + settings.max_noise_excess / 10
         rests = [tuple(c for c in best.effects if c != effect) for effect in best.effects]
         without = fits.fit_all([(rest, best.estimate.named) for rest in rests])
         for effect, rest, found in zip(best.effects, rests, without, strict=True):
-            shares[effect] = np.inf  # where the model cannot do the runs without it
+            shares[effect], lost[effect] = np.inf, np.inf  # where the model cannot do the runs without it
             if found is not None:
                 smaller[effect] = found
-                taken = found.excess - best.excess
-                shares[effect] = taken / left if taken >= max(settings.min_excess_removed, sum(doubt[c] for c in rest)) else 0.0
-        weakest = min(shares, key=shares.__getitem__, default=None)
+                taken = lost[effect] = found.excess - best.excess
+                mended = sum(doubt[c] for c in rest) * min(left / max(MENDS * taken, 1e-12), 1.0)
+                shares[effect] = taken / left if taken >= max(settings.min_excess_removed, mended) else 0.0
+        weakest = min(shares, key=lambda effect: (shares[effect], lost[effect]), default=None)
         if weakest is None or shares[weakest] >= settings.least_share:
             return best, shares
         best = smaller[weakest]

@@ -119,6 +119,12 @@ def shrinks(errors: Errors) -> bool:
     return gap <= SHRINKS * errors.noise_floor**2 or errors.recalibrated**2 - errors.corrected**2 >= SHRINKS * gap
 
 
+def widens(errors: Errors) -> bool:
+    """Whether the gap on runs not used is wider with the effects than without, by as much as would have counted as closing it."""
+    gap = errors.recalibrated**2 - errors.noise_floor**2
+    return errors.corrected**2 - errors.recalibrated**2 > SHRINKS * max(gap, errors.noise_floor**2)
+
+
 @dataclass(frozen=True)
 class Verdict:
     """The answer.
