@@ -52,8 +52,8 @@ class Judgement:
         status: what became of the question.
         cause: by effect, the probability that it is a cause, not a stand-in for something that is in no library.
         remarks: what spoke against effects, in sentences.
-        listed: effects that the answer tells, each with the hypothesis it is from and its probability: the best hypothesis' own, and
-            those that cannot be told from them.
+        listed: effects that the answer tells, each with the one of the best hypothesis in whose place it is, the hypothesis it is from and
+            its probability: the best hypothesis' own, and those that cannot be told from them.
     """
 
     status: VerdictStatus
@@ -121,9 +121,9 @@ def judged(
     listed = []
     for effect in best.effects:
         for hypothesis, weight in explanation.groups[effect]:
-            other = next((c for c in hypothesis.effects if c not in best.effects), effect)
+            others = [c for c in hypothesis.effects if c not in best.effects] or [effect]
             if hypothesis is best or (weight > POSSIBLE and unclear):
-                listed.append((effect, other, hypothesis, cause[effect] * weight))
+                listed += [(effect, other, hypothesis, cause[effect] * weight) for other in others]
     listed.sort(key=lambda each: -each[-1])
     most = {effect: max(p for of, _, _, p in listed if of == effect) for effect in best.effects}
     refuted = [e for e in best.effects if e.runs] if unseen and widens(errors) else []

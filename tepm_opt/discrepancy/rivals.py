@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from tepm_opt.discrepancy.rounds import beats, fitted, is_wide
 from tepm_opt.discrepancy.screen import Score
 
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
+TOGETHER = 3  # parameters from which an effect of the body may do what two others do together
+FIRST = 3  # effects, those that promise most alone, that are tried in pairs
+NEARLY = 0.5  # times what an effect leaves that two in its place may promise to leave besides
 
 
 def replacements(
@@ -33,7 +37,7 @@ def replacements(
     if rest is not None:
         scores = _from_there(fits, best, rest, _scores(fits, rest, effect, missing), missing)
         others += [h for h in fitted(fits, rest, scores, best) if effect not in h.effects]
-        others += [h for h in _begun(fits, rest, effect, missing) if h not in others]
+        others += [h for h in (*_begun(fits, rest, effect, missing), *_two(fits, best, rest, effect, scores, missing)) if h not in others]
     others = [h for h in others if beats(h, best, seed, fits.settings) or all(c.form_of != effect.form_of for c in h.effects)]
     group = [best, *(h for h in others if h is not best)]
     weight = weights([h.evidence for h in group], seed)
@@ -63,6 +67,33 @@ def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Sco
                 score = replace(score, start=start)
         found.append(score)
     return found
+
+
+def _two(
+    fits: Fits, best: Hypothesis, rest: Hypothesis, effect: Candidate, scores: Sequence[Score], missing: Sequence[Candidate]
+) -> list[Hypothesis]:
+    """The fit of the two effects that promise most in the place of one, where that may be what they do together.
+
+    Args:
+        fits: all so far.
+        best: with the effect.
+        rest: without it.
+        effect: in whose place they are.
+        scores: of what may take its place alone.
+        missing: the candidates.
+    """
+    rich = effect.stage == "body" and len(effect.parameters) >= TOGETHER and not effect.runs
+    if fits.problem.plant.quick or best.only_noise(fits.settings) or not rich:
+        return []
+    linear = fits.linear(best, missing)
+    able = [c for c in linear.able if c != effect and not is_wide(c) and may(c, rest.effects)]
+    first = [score.candidate for score in scores if score.candidate in able][:FIRST]
+    pairs = [(one, other) for one in first for other in able if one.form_of != other.form_of]
+    promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in pairs]
+    gain, start, pair = max(promised, key=lambda each: each[0], default=(-np.inf, {}, ()))
+    if gain < -NEARLY:
+        return []
+    return [h for h in fits.fit_all([((*rest.effects, *pair), {**best.estimate.named, **start})], best) if h is not None]
 
 
 def _begun(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Hypothesis]:

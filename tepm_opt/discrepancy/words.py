@@ -205,8 +205,9 @@ def _groups(named: Sequence[Named], explanation: Explanation) -> str:
     told = {each.candidate: f"{each.candidate.label} (probability {each.probability:.2f})" for each in named}
     sure, unclear = [], []
     for effect, group in explanation.groups.items():
-        others = [c for hypothesis, _ in group for c in hypothesis.effects if c in told and c not in explanation.best.effects]
-        (unclear if others else sure).append(" or ".join(told[c] for c in (effect, *dict.fromkeys(others))))
+        sets = [[c for c in hypothesis.effects if c in told and c not in explanation.best.effects] for hypothesis, _ in group]
+        others = [" with ".join(told[c] for c in others) for others in sets if others]
+        (unclear if others else sure).append(" or ".join((told[effect], *dict.fromkeys(others))))
     missing = f"Missing: {' and '.join(sure)}; besides, " if sure else "Missing: "
     return missing + "; ".join(f"{text}, which these runs cannot tell apart" for text in unclear)
 

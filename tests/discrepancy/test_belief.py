@@ -69,6 +69,31 @@ def test_where_only_noise_is_left_little_weighs_against_any_form() -> None:
         assert answer(effect, 2.0, left=0.02).status is VerdictStatus.PARTIAL
 
 
+@pytest.mark.parametrize(("effect", "left", "even"), [(LAG, 0.049, 1.0), (LOAD, 0.01, 1.0), (LOAD, 0.0325, 15.5), (LOAD, 0.05, 30.0)])
+def test_what_an_exact_form_leaves_beyond_chance_weighs_against_it(effect: Any, left: float, even: float) -> None:
+    """Ten times as much is taken away as is left; the noise is known to half a percent, samples are many."""
+    best, without = hypothesis((effect,), left), hypothesis((), 1.0)
+    best.estimate.cost, best.estimate.count = 1e6 * (1 + left), 1_000_000
+    found = Explanation(without, best, best, [without, best], [], {effect: 10.0}, {effect: [(best, 1.0)]})
+    assert judged(found, SHRUNK, SETTINGS, True, {}, {}).cause[effect] == pytest.approx(10 / (10 + even))
+
+
+@pytest.mark.parametrize(("corrected", "runs", "refuted"), [(6e-3, ("a.csv",), True), (6e-3, (), False), (4.1e-3, ("a.csv",), False)])
+def test_what_acts_in_some_runs_only_must_not_spoil_the_runs_kept(corrected: float, runs: tuple[str, ...], refuted: bool) -> None:
+    """What acts in all runs fitted to may have been taken off before the others."""
+    found = answer(replace(LAG, runs=runs), 1000.0, errors=replace(SHRUNK, corrected=corrected))
+    assert found.status is (VerdictStatus.UNEXPLAINED if refuted else VerdictStatus.PARTIAL)
+    assert any("fit worse" in remark for remark in found.remarks) == refuted
+
+
+def test_both_of_two_in_the_place_of_one_are_listed() -> None:
+    two = candidate("creep"), candidate("mass_distribution")
+    best, other, without = hypothesis((LAG,), 0.2), hypothesis(two, 0.2), hypothesis((), 10.0)
+    found = Explanation(without, best, best, [without, best, other], [], {LAG: 100.0}, {LAG: [(best, 0.6), (other, 0.4)]})
+    listed = judged(found, SHRUNK, SETTINGS, True, {}, {}).listed
+    assert [(each.name, round(p, 2)) for _, each, _, p in listed] == [("regulator_lag", 0.58), ("creep", 0.39), ("mass_distribution", 0.39)]
+
+
 def test_what_mends_a_stand_in_is_doubted_with_it() -> None:
     """As much as the stand-in takes away of the structure."""
     best, without = hypothesis((LAG, LOAD), 0.2), hypothesis((), 10.0)

@@ -64,7 +64,7 @@ class Table:
 
     def linear(self, base: Hypothesis, _: object) -> Any:
         """What promises nothing in pairs, or in the place of others."""
-        return SimpleNamespace(gain=lambda effects: (0.0, {}), able=list(EFFECTS.values()), effects=base.effects, excess=base.excess)
+        return SimpleNamespace(gain=lambda effects: (-1.0, {}), able=list(EFFECTS.values()), effects=base.effects, excess=base.excess)
 
     def screen(self, base: Hypothesis, _: object) -> list[Score]:
         scores = [Score(EFFECTS[label], gain, {}) for label, gain in self.gains.items() if EFFECTS[label] not in base.effects]
@@ -150,11 +150,20 @@ class TestRules:
         found, _ = searched({"": 8.0, "s1": 1.0, "s2": 7.0, "s1 s2": left})
         assert [c.detail for c in found.widest.effects] == tried
 
-    @pytest.mark.parametrize(("output", "kept"), [(0.0, "s1 s2"), (400.0, "s1")])
-    def test_what_may_mend_another_effects_form_is_dropped(self, monkeypatch: pytest.MonkeyPatch, output: float, kept: str) -> None:
-        """s2 takes away 0.9 beside s1, whose form may be wrong by a four-hundredth of its squared output."""
+    @pytest.mark.parametrize(("output", "left", "kept"), [(0.0, 0.3, "s1 s2"), (400.0, 0.3, "s1"), (400.0, 0.05, "s1 s2")])
+    def test_what_may_mend_another_effects_form_is_dropped(
+        self, monkeypatch: pytest.MonkeyPatch, output: float, left: float, kept: str
+    ) -> None:
+        """s2 takes away 0.9 beside s1, whose form may be wrong by a four-hundredth of its squared output; no mending leaves nothing."""
         monkeypatch.setattr(search, "_output", lambda _, effect: output if effect == EFFECTS["s1"] else 0.0)
-        assert named(searched({"": 8.0, "s1": 0.95, "s2": 7.0, "s1 s2": 0.05})[0]) == kept
+        assert named(searched({"": 8.0, "s1": 0.9 + left, "s2": 7.0, "s1 s2": left})[0]) == kept
+
+    def test_of_two_that_are_not_needed_the_one_that_takes_away_less_goes(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Both stand below the errors of forms; without s2 (the last in order) next to nothing more is left, without s1 much is."""
+        monkeypatch.setattr(search, "_output", lambda *_: 1e4)
+        table: Any = Table(SearchSettings(), {"": 30.0, "s1": 0.5, "s2": 7.0, "s1 s2": 0.4}, {})
+        best, _ = search._backward(table, table.fit((EFFECTS["s1"], EFFECTS["s2"]), {}))
+        assert [c.detail for c in best.effects] == ["s1"]
 
 
 @pytest.mark.parametrize(("promise", "begins"), [(0.5, "there"), (-50.0, "here")])
@@ -172,6 +181,25 @@ def test_rivals_begin_where_the_best_fit_ended_if_that_promises_more(promise: fl
     (found,) = rivals._from_there(table, best, rest, [score], [rival])  # type: ignore[arg-type]
     assert found.start == {"from": 1.0 if begins == "there" else 0.0}
     assert found.gain == score.gain, "what ranks them is what they do in its place"
+
+
+PAYLOAD, TWO = candidate("payload"), (candidate("external_load"), candidate("mass_distribution"))
+
+
+@pytest.mark.parametrize(("promise", "excess", "tried"), [(-0.2, 1.0, True), (-3.0, 1.0, False), (-0.2, 0.01, False)])
+def test_two_that_promise_as_much_are_fitted_in_the_place_of_one(promise: float, excess: float, tried: bool) -> None:
+    """Where more than noise is left, and only of what is rich enough to do the work of two."""
+    rest, best = hypothesis((), 8.0), hypothesis((PAYLOAD,), excess)
+    table: Any = Table(SearchSettings(), {}, {})
+    gains = {frozenset(TWO): promise}
+
+    def linear(base: Hypothesis, _: object) -> Any:
+        return SimpleNamespace(gain=lambda effects: (gains.get(frozenset(effects), -9.0), {}), able=[PAYLOAD, *TWO], excess=base.excess)
+
+    table.linear = linear
+    found = rivals._two(table, best, rest, PAYLOAD, [Score(TWO[0], 0.6, {})], [PAYLOAD, *TWO])
+    assert [set(h.effects) for h in found] == [set(TWO)] * tried
+    assert not rivals._two(table, best, rest, candidate("base_tilt"), [Score(TWO[0], 0.6, {})], [PAYLOAD, *TWO])
 
 
 def test_two_sets_are_followed_where_asked_for() -> None:
