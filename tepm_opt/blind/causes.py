@@ -358,3 +358,12 @@ LIBRARY: dict[str, Cause] = {
     "clock_skew": _skewed,
 }
 """By name of the effect; another form of it has a key of its own."""
+
+OTHER_MEANING = {
+    "creep": ("K_a", "alpha_2", "c_a", "m_d"),
+    "rigid_plates": ("K_a", "alpha_2", "c_a", "m_d"),
+    "stiffness_hardening": ("K_a", "alpha_2", "m_d"),
+    "structural_friction": ("c_a",),
+}
+"""Parameters of the robot that mean something else beside causes whose form is not the library's: what stiffness is at which time or length,
+which part of friction is viscous; where stiffness means something else, mass does, too, as weight and forces bend the body alike."""

@@ -130,7 +130,7 @@ class Judged:
 
     @property
     def covered(self) -> dict[str, bool]:
-        """Whether each true value lies in its 95 % interval: effects' parameters that mean the same, and the robot's own."""
+        """Whether each true value lies in its 95 % interval: parameters that mean the same, of effects and of the robot."""
         if not self.result["verdict"]:
             return {}
         verdict, found = self.result["verdict"], {}
@@ -140,7 +140,7 @@ class Judged:
             for name, value in each["parameters"].items()
         } | verdict["recalibrated"]
         for name, true in {**self.label["sizes"], **self.label["true_parameters"]}.items():
-            value = stated.get(name)
+            value = None if name in self.label.get("other_meaning", ()) else stated.get(name)
             if value and value["std"] is not None and value["value"] is not None:
                 found[name] = abs(value["value"] - true) <= 1.96 * value["std"]
         return found

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from tepm_opt.blind.causes import LIBRARY, Cause, Form
+from tepm_opt.blind.causes import LIBRARY, OTHER_MEANING, Cause, Form
 from tepm_opt.blind.excitation import RATE, drawn, thinned
 from tepm_opt.blind.flaws import CLOCKS, POOR, Flaw, corrected, mistaken, spoiled
 from tepm_opt.blind.foreign import FOREIGN
@@ -256,6 +256,11 @@ def _measured(trial: Trial, experiment: Experiment, number: int, machine: Deviat
     return run
 
 
+def _other_meaning(causes: Sequence[Hidden]) -> set[str]:
+    """Parameters of the robot that do not mean the same beside causes of another form than the library's."""
+    return {name for cause in causes for name in OTHER_MEANING.get(cause.key, ())}
+
+
 def _label(experiment: Experiment, machine: Deviation, acting: np.ndarray) -> dict[str, Any]:
     """What is hidden: plain data with the keys of the labels of shared data sets, and more."""
     pilot, causes = experiment.pilot, experiment.causes
@@ -270,6 +275,7 @@ def _label(experiment: Experiment, machine: Deviation, acting: np.ndarray) -> di
         "causes": [{"cause": c.key, "names": c.form.names, "size": float(c.size), "misfit_over_noise": round(c.misfit, 4)} for c in causes],
         "sizes": {name: size for cause in causes for name, size in cause.form.sizes(cause.size).items()},
         "true_parameters": {name: values[name] * factor for name, factor in machine.factors.items()},
+        "other_meaning": sorted(set(pilot.robot.priors) if experiment.kind == "foreign" else _other_meaning(causes)),
         "noise_m": pilot.noise,
         "declared_over_true_noise": experiment.declared,
         "files": {run.file: run.role for run in pilot.runs},

@@ -10,6 +10,7 @@ import numpy as np
 
 from tepm_opt.discrepancy.evidence import in_sample, weights
 from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, may
+from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide
 from tepm_opt.discrepancy.screen import Score
@@ -43,6 +44,9 @@ def replacements(
     weight = weights([h.evidence for h in group], seed)
     if rest is not None and not fits.problem.plant.quick:
         weight = _agreed(group, weight, rest, fits.settings, seed)
+    more = np.array([len(h.effects) > len(best.effects) for h in group])
+    weight = np.where(more, np.minimum(weight, weight[0]), weight)  # two causes that would do as well are no more probable than one
+    weight /= weight.sum()
     return list(zip(group, weight.tolist(), strict=True))
 
 
@@ -74,6 +78,8 @@ def _two(
 ) -> list[Hypothesis]:
     """The fit of the two effects that promise most in the place of one, where that may be what they do together.
 
+    Values of the robot file that may be wrong are not asked: with one of them nearly everything does what another effect does.
+
     Args:
         fits: all so far.
         best: with the effect.
@@ -86,7 +92,7 @@ def _two(
     if fits.problem.plant.quick or best.only_noise(fits.settings) or not rich:
         return []
     linear = fits.linear(best, missing)
-    able = [c for c in linear.able if c != effect and not is_wide(c) and may(c, rest.effects)]
+    able = [c for c in linear.able if c != effect and not is_wide(c) and may(c, rest.effects) and c.name != PARAMETER]
     first = [score.candidate for score in scores if score.candidate in able][:FIRST]
     pairs = [(one, other) for one in first for other in able if one.form_of != other.form_of]
     promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in pairs]

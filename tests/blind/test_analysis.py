@@ -125,6 +125,8 @@ class TestOneTrial:
         line["verdict"]["effects"][0]["parameters"] = {"loss": {"value": 0.12, "std": 0.005}}
         line["verdict"]["recalibrated"] = {"K_a": {"value": 351.0, "std": 1.0}}
         assert Judged(line).covered == {"actuator_gain[12].loss": False, "K_a": True}
+        line["label"]["other_meaning"] = ["K_a"]
+        assert Judged(line).covered == {"actuator_gain[12].loss": False}
 
     def test_the_gap_is_what_recalibration_leaves(self) -> None:
         assert judged("closed", GAIN, "named", []).closed == pytest.approx((5 - 2) / (5 - 1))
