@@ -365,5 +365,5 @@ OTHER_MEANING = {
     "stiffness_hardening": ("K_a", "alpha_2", "m_d"),
     "structural_friction": ("c_a",),
 }
-"""Parameters of the robot that mean something else beside causes whose form is not the library's: what stiffness is at which time or length,
-which part of friction is viscous; where stiffness means something else, mass does, too, as weight and forces bend the body alike."""
+"""Parameters of the robot that mean something else beside causes whose form is not the library's: what the stiffness is at which time or
+length, which part of friction is viscous; with the stiffness the mass, as weight and forces bend the body alike."""

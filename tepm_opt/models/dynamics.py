@@ -172,13 +172,13 @@ def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
     force[block:] -= ca.repmat(s.column[writer.rows["load"]], layout.actuators, 1)
     y, of_y = ca.vertcat(ca.SX(0, 1), *before), ca.vertcat(ca.SX(0, 1), *changes)
     motion, seen = ca.vertcat(span, speed), ca.vertcat(*lengths, *rates)
-    laws = ca.vertcat(*pulls, of_y)
+    pulled = ca.vertcat(*pulls)
+    laws = ca.vertcat(pulled, of_y)
     by = ca.vertcat(s.lower, s.upper, *velocity, y, s.column, writer.theta)
     of_laws = ca.jacobian(laws, motion) @ ca.jacobian(seen, by) + ca.jacobian(laws, by)
     of_force = ca.jacobian(force, pull) @ of_laws[:edges, :] + ca.jacobian(force, by)
-    results = ca.substitute([force, ca.vertcat(of_force, of_laws[edges:, :])], [pull], [ca.vertcat(*pulls)])
-    results = ca.substitute([*results, of_y, ca.vertcat(*pulls), tangent], [motion], [seen])
-    force, jacobian, of_y, pulled, tangent = results
+    force, jacobian = ca.substitute([force, ca.vertcat(of_force, of_laws[edges:, :])], [pull], [pulled])
+    force, jacobian, of_y, pulled, tangent = ca.substitute([force, jacobian, of_y, pulled, tangent], [motion], [seen])
     arguments = [s.lower, s.upper, *velocity, y, step, s.column, writer.theta]
     return {
         "segment_motion": function("segment_motion", arguments, [force, of_y, pulled]),

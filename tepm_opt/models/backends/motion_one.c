@@ -20,7 +20,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
     carried *c = (carried *)s;
     stepper m = {.scheme = scheme, .adaptive = !(step > 0), .groups = groups, .tolerance = tolerance, .max_correction = max_correction,
                  .goal = goal, .close = step > 0 ? 0 : CLOSE * goal, .smooth = smooth, .divisor = smooth ? RICHARDSON / 2. : 1,
-                 .d = (tangent *)d, .d_fine = (tangent *)d, .d_coarse = (tangent *)d + groups, 
+                 .d = (tangent *)d, .d_fine = (tangent *)d, .d_coarse = (tangent *)d + groups,
                  .stage = {rates, rates + groups}, .d_a = d_a, .changes = changed, .reached = time[first]};
     motion *o = m.motion;
     *o = (motion){.inputs = {.time = time, .rows = rows, .d_rows = (const vector *)d_rows, .samples = samples, .hold = hold,

@@ -67,12 +67,12 @@ static int choose_terms(term *terms, int count, const int *row, const int *colum
   return chosen;
 }
 
-/* Which entries of the Jacobians what is only here or there in a group's directions needs: most are of parameters that it does not change. */
+/* Which entries of the Jacobians count: all by what moves; of those by parameters, and by properties, what a group's directions change. */
 static void choose(stepper *m, work *w) {
   const history *h = &m->motion->inputs;
   selection *c = &w->chosen;
   char of_theta[NTHETA], of_segment[NPROP + NTHETA];
-  int count = 0, place[segment_by_nnz];
+  int count = 0, kept_at[segment_by_nnz];
   for (int row = 0; row < BY_ROWS; row++) {
     c->start[row] = count;
     for (int of_velocities = 0; of_velocities < 2; of_velocities++) {
@@ -86,7 +86,7 @@ static void choose(stepper *m, work *w) {
     }
   }
   c->start[BY_ROWS] = c->count = count;
-  memset(place, 0, sizeof place);
+  memset(kept_at, 0, sizeof kept_at); /* 0 where not yet: others come first */
   m->inputs_change = h->d_rows != 0;
   for (int g = 0; g < m->groups; g++) {
     changes *to = m->changes + g;
@@ -108,8 +108,8 @@ static void choose(stepper *m, work *w) {
     to->forces = 0;
     for (int k = 0; k < chosen; k++) {
       term entry = to->by_segment[k];
-      if (!place[entry.at]) { c->entry[c->count] = entry.at; place[entry.at] = c->count++; }
-      entry.at = place[entry.at];
+      if (!kept_at[entry.at]) { c->entry[c->count] = entry.at; kept_at[entry.at] = c->count++; }
+      entry.at = kept_at[entry.at];
       to->by_segment[k] = to->by_segment[to->forces];
       if (entry.row < 2 * NB) to->by_segment[to->forces++] = entry;
       else to->by_segment[k] = entry;
@@ -172,8 +172,7 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
     memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
     memcpy(in + AT_P, P + s * NPROP, NPROP * sizeof(vector));
     for (int i = 0; i < 2 * NB; i++) rhs[s + i / NB][i % NB] -= product(w, s, c->start[i], c->moving[i], in);
-    for (const term *term = changed->by_segment; term < of_edges; term++)
-      rhs[s][term->row] -= w->by[s][term->at] * in[term->column]; /* levels lie one after the other */
+    for (const term *o = changed->by_segment; o < of_edges; o++) rhs[s + o->row / NB][o->row % NB] -= w->by[s][o->at] * in[o->column];
     if (step > 0)
       for (int i = 0; i < NB; i++)
         rhs[s + 1][i] += (w->P[s][MASS] * d->v[s + 1][i] - P[s * NPROP + MASS] * (w->v[s + 1][i] - v_0[s + 1][i])) / step;
@@ -192,7 +191,7 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
     memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
     memcpy(in + AT_P, P + s * NPROP, NPROP * sizeof(vector));
     for (int i = 0; i < NEDGE; i++) d->y[s][i] = product(w, s, c->start[2 * NB + i], c->start[2 * NB + i + 1], in);
-    for (const term *term = of_edges; term < of_edges + changed->edges; term++) d->y[s][term->row - 2 * NB] += w->by[s][term->at] * in[term->column];
+    for (const term *o = of_edges; o < of_edges + changed->edges; o++) d->y[s][o->row - 2 * NB] += w->by[s][o->at] * in[o->column];
   }
   memcpy(d->x[1], rhs[1], NLEV * sizeof rhs[0]); /* rates: velocity, acceleration, dy/dt */
 }

@@ -65,9 +65,10 @@ typedef struct { /* entries of segment_by by levels and edge states, row by row,
 
 typedef struct { int row, at, column; } term; /* an entry of a sparse Jacobian, and where it is */
 
-typedef struct { /* entries that what a group of directions changes besides needs: of segments those of forces, then those of edge states */
+typedef struct { /* what a group of directions needs of the Jacobians; of a segment's, terms of forces, then of edge states */
   int inputs, properties, forces, edges, observed;
-  term by_inputs[input_motion_by_nnz + 1], by_properties[properties_by_nnz + 1], by_segment[segment_by_nnz + 1], by_observed[observe_by_nnz + 1];
+  term by_inputs[input_motion_by_nnz + 1], by_properties[properties_by_nnz + 1];
+  term by_segment[segment_by_nnz + 1], by_observed[observe_by_nnz + 1];
 } changes;
 #endif
 
