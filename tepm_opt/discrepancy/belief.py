@@ -14,6 +14,7 @@ from tepm_opt.discrepancy.freeform.places import ALL, Place
 from tepm_opt.discrepancy.freeform.score import Scored, alternatives
 from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate, everywhere
+from tepm_opt.discrepancy.rivals import SOME_RUNS
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks, widens
 from tepm_opt.solvers.hierarchy import clustering
@@ -26,7 +27,6 @@ EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as
 UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
-SOME_RUNS = 3.0  # times as much that an effect must take away for even odds where it acts in some of the runs only
 NOISE_KNOWN = 0.015  # excess that noise which is a little more than was assumed may seem to be
 LISTED = 0.3  # probability from which what explains a part is told as such
 

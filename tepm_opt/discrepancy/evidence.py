@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import Residual, independent_after
 
 DRAWS = 2000
+ALONE = 0.8  # part of what all runs tell of a parameter that one run tells alone
 FOLDS = 4  # parts a run is cut into where there are too few runs to leave one out
 REFITS, PARTS = 6, 4  # folds of fits of their own, and parts of a short data set in each, so that every fold has of everything
 REFIT_STEPS = 3
@@ -59,21 +60,25 @@ class Evidence:
         return max(float(self.squares.sum()) / max(self.count, 1), 1.0)
 
 
-def leave_out(estimate: ParameterEstimate) -> Evidence:
+def leave_out(estimate: ParameterEstimate, partly: Collection[str] = ()) -> Evidence:
     """Cross-validation: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
 
     The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step. What the fit
     left at a bound stays there, and what only refines a form stays as it is: often a single run tells it. Where the plant is quick they
     are fits of their own, see `refitted`.
+
+    Args:
+        estimate: the fit.
+        partly: parameters of effects that act in some runs only; a run that alone tells of one of them is cut into quarters, too.
     """
     problem, residuals = estimate.problem, estimate.residuals
     if problem.plant.quick:
         return refitted(estimate)
     count = len(problem.free)
     parts = []  # (values (rows, points · 3), by, block, counts) of every fold
-    for r in residuals:
+    for r, alone in zip(residuals, _alone(estimate, partly), strict=True):
         rows, first = len(r.values), int(r.block.min())
-        blocks = np.array_split(np.arange(first, int(r.block.max()) + 1), 1 if len(residuals) > 2 else FOLDS)
+        blocks = np.array_split(np.arange(first, int(r.block.max()) + 1), FOLDS if alone else 1)
         edges = [np.searchsorted(r.block, (part[0], part[-1] + 1)) for part in blocks if len(part)]
         pieces = [slice(*edge) for edge in edges if edge[0] < edge[1]]  # views, which cost no memory
         values, by = r.values.reshape(rows, -1), r.by.reshape(rows, r.values.size // rows, count)
@@ -99,6 +104,15 @@ def leave_out(estimate: ParameterEstimate) -> Evidence:
     scatter = np.sqrt((len(parts) - 1) * np.var(steps, axis=0)) if count and len(parts) > 1 else np.zeros(count)
     worth = 1.0 if problem.plant.static else min(problem.block / independent_after(residuals, problem.runs), 1.0)
     return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter, worth)
+
+
+def _alone(estimate: ParameterEstimate, names: Collection[str]) -> np.ndarray:
+    """Which runs tell nearly all that is known of one of some parameters, (runs,); all runs where there are fewer than three."""
+    residuals, own = estimate.residuals, [free.name in names for free in estimate.problem.free]
+    if len(residuals) < 3:
+        return np.ones(len(residuals), dtype=bool)
+    told = np.array([np.square(r.by[:, own]).sum(axis=0) for r in residuals])  # (runs, parameters)
+    return (told > ALONE * np.maximum(told.sum(axis=0), 1e-300)).any(axis=1)
 
 
 def in_sample(estimate: ParameterEstimate, evidence: Evidence) -> Evidence:

@@ -186,6 +186,20 @@ class Fits:
         self.done |= {effects: hypothesis for effects, hypothesis in zip(missing, found, strict=True) if hypothesis is not None}
         return [self.done.get(effects) for effects, _ in wanted]
 
+    def known(self, effects: Effects) -> Hypothesis | None:
+        """The fit that these effects have; None where they have none."""
+        return self.done.get(tuple(sorted(effects, key=lambda c: c.told)))
+
+    def anew(self, effects: Effects, start: dict[str, float]) -> Hypothesis | None:
+        """The better of the fit that these effects have, if there is one, and of another one from these first values."""
+        effects, before = tuple(sorted(effects, key=lambda c: c.told)), self.known(effects)
+        if before is None:
+            return self.fit(effects, start)
+        found = self._fitted(effects, [start], np.inf, "anew")
+        if found is not None and found.estimate.cost < before.estimate.cost:
+            self.done[effects] = found
+        return self.done[effects]
+
     def finished(self, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis with its fit gone on to the end, if it ended early or for want of steps."""
         found = self.fit(hypothesis.effects, hypothesis.estimate.named) or hypothesis
@@ -209,7 +223,7 @@ class Fits:
         label = " ".join(c.told for c in effects)
         early = np.isfinite(reached) and f"early {label}" in self._kept
         kept = self._kept.get(f"early {label}" if early else f"{stage} {label}")
-        begun = [self.done[effects].estimate.named] if effects in self.done else starts
+        begun = [self.done[effects].estimate.named] if effects in self.done and stage != "anew" else starts
         free = freed(self.problem.free, self.problem.plant, effects)
         problem = replace(self.problem, plant=acting(self.problem.plant, effects))
         steps, fits = 0 if kept else self.settings.max_iterations, []
@@ -223,7 +237,7 @@ class Fits:
         if early:
             found = replace(found, outcome=Outcome(Ending.NOT_CONVERGED, OUT_OF_REACH))
         try:
-            evidence = leave_out(found)
+            evidence = leave_out(found, {name for c in effects if c.runs for name in c.parameters})
         except PredictionError:
             return None
         evidence = replace(evidence, parameters=_sure(found, evidence) + SPAN * sum(bool(c.runs) for c in effects))

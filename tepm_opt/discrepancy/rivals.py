@@ -14,7 +14,9 @@ from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide
 from tepm_opt.discrepancy.screen import Score
 
+SOME_RUNS = 3.0  # times as probable that a cause acts always as that it acts in some of the runs, where data say the same
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
+ASTRAY, ANEW = 3.0, 2  # times what is promised that an earlier fit leaves to be made anew, and how many are
 TOGETHER = 3  # parameters from which an effect of the body may do what two others do together
 FIRST = 3  # effects, those that promise most alone, that are tried in pairs
 NEARLY = 0.5  # times what an effect leaves that two in its place may promise to leave besides
@@ -43,6 +45,9 @@ def replacements(
     weight = weights([h.evidence for h in group], seed)
     if rest is not None and not fits.problem.plant.quick:
         weight = _agreed(group, weight, rest, fits.settings, seed)
+    partly = np.array([sum(bool(c.runs) for c in h.effects) for h in group])
+    weight = weight / SOME_RUNS ** (partly - partly.min())
+    weight = weight / weight.sum()
     more = np.array([len(h.effects) > len(best.effects) for h in group])
     weight = np.where(more, np.minimum(weight, weight[0]), weight)  # two causes that would do as well are no more probable than one
     weight /= weight.sum()
@@ -51,6 +56,8 @@ def replacements(
 
 def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:
     """Scores of what may take an effect's place, with values to fit from that begin at the best fit where they promise to leave less there.
+
+    What was fitted from elsewhere before and led astray is fitted anew.
 
     Args:
         fits: all so far.
@@ -62,13 +69,19 @@ def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Sco
     if fits.problem.plant.quick:
         return scores
     here, there = fits.linear(rest, missing), fits.linear(best, missing)
-    found = []
+    found, astray = [], []
     for score in scores:
         if score.candidate in there.able:
-            gain, start = there.gain((*rest.effects, score.candidate))
-            if (1 - gain) * there.excess < (1 - score.gain) * here.excess:
+            effects = (*rest.effects, score.candidate)
+            gain, start = there.gain(effects)
+            if (left := (1 - gain) * there.excess) < (1 - score.gain) * here.excess:
                 score = replace(score, start=start)
+                before = fits.known(effects)
+                if before is not None and before.excess > ASTRAY * max(left / before.estimate.count, best.excess):
+                    astray.append((left, effects, start))
         found.append(score)
+    for _, effects, start in sorted(astray, key=lambda each: each[0])[:ANEW]:
+        fits.anew(effects, start)
     return found
 
 
@@ -110,8 +123,8 @@ def _begun(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Ca
     ended = runs[first - 1].began + runs[first - 1].time[-1]
     happened = float(ended + runs[first].began) / 2
     able = [c for c in missing if c.happens and c.detail == effect.detail and may(c, rest.effects)]
-    asked = [((*rest.effects, c), {**rest.estimate.named, **c.probes[0], c.happens: happened}) for c in able]
-    return [h for h in fits.fit_all(asked) if h is not None]
+    found = [fits.anew((*rest.effects, c), {**rest.estimate.named, **c.probes[0], c.happens: happened}) for c in able]
+    return [h for h in found if h is not None]
 
 
 def _agreed(group: Sequence[Hypothesis], weight: np.ndarray, rest: Hypothesis, settings: SearchSettings, seed: int) -> np.ndarray:

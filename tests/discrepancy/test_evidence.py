@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy import evidence as evidences
 from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
@@ -79,6 +80,21 @@ class TestLeaveOut:
         (residual,) = estimate.residuals
         counts = np.bincount(residual.block, residual.present.reshape(len(residual.values), -1).sum(axis=1))
         np.testing.assert_array_equal(leave_out(estimate).counts, counts)
+
+    def test_a_run_that_alone_tells_of_an_effect_of_some_runs_is_cut(
+        self, kang: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Left out as a whole it leaves the effect as it was: that would be no test of it."""
+        estimate, folds = fitted(kang, runs), []
+        first, second = (free.name for free in estimate.problem.free[:2])
+        alone = [replace(r, by=r.by * np.r_[there, 1, 1, 1]) for r, there in zip(estimate.residuals, (0.0, 1.0, 0.0), strict=True)]
+        told = replace(estimate, residuals=alone)
+        step = evidences.bounded_step
+        monkeypatch.setattr(evidences, "bounded_step", lambda *asked: folds.append(1) or step(*asked))
+        for estimated, names, count in ((told, {first}, 2 + 4), (told, {second}, 3), (told, set(), 3), (estimate, {first}, 3)):
+            folds.clear()
+            leave_out(estimated, names)
+            assert len(folds) == count
 
     def test_missing_samples_do_not_count(self, kang: CompiledModel, runs: list[Run]) -> None:
         holey = [replace(run, points=np.where(np.arange(4)[:, None] == 1, np.nan, run.points)) for run in runs]

@@ -188,6 +188,19 @@ class TestFits:
         np.testing.assert_array_equal(again.evidence.squares, first.evidence.squares)
         assert again.estimate.iterations == 0
 
+    def test_anew_keep_the_better(self, library: CompiledModel, runs: list[Run]) -> None:
+        """A fit that is done is not made again from other values, unless it is asked for."""
+        effect = candidate("sensor_offset", "s3")
+        fits = Fits(problem(library, runs), SearchSettings(max_iterations=1))
+        far, near = ({f"{effect.label}.x": x, f"{effect.label}.turns": turns} for x, turns in ((-0.1, 1.0), (OFFSET[0], 0.0)))
+        astray = fits.fit((effect,), far)
+        assert fits.fit((effect,), near) is astray is fits.known((effect,))
+        found = fits.anew((effect,), near)
+        assert found is not None
+        assert astray is not None
+        assert found.excess < astray.excess
+        assert fits.anew((effect,), far) is found is fits.known((effect,))
+
     def test_that_ended_early_go_on_when_asked_for(self, library: CompiledModel, runs: list[Run]) -> None:
         fits = Fits(problem(library, runs), SearchSettings())
         right, wrong = (fits.fit((candidate(name, detail),), {}) for name, detail in (("sensor_offset", "s3"), ("sensor_offset", "s1")))

@@ -40,6 +40,7 @@ class Table:
     excess: dict[str, float]
     gains: dict[str, float]
     uneven: dict[str, float] = field(default_factory=dict)
+    again: tuple[Effects, ...] = ()
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
 
     @property
@@ -61,6 +62,13 @@ class Table:
 
     def finished(self, found: Hypothesis) -> Hypothesis:
         return found
+
+    def known(self, effects: Effects) -> Hypothesis | None:
+        return self.done.get(tuple(sorted(effects, key=lambda c: c.label)))
+
+    def anew(self, effects: Effects, start: object) -> Hypothesis | None:
+        self.again = (*self.again, effects)
+        return self.fit(effects, start)
 
     def linear(self, base: Hypothesis, _: object) -> Any:
         """What promises nothing in pairs, or in the place of others."""
@@ -181,6 +189,37 @@ def test_rivals_begin_where_the_best_fit_ended_if_that_promises_more(promise: fl
     (found,) = rivals._from_there(table, best, rest, [score], [rival])  # type: ignore[arg-type]
     assert found.start == {"from": 1.0 if begins == "there" else 0.0}
     assert found.gain == score.gain, "what ranks them is what they do in its place"
+    assert not table.again
+
+
+@pytest.mark.parametrize(("before", "again"), [(7.0, True), (2.0, False)])
+def test_a_rival_whose_fit_went_astray_is_fitted_anew(before: float, again: bool) -> None:
+    """Where it ended is far from what first order promises at the best fit."""
+    rest, best, rival = hypothesis((), 8.0), hypothesis((EFFECTS["s1"],), 1.0), EFFECTS["s2"]
+    table = Table(SearchSettings(), {"s2": before}, {})
+    table.fit((rival,), {})
+
+    def linear(base: Hypothesis, _: object) -> Any:
+        return SimpleNamespace(gain=lambda effects: (0.0, {}), able=[rival], excess=(1.0 if base is best else 8.0) * BLOCKS * SAMPLES)
+
+    table.linear = linear  # type: ignore[method-assign]
+    rivals._from_there(table, best, rest, [Score(rival, 0.1, {})], [rival])  # type: ignore[arg-type]
+    assert table.again == (((rival,),) if again else ())
+
+
+@pytest.mark.parametrize(("runs", "weight"), [((), 0.5), (("a.csv",), 0.25)])
+def test_what_acts_always_is_more_probable_than_what_acts_in_some_runs(
+    runs: tuple[str, ...], weight: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    effect = replace(EFFECTS["s1"], runs=runs)
+    rest, best, other = hypothesis((), 8.0), hypothesis((effect,), 1.0), hypothesis((EFFECTS["s2"],), 1.0)
+    table: Any = Table(SearchSettings(), {}, {})
+    table.done = {h.effects: h for h in (rest, best)}
+    monkeypatch.setattr(rivals, "fitted", lambda *_: [other])
+    monkeypatch.setattr(rivals, "_scores", lambda *_: [])
+    monkeypatch.setattr(rivals, "_begun", lambda *_: [])
+    found = rivals.replacements(table, best, effect, list(EFFECTS.values()), 0)
+    assert [round(p, 6) for _, p in found] == [weight, 1 - weight]
 
 
 PAYLOAD, TWO = candidate("payload"), (candidate("external_load"), candidate("mass_distribution"))
