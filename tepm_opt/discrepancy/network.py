@@ -35,7 +35,6 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
     shape = any(p.is_shape and not p.refines for p in own)  # parameters without which the others say nothing
     acts_first = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "tendon_energy", "delay"))
     inputs = acts_first or effect.detail == "actuator"  # what one actuator does otherwise its gauges may show
-    remembers = any(effect.has(hook) for hook in ("pressure_memory", "tension_memory", "edge_memory", "edge_energy", "delay"))
     return Candidate(
         name,
         detail,
@@ -48,7 +47,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         part=effect.detail or "",
         reference=effect.reference,
         acts=tuple(kind for kind, hooks in THROUGH.items() if any(effect.has(hook) for hook in hooks)),
-        exact=effect.smooth and not remembers,
+        exact=effect.exact,
         happens=f"{label}.{effect.happens}" if effect.happens else "",
         suggested=partial(_suggested, effect, label) if effect.has("suggested") else None,
     )

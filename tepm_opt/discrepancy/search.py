@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from tepm_opt.discrepancy.fits import Fits, Hypothesis, labels
+from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rivals import replacements
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide, most_probable, plainest
@@ -214,8 +215,9 @@ def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[H
 def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
-    What takes away no more than the errors that the others' forms may have is no effect of its own, the less so the less it leaves of
-    them: what only mends forms does not mend them to the noise. All that is left counts against each.
+    What takes away no more than the errors that the others' forms may have is no effect of its own, unless it leaves next to nothing of
+    them: what only mends forms does not mend them to the noise, but for one more value of the robot file. All that is left counts
+    against each.
     """
     settings = fits.settings
     while True:
@@ -229,7 +231,9 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
             if found is not None:
                 smaller[effect] = found
                 taken = lost[effect] = found.excess - best.excess
-                mended = sum(doubt[c] for c in rest) * min(left / max(MENDS * taken, 1e-12), 1.0)
+                mended = sum(doubt[c] for c in rest)
+                if effect.name != PARAMETER:
+                    mended *= min(left / max(MENDS * taken, 1e-12), 1.0)
                 shares[effect] = taken / left if taken >= max(settings.min_excess_removed, mended) else 0.0
         weakest = min(shares, key=lambda effect: (shares[effect], lost[effect]), default=None)
         if weakest is None or shares[weakest] >= settings.least_share:

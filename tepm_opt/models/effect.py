@@ -110,6 +110,8 @@ class Effect:
         parameters: the effect's own parameters; of one whose parameters depend on the robot `parameters_of`.
         detail: what the effect's detail names: "actuator", "point" or None where there is none.
         smooth: whether outputs are differentiable in the parameters at their null values (else: probe).
+        exact: whether its form follows from mechanics or geometry (a load, a shift), so that it leaves nothing but noise where it acts;
+            a valve's, a material's and a gauge's is somebody's formula.
         corners: whether what it does to the properties has corners along the inputs.
         delays_forces: whether its delay is one of known forces, too.
         further_probes: values by name, where its parameters' probes are not all that one would look for it at.
@@ -123,6 +125,7 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     detail: ClassVar[str | None] = None
     smooth: ClassVar[bool] = True
+    exact: ClassVar[bool] = False
     corners: ClassVar[bool] = False
     timed: ClassVar[bool] = False
     happens: ClassVar[str] = ""

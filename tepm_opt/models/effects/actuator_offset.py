@@ -21,6 +21,7 @@ class ActuatorOffset(Effect):
 
     name = "actuator_offset"
     explains = "one muscle's rest length or its regulator's zero is off"
+    exact = True
     reference = "additive actuator fault; Isermann, Fault-Diagnosis Systems, 2006"
     detail = "actuator"
     corners = True

@@ -20,6 +20,7 @@ class ActuatorScatter(Effect):
 
     name = "actuator_scatter"
     explains = "gains and offsets of all muscles scatter"
+    exact = True
     corners = True
     reference = "random effects; Gelman et al., Bayesian Data Analysis, 2013, ch. 5"
 

@@ -18,6 +18,7 @@ class BaseTilt(Effect):
 
     name = "base_tilt"
     explains = "the base is not vertical: gravity acts obliquely"
+    exact = True
     reference = "Murray, Li and Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, ch. 2"
     parameters = tuple(Parameter(axis, "rad", null=0.0, probe=0.01, low=-0.5, high=0.5) for axis in "xy")
 

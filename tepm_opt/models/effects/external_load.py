@@ -14,6 +14,7 @@ class ExternalLoad(Effect):
 
     name = "external_load"
     explains = "unknown constant force on the tip (hose drag)"
+    exact = True
     reference = "Rucker and Webster, Deflection-based force sensing for continuum robots: A probabilistic approach, IROS 2011"
     parameters = tuple(Parameter(axis, "N", null=0.0, probe=0.02, low=-50.0, high=50.0) for axis in "xyz")
 

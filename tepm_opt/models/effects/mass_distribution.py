@@ -18,6 +18,7 @@ class MassDistribution(Effect):
 
     name = "mass_distribution"
     explains = "mass concentrated at plates and holders instead of spread evenly"
+    exact = True
     reference = "lumped masses; Kang et al., Design of a Pneumatic Muscle Based Continuum Robot with Embedded Tendons, IV.B, (3)"
     parameters = (
         Parameter("plates", "1", null=0.0, probe=0.1, low=0.0, high=0.45),

@@ -15,6 +15,7 @@ class SensorMisalignment(Effect):
 
     name = "sensor_misalignment"
     explains = "tracker frame rotated or shifted against the assumed G"
+    exact = True
     reference = "Horn, Closed-form solution of absolute orientation using unit quaternions, JOSA A 4 (1987)"
     parameters = (
         *(Parameter(f"rotation_{axis}", "rad", null=0.0, probe=0.01, low=-0.5, high=0.5) for axis in "xyz"),

@@ -20,6 +20,7 @@ class SensorOffset(Effect):
 
     name = "sensor_offset"
     explains = "one reference point's holder arm is not compensated"
+    exact = True
     reference = "holder arm that turns with its plate; arcs: Webster and Jones, IJRR 29 (2010)"
     detail = "point"
     parameters = (
