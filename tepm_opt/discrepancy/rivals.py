@@ -45,13 +45,21 @@ def replacements(
     weight = weights([h.evidence for h in group], seed)
     if rest is not None and not fits.problem.plant.quick:
         weight = _agreed(group, weight, rest, fits.settings, seed)
+    return list(zip(group, _plain(group, weight).tolist(), strict=True))
+
+
+def _plain(group: Sequence[Hypothesis], weight: np.ndarray) -> np.ndarray:
+    """Probabilities of hypotheses where what is plainer counts for more: what acts always, and one cause than two that would do as well.
+
+    Args:
+        group: the hypotheses, first the one in which others take an effect's place.
+        weight: their probabilities by what they predict, (hypotheses,).
+    """
     partly = np.array([sum(bool(c.runs) for c in h.effects) for h in group])
     weight = weight / SOME_RUNS ** (partly - partly.min())
-    weight = weight / weight.sum()
-    more = np.array([len(h.effects) > len(best.effects) for h in group])
-    weight = np.where(more, np.minimum(weight, weight[0]), weight)  # two causes that would do as well are no more probable than one
-    weight /= weight.sum()
-    return list(zip(group, weight.tolist(), strict=True))
+    more = np.array([len(h.effects) > len(group[0].effects) for h in group])
+    weight = np.where(more, np.minimum(weight, weight[0]), weight)
+    return weight / weight.sum()
 
 
 def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:
@@ -77,7 +85,7 @@ def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Sco
             if (left := (1 - gain) * there.excess) < (1 - score.gain) * here.excess:
                 score = replace(score, start=start)
                 before = fits.known(effects)
-                if before is not None and before.excess > ASTRAY * max(left / before.estimate.count, best.excess):
+                if before is not None and before.excess > ASTRAY * max(left / there.count.sum(), best.excess):
                     astray.append((left, effects, start))
         found.append(score)
     for _, effects, start in sorted(astray, key=lambda each: each[0])[:ANEW]:

@@ -72,7 +72,9 @@ class Table:
 
     def linear(self, base: Hypothesis, _: object) -> Any:
         """What promises nothing in pairs, or in the place of others."""
-        return SimpleNamespace(gain=lambda effects: (-1.0, {}), able=list(EFFECTS.values()), effects=base.effects, excess=base.excess)
+        return SimpleNamespace(
+            gain=lambda effects: (-1.0, {}), able=list(EFFECTS.values()), effects=base.effects, excess=base.excess, count=np.ones(1)
+        )
 
     def screen(self, base: Hypothesis, _: object) -> list[Score]:
         scores = [Score(EFFECTS[label], gain, {}) for label, gain in self.gains.items() if EFFECTS[label] not in base.effects]
@@ -183,7 +185,7 @@ def test_rivals_begin_where_the_best_fit_ended_if_that_promises_more(promise: fl
 
     def linear(base: Hypothesis, _: object) -> Any:
         gain, start = (promise, {"from": 1.0}) if base is best else (0.6, {"from": 0.0})
-        return SimpleNamespace(gain=lambda effects: (gain, start), able=[rival], excess=base.excess)
+        return SimpleNamespace(gain=lambda effects: (gain, start), able=[rival], excess=base.excess, count=np.ones(1))
 
     table.linear = linear  # type: ignore[method-assign]
     (found,) = rivals._from_there(table, best, rest, [score], [rival])  # type: ignore[arg-type]
@@ -200,7 +202,8 @@ def test_a_rival_whose_fit_went_astray_is_fitted_anew(before: float, again: bool
     table.fit((rival,), {})
 
     def linear(base: Hypothesis, _: object) -> Any:
-        return SimpleNamespace(gain=lambda effects: (0.0, {}), able=[rival], excess=(1.0 if base is best else 8.0) * BLOCKS * SAMPLES)
+        count = np.array([BLOCKS * SAMPLES])
+        return SimpleNamespace(gain=lambda effects: (0.0, {}), able=[rival], excess=(1.0 if base is best else 8.0) * count[0], count=count)
 
     table.linear = linear  # type: ignore[method-assign]
     rivals._from_there(table, best, rest, [Score(rival, 0.1, {})], [rival])  # type: ignore[arg-type]
