@@ -21,6 +21,7 @@ from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
+LONG = 1e4  # of a small unit, from which on the SI unit is shown
 EVEN = 0.5  # probability from which an effect is said to be missing, not perhaps
 UNCLEAR = 2.0  # standard deviations within which a shape is not told from its usual one
 BEYOND = 1.2  # times the range fitted to, from which a run is said to leave it
@@ -224,6 +225,8 @@ def _values(named: Named) -> str:
         if f"{named.candidate.label}.{name}" in named.candidate.shapes and abs(value.value - value.nominal) <= UNCLEAR * value.std:
             continue
         factor, unit = SHOWN.get(value.unit, (1.0, value.unit))
+        if factor * abs(value.value) >= LONG:
+            factor, unit = 1.0, value.unit
         parts.append(f"{name.replace('_', ' ')} {factor * value.value:.3g} ± {factor * value.std:.2g} {unit}")
     return ", ".join(parts)
 

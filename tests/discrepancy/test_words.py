@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.words import repeats
+from tepm_opt.discrepancy.network import candidate
+from tepm_opt.discrepancy.verdict import Named, Value
+from tepm_opt.discrepancy.words import _values, repeats
 
 
 def run(file: str, seed: int, pressure: float) -> Run:
@@ -16,3 +18,13 @@ def run(file: str, seed: int, pressure: float) -> Run:
 def test_repeated_runs_tell_the_repeatability() -> None:
     lines = repeats([run("a.csv", 1, 1e5), run("b.csv", 2, 1e5), run("c.csv", 3, 2e5)], 1e-3)
     assert lines == ["a.csv and b.csv repeat the same inputs: 1.73 mm each (noise alone: 1.73 mm)."]
+
+
+def test_long_times_are_in_seconds() -> None:
+    """Small units are for small values."""
+
+    def told(seconds: float) -> str:
+        return _values(Named(candidate("time_delay"), 1.0, {"delay": Value(seconds, 0.002, "s", 0.0)}, 1.0))
+
+    assert told(0.03) == "delay 30 ± 2 ms"
+    assert told(30.4) == "delay 30.4 ± 0.002 s"
