@@ -74,8 +74,8 @@ def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Sco
         scores: of what may take its place.
         missing: the candidates.
     """
-    if fits.problem.plant.quick:
-        return scores
+    if fits.problem.plant.quick or (len(best.effects) == 1 and best.only_noise(fits.settings)):
+        return scores  # beside nothing else first order leads astray hardly anywhere
     here, there = fits.linear(rest, missing), fits.linear(best, missing)
     found, astray = [], []
     for score in scores:

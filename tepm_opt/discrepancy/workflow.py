@@ -106,6 +106,7 @@ def discover(
         remarks += scattering
         done = first.done if np.all(noise == problem.noise) else {}
         fits = Fits(replace(first.problem, noise=noise), settings, store, key, progress, done)
+        del first  # its fits are as large as the data
         explanation = explain(fits, _possible(fits, missing, plant.signals, seed), seed)
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
