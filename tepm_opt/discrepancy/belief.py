@@ -127,7 +127,7 @@ def judged(
     listed.sort(key=lambda each: -each[-1])
     most = {effect: max(p for of, _, _, p in listed if of == effect) for effect in best.effects}
     refuted = [e for e in best.effects if e.runs] if unseen and widens(errors) else []
-    if refuted:  # what does not act in the runs kept for validation should not have spoilt them
+    if refuted:  # what acts in runs of its own has no excuse for spoiling others
         status = VerdictStatus.UNEXPLAINED
     elif unseen and not shrinks(errors):
         status = VerdictStatus.PARTIAL
@@ -161,7 +161,7 @@ def _remarks(
 
 
 def _refuted(effect: Candidate) -> str:
-    """That runs in which an effect does not act speak against it."""
+    """That the runs kept for validation speak against an effect of some runs."""
     return f"{effect.told} stands in for something: with it in the model the runs kept for validation fit worse."
 
 
