@@ -37,7 +37,7 @@ def write_history(figures: Mapping[str, Mapping[str, float]]) -> None:
     with HISTORY.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(HEADER)
-        writer.writerows((version, name, f"{value:.3g}") for version, named in figures.items() for name, value in named.items())
+        writer.writerows((version, name, f"{value:.4g}") for version, named in figures.items() for name, value in named.items())
 
 
 def page_text(figures: Figures) -> str:
@@ -112,6 +112,7 @@ def main(
         name = version or re.findall(r"^## (\S+)", changelog, re.MULTILINE)[0]
         figures.setdefault(name, {}).update(new)
         write_history(figures)
+        figures = read_history()  # as the file has them: rounded
     PAGE.write_text(page_text(figures), encoding="utf-8")
     draw(figures)
 
