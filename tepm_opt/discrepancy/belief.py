@@ -17,7 +17,7 @@ from tepm_opt.discrepancy.plant import Candidate, everywhere
 from tepm_opt.discrepancy.rivals import SOME_RUNS
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks, widens
-from tepm_opt.solvers.hierarchy import clustering
+from tepm_opt.solvers.hierarchy import clustering, off_centre
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.network_plant import NetworkPlant
 
@@ -115,7 +115,7 @@ def judged(
         only_noise = explanation.without.only_noise(settings)
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
-    one = {e: holds[e] * _same(constancy.get(e, {})) * _unclustered(best.estimate, e) for e in best.effects}
+    one = {e: holds[e] * _same(constancy.get(e, {})) * _by_chance(best.estimate, e) for e in best.effects}
     cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
     unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
     listed = []
@@ -201,12 +201,16 @@ def _beside(effect: Candidate, believed: Mapping[Candidate, float], explanation:
     return float(np.prod([1 - (1 - believed[other]) * taken[other] for other in believed if other != effect]))
 
 
-def _unclustered(estimate: ParameterEstimate, effect: Candidate) -> float:
-    """Probability that what is said to scatter over all actuators does so by chance, not from module to module: even odds at 0.2 %."""
+def _by_chance(estimate: ParameterEstimate, effect: Candidate) -> float:
+    """Probability that what is said to scatter over all actuators does so by chance, not from module to module nor about a mean of its own.
+
+    Even odds where chance makes what is seen once in 500 times.
+    """
     plant = everywhere(estimate.plant)
     if not isinstance(plant, NetworkPlant):
         return 1.0
-    chances = clustering(estimate, plant.model.layout.modules, list(effect.parameters))
+    names = list(effect.parameters)
+    chances = [*clustering(estimate, plant.model.layout.modules, names), *off_centre(estimate, names)]
     return float(np.prod([1 / (1 + (UNLIKELY / max(chance, 1e-12)) ** 2) for chance in chances]))
 
 

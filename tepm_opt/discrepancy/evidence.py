@@ -64,8 +64,10 @@ def leave_out(estimate: ParameterEstimate, partly: Collection[str] = ()) -> Evid
     """Cross-validation: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
 
     The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step. What the fit
-    left at a bound stays there, and what only refines a form stays as it is: often a single run tells it. Where the plant is quick they
-    are fits of their own, see `refitted`.
+    left at a bound stays there, and what only refines a form stays as it is: often a single run tells it. What the others do not tell of
+    the parameters is told by the run itself: its squares are those of the predictive distribution, not of the refits' values alone (for
+    linear models what the run adds to the squares of the others; Vehtari and Ojanen, Statistics Surveys 6, 2012). Where the plant is quick
+    they are fits of their own, see `refitted`.
 
     Args:
         estimate: the fit.
@@ -88,17 +90,18 @@ def leave_out(estimate: ParameterEstimate, partly: Collection[str] = ()) -> Evid
     mean, precision = problem.prior
     errors, counts, steps = [], [], []
     for k, (values, by, block, present) in enumerate(parts):
-        left = values
+        left, part = values, 1.0
         if count:
             others = sum(squares) - squares[k]
             stays = estimate.at_bound | [free.refines for free in problem.free]
             low, high = (np.where(stays, 0.0, bound - estimate.values) for bound in (problem.low, problem.high))
             slope = sum(slopes) - slopes[k] + precision * (estimate.values - mean)
-            step, _ = bounded_step(others + np.diag(precision), slope, low, high, problem.scale)
+            step, less = bounded_step(others + np.diag(precision), slope, low, high, problem.scale)
             left = values + by @ step
+            part = min((float(np.sum(values**2)) + max(less, 0.0)) / max(float(np.sum(left**2)), 1e-300), 1.0)
             steps.append(step)
         first = block - block.min()
-        errors.append(np.bincount(first, (left**2).sum(axis=1)))
+        errors.append(part * np.bincount(first, (left**2).sum(axis=1)))
         counts.append(np.bincount(first, present))
     every = np.concatenate(counts)
     scatter = np.sqrt((len(parts) - 1) * np.var(steps, axis=0)) if count and len(parts) > 1 else np.zeros(count)

@@ -60,7 +60,7 @@ class SearchSettings:
     min_excess_removed: float = 0.15
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0
-    even_odds_exact: float = 30.0
+    even_odds_exact: float = 200.0
     even_odds_noise: float = 1.0
     fits_first_round: int = 5
     fits_later_rounds: int = 3

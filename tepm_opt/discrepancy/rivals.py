@@ -14,6 +14,7 @@ from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide
 from tepm_opt.discrepancy.screen import Score
 
+ONE_CAUSE = 10.0  # times as probable that one cause acts as that two do in its place, where data say the same
 SOME_RUNS = 3.0  # times as probable that a cause acts always as that it acts in some of the runs, where data say the same
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 ASTRAY, ANEW = 3.0, 2  # times what is promised that an earlier fit leaves to be made anew, and how many are
@@ -56,9 +57,8 @@ def _plain(group: Sequence[Hypothesis], weight: np.ndarray) -> np.ndarray:
         weight: their probabilities by what they predict, (hypotheses,).
     """
     partly = np.array([sum(bool(c.runs) for c in h.effects) for h in group])
-    weight = weight / SOME_RUNS ** (partly - partly.min())
-    more = np.array([len(h.effects) > len(group[0].effects) for h in group])
-    weight = np.where(more, np.minimum(weight, weight[0]), weight)
+    causes = np.array([len(h.effects) for h in group])
+    weight = weight / SOME_RUNS ** (partly - partly.min()) / ONE_CAUSE ** (causes - causes.min())
     return weight / weight.sum()
 
 

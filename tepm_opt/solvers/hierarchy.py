@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import f
+from scipy.stats import f, t
 
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
@@ -50,13 +50,8 @@ def clustering(estimate: ParameterEstimate, clusters: int, names: Collection[str
         clusters: how many of equal size.
         names: of the parameters whose groups are asked for.
     """
-    members: dict[str, list[tuple[float, float]]] = {}
-    for free, value, std in zip(estimate.problem.free, estimate.values, estimate.std, strict=True):
-        if free.group and free.name in names:
-            members.setdefault(free.group, []).append((float(value), float(std)))
     found = []
-    for group in members.values():
-        values, stds = np.array(group).T
+    for values, stds in _members(estimate, names):
         each = len(values) // clusters
         if clusters < 2 or each < 2 or each * clusters != len(values):
             continue
@@ -65,6 +60,33 @@ def clustering(estimate: ParameterEstimate, clusters: int, names: Collection[str
         within = float(np.mean(np.var(parts, axis=1, ddof=1)) + np.mean(stds**2))
         found.append(float(f.sf(between / max(within, 1e-300), clusters - 1, clusters * (each - 1))))
     return found
+
+
+def off_centre(estimate: ParameterEstimate, names: Collection[str]) -> list[float]:
+    """Chance that the mean of a group's members, if they scatter about their prior mean, is as far from it; one for every group.
+
+    Student's t over their scatter, with what is not known of them, which all may have alike: what all members have is a cause of its own.
+
+    Args:
+        estimate: with the groups.
+        names: of the parameters whose groups are asked for.
+    """
+    found = []
+    for values, stds in _members(estimate, names):
+        if len(values) > 1:
+            doubt = float(np.var(values, ddof=1) / len(values) + np.mean(stds**2))
+            apart = abs(float(values.mean())) / np.sqrt(max(doubt, 1e-300))
+            found.append(float(2 * t.sf(apart, len(values) - 1)))
+    return found
+
+
+def _members(estimate: ParameterEstimate, names: Collection[str]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """How far the members of every group are from their prior means, and their standard deviations, (members,) each."""
+    members: dict[str, list[tuple[float, float]]] = {}
+    for free, value, std in zip(estimate.problem.free, estimate.values, estimate.std, strict=True):
+        if free.group and free.name in names:
+            members.setdefault(free.group, []).append((float(value - free.prior_mean), float(std)))
+    return [(np.array(values), np.array(stds)) for values, stds in (zip(*each, strict=True) for each in members.values())]
 
 
 def identify_with_spreads(

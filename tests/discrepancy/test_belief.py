@@ -53,7 +53,7 @@ def test_named_asks_for_four_fifths_of_the_product() -> None:
 
 def test_what_is_left_weighs_more_against_an_exact_form() -> None:
     assert answer(LAG, 15.0).status is VerdictStatus.NAMED
-    assert answer(LOAD, 15.0).status is VerdictStatus.PARTIAL
+    assert answer(LOAD, 150.0).status is VerdictStatus.PARTIAL
     assert answer(LOAD, 2.0).status is VerdictStatus.UNEXPLAINED
     assert answer(LOAD, 2.0).listed == ()
 
@@ -69,7 +69,7 @@ def test_where_only_noise_is_left_little_weighs_against_any_form() -> None:
         assert answer(effect, 2.0, left=0.02).status is VerdictStatus.PARTIAL
 
 
-@pytest.mark.parametrize(("effect", "left", "even"), [(LAG, 0.049, 1.0), (LOAD, 0.01, 1.0), (LOAD, 0.0325, 15.5), (LOAD, 0.05, 30.0)])
+@pytest.mark.parametrize(("effect", "left", "even"), [(LAG, 0.049, 1.0), (LOAD, 0.01, 1.0), (LOAD, 0.0325, 100.5), (LOAD, 0.05, 200.0)])
 def test_what_an_exact_form_leaves_beyond_chance_weighs_against_it(effect: Any, left: float, even: float) -> None:
     """Ten times as much is taken away as is left; the noise is known to half a percent, samples are many."""
     best, without = hypothesis((effect,), left), hypothesis((), 1.0)

@@ -59,6 +59,21 @@ class TestLeaveOut:
             blocks = slice(*np.cumsum([0, *(int(r.time[-1]) + 1 for r in runs)])[k : k + 2])
             assert found[blocks].sum() == pytest.approx(single[-1], rel=0.02), run.file
 
+    def test_what_others_do_not_tell_is_told_by_the_run_itself(self, kang: CompiledModel, runs: list[Run]) -> None:
+        """The predictive distribution of linear models, by its definition: noise, and what the others leave open of the parameters."""
+        estimate = fitted(kang, runs)
+        first, *rest = estimate.residuals
+        hardly = [replace(r, by=r.by * np.r_[1e-3, 1, 1, 1]) for r in rest]  # one parameter is told by the first run alone
+        found = leave_out(replace(estimate, residuals=[first, *hardly])).squares
+        mean, precision = estimate.problem.prior
+        others = sum(r.by.T @ r.by for r in hardly) + np.diag(precision)
+        slope = sum(r.by.T @ r.values.ravel() for r in hardly) + precision * (estimate.values - mean)
+        plugged = first.values.ravel() - first.by @ np.linalg.solve(others, slope)
+        against = first.by.T @ plugged
+        expected = plugged @ plugged - against @ np.linalg.solve(others + first.by.T @ first.by, against)
+        assert found[: int(first.block.max()) + 1].sum() == pytest.approx(expected, rel=1e-3)
+        assert expected < 0.9 * plugged @ plugged, "the values that the others give alone say something else"
+
     def test_a_wrong_model_leaves_more(self, kang: CompiledModel, runs: list[Run]) -> None:
         moved = [replace(run, points=run.points + 2e-3 * np.sin(3 * run.time)[:, None, None]) for run in runs]
         assert leave_out(fitted(kang, moved)).excess > 1.0

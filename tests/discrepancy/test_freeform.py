@@ -12,7 +12,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.freeform import curves, score
 from tepm_opt.discrepancy.freeform.curves import Lags, Plays, Powers, Spline
 from tepm_opt.discrepancy.freeform.places import ALL, Course, Place, places
-from tepm_opt.discrepancy.freeform.responses import APART, courses, moved
+from tepm_opt.discrepancy.freeform.responses import APART, Normal, courses, moved
 from tepm_opt.discrepancy.freeform.score import Scored, alternatives
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
@@ -157,3 +157,26 @@ class TestAlternatives:
 
 def test_samples_of_the_pass_are_the_runs(course: Course) -> None:
     assert spaced(course.run, APART).rows == course.run.rows
+
+
+def test_a_law_is_judged_by_the_predictive_distribution_of_the_other_runs() -> None:
+    """By its definition: noise, and what the others and the prior leave open of two parameters and two coefficients."""
+    random, runs = np.random.default_rng(0), []
+    for k in range(4):
+        by = random.normal(size=(5, 30, 4)) * (1, 1, 1, 1 if k == 0 else 0.05)  # the last is hardly told by other runs than the first
+        left = 3 * random.normal(size=(5, 30)) + by @ (0.1, 0.2, 0, 0.3)
+        slope = np.einsum("bri,br->bi", by, left)
+        runs.append(Normal(np.einsum("bri,brj->bij", by, by), slope, np.sum(left**2, axis=1), np.full(5, 30)))
+    precision, pull, extra = np.array([1.0, 2.0]), np.array([0.3, 0.1]), np.diag([0.5, 0.7])
+    errors, steps = score.left_out(runs, precision, pull, extra)
+    square, slope = (np.sum([getattr(run, name).sum(axis=0) for run in runs], axis=0) for name in ("square", "slope"))
+    known, pulled = np.diag([*precision, *np.diag(extra)]), slope + np.append(pull, [0.0, 0.0])
+    found = score._predictive(runs, errors, steps, pulled, -np.linalg.solve(square + known, pulled))
+    for k, run in enumerate(runs):
+        own, turned = run.square.sum(axis=0), run.slope.sum(axis=0)
+        others = square - own + known
+        at = -np.linalg.solve(others, pulled - turned)
+        against = turned + own @ at
+        expected = run.squares.sum() + 2 * turned @ at + at @ own @ at - against @ np.linalg.solve(others + own, against)
+        assert found[5 * k : 5 * k + 5].sum() == pytest.approx(expected, rel=1e-6)
+    assert found[:5].sum() < 0.9 * errors[:5].sum(), "the values that the others give alone say something else"

@@ -11,7 +11,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.hierarchy import SMALLEST, clustering, identify_with_spreads, spreads, with_spreads
+from tepm_opt.solvers.hierarchy import SMALLEST, clustering, identify_with_spreads, off_centre, spreads, with_spreads
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
 from tepm_opt.solvers.plant import Free, Prediction
@@ -127,3 +127,16 @@ def test_a_difference_between_clusters_is_no_scatter() -> None:
     assert by_cluster[0] < 1e-6
     assert clustering(identify_with_spreads(problem), 1, names) == []
     assert clustering(identify_with_spreads(problem), 2, ["common"]) == []
+
+
+def test_what_all_members_have_is_no_scatter() -> None:
+    """Members that scatter about zero, and members that all are about the same."""
+    names = [f"member_{k}" for k in range(MEMBERS)]
+    problem, truth = made(0.1, 3)
+    plant = problem.plant
+    assert isinstance(plant, Sum)
+    alike = np.append(0.3 + 0.1 * truth[:-1], truth[-1])
+    run = replace(problem.runs[0], points=np.repeat((plant.curves @ alike)[:, None, None], 3, axis=2))
+    assert 0.02 < off_centre(identify_with_spreads(problem), names)[0] < 1
+    assert off_centre(identify_with_spreads(replace(problem, runs=(run,))), names)[0] < 1e-3
+    assert off_centre(identify_with_spreads(problem), ["common"]) == []

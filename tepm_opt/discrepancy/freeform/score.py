@@ -152,7 +152,7 @@ def _scored(place: Place, runs: Sequence[Normal], prior: tuple[np.ndarray, np.nd
     weight = float(np.trace(total[free:, free:])) / max(float(np.trace(place.penalty)), 1e-300)
     tried = [left_out(runs, precision, pull, strength * weight * place.penalty) for strength in STRENGTHS]
     best = int(np.argmin([errors.sum() for errors, _ in tried]))
-    errors, _ = tried[best]
+    errors, steps = tried[best]
     counts = np.concatenate([run.counts for run in runs])
     known = np.zeros_like(total)
     known[:free, :free], known[free:, free:] = np.diag(precision), STRENGTHS[best] * weight * place.penalty
@@ -165,5 +165,25 @@ def _scored(place: Place, runs: Sequence[Normal], prior: tuple[np.ndarray, np.nd
     used = float(np.trace(inverse[free:] @ total[:, free:]))
     chance = 3 * np.sqrt(2 * float(counts.sum()))  # squares by which pure noise may exceed its own
     closes = (base - float(errors.sum())) / max(base - float(counts.sum()), chance)
-    evidence = Evidence(errors[kept], counts[kept], free + max(round(used), 1), np.zeros(free))
+    predicted = _predictive(runs, errors, steps, pulled, step)
+    evidence = Evidence(predicted[kept], counts[kept], free + max(round(used), 1), np.zeros(free))
     return Scored(place, step[free:], spread * inverse[free:, free:], closes, evidence)
+
+
+def _predictive(runs: Sequence[Normal], errors: np.ndarray, steps: np.ndarray, slope: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Squares of every block by the predictive distribution of the other folds, (blocks,), as `evidence.leave_out` has them.
+
+    Args:
+        runs: normal equations of every run.
+        errors: squares of every block with the values that the other folds give, (blocks,).
+        steps: to these values, (folds, columns).
+        slope: of all runs and the prior, (columns,).
+        step: to the values that all runs give, (columns,).
+    """
+    first = np.cumsum([0, *(len(run.counts) for run in runs)])
+    found = np.array(errors)
+    for (k, at), own in zip(_folds(runs), steps, strict=True):
+        blocks = slice(first[k] + at.start, first[k] + at.stop)
+        added = float(runs[k].squares[at].sum()) + float(slope @ step) - float((slope - runs[k].slope[at].sum(axis=0)) @ own)
+        found[blocks] *= np.clip(added / max(float(errors[blocks].sum()), 1e-300), 0.0, 1.0)
+    return found

@@ -23,7 +23,7 @@ class WarmUp(Effect):
     timed = True
     parameters = (
         Parameter("change", "1", null=0.0, probe=-0.05, low=-0.9, high=10.0),
-        Parameter("time_constant", "s", null=100.0, probe=100.0, low=1.0, high=1e5),
+        Parameter("time_constant", "s", null=100.0, probe=100.0, low=10.0, high=1e5),
     )
 
     def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
@@ -32,4 +32,4 @@ class WarmUp(Effect):
 
     def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
         """A third of the session, in which most of the change happens."""
-        return {"time_constant": float(np.clip(clock[-1] / 3, 1.0, 1e5))}
+        return {"time_constant": float(np.clip(clock[-1] / 3, 10.0, 1e5))}
