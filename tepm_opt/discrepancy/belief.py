@@ -188,7 +188,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
     even *= SOME_RUNS if effect.runs else 1
-    return 1 / (1 + even / max(explanation.shares[effect], 1e-9))
+    return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))
 
 
 def _beside(effect: Candidate, believed: Mapping[Candidate, float], explanation: Explanation) -> float:
