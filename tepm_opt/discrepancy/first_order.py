@@ -44,6 +44,7 @@ class Linearised:
         known: what is fitted whatever acts.
         effects: those that the fit has.
         able: candidates that the model can take.
+        afar: those of them whose derivatives do not tell what they do where they are large, as candidates that are probed there.
         columns: number of the column of every parameter by its full name, and of every candidate that is probed by its label.
         cells: what each part of the rows is.
         square, slope: JᵀJ and Jᵀr of every cell, (cells, columns, columns) and (cells, columns).
@@ -54,6 +55,7 @@ class Linearised:
     known: tuple[Free, ...]
     effects: tuple[Candidate, ...]
     able: tuple[Candidate, ...]
+    afar: tuple[Candidate, ...]
     columns: dict[str, int]
     cells: tuple[Cell, ...]
     square: np.ndarray
@@ -121,7 +123,7 @@ class Linearised:
 def linearised(
     estimate: ParameterEstimate, known: Sequence[Free], effects: Sequence[Candidate], missing: Sequence[Candidate]
 ) -> Linearised:
-    """Normal equations of a fit by all candidates: derivatives of those that are smooth, finite probes of others.
+    """Normal equations of a fit by all candidates: derivatives of those that are smooth, finite probes of others, and of further sizes.
 
     Args:
         estimate: the fit.
@@ -130,26 +132,27 @@ def linearised(
         missing: the candidates; one that the model cannot take is left out.
     """
     smooth, bent = [c for c in missing if c.smooth], [c for c in missing if not c.smooth]
+    afar = [replace(c, smooth=False, probes=c.probes[1:]) for c in smooth if len(c.probes) > 1 and not estimate.problem.plant.quick]
     names = list(dict.fromkeys([*(f.name for f in estimate.problem.free), *(name for c in smooth for name in c.parameters)]))
     names += [f.name for f in known if f.name not in names]
-    estimate = thinned(suggested(estimate, missing), len(names) + len(bent))
+    estimate = thinned(suggested(estimate, missing), len(names) + len(bent) + len(afar))
     problem, threads = estimate.problem, estimate.problem.plant.concurrent
 
     def slopes() -> list[Residual]:
         return problem.residuals(estimate.values, names)
 
-    variants = [replace(c, probes=(probe,)) for c in bent for probe in c.probes]
+    variants = [replace(c, probes=(probe,)) for c in (*bent, *afar) for probe in c.probes]
 
     def probes() -> list[list[Residual] | None]:
         return in_parallel(lambda c: probed(estimate, c.probes[0]), variants, threads=threads)
 
     simulated, changed = beside(slopes, probes, threads)
-    able = _most_telling(estimate, simulated, [(c, found) for c, found in zip(variants, changed, strict=True) if found is not None])
-    columns = {name: k for k, name in enumerate((*names, *(c.label for c, _ in able)))}
+    telling = _most_telling(estimate, simulated, [(c, found) for c, found in zip(variants, changed, strict=True) if found is not None])
+    columns = {name: k for k, name in enumerate((*names, *(c.label for c, _ in telling)))}
     cells: list[Cell] = []
     squares, slope, cost, count = [], [], [], []
     for k, (r, s) in enumerate(zip(estimate.residuals, simulated, strict=True)):
-        by = np.hstack([s.by, *(((found[k].values - s.values).ravel()[:, None]) for _, found in able)])
+        by = np.hstack([s.by, *(((found[k].values - s.values).ravel()[:, None]) for _, found in telling)])
         rows, values = len(r.values), r.values.ravel()
         for cell, inside in _cells(k, problem.runs[k], problem.plant.static):
             picked = np.repeat(inside, values.size // max(rows, 1))
@@ -163,7 +166,8 @@ def linearised(
         estimate,
         tuple(known),
         tuple(effects),
-        (*smooth, *(c for c, _ in able)),
+        (*smooth, *(c for c, _ in telling if c in bent)),
+        tuple(c for c, _ in telling if c in afar),
         columns,
         tuple(cells),
         np.array(squares),

@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide
 from tepm_opt.discrepancy.screen import Score
 
-ONE_CAUSE = 10.0  # times as probable that one cause acts as that two do in its place, where data say the same
+ONE_CAUSE = 20.0  # times as probable that one cause acts as that two do in its place, where data say the same
 SOME_RUNS = 3.0  # times as probable that a cause acts always as that it acts in some of the runs, where data say the same
 COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 ASTRAY, ANEW = 3.0, 2  # times what is promised that an earlier fit leaves to be made anew, and how many are

@@ -58,6 +58,7 @@ def screen(linear: Linearised, bent: Sequence[Candidate] = ()) -> list[Score]:
         bent: further candidates of a quick plant, that are not smooth: probed by fits.
     """
     scores = [Score(c, *linear.gain((*linear.effects, c))) for c in linear.able]
+    scores += [Score(next(a for a in linear.able if a == c), *linear.gain((*linear.effects, c))) for c in linear.afar]
     probes = [(candidate, probe) for candidate in bent for probe in candidate.probes]
     return _ordered([*scores, *(_fitted(linear.estimate, probes) if probes else [])])
 

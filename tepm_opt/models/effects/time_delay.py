@@ -16,6 +16,7 @@ class TimeDelay(Effect):
     explains = "commands take effect late"
     reference = "pure transport delay; Åström and Murray, Feedback Systems, 2nd ed., section 9.2"
     parameters = (Parameter("delay", "s", null=0.0, probe=0.02, low=0.0, high=10.0),)
+    further_probes = ({"delay": 0.3},)
 
     def delay(self, parameters: Mapping[str, ca.SX]) -> ca.SX:
         return parameters["delay"]
