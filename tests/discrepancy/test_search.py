@@ -138,6 +138,18 @@ class TestScreening:
         assert start == pytest.approx(OFFSET, abs=2e-4)
         assert max(gains[1:]) < 0.9
 
+    def test_a_slow_valve_shows_at_a_large_size(self, library: CompiledModel) -> None:
+        """Its derivatives where it does nothing promise hardly anything."""
+        lag = {"regulator_lag.filling_time": 4.0, "regulator_lag.exhausting_time": 4.0}
+        slow = [cut(run, 6.0) for run in measured(changed(library, **lag), planned(FILES)[:2])]
+        estimate = identify(problem(library, slow))
+        linear = linearised(estimate, estimate.problem.free, (), candidates(NOMINAL))
+        (found,) = (score for score in screen(linear) if score.candidate.label == "regulator_lag")
+        (near,) = (c for c in linear.able if c.label == "regulator_lag")
+        assert near.smooth
+        assert found.gain > max(0.5, 2 * linear.gain((near,))[0])
+        assert found.start["regulator_lag.filling_time"] > 0.5
+
     def test_every_other_sample_says_the_same(self, library: CompiledModel, runs: list[Run]) -> None:
         """First-order gains of all effects, those that are probed as well."""
         estimate = identify(problem(library, runs))
