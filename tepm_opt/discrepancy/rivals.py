@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -20,6 +21,7 @@ COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
 ASTRAY, ANEW = 3.0, 2  # times what is promised that an earlier fit leaves to be made anew, and how many are
 TOGETHER = 3  # parameters from which an effect of the body may do what two others do together
 FIRST = 3  # effects, those that promise most alone, that are tried in pairs
+MOST_OF = 0.1  # part of what is left without an effect as wide as several that two of single parts may promise to leave
 NEARLY = 0.5  # times what an effect leaves that two in its place may promise to leave besides
 
 
@@ -46,7 +48,11 @@ def replacements(
     weight = weights([h.evidence for h in group], seed)
     if rest is not None and not fits.problem.plant.quick:
         weight = _agreed(group, weight, rest, fits.settings, seed)
-    return list(zip(group, _plain(group, weight).tolist(), strict=True))
+    weight = _plain(group, weight)
+    enough = [k for k, h in enumerate(group) if is_wide(effect) and h.left <= best.left + fits.settings.max_noise_excess and h is not best]
+    if enough:  # two of single parts that leave no more, but for what counts as noise, are no scatter of all
+        weight = np.eye(len(group))[min(enough, key=lambda k: group[k].left)]
+    return list(zip(group, weight.tolist(), strict=True))
 
 
 def _plain(group: Sequence[Hypothesis], weight: np.ndarray) -> np.ndarray:
@@ -98,7 +104,8 @@ def _two(
 ) -> list[Hypothesis]:
     """The fit of the two effects that promise most in the place of one, where that may be what they do together.
 
-    Values of the robot file that may be wrong are not asked: with one of them nearly everything does what another effect does.
+    In the place of one as wide as several two of single parts are asked for, also where that leaves only noise. Values of the robot file
+    that may be wrong are not asked: with one of them nearly everything does what another effect does.
 
     Args:
         fits: all so far.
@@ -108,16 +115,16 @@ def _two(
         scores: of what may take its place alone.
         missing: the candidates.
     """
-    rich = effect.stage == "body" and len(effect.parameters) >= TOGETHER and not effect.runs
-    if fits.problem.plant.quick or best.only_noise(fits.settings) or not rich:
+    wide, rich = is_wide(effect), effect.stage == "body" and len(effect.parameters) >= TOGETHER
+    if fits.problem.plant.quick or effect.runs or not (wide or (rich and not best.only_noise(fits.settings))):
         return []
     linear = fits.linear(best, missing)
     able = [c for c in linear.able if c != effect and not is_wide(c) and may(c, rest.effects) and c.name != PARAMETER]
-    first = [score.candidate for score in scores if score.candidate in able][:FIRST]
-    pairs = [(one, other) for one in first for other in able if one.form_of != other.form_of]
-    promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in pairs]
+    first = [c for c in able if c.part] if wide else [score.candidate for score in scores if score.candidate in able][:FIRST]
+    both = combinations(first, 2) if wide else ((one, other) for one in first for other in able)
+    promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in both if pair[0].form_of != pair[1].form_of]
     gain, start, pair = max(promised, key=lambda each: each[0], default=(-np.inf, {}, ()))
-    if gain < -NEARLY:
+    if -gain * linear.excess > (MOST_OF * rest.excess * float(linear.count.sum()) if wide else NEARLY * linear.excess):
         return []
     return [h for h in fits.fit_all([((*rest.effects, *pair), {**best.estimate.named, **start})], best) if h is not None]
 

@@ -257,6 +257,20 @@ def test_two_causes_must_say_more_than_one(monkeypatch: pytest.MonkeyPatch, exce
     assert least < found[1][1] <= most
 
 
+@pytest.mark.parametrize(("excess", "believed"), [(0.04, True), (0.1, False)])
+def test_two_parts_that_leave_only_noise_are_no_scatter_of_all(monkeypatch: pytest.MonkeyPatch, excess: float, believed: bool) -> None:
+    """Also where what has a number for every muscle leaves a little less."""
+    scatter = Candidate("actuator_scatter", None, {f"actuator_scatter.{k}": 0.0 for k in range(13)})
+    parts = Candidate("actuator_gain", "13", {"a": 0.0}, part="actuator"), Candidate("actuator_offset", "12", {"b": 0.0}, part="actuator")
+    rest, best, both = hypothesis((), 8.0), hypothesis((scatter,), 0.0), hypothesis(parts, excess)
+    table: Any = Table(SearchSettings(), {}, {})
+    table.done = {h.effects: h for h in (rest, best)}
+    monkeypatch.setattr(rivals, "_two", lambda *_: [both])
+    monkeypatch.setattr(rivals, "_scores", lambda *_: [])
+    found = {h.effects: p for h, p in rivals.replacements(table, best, scatter, [scatter, *parts], 0)}
+    assert found[parts] == pytest.approx(float(believed), abs=1e-3)
+
+
 def test_two_sets_are_followed_where_asked_for() -> None:
     """What looks best at first leads nowhere; what is a little worse is one of two causes."""
     excess = {"": 10.0, "s1": 4.0, "s2": 4.2, "s1 s3": 3.9, "s2 s3": 0.02, "s3": 9.9, "s1 s2": 3.9}
