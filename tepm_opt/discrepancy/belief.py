@@ -115,7 +115,7 @@ def judged(
         only_noise = explanation.without.only_noise(settings)
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
-    one = {e: holds[e] * _same(constancy.get(e, {})) * _by_chance(best.estimate, e) for e in best.effects}
+    one = {e: holds[e] * _same(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
     cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
     unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
     listed = []
@@ -201,7 +201,7 @@ def _beside(effect: Candidate, believed: Mapping[Candidate, float], explanation:
     return float(np.prod([1 - (1 - believed[other]) * taken[other] for other in believed if other != effect]))
 
 
-def _by_chance(estimate: ParameterEstimate, effect: Candidate) -> float:
+def _scatters(estimate: ParameterEstimate, effect: Candidate) -> float:
     """Probability that what is said to scatter over all actuators does so by chance, not from module to module nor about a mean of its own.
 
     Even odds where chance makes what is seen once in 500 times.

@@ -50,7 +50,7 @@ def replacements(
         weight = _agreed(group, weight, rest, fits.settings, seed)
     weight = _plain(group, weight)
     enough = [k for k, h in enumerate(group) if is_wide(effect) and h.left <= best.left + fits.settings.max_noise_excess and h is not best]
-    if enough:  # two of single parts that leave no more, but for what counts as noise, are no scatter of all
+    if enough:  # what one or two single parts do but for what counts as noise is no scatter of all
         weight = np.eye(len(group))[min(enough, key=lambda k: group[k].left)]
     return list(zip(group, weight.tolist(), strict=True))
 
