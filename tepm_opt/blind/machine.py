@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.blind.excitation import RATE, Excitation
+from tepm_opt.data.documents import validated
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -66,8 +67,12 @@ def rig_file(robot: Robot, deviation: Deviation, noise: float, seed: int = 0, ra
         noise: of the tracker, 1 sigma per axis in m.
         seed: of what is drawn once.
         rate: of the tracker in Hz.
+
+    Raises:
+        InputError: a value that no rig has.
     """
-    return RigFile.model_validate(
+    return validated(
+        RigFile,
         {
             "name": "hidden",
             "robot": robot.name,
@@ -76,7 +81,8 @@ def rig_file(robot: Robot, deviation: Deviation, noise: float, seed: int = 0, ra
             "parameter_factors": dict(deviation.factors),
             "tracker": {"rate_hz": rate, "noise_rms_m": np.sqrt(3) * noise},
             "imperfections": dict(deviation.imperfections),
-        }
+        },
+        "hidden",
     )
 
 

@@ -97,12 +97,21 @@ def narrow(model: Model, values: Mapping[str, float], kept: Iterable[Candidate])
     kept = [candidate for candidate in kept if candidate.name != PARAMETER]
     parameters = {name: values[name] for name, nominal in model.robot.parameters.model_dump().items() if values[name] != nominal}
     present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]
-    active, layout = [], Layout.of(model.robot)
-    for name, detail in present:
-        prefix = ActiveEffect(name, detail).label
-        own = find_effect(name).parameters_of(layout)
-        active.append(ActiveEffect(name, detail, {p.name: values[f"{prefix}.{p.name}"] for p in own}))
-    return replace(model, parameters=parameters, effects=tuple(active))
+    layout = Layout.of(model.robot)
+    return replace(model, parameters=parameters, effects=tuple(acting_effect(*each, values, layout) for each in present))
+
+
+def acting_effect(name: str, detail: str | None, values: Mapping[str, float], layout: Layout) -> ActiveEffect:
+    """An effect with its parameters out of a whole model's; those that rounding put beside a bound are at it.
+
+    Args:
+        name: of the effect.
+        detail: where it acts.
+        values: of all parameters by full name.
+        layout: of the robot.
+    """
+    prefix, own = ActiveEffect(name, detail).label, find_effect(name).parameters_of(layout)
+    return ActiveEffect(name, detail, {p.name: min(max(values[f"{prefix}.{p.name}"], p.low), p.high) for p in own})
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from tepm_opt.blind.excitation import excitations
 from tepm_opt.blind.flaws import CLOCKS, POOR, corrected, mistaken, spoiled
 from tepm_opt.blind.foreign import FOREIGN
 from tepm_opt.blind.machine import Deviation, played, rig_file, together
-from tepm_opt.blind.sizes import Pilot, simulated
+from tepm_opt.blind.sizes import UNBEARABLE, Pilot, simulated
 from tepm_opt.data.run import Run
 from tepm_opt.models.robot import Robot, load_robot
 
@@ -32,6 +32,12 @@ def test_deviations_add() -> None:
     assert both.after is not None
     assert both.after(np.zeros(1), np.ones(1)) == 3
     assert both.before is None
+
+
+def test_a_value_that_no_rig_has_is_not_borne() -> None:
+    """A form whose size runs out of the rig file's range gets another size."""
+    with pytest.raises(UNBEARABLE, match="c_a"):
+        rig_file(ROBOT, Deviation(factors={"c_a": 0.19}), NOISE)
 
 
 def test_noise_comes_behind_what_acts_on_points() -> None:

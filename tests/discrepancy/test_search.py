@@ -113,6 +113,13 @@ class TestLibrary:
             "sensor_offset", "s3", x=1e-3, y=0.0, z=0.0
         )
 
+    def test_narrow_bears_rounding_at_a_bound(self) -> None:
+        """A value plus the step to its bound is not always the bound."""
+        zone = candidate("pressure_dead_zone", None)
+        low = 0.02
+        values = {**wide(NOMINAL, [zone]).values, "pressure_dead_zone.threshold": 2e4, "pressure_dead_zone.rounding": np.nextafter(low, 0)}
+        assert narrow(NOMINAL, values, [zone]).values["pressure_dead_zone.rounding"] == low
+
     def test_probes_differ_from_nulls(self) -> None:
         for missing in candidates(NOMINAL):
             assert missing.probes[0].keys() == missing.null.keys() == set(missing.parameters)

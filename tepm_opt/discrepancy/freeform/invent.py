@@ -17,9 +17,11 @@ from tepm_opt.discrepancy.freeform.places import Course, places
 from tepm_opt.discrepancy.freeform.responses import courses
 from tepm_opt.discrepancy.freeform.score import Scored, scored
 from tepm_opt.discrepancy.freeform.writing import Written, refitted, writable, write
+from tepm_opt.discrepancy.network import acting_effect
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.effect_files import load_effects, unload_effect
+from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, identify
@@ -200,13 +202,8 @@ def _changed(known: Model, fitted: ParameterEstimate) -> dict[str, float]:
 
 def _effects(known: Model, written: Written, fitted: ParameterEstimate) -> tuple[ActiveEffect, ...]:
     """The model's effects with the values found, and the law."""
-    values = fitted.plant.values
-    every = [(effect.name, effect.detail, tuple(effect.parameters)) for effect in known.effects]
-    every.append((written.name, None, tuple(written.start)))
-    return tuple(
-        ActiveEffect(name, detail, {p: values[f"{ActiveEffect(name, detail).label}.{p}"] for p in parameters})
-        for name, detail, parameters in every
-    )
+    every = [*((effect.name, effect.detail) for effect in known.effects), (written.name, None)]
+    return tuple(acting_effect(name, detail, fitted.plant.values, Layout.of(known.robot)) for name, detail in every)
 
 
 def _error(estimate: ParameterEstimate, runs: Sequence[Run]) -> float:
