@@ -33,6 +33,9 @@ from .jobs.identify import open_datasets as open_datasets
 from .jobs.identify import run_identify as run_identify
 from .jobs.ik import IkRun as IkRun
 from .jobs.ik import run_ik as run_ik
+from .jobs.machines import Family as Family
+from .jobs.machines import MachinesRun as MachinesRun
+from .jobs.machines import run_machines as run_machines
 from .jobs.modes import ModesRun as ModesRun
 from .jobs.modes import run_modes as run_modes
 from .jobs.mpc import run_closed_loop as run_closed_loop

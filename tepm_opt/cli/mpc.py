@@ -22,10 +22,11 @@ from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_
 if TYPE_CHECKING:
     from tepm_opt.hw.rig import Command, Rig, Sample
     from tepm_opt.jobs.closed_loop import ClosedLoop
+    from tepm_opt.jobs.machines import MachinesRun
     from tepm_opt.jobs.mpc import Observer
 
 CONTROLLER = "mpc"
-CONTROLLERS = f"{CONTROLLER}: the predictive controller; mode1, mode2: the paper's; a wrong name lists all."
+CONTROLLERS = f"{CONTROLLER}: the predictive controller; lqg: its plain peer; mode1, mode2: the paper's; a wrong name lists all."
 
 
 @contextmanager
@@ -86,6 +87,18 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
     return text
 
 
+def machine_lines(run: MachinesRun, out: Path) -> list[str]:
+    """What a controller reaches on random machines, for people."""
+    told, family = run.summary(), run.family
+    text = [f"[bold]{told['controller']}[/] on {family.machines} random machines of seed {family.seed}, files in {escape(str(out))}"]
+    if told["mean_m"] is not None:
+        text.append(
+            f"error of the true tip, rms: mean [bold]{1e3 * told['mean_m']:.3g} mm[/], worst {1e3 * told['worst_m']:.3g} mm "
+            f"(machine {told['worst_machine']}); {100 * told['share_within']:.0f} % within {1e3 * run.bound:g} mm"
+        )
+    return text if run.ok else [*text, f"[yellow]{escape(run.outcome.message)}[/]"]
+
+
 def mpc(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
@@ -101,6 +114,11 @@ def mpc(
     rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
     use: Annotated[str | None, typer.Option("--use", help="MPC: both, tension or pressure.", show_default="both")] = None,
     view: Annotated[bool, typer.Option("--view", help="Live 3-D view in rerun.")] = False,
+    machines: Annotated[
+        int | None, typer.Option("--machines", min=1, metavar="N", help="On N random machines around the robot file; --seed draws them.")
+    ] = None,
+    noises: Annotated[int, typer.Option("--noises", min=1, help="How often each machine is driven, with other noise.")] = 2,
+    bound: Annotated[float, typer.Option("--bound", min=0.0, metavar="MM", help="Error within which a run on a machine is good.")] = 3.0,
     seed: SeedOption = 0,
     robot: RobotOption = None,
     model: ModelOption = None,
@@ -113,14 +131,23 @@ def mpc(
     """
     from tepm_opt.jobs import course
     from tepm_opt.jobs.closed_loop import LOG
+    from tepm_opt.jobs.machines import Family
 
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
     setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
     targets = which.trajectory(path)
     with folder_for(out) as folder:
         compiled = load(robot, model)
-        device = opener(rig, compiled.robot, seed)(seed)
         driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
+        if machines is not None:
+            if rig != "sim" or view:
+                raise tepm.InputError("--machines simulates its own rigs; leave --rig and --view out")
+            with shown(as_json) as bars:
+                run = tepm.run_machines(compiled.model, targets, driven, setup, Family(machines, noises, seed), bound / 1e3, progress=bars)
+            run.save(folder)
+            plots.draw(run, folder)
+            return report(run.summary(), machine_lines(run, out), as_json, run.ok)
+        device = opener(rig, compiled.robot, seed)(seed)
         with shown(as_json) as bars:
             reference = tepm.whole_reference(compiled, targets, driven, kinematics.settings(), bars)
         try:

@@ -1,7 +1,8 @@
 """Kalman filter for the arm's slow motion, unknown axial forces, strength, friction and what the tracked points are off by.
 
-The state is [q, q', d, g, c, b]: modal coordinates about an operating point (see `solvers.modal_model`), axial forces that nobody
-commanded, by what part each muscle is stronger than the model has it, its dry friction, and biases of the reference points. Forces that
+The state is [q, q', d, g, c, h, b]: modal coordinates about an operating point (see `solvers.modal_model`), axial forces that nobody
+commanded, by what part each muscle is stronger than the model has it, its dry friction, what its force stays behind where its pressure
+turns over (hysteresis), and biases of the reference points. Forces that
 wander and a bias of the tip that does not fade make the tip nearly free of offset (Pannocchia and Rawlings, Disturbance models for
 offset-free model-predictive control, AIChE J. 49, 2003).
 """
@@ -23,7 +24,7 @@ from tepm_opt.solvers.modal_model import ModalModel
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """Noise model of the Kalman filter; tuned on the virtual prototype with its nominal model.
+    """Noise model of the Kalman filter; tuned on twelve random machines (`hw.simulation.family`, seed 900) with the nominal model.
 
     Attributes:
         force_drift: intensity of the unknown forces' random walk in N/√s.
@@ -33,8 +34,13 @@ class FilterSettings:
         strength_drift: intensity of its random walk in 1/√s.
         friction_std: standard deviation of a muscle's friction before anything was seen, in N.
         friction_drift: intensity of its random walk in N/√s.
+        surprise_time: time in s over which the normalised innovations are averaged; where their mean is above 1 the unknown forces are
+            believed to wander faster by the square of it.
         reversal_noise: standard deviation of the unknown forces in N that one turn-over of the friction adds.
         presliding_distance: distance in m over which friction turns over (Dahl).
+        hysteresis_std: standard deviation of half the hysteresis before anything was seen, in N.
+        hysteresis_drift: intensity of its random walk in N/√s.
+        hysteresis_width: change of p A in N over which it turns over.
         load_share: part of the friction that is in proportion to the tension; the friction is meant at the tension's middle.
         rate_time: time constant in s of the smoothed rates that say which way friction pulls.
         bias_std: standard deviation of the points' bias before anything was seen, in m.
@@ -45,16 +51,20 @@ class FilterSettings:
         most_rejections: frames in a row for which a point is refused; after them it is believed.
     """
 
-    force_drift: float = 2.5
-    force_correlation_time: float = 0.25
+    force_drift: float = 1.2
+    force_correlation_time: float = 1.0
     force_noise: float = 0.005
     strength_std: float = 0.05
     strength_drift: float = 0.005
     friction_std: float = 2.0
-    friction_drift: float = 0.2
+    friction_drift: float = 0.5
+    surprise_time: float = 0.15
     reversal_noise: float = 0.1
     presliding_distance: float = 5e-4
-    load_share: float = 0.5
+    hysteresis_std: float = 0.5
+    hysteresis_drift: float = 0.1
+    hysteresis_width: float = 1.0
+    load_share: float = 0.8
     rate_time: float = 0.15
     bias_std: float = 5e-3
     bias_drift: float = 2e-3
@@ -131,6 +141,8 @@ class StateEstimate:
         strength: by what part of p A the muscles pull more, g, (actuators,).
         friction: of the muscles c, (actuators,) in N.
         direction: which way it pulls, −1 … 1, (actuators,).
+        hysteresis: of the muscles h, (actuators,) in N.
+        turning: which way the pressure went, −1 … 1, (actuators,).
         deviation: rates of the actuators' lengths beside the reference's, smoothed, (actuators,) in m/s.
         bias: of the reference points, (points, 3) in m.
         points: where they are, bias included, (points, 3) in m in G.
@@ -144,6 +156,8 @@ class StateEstimate:
     strength: np.ndarray
     friction: np.ndarray
     direction: np.ndarray
+    hysteresis: np.ndarray
+    turning: np.ndarray
     deviation: np.ndarray
     bias: np.ndarray
     points: np.ndarray
@@ -188,21 +202,24 @@ class Estimator:
         self.operating, self.settings, self.noise, self.middle = operating, settings, noise, middle
         modes, actuators = operating.model.drive.shape
         outputs = len(operating.model.observe)
-        ends = np.cumsum([0, 2 * modes, actuators, actuators, actuators, outputs])
-        self._motion, self._unknown, self._strength, self._friction, self._bias = (slice(*pair) for pair in pairwise(ends))
+        ends = np.cumsum([0, 2 * modes, actuators, actuators, actuators, actuators, outputs])
+        parts = (slice(*pair) for pair in pairwise(ends))
+        self._motion, self._unknown, self._strength, self._friction, self._hysteresis, self._bias = parts
         self._modes, self._tip = modes, slice(ends[-1] - 3, ends[-1])
         self.mean = np.zeros(ends[-1])
         spread = np.zeros(ends[-1])
         spread[self._motion], spread[self._unknown], spread[self._friction] = 1e-2, 0.5, settings.friction_std
-        spread[self._strength], spread[self._bias], spread[self._tip] = settings.strength_std, settings.bias_std, 1e-3
+        spread[self._strength], spread[self._hysteresis] = settings.strength_std, settings.hysteresis_std
+        spread[self._bias], spread[self._tip] = settings.bias_std, 1e-3
         self.covariance = np.diag(spread**2)
         self._drift = np.zeros(ends[-1])
         self._drift[self._unknown], self._drift[self._friction] = settings.force_drift, settings.friction_drift
-        self._drift[self._strength] = settings.strength_drift
+        self._drift[self._strength], self._drift[self._hysteresis] = settings.strength_drift, settings.hysteresis_drift
         self._drift[self._bias], self._drift[self._tip] = settings.bias_drift, settings.tip_bias_drift
-        self._direction, self._deviation = np.zeros(actuators), np.zeros(actuators)
+        self._direction, self._deviation, self._turning = np.zeros(actuators), np.zeros(actuators), np.zeros(actuators)
+        self._tension: np.ndarray | None = None  # at the last prediction
         self._outlying = np.zeros(outputs // 3, dtype=int)
-        self._nis, self._seen = np.nan, 0
+        self._nis, self._seen, self._surprise = np.nan, 0, 1.0
 
     def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: Operating) -> Transition:
         """Advance the estimate by one period; returns the transition of the state that it used.
@@ -217,6 +234,8 @@ class Estimator:
         seen = now.model.drive.T @ self.mean[self._modes : 2 * self._modes]
         self._deviation += (1 - np.exp(-now.period / settings.rate_time)) * (seen - rates - self._deviation)
         self._direction = turned(before, (rates + self._deviation) * now.period, settings.presliding_distance)
+        rise = forces[1] - forces[0] + (0.0 if self._tension is None else tension - self._tension)  # of p A
+        self._turning, self._tension = turned(self._turning, rise, settings.hysteresis_width), tension
         done = self._transition(forces, tension, np.abs(self._direction - before), then)
         self.mean = done.A @ self.mean + done.push
         self.covariance = done.A @ self.covariance @ done.A.T + done.kick @ done.kick.T
@@ -233,11 +252,13 @@ class Estimator:
         A[self._motion, self._unknown] = by_force
         A[self._motion, self._strength] = by_force * (forces.mean(axis=0) + tension)  # p A
         A[self._motion, self._friction] = -by_force * self._direction * self.loaded(tension)
+        A[self._motion, self._hysteresis] = -by_force * self._turning
         others = slice(self._bias.start, self._tip.start)
         A[self._unknown, self._unknown] *= np.exp(-period / settings.force_correlation_time)
         A[others, others] *= np.exp(-period / settings.bias_correlation_time)
         push[self._motion] = now.start @ pushed[0] + now.end @ pushed[1]
         variance = period * self._drift**2
+        variance[self._unknown] *= max(self._surprise, 1.0) ** 4
         variance[self._unknown] += settings.reversal_noise**2 * turning
         kick = np.zeros((size, len(turning) + size - 2 * modes))
         kick[modes : 2 * modes, : len(turning)] = np.sqrt(period) * settings.force_noise * drive
@@ -276,6 +297,8 @@ class Estimator:
             inverse = np.linalg.inv(S)
             gain = (self.covariance @ C.T) @ inverse
             self._nis = float(innovation @ inverse @ innovation)
+            passed = 1 - np.exp(-self.operating.period / self.settings.surprise_time)
+            self._surprise += passed * (self._nis / self._seen - self._surprise)
             self.mean = self.mean + gain @ innovation
             left = -gain @ C
             left[np.diag_indices(len(left))] += 1
@@ -297,8 +320,8 @@ class Estimator:
         points = model.equilibrium.points + (model.observe @ self.mean[: self._modes]).reshape(-1, 3) + bias
         return StateEstimate(
             self.operating, self.mean[self._motion].copy(), self.mean[self._unknown].copy(), self.mean[self._strength].copy(),
-            self.mean[self._friction].copy(), self._direction.copy(), self._deviation.copy(), bias.copy(), points,
-            self._nis, self._seen, refused,
+            self.mean[self._friction].copy(), self._direction.copy(), self.mean[self._hysteresis].copy(), self._turning.copy(),
+            self._deviation.copy(), bias.copy(), points, self._nis, self._seen, refused,
         )  # fmt: skip
 
 

@@ -82,6 +82,7 @@ class Smoothed:
         unknown: axial forces that nobody commanded, (samples, actuators) in N.
         strength: by what part of p A the muscles pull more, (samples, actuators).
         friction: of the muscles, (samples, actuators) in N, not negative.
+        hysteresis: of the muscles, half of it, (samples, actuators) in N.
         bias: of the reference points, (samples, points, 3) in m.
         points: where they are, bias included, (samples, points, 3) in m in G.
         filtered: where the filter had them, (samples, points, 3) in m in G.
@@ -92,6 +93,7 @@ class Smoothed:
     unknown: np.ndarray
     strength: np.ndarray
     friction: np.ndarray
+    hysteresis: np.ndarray
     bias: np.ndarray
     points: np.ndarray
     filtered: np.ndarray
@@ -124,7 +126,7 @@ def smooth(recorded: RecordedMotion, noise: float, middle: float, settings: Filt
     wanted = [(count, *points), (count, actuators), (count, actuators), (count - 1, actuators)]
     if given != wanted or count < 2:
         raise InputError(f"recorded: shapes {given}; valid: {wanted}, at least 2 samples")
-    size = 2 * modes + 3 * actuators + recorded.points[0].size
+    size = 2 * modes + 4 * actuators + recorded.points[0].size
     filtered = Estimator(recorded.operating[0], noise, middle, settings)
     scale, first = np.sqrt(np.diag(filtered.covariance)), filtered.mean
     hessian, pull, moved, seen = [], [], [], []
@@ -140,12 +142,12 @@ def smooth(recorded: RecordedMotion, noise: float, middle: float, settings: Filt
         hessian.append(C.T @ C + (np.diag(scale**-2.0) if k == 0 else 0.0))
         pull.append(C.T @ off + (first / scale**2 if k == 0 else 0.0))
     states, solved = _minimised(hessian, pull, moved, scale, slice(2 * modes + 2 * actuators, 2 * modes + 3 * actuators), bounded)
-    motion, unknown, strength, friction, bias = np.split(states, 2 * modes + actuators * np.arange(4), axis=1)
+    motion, unknown, strength, friction, hysteresis, bias = np.split(states, 2 * modes + actuators * np.arange(5), axis=1)
     models = [operating.model for operating in recorded.operating]
     at = [model.equilibrium.points.ravel() + model.observe @ q[:modes] for model, q in zip(models, motion, strict=True)]
     there, bias = (np.array(at) + bias).reshape(count, *points), bias.reshape(count, *points)
     outcome = Outcome(Ending.SOLVED) if solved else Outcome(Ending.NOT_CONVERGED, f"no active set after {SETS} tries")
-    return Smoothed(motion, unknown, strength, friction, bias, there, np.array(seen), outcome)
+    return Smoothed(motion, unknown, strength, friction, hysteresis, bias, there, np.array(seen), outcome)
 
 
 def _minimised(

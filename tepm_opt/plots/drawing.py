@@ -17,6 +17,7 @@ from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.jobs.gain import GainRun
 from tepm_opt.jobs.ik import IkRun
+from tepm_opt.jobs.machines import MachinesRun
 from tepm_opt.jobs.modes import ModesRun
 from tepm_opt.jobs.paper import Study
 from tepm_opt.jobs.plan import PlanRun
@@ -30,6 +31,7 @@ from tepm_opt.plots.gain import gain_figure
 from tepm_opt.plots.ik import ik_figure
 from tepm_opt.plots.law import law_figure
 from tepm_opt.plots.linear import modes_figures
+from tepm_opt.plots.machines import machines_figure
 from tepm_opt.plots.motion import lengths_figure, tip_figure
 from tepm_opt.plots.paper import draw as experiment_figure
 from tepm_opt.plots.plan import plan_figure
@@ -119,6 +121,7 @@ FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     Study: _study,
     Discovery: discovery_figures,
     Invention: lambda law: {law.written.name: law_figure(law)},
+    MachinesRun: lambda run: {"machines": machines_figure(run) if run.drives else None},
     BlindRun: lambda run: blind_figures(run.analysis),
 }
 """What is drawn of the run of each job."""

@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2
 
 from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
+from tepm_opt.control.friction import turned
 from tepm_opt.control.reference import PERIOD
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.choices import ActuationMode
@@ -22,14 +23,17 @@ MIDDLE = 3.5  # N
 TENSION = np.array([3.5, 2.0, 5.0, 3.0, 4.0, 1.0])  # N
 DIRECTION = np.array([1.0, -1, 1, -1, 1, 1])  # in which the muscles move, far enough that friction has turned over in a period
 RATES = 1.0 * DIRECTION  # m/s
-KNOWN = FilterSettings(rate_time=np.inf)  # the filter takes RATES for true, not those that it sees, and so knows the DIRECTION
+KNOWN = FilterSettings(
+    rate_time=np.inf, surprise_time=np.inf
+)  # the filter takes RATES for true, not those that it sees, and so knows the DIRECTION
 OTHER = FilterSettings(
-    force_drift=1.5, force_correlation_time=0.6, force_noise=0.01, strength_std=0.1, strength_drift=0.01, friction_std=1.0,
+    force_drift=1.5, surprise_time=np.inf,
+    force_correlation_time=0.6, force_noise=0.01, strength_std=0.1, strength_drift=0.01, friction_std=1.0,
     friction_drift=0.4, reversal_noise=0.3, presliding_distance=2e-4, load_share=0.2, rate_time=np.inf, bias_std=2e-3, bias_drift=1e-3,
-    bias_correlation_time=3.0, tip_bias_drift=2e-3,
+    bias_correlation_time=3.0, tip_bias_drift=2e-3, hysteresis_std=0.8, hysteresis_drift=0.3, hysteresis_width=0.4,
 )  # fmt: skip
-SLOW = np.r_[:4, 10:14, 20:50]  # of the state: fast modes follow their forces, so that their covariance is singular to rounding
-PARTS = [20, 26, 32, 38]  # of the state: motion, unknown forces, strength, friction, bias
+SLOW = np.r_[:4, 10:14, 20:56]  # of the state: fast modes follow their forces, so that their covariance is singular to rounding
+PARTS = [20, 26, 32, 38, 44]  # of the state: motion, unknown forces, strength, friction, hysteresis, bias
 PROBABILITY = 1e-3  # of a test of consistency that fails though all is well
 
 
@@ -54,13 +58,13 @@ class Arm:
     """The linear model that the filter believes in, with the noise that its settings say; without any where `random` is None.
 
     Attributes:
-        motion, unknown, strength, friction, bias: of the truth.
+        motion, unknown, strength, friction, hysteresis, bias: of the truth.
     """
 
     def __init__(self, at: Operating, settings: FilterSettings, random: np.random.Generator | None = None) -> None:
         self.at, self.settings, self.random = at, settings, random
-        self.motion, self.unknown, self.strength, self.friction, self.bias = np.split(np.zeros(50), PARTS)
-        self.direction = np.zeros(6)
+        self.state = np.zeros(56)
+        self.direction, self.turning = np.zeros(6), np.zeros(6)
 
     def draw(self, deviation: np.ndarray | float) -> np.ndarray:
         """Normally distributed values."""
@@ -68,15 +72,17 @@ class Arm:
 
     def drawn(self, filtered: Estimator) -> Arm:
         """From where the filter believes it at the start."""
-        parts = self.draw(np.sqrt(np.diag(filtered.covariance)))
-        self.motion, self.unknown, self.strength, self.friction, self.bias = np.split(parts, PARTS)
+        self.state = self.draw(np.sqrt(np.diag(filtered.covariance)))
         return self
 
     def advance(self, forces: np.ndarray, then: Operating) -> None:
         """One period under axial forces (2, actuators), friction all against DIRECTION."""
         settings, root = self.settings, np.sqrt(PERIOD)
         turning, self.direction = np.abs(DIRECTION - self.direction), DIRECTION
-        pulled = self.friction * DIRECTION * (1 - settings.load_share + settings.load_share * TENSION / MIDDLE)
+        self.turning = turned(self.turning, forces[1] - forces[0], settings.hysteresis_width)
+        pulled = self.hysteresis * self.turning + self.friction * DIRECTION * (
+            1 - settings.load_share + settings.load_share * TENSION / MIDDLE
+        )
         stronger = self.strength * (forces.mean(axis=0) + TENSION)  # of p A
         motion = self.at.advance(self.motion, forces + self.unknown + stronger - pulled)
         motion[10:] += self.at.model.drive @ self.draw(settings.force_noise * root * np.ones(6))
@@ -84,6 +90,7 @@ class Arm:
         self.unknown = np.exp(-PERIOD / settings.force_correlation_time) * self.unknown + self.draw(kick)
         self.strength = self.strength + self.draw(settings.strength_drift * root * np.ones(6))
         self.friction = self.friction + self.draw(settings.friction_drift * root * np.ones(6))
+        self.hysteresis = self.hysteresis + self.draw(settings.hysteresis_drift * root * np.ones(6))
         fading = np.exp(-PERIOD / settings.bias_correlation_time)
         drift = np.append(np.full(9, settings.bias_drift), np.full(3, settings.tip_bias_drift))
         self.bias = np.append(fading * self.bias[:9], self.bias[9:]) + self.draw(root * drift)
@@ -100,7 +107,11 @@ class Arm:
     @property
     def state(self) -> np.ndarray:
         """As the filter's mean."""
-        return np.concatenate([self.motion, self.unknown, self.strength, self.friction, self.bias])
+        return np.concatenate([self.motion, self.unknown, self.strength, self.friction, self.hysteresis, self.bias])
+
+    @state.setter
+    def state(self, values: np.ndarray) -> None:
+        self.motion, self.unknown, self.strength, self.friction, self.hysteresis, self.bias = np.split(values, PARTS)
 
     def seen(self) -> np.ndarray:
         """By the tracker, (points, 3) in m."""
@@ -148,12 +159,12 @@ def test_filter_is_consistent(circle_points, moving, settings):
 
 
 def test_filter_with_wrong_noise_is_not_consistent(here):
-    """The same figures show forces that wander a third faster than the filter believes: the test of consistency can fail."""
+    """The same figures show forces that wander twice as fast as the filter believes: the test of consistency can fail."""
     random, settings = np.random.default_rng(8), KNOWN
     nis, seen = 0.0, 0
     for _ in range(8):
         filtered = Estimator(here, NOISE, MIDDLE, settings)
-        arm = Arm(here, replace(settings, force_drift=1.33 * settings.force_drift), random).drawn(filtered)
+        arm = Arm(here, replace(settings, force_drift=2 * settings.force_drift), random).drawn(filtered)
         for points in run(arm, filtered, 120):
             estimate = filtered.update(points)
             nis, seen = nis + estimate.nis, seen + estimate.seen
@@ -172,7 +183,7 @@ def settled(here: Operating, settings: FilterSettings | None = None, steps: int 
 
 def spread(filtered: Estimator) -> float:
     """Standard deviation of the tip as the filter has it, in m."""
-    observe = np.hstack([filtered.operating.model.observe, np.zeros((12, 28)), np.eye(12)])[-3:]
+    observe = np.hstack([filtered.operating.model.observe, np.zeros((12, 34)), np.eye(12)])[-3:]
     return float(np.sqrt(np.trace(observe @ filtered.covariance @ observe.T)))
 
 

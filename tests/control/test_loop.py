@@ -14,6 +14,7 @@ import pytest
 from tepm_opt.control import controllers as controllers_module
 from tepm_opt.control.controllers import DEFAULT, controllers, find_controller, register, settings_of
 from tepm_opt.control.controllers.base import ControllerKind, NoSettings, Telemetry
+from tepm_opt.control.controllers.lqg import Lqg
 from tepm_opt.control.controllers.modes import LengthFollower
 from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import Guard, LoopRecord, close_loop
@@ -307,9 +308,9 @@ def test_measured_inputs_observer_and_progress(short):
 
 
 def test_controllers_by_name(kang, short):
-    """The three of them, the default one first, and nothing else."""
+    """The four of them, the default one first, and nothing else."""
     kinds = {kind.name: type(kind.make(kang, short, kind.settings({}))) for kind in controllers()}
-    assert list(kinds.items()) == [(DEFAULT, Mpc), ("mode1", LengthFollower), ("mode2", LengthFollower)]
+    assert list(kinds.items()) == [(DEFAULT, Mpc), ("lqg", Lqg), ("mode1", LengthFollower), ("mode2", LengthFollower)]
     with pytest.raises(InputError, match="mode3"):
         find_controller("mode3")
     with pytest.raises(InputError, match="MpcSettings"):

@@ -264,7 +264,7 @@ def test_pressures_take_over_what_goes_on(kang, short, row, quick, slow):
     moved = {}
     for name, change in (("quick", quick), ("slow", slow)):
         planner = PressurePlannerSettings(quantised=False, **change)
-        pressures = [held_off(kang, short, MpcSettings(mid_ranging=on, pressure_planner=planner), row, 12) for on in (True, False)]
+        pressures = [held_off(kang, short, MpcSettings(mid_ranging=on, pressure_planner=planner), row, 25) for on in (True, False)]
         moved[name] = float(np.abs(pressures[0] - pressures[1]).sum())
     assert moved["quick"] > 1.1 * moved["slow"]
 

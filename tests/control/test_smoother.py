@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from tepm_opt.control.estimator import Estimator, Operating
+from tepm_opt.control.friction import turned
 from tepm_opt.control.smoother import RecordedMotion, smooth
 from tepm_opt.errors import InputError
-from tests.control.test_estimator import DIRECTION, KNOWN, MIDDLE, NOISE, PARTS, RATES, TENSION, Arm, circle_points
+from tests.control.test_estimator import DIRECTION, KNOWN, MIDDLE, NOISE, RATES, TENSION, Arm, circle_points
 
 __all__ = ["circle_points"]
 
@@ -56,7 +57,9 @@ def test_last_state_is_the_filters(circle_points, moving):
     recorded, _, _ = simulated(circle_points if moving else circle_points[:1], 60, 1)
     found, last = smooth(recorded, NOISE, MIDDLE, KNOWN, bounded=False), filtered(recorded)
     assert found.solved
-    means = np.concatenate([found.motion[-1], found.unknown[-1], found.strength[-1], found.friction[-1], found.bias[-1].ravel()])
+    means = np.concatenate(
+        [found.motion[-1], found.unknown[-1], found.strength[-1], found.friction[-1], found.hysteresis[-1], found.bias[-1].ravel()]
+    )
     np.testing.assert_allclose(means, last.mean, atol=1e-6 * np.abs(last.mean).max())
     np.testing.assert_allclose(found.points[-1], found.filtered[-1], atol=1e-8)
 
@@ -64,7 +67,7 @@ def test_last_state_is_the_filters(circle_points, moving):
 def test_all_states_are_those_of_the_exact_smoother(circle_points):
     """Rauch, Tung and Striebel's recursion, on transitions that are found by moving unit vectors with the arm's own model."""
     recorded, _, _ = simulated(circle_points[:1], 40, 2)
-    at, size = circle_points[0], 50
+    at, size = circle_points[0], 56
     estimator = Estimator(at, NOISE, MIDDLE, KNOWN)
     before, after = [], []
     for k, points in enumerate(recorded.points):
@@ -74,17 +77,19 @@ def test_all_states_are_those_of_the_exact_smoother(circle_points):
         estimator.update(points)
         after.append((estimator.mean.copy(), estimator.covariance.copy()))
 
-    def moved(state: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    def moved(state: np.ndarray, k: int) -> np.ndarray:
         arm = Arm(at, KNOWN)
-        arm.motion, arm.unknown, arm.strength, arm.friction, arm.bias = np.split(state, PARTS)
-        arm.direction = DIRECTION
-        arm.advance(forces, at)
+        arm.state, arm.direction, arm.turning = state, DIRECTION, turnings[k]
+        arm.advance(recorded.forces[k : k + 2], at)
         return arm.state
+
+    turnings = [np.zeros(6)]
+    for rise in np.diff(recorded.forces, axis=0):
+        turnings.append(turned(turnings[-1], rise, KNOWN.hysteresis_width))
 
     means = [after[-1][0]]
     for k in range(len(after) - 2, -1, -1):
-        forces = recorded.forces[k : k + 2]
-        move = (np.array([moved(unit, forces) for unit in np.eye(size)]) - moved(np.zeros(size), forces)).T
+        move = (np.array([moved(unit, k) for unit in np.eye(size)]) - moved(np.zeros(size), k)).T
         gain = after[k][1] @ move.T @ np.linalg.pinv(before[k + 1][1], rcond=1e-13, hermitian=True)
         means.insert(0, after[k][0] + gain @ (means[0] - before[k + 1][0]))
     found = smooth(recorded, NOISE, MIDDLE, KNOWN, bounded=False)
@@ -92,7 +97,8 @@ def test_all_states_are_those_of_the_exact_smoother(circle_points):
     np.testing.assert_allclose(found.unknown, exact[:, 20:26], atol=1e-3)
     np.testing.assert_allclose(found.strength, exact[:, 26:32], atol=1e-4)
     np.testing.assert_allclose(found.friction, exact[:, 32:38], atol=1e-3)
-    np.testing.assert_allclose(found.bias.reshape(-1, 12), exact[:, 38:], atol=1e-5)
+    np.testing.assert_allclose(found.hysteresis, exact[:, 38:44], atol=1e-3)
+    np.testing.assert_allclose(found.bias.reshape(-1, 12), exact[:, 44:], atol=1e-5)
     np.testing.assert_allclose(found.motion[:, :4], exact[:, :4], atol=1e-5)
 
 

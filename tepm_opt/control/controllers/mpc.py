@@ -12,24 +12,22 @@ which is taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
-from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option, Telemetry, Value
-from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
-from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, Value
+from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
+from tepm_opt.control.forecast import Forecast, LinearForecast
 from tepm_opt.control.friction import course, turned
+from tepm_opt.control.mpc_settings import MpcSettings, Use
 from tepm_opt.control.nonlinear import NonlinearForecast
-from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
+from tepm_opt.control.pressure_planner import PressurePlanner
 from tepm_opt.control.qp import QpResult, QpSolver
 from tepm_opt.control.reference import Reference
-from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
@@ -37,71 +35,6 @@ from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 PERIODS = 2  # of control in a stage of the prediction
 LATE = "late"  # why a plan that was found is not used
-
-
-class Use(Enum):
-    """Which actuators a controller uses."""
-
-    BOTH = "both"
-    TENSION = "tension"
-    PRESSURE = "pressure"
-
-
-@dataclass(frozen=True)
-class MpcSettings:
-    """Settings of the predictive controller; tuned on the virtual prototype with its nominal model.
-
-    Attributes:
-        stages: length of the prediction horizon in stages of two control periods.
-        weights: cost of errors and efforts.
-        mid_range: tension to which mid-ranging lets the motors return, as part of their range.
-        mid_ranging: whether the pressures take over what the tensions do for longer; else they only follow the reference.
-        switching: whether a motor is enabled only while its muscle's length is near the reference's, as in the paper's mode 2; else always.
-        enable_below: length error in m below which `switching` enables a motor.
-        disable_above: length error in m above which `switching` disables it again.
-        use: which actuators move; those left out keep still.
-        corridor: half width in m, along each axis, of the tube about the reference beyond which the tip's error costs a hundred times as
-            much: a soft constraint; infinite for none.
-        nonlinear: whether the program is linearised along its own last plan (real-time iteration) instead of about the reference.
-        pressure_planner: settings of the pressures.
-        filter: settings of the state estimator.
-        deadline: duration of a step in s after which its program is not used and the last plan goes on.
-    """
-
-    stages: int = 15
-    weights: Weights = field(default_factory=Weights)
-    mid_range: float = 0.5
-    mid_ranging: bool = True
-    switching: bool = False
-    enable_below: float = 3e-3
-    disable_above: float = 4e-3
-    use: Use = Use.BOTH
-    corridor: float = np.inf
-    nonlinear: bool = False
-    pressure_planner: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
-    filter: FilterSettings = field(default_factory=FilterSettings)
-    deadline: float = math.inf
-
-    @property
-    def asked(self) -> dict[str, Option]:
-        """What the options of the command line say of these settings."""
-        return {"use": self.use.value, "rule": self.switching, "nonlinear": self.nonlinear}
-
-    def in_real_time(self, period: float) -> MpcSettings:
-        """Settings with which a step that takes longer than a control period in s is late."""
-        return replace(self, deadline=min(self.deadline, period))
-
-    @staticmethod
-    def of(options: Mapping[str, Option]) -> MpcSettings:
-        """Settings for options of the command line: "use", "rule", "nonlinear", those that were given.
-
-        Raises:
-            InputError: no such use.
-        """
-        use, known = str(options.get("use", Use.BOTH.value)), [kind.value for kind in Use]
-        if use not in known:
-            raise unknown_name("use", use, known)
-        return MpcSettings(use=Use(use), switching=bool(options.get("rule", False)), nonlinear=bool(options.get("nonlinear", False)))
 
 
 DEFAULT = MpcSettings()
@@ -141,12 +74,14 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class _Ahead:
-    """What will be when a new command can act: the operating point, [q, q'] about it, the actuators, which way friction pulls."""
+    """What will be when a new command can act: the operating point, [q, q'] about it, the actuators, which way friction and hysteresis
+    pull."""
 
     operating: Operating
     motion: np.ndarray
     actuators: Actuators
     direction: np.ndarray
+    turning: np.ndarray
 
 
 class Mpc:
@@ -268,18 +203,21 @@ class Mpc:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
         then, now, actuators = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
         actuators.area = self.area * (1 + estimate.strength)
-        motion, direction, lengths = estimate.motion, estimate.direction, self.reference.lengths
+        motion, direction, turning, lengths = estimate.motion, estimate.direction, estimate.turning, self.reference.lengths
+        settings = self.settings.filter
         for at in range(self._row, self._row + self.ahead):
             start = (self._zero or 0.0) + at * self.period
             actuators.command = self._sent.between(start, start + self.period)
             a, b = self.reference.at(np.array([at, at + 1]))
             change = lengths[b] - lengths[a] + self.period * estimate.deviation
-            direction = turned(direction, change, self.settings.filter.presliding_distance)
-            friction = estimate.friction * direction * self._estimator.loaded(actuators.tension)
-            motion = now.advance(motion, actuators.advance(self.period) + self._effects.forces + estimate.unknown - friction)
+            direction = turned(direction, change, settings.presliding_distance)
+            before, known = actuators.pressure, actuators.advance(self.period)
+            turning = turned(turning, self.area * (actuators.pressure - before), settings.hysteresis_width)
+            friction = estimate.friction * direction * self._estimator.loaded(actuators.tension) + estimate.hysteresis * turning
+            motion = now.advance(motion, known + self._effects.forces + estimate.unknown - friction)
         turn, shift = then.seen_from(now)
         modes = len(shift)
-        return _Ahead(then, np.concatenate([turn @ motion[:modes] + shift, turn @ motion[modes:]]), actuators, direction)
+        return _Ahead(then, np.concatenate([turn @ motion[:modes] + shift, turn @ motion[modes:]]), actuators, direction, turning)
 
     def _decide(self, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
@@ -293,10 +231,13 @@ class Mpc:
         pulled = estimate.friction * course(ahead.direction, steps, settings.filter.presliding_distance)
         still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
         before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
-        pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators)
-        begin = actuators.forces + unknown - horizon.forces[0]
+        behind = estimate.hysteresis, ahead.turning
+        pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators, behind)
+        begin = actuators.forces + unknown - horizon.forces[0] - estimate.hysteresis * ahead.turning
         begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
-        offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages]
+        rises = self.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
+        turns = course(ahead.turning, rises, settings.filter.hysteresis_width)
+        offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
         result = self._solve(begin, offset, factor[:stages], actuators.tension)
         if result.x is not None and time.perf_counter() - began <= settings.deadline:
             plan = result.x.reshape(stages, -1)
@@ -329,13 +270,16 @@ class Mpc:
         drive = ahead.operating.model.drive  # lengths follow the modes as the modes follow the axial forces
         return np.abs(drive.T @ ahead.motion[: len(drive)]) < np.where(self._enabled, settings.disable_above, settings.enable_below)
 
-    def _plan_pressures(self, unknown: np.ndarray, pulled: np.ndarray, actuators: Actuators) -> tuple[np.ndarray, np.ndarray]:
+    def _plan_pressures(
+        self, unknown: np.ndarray, pulled: np.ndarray, actuators: Actuators, behind: tuple[np.ndarray, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Commands (actuators,) and pressures that they lead to, (stages, actuators), in Pa.
 
         Args:
             unknown: forces that nobody commanded, (actuators,) in N.
             pulled: what tensions and friction shall take away over the preview, (preview, actuators) in N.
             actuators: when the command begins to act.
+            behind: hysteresis in N and which way the pressures went then, (actuators,) each.
         """
         settings, horizon, planner = self.settings, self._forecast.horizon, self.settings.pressure_planner
         self._slow = self._slow + (1 - np.exp(-self.period / planner.disturbance_time)) * (unknown - self._slow)
@@ -351,6 +295,9 @@ class Mpc:
                 part = min(1.0, horizon.speed / planner.full_feedback_speed)
                 need[: settings.stages] += part * np.linspace(1, 0, settings.stages)[:, None] * self._extra
         wanted = (need - self._effects.forces + pulled) / actuators.area
+        hysteresis, turning = behind
+        rises = self.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
+        wanted = wanted + hysteresis * course(turning, rises, settings.filter.hysteresis_width) / actuators.area
         return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages)
 
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
