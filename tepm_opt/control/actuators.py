@@ -12,6 +12,7 @@ from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 
 BELIEF = 0.5  # how far a measured pressure or tension moves the estimate
+LASTING = 1.0  # s over which a difference that stays is taken for the gauge's own
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,14 @@ class Actuators:
         tension: (actuators,) in N.
         command: in force now.
         area: by which pressure pulls, of all muscles or (actuators,) in m².
+        pressure_offset, tension_offset: what monitors and dynamometers read above what devices do, (actuators,) in Pa and N. A command
+            is relative to the present tension: taken for the tension's, such a difference would add up period by period.
     """
 
     def __init__(self, devices: Devices, area: float | np.ndarray, command: Command) -> None:
         self.devices, self.area, self.command = devices, area, command
         self.pressure, self.tension = command.pressures.astype(float), command.tensions * command.enabled
+        self.pressure_offset, self.tension_offset = np.zeros(len(self.pressure)), np.zeros(len(self.tension))
 
     def copy(self) -> Actuators:
         """A copy for looking ahead."""
@@ -78,18 +82,27 @@ class Actuators:
         self.tension = np.where(command.enabled, wound, 0.0)  # a motor that is off lets go at once
         return np.array([before, self.forces])
 
-    def correct(self, sample: Sample) -> None:
-        """Take what the rig measures of pressures and tensions, where it does."""
-        self.pressure = _corrected(self.pressure, sample.pressures)
-        self.tension = _corrected(self.tension, sample.tensions)
+    def correct(self, sample: Sample, passed: float) -> None:
+        """Take what the rig measures of pressures and tensions, where it does, a time in s after the last sample."""
+        share = 1 - math.exp(-passed / LASTING)
+        self.pressure, self.pressure_offset = _corrected(self.pressure, sample.pressures, self.pressure_offset, share)
+        self.tension, self.tension_offset = _corrected(self.tension, sample.tensions, self.tension_offset, share)
 
 
-def _corrected(believed: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
-    """Believed values moved towards measured ones, where there are any, (actuators,) each."""
+def _corrected(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Believed values moved towards measured ones less the gauges' offsets, and the offsets, (actuators,) each.
+
+    Args:
+        believed: values.
+        measured: values, NaN where there are none; None where nothing measures.
+        offset: of the gauges.
+        share: of a difference, that is taken for the gauge's own.
+    """
     if measured is None:
-        return believed
-    error = np.asarray(measured) - believed
-    return believed + BELIEF * np.where(np.isfinite(error), error, 0.0)
+        return believed, offset
+    error = np.asarray(measured) - believed - offset
+    error = np.where(np.isfinite(error), error, 0.0)
+    return np.maximum(believed + BELIEF * error, 0.0), offset + share * error
 
 
 class Sent:

@@ -31,6 +31,6 @@ def machines_figure(run: MachinesRun) -> Figure:
     axes.grid(alpha=0.3)
     handles, labels = axes.get_legend_handles_labels()
     shown = [(handle, label) for handle, label in zip(handles, labels, strict=True) if len(handle.get_xdata())]  # type: ignore[attr-defined]
-    axes.legend(*zip(*shown, strict=True), fontsize=8, loc="upper left")
+    axes.legend(*zip(*shown, strict=True), fontsize=8, loc="lower right")
     axes.set_title(f"{run.setup.kind.title} on {len(order)} random machines, seed {run.family.seed}")
     return figure

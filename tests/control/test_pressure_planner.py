@@ -119,9 +119,30 @@ def test_actuators_lag_and_slew():
 def test_measurements_correct_where_there_are_any():
     """Half-way; NaN and what is not measured change nothing."""
     actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 2.0))))
-    actuators.correct(Sample(0.0, np.zeros((4, 3)), pressures=np.array([2e5, np.nan, 1e5, 1e5, 1e5, 0.0])))
+    actuators.correct(Sample(0.0, np.zeros((4, 3)), pressures=np.array([2e5, np.nan, 1e5, 1e5, 1e5, 0.0])), 0.0)
     assert actuators.pressure == pytest.approx([1.5e5, 1e5, 1e5, 1e5, 1e5, 0.5e5])
     assert actuators.tension == pytest.approx(2.0)
+
+
+def test_what_a_gauge_reads_too_much_is_learned():
+    """A dynamometer that reads 0.4 N low: its error is known after some seconds, and the tension is not pulled down by it."""
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 2.0))))
+    low = np.array([0.0, -0.4, 0.0, 0.0, 0.0, 0.0])
+    for _ in range(500):
+        actuators.advance(0.01)
+        actuators.correct(Sample(0.0, np.zeros((4, 3)), tensions=np.full(6, 2.0) + low), 0.01)
+    assert actuators.tension_offset == pytest.approx(low, abs=0.01)
+    assert actuators.tension == pytest.approx(2.0, abs=0.01)
+
+
+def test_a_motor_that_lags_behind_is_no_gauge_that_errs():
+    """What differs for some periods only is believed half-way, as ever: 0.1 s of it are a twentieth of the gauge's."""
+    actuators = Actuators(DEVICES, AREA, Command.of(np.append(np.full(6, 1e5), np.full(6, 2.0))))
+    for _ in range(10):
+        actuators.advance(0.01)
+        actuators.correct(Sample(0.0, np.zeros((4, 3)), tensions=np.full(6, 1.0)), 0.01)
+    assert np.abs(actuators.tension_offset).max() < 0.1
+    assert actuators.tension.max() < 1.6
 
 
 def test_commands_on_their_way():

@@ -216,8 +216,8 @@ class Lqg:
             self._state = self._at.A @ self._state
             self._state[moved] += pushed
             self._turn(self._station(passed + 1))
-        self._row = max(row, self._row)
-        self._actuators.correct(sample)
+        passed, self._row = max(row - self._row, 0), max(row, self._row)
+        self._actuators.correct(sample, passed * self.period)
         self._effects.advance(self._actuators, self.period)
         model, bias = self._at.operating.model, self._state[2 * self._modes + self._actuated :]
         expected = model.equilibrium.points.ravel() + model.observe @ self._state[: self._modes] + bias

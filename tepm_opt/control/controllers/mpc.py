@@ -194,8 +194,8 @@ class Mpc:
             a, b = reference.at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / self.period
             self._estimator.predict(known, self._actuators.tension, rates, self._point(passed + 1))
-        self._row = max(row, self._row)
-        self._actuators.correct(sample)
+        passed, self._row = max(row - self._row, 0), max(row, self._row)
+        self._actuators.correct(sample, passed * self.period)
         self._effects.advance(self._actuators, self.period)
         return self._estimator.update(sample.points)
 
