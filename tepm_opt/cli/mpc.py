@@ -80,6 +80,7 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
         kept = sum(told["fallbacks"].values())
         late = f"; {kept} steps went on with an older plan" if kept else ""
         text.append(f"control step: median {1e3 * times['median']:.2g} ms, 99 % within {1e3 * times['percentile_99']:.2g} ms{late}")
+    text += [f"[yellow]from {doubt['from_s']:.1f} s: {escape(doubt['says'])}[/]" for doubt in told["doubts"].values()]
     if told["interrupted"]:
         text.append("[yellow]interrupted: what was done is kept[/]")
     elif not loop.ok:
@@ -127,7 +128,8 @@ def mpc(
     """Follow a path, or points, in closed loop on a rig: log, figures, summary.
 
     A real robot is brought to the start slowly and refused if it is not where the model has it. The loop stops on a limit, a blind
-    tracker or a tip that is far off, and with Ctrl-C.
+    tracker or a tip that is far off, and with Ctrl-C. The exit status is 1 where it ended early, or where a gauge or the tracker did
+    not make sense.
     """
     from tepm_opt.jobs import course
     from tepm_opt.jobs.closed_loop import LOG
@@ -160,7 +162,7 @@ def mpc(
         except KeyboardInterrupt:
             warn(f"interrupted: {LOG} is in {out}, figures are not")
             return INTERRUPTED
-    status = report(loop.summary(), lines(loop, out), as_json, loop.ok)
+    status = report(loop.summary(), lines(loop, out), as_json, loop.ok and not loop.doubts)
     if as_json and status == UNSOLVED:
-        warn(f"ended early: {loop.outcome.message}")
+        warn("; ".join([*([] if loop.ok else [f"ended early: {loop.outcome.message}"]), *(text for _, text in loop.doubts.values())]))
     return status

@@ -95,7 +95,7 @@ def examined(trial: Trial) -> dict[str, Any]:
     """
     result = {**_named(trial), "label": None, "verdict": None, "error": None}
     began, used = time.monotonic(), time.process_time()
-    making = 0.0
+    making, folder = 0.0, Path()
     try:
         with on_cores(1), threadpool_limits(limits=1, user_api="blas"), tempfile.TemporaryDirectory() as name:
             made, folder = make(trial), Path(name)
@@ -105,7 +105,7 @@ def examined(trial: Trial) -> dict[str, Any]:
             run_discrepancy(folder / "data", folder / "out")
             result["verdict"] = json.loads((folder / "out" / VERDICT).read_text(encoding="utf-8"))
     except Exception as error:  # a trial that fails says something about the workflow, and ends no other
-        result["error"] = f"{type(error).__name__}: {error}"
+        result["error"] = f"{type(error).__name__}: {error}".replace(f"{folder}/", "")  # the folder is gone, and another each time
     seconds = {"wall": time.monotonic() - began, "cpu": time.process_time() - used, "making": making}
     return {**result, "seconds": {name: round(value, 2) for name, value in seconds.items()}}
 

@@ -102,6 +102,7 @@ class ClosedLoop:
         steps: more columns by name, (samples,) each: what the controller logs, and what the rig said.
         outcome: how it ended, and why.
         fallbacks: number of steps that went on with something older, by the reason.
+        doubts: what did not make sense, by what it is about: when it was first told, in s, and the last sentence.
     """
 
     model: Model
@@ -122,6 +123,7 @@ class ClosedLoop:
     steps: Mapping[str, np.ndarray]
     outcome: Outcome = DONE
     fallbacks: Mapping[str, int] = field(default_factory=dict)
+    doubts: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
     @staticmethod
     def of(done: LoopRecord, model: CompiledModel, setup: LoopSetup, rows: slice = slice(None)) -> ClosedLoop:
@@ -145,7 +147,7 @@ class ClosedLoop:
             done.reference.tips[places], done.reference.counted[places], stacked(done.points[rows], model.layout.points, 3),
             stacked(done.truth[rows], 3), stacked([c.pressures for c in commands], half), stacked([c.tensions for c in commands], half),
             stacked([c.enabled for c in commands], half).astype(bool), stacked(done.measured[rows], 2 * half), stacked(done.seconds[rows]),
-            _stacked(done.telemetry[rows]), done.outcome, dict(done.fallbacks),
+            _stacked(done.telemetry[rows]), done.outcome, dict(done.fallbacks), _doubts(done.time[rows], done.telemetry[rows]),
         )  # fmt: skip
 
     @property
@@ -288,6 +290,7 @@ class ClosedLoop:
             "mean_tension_of_mid_range": _number(mean.mean() / half_range) if half_range else None,
             "actuation": self.shares(),
             "fallbacks": dict(self.fallbacks),
+            "doubts": {about: {"from_s": since, "says": text} for about, (since, text) in self.doubts.items()},
             "rig_complaints": int((self.steps[STATUS] != GOOD).sum()) if STATUS in self.steps else 0,
         }
         if "nis" in self.steps and np.isfinite(self.steps["nis"]).any():
@@ -332,6 +335,15 @@ def _stacked(telemetry: Sequence[Telemetry]) -> dict[str, np.ndarray]:
     """Columns of a controller's telemetry by name, (samples,) each."""
     names = telemetry[0].columns if telemetry else {}
     return {name: np.array([row.columns[name] for row in telemetry]) for name in names}
+
+
+def _doubts(time: Sequence[float], telemetry: Sequence[Telemetry]) -> dict[str, tuple[float, str]]:
+    """What did not make sense, by what it is about: when it was first told, in s, and the last sentence."""
+    found: dict[str, tuple[float, str]] = {}
+    for now, row in zip(time, telemetry, strict=False):
+        for about, text in row.doubts.items():
+            found[about] = (found[about][0] if about in found else now, text)
+    return found
 
 
 def _tells(values: np.ndarray) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from collections.abc import Callable
@@ -136,6 +137,30 @@ def test_json_and_nothing_else(tepm: Command, here: Path) -> None:
     assert done.json() == summary(here / "out", "mpc")
     assert done.json()["controller"] == "mode2"
     assert "program" not in (here / "out" / "log.csv").read_text().splitlines()[0]
+
+
+def test_a_gauge_that_lies_is_told(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the terminal, in the summary and by the exit status; the path is followed all the same."""
+    monkeypatch.setattr("tepm_opt.jobs.course.FULL", Course(approach=2.0, pause=0.02))
+    weighed = SimulatedRig._weighed
+    monkeypatch.setattr(SimulatedRig, "_weighed", lambda rig, tensions: weighed(rig, tensions) - np.array([0, 0.5, 0, 0, 0, 0]))
+    done = tepm("mpc", *SHORT)
+    assert done.status == 1
+    assert re.search(r"dynamometer 12 reads 0\.[45]\d* N low", " ".join(done.out.split())), "as far as it is known after two seconds"
+    told = summary(here / "mpc", "mpc")
+    assert told["end"] == "done"
+    assert list(told["doubts"]) == ["dynamometer 12"]
+    assert told["doubts"]["dynamometer 12"]["from_s"] < 2.0
+
+
+def test_random_machines(tepm: Command, here: Path) -> None:
+    """A row a run, a figure, and the figures of all in a line; with a rig of one's own it makes no sense."""
+    done = tepm("mpc", *SHORT, "--machines", 2, "--noises", 1, "--seed", 3, "--bound", 50)
+    assert done.status == 0
+    assert "100 % within 50 mm" in done.out
+    assert names_in(here / "mpc") == {"machines.csv", "machines.png", "summary.json"}
+    assert summary(here / "mpc", "machines")["runs"] == 2
+    assert tepm("mpc", *SHORT, "--machines", 2, "--rig", "sim:perfect").status == 2
 
 
 def test_point_by_point(tepm: Command, here: Path) -> None:

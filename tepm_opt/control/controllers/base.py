@@ -23,10 +23,12 @@ class Telemetry:
     Attributes:
         columns: values at the last sample by the name of their column in the log; the same names at every sample.
         fallbacks: number of steps so far that went on with something older, by the reason.
+        doubts: what does not make sense now and a person should know, a sentence each, by what it is about.
     """
 
     columns: Mapping[str, Value] = field(default_factory=dict)
     fallbacks: Mapping[str, int] = field(default_factory=dict)
+    doubts: Mapping[str, str] = field(default_factory=dict)
 
 
 class Controller(Protocol):

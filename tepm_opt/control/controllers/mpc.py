@@ -13,12 +13,14 @@ which is taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
 from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, Value
+from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, LinearForecast
 from tepm_opt.control.friction import course, turned
@@ -127,9 +129,11 @@ class Mpc:
         self._enabled = first.enabled.copy()
         self._actuators, self._sent = Actuators(self.devices, self.area, first), Sent(first)
         self._effects = InputEffects(model, inputs)
-        noise = (robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3)
+        self._noise = TrackerNoise(max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6))
+        self._doubts = Doubts(model.layout.actuator_names, (self._pressure_max, self._tension_max))
+        self._doubted: Mapping[str, str] = {}
         middle = settings.mid_range * float(self._tension_max[0])
-        self._estimator = Estimator(self._point(0), max(noise, 1e-6), middle, settings.filter)
+        self._estimator = Estimator(self._point(0), self._noise.declared, middle, settings.filter)
         self._zero: float | None = None
         self._row = 0
 
@@ -167,9 +171,12 @@ class Mpc:
         for k, name in enumerate(names):
             columns[f"unknown_force_{name}_N"] = float(step.unknown[k])
             columns[f"friction_{name}_N"] = float(estimate.friction[k])
+            columns[f"tension_offset_{name}_N"] = float(self._actuators.tension_offset[k])
+            columns[f"pressure_offset_{name}_Pa"] = float(self._actuators.pressure_offset[k])
         columns |= {"nis": float(estimate.nis), "coordinates_seen": float(estimate.seen), "points_refused": float(estimate.refused.sum())}
+        columns |= {"tracked_noise_m": self._noise.measured}
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
-        return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks))
+        return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), self._doubted)
 
     def _point(self, period: int) -> Operating:
         """Local model of the network about the reference at a period."""
@@ -197,6 +204,8 @@ class Mpc:
         passed, self._row = max(row - self._row, 0), max(row, self._row)
         self._actuators.correct(sample, passed * self.period)
         self._effects.advance(self._actuators, self.period)
+        self._estimator.noise = self._noise.add(sample.points)
+        self._doubted = self._doubts.told(self._actuators, self._noise)
         return self._estimator.update(sample.points)
 
     def _look_ahead(self, estimate: StateEstimate) -> _Ahead:

@@ -1,0 +1,83 @@
+"""What stopped making sense while a loop is closed: gauges that lie or devices that do not follow, a tracker noisier than its file says."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tepm_opt.control.actuators import Actuators
+
+WINDOW = 100  # samples over which the tracker's noise is taken
+EVERY = 20  # samples between looks at it
+NOISY = 1.6  # times the noise declared, that is told
+SLOWEST, LARGEST = 0.5, 6.0  # times the noise declared: bounds of what is believed
+OFF = {"tension": 0.02, "pressure": 0.03}  # of the range: difference between gauge and device that is told
+STAYS = 50  # samples for which it has to stay
+THIRD = np.array([1.0, -3.0, 3.0, -1.0])  # difference that leaves white noise and hardly any motion
+
+
+class TrackerNoise:
+    """Noise of the tracked points, from their third differences: motion of an arm hardly shows in them.
+
+    Args:
+        declared: of a coordinate, 1 sigma in m, as the robot file says.
+
+    Attributes:
+        measured: of a coordinate in m over the last second, within bounds about what is declared; what is declared at the start.
+    """
+
+    def __init__(self, declared: float) -> None:
+        self.declared = self.measured = declared
+        self._seen: deque[np.ndarray] = deque(maxlen=WINDOW)
+        self._count = 0
+
+    def add(self, points: np.ndarray) -> float:
+        """Take a sample's points (points, 3) in m, NaN where missing; the noise measured, as of the last look."""
+        self._seen.append(points)
+        self._count += 1
+        if len(self._seen) == WINDOW and self._count % EVERY == 0:
+            seen = np.array(self._seen)
+            rough = np.abs(sum(c * seen[k : len(seen) - 3 + k] for k, c in enumerate(THIRD)))
+            rough = rough[np.isfinite(rough)]
+            if len(rough):
+                sigma = float(np.median(rough)) / 0.6745 / float(np.linalg.norm(THIRD))
+                self.measured = float(np.clip(sigma, SLOWEST * self.declared, LARGEST * self.declared))
+        return self.measured
+
+
+class Doubts:
+    """What is told to people, by what it is about.
+
+    Args:
+        names: of the actuators.
+        ranges: of their pressures in Pa and of their tensions in N, (actuators,) each.
+    """
+
+    def __init__(self, names: Sequence[str], ranges: tuple[np.ndarray, np.ndarray]) -> None:
+        self._names = names
+        self._limits = {"pressure": OFF["pressure"] * ranges[0], "tension": OFF["tension"] * ranges[1]}
+        self._lasting = {kind: np.zeros(len(names), dtype=int) for kind in self._limits}
+
+    def told(self, actuators: Actuators, noise: TrackerNoise) -> Mapping[str, str]:
+        """What does not make sense now, a sentence each."""
+        found: dict[str, str] = {}
+        for kind, offset, gauge, device, unit, scale in (
+            ("tension", actuators.tension_offset, "dynamometer", "motor", "N", 1.0),
+            ("pressure", actuators.pressure_offset, "pressure monitor", "regulator", "kPa", 1e-3),
+        ):
+            self._lasting[kind] = np.where(np.abs(offset) > self._limits[kind], self._lasting[kind] + 1, 0)
+            for k in np.flatnonzero(self._lasting[kind] > STAYS).tolist():
+                name, size, way = self._names[k], abs(scale * offset[k]), "low" if offset[k] < 0 else "high"
+                other = "less" if offset[k] < 0 else "more"
+                found[f"{gauge} {name}"] = (
+                    f"{gauge} {name} reads {size:.2g} {unit} {way}, or {device} {name} gives that much {other} than it is told: "
+                    "its readings and its commands do not say which"
+                )
+        if noise.measured > NOISY * noise.declared:
+            times = noise.measured / noise.declared
+            found["tracker noise"] = (
+                f"tracked points are {times:.1f} times as noisy as the robot file says; the filter goes by what is measured"
+            )
+        return found

@@ -1,0 +1,81 @@
+"""What is told of gauges and a tracker that do not make sense, and what is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tepm_opt.control.actuators import Actuators, Devices
+from tepm_opt.control.controllers.mpc import Mpc
+from tepm_opt.control.doubts import LARGEST, STAYS, Doubts, TrackerNoise
+from tepm_opt.control.loop import LoopRecord, close_loop
+from tepm_opt.control.reference import Reference
+from tepm_opt.hw.rig import Command
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
+from tepm_opt.models.compile import CompiledModel
+
+NAMES = ("11", "12", "13")
+
+
+def moving(count: int, noise: float, seed: int = 1) -> np.ndarray:
+    """Four points that sway by 100 mm at 1 Hz, sampled at 100 Hz with noise, (count, 4, 3) in m."""
+    sway = 0.1 * np.sin(2 * np.pi * np.arange(count) / 100)[:, None, None] * np.ones((1, 4, 3))
+    return sway + noise * np.random.default_rng(seed).standard_normal(sway.shape)
+
+
+@pytest.mark.parametrize("true", [3e-4, 6e-4, 1.8e-3])
+def test_noise_is_measured_while_the_arm_moves(true: float) -> None:
+    """Within a tenth, with some points lost, whatever is declared."""
+    noise, points = TrackerNoise(6e-4), moving(120, true)
+    points[::7, 2] = np.nan
+    found = [noise.add(row) for row in points]
+    assert found[50] == 6e-4, "as declared until a second has passed"
+    assert found[-1] == pytest.approx(true, rel=0.1)
+
+
+def test_what_is_believed_has_bounds() -> None:
+    noise = TrackerNoise(1e-4)
+    for row in moving(120, 5e-3):
+        noise.add(row)
+    assert noise.measured == pytest.approx(LARGEST * 1e-4)
+
+
+def test_a_difference_is_told_once_it_stays() -> None:
+    """By name, size and way; a short one, or a small one, is not."""
+    actuators = Actuators(Devices(0.0, 0.0, np.inf, 0.0), 5e-5, Command.of(np.zeros(6)))
+    doubts, noise = Doubts(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
+    actuators.tension_offset = np.array([0.0, -0.4, 0.1])
+    told = [doubts.told(actuators, noise) for _ in range(STAYS + 1)]
+    assert not any(told[:STAYS])
+    assert list(told[-1]) == ["dynamometer 12"]
+    assert "dynamometer 12 reads 0.4 N low" in told[-1]["dynamometer 12"]
+    actuators.tension_offset[:] = 0.0
+    assert not doubts.told(actuators, noise)
+
+
+def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:
+    rig = SimulatedRig(file)
+    rig.reseed(1)
+    return close_loop(rig, Mpc(kang, short), kang.robot)
+
+
+def test_a_low_dynamometer_harms_nothing_and_is_told(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
+    """0.4 N low in all muscles: commands are relative to the tension, so that it would add up until the motors let go."""
+    file = load_rig_file()
+    done = driven(kang, short, file.model_copy(update={"dynamometer": file.dynamometer.model_copy(update={"offset_N": -0.4})}))
+    assert done.error() < 1.3 * followed.error() + 2e-4
+    assert min(command.tensions.min() for command in done.commands[250:]) > 1.0
+    told = [k for k, row in enumerate(done.telemetry) if len(row.doubts) == 6]
+    assert done.time[told[0]] < 2.0
+    assert not any(row.doubts for row in followed.telemetry), "nothing is told of a machine without such an error"
+
+
+def test_a_noisy_tracker_is_told_and_reckoned_with(kang: CompiledModel, short: Reference) -> None:
+    """Three times the noise declared: hardly a point is refused, and the innovations are as large as they should be."""
+    file = load_rig_file()
+    done = driven(kang, short, file.model_copy(update={"tracker": file.tracker.model_copy(update={"noise_rms_m": 3e-3})}))
+    assert list(done.telemetry[-1].doubts) == ["tracker noise"]
+    late = done.telemetry[150:]
+    assert np.mean([row.columns["points_refused"] for row in late]) < 0.02
+    assert np.mean([row.columns["nis"] for row in late]) / 12 == pytest.approx(1.0, abs=0.3)
