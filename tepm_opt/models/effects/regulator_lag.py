@@ -31,7 +31,7 @@ class RegulatorLag(Effect):
         Parameter("exhausting_time", "s", null=0.0, probe=0.05, low=0.0, high=10.0),
         Parameter("filling_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=5e-7),
         Parameter("exhausting_choke", "s/Pa", null=0.0, probe=0.0, low=0.0, high=1e-3, change=5e-7),
-        Parameter("opening", "Pa", null=1e4, probe=1e4, low=0.0, high=1e6, finer=True),
+        Parameter("opening", "Pa", null=1e4, probe=1e4, low=0.0, high=1e5, finer=True),
     )
     further_probes = ({"filling_time": 1.0, "exhausting_time": 1.0},)
 
