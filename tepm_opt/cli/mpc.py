@@ -118,8 +118,12 @@ def mpc(
     machines: Annotated[
         int | None, typer.Option("--machines", min=1, metavar="N", help="On N random machines around the robot file; --seed draws them.")
     ] = None,
-    noises: Annotated[int, typer.Option("--noises", min=1, help="How often each machine is driven, with other noise.")] = 2,
-    bound: Annotated[float, typer.Option("--bound", min=0.0, metavar="MM", help="Error within which a run on a machine is good.")] = 3.0,
+    noises: Annotated[
+        int | None, typer.Option("--noises", min=1, help="How often each machine is driven, with other noise.", show_default="2")
+    ] = None,
+    bound: Annotated[
+        float | None, typer.Option("--bound", min=0.0, metavar="MM", help="Error within which a run is good.", show_default="3")
+    ] = None,
     seed: SeedOption = 0,
     robot: RobotOption = None,
     model: ModelOption = None,
@@ -133,8 +137,12 @@ def mpc(
     """
     from tepm_opt.jobs import course
     from tepm_opt.jobs.closed_loop import LOG
-    from tepm_opt.jobs.machines import Family
+    from tepm_opt.jobs.machines import BOUND, Family
 
+    if machines is None and (noises is not None or bound is not None):
+        raise tepm.InputError("--noises and --bound belong to --machines N; leave them out, or say how many machines")
+    if machines is not None and (rig != "sim" or view):
+        raise tepm.InputError("--machines simulates rigs of its own; leave --rig and --view out")
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
     setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
     targets = which.trajectory(path)
@@ -142,10 +150,9 @@ def mpc(
         compiled = load(robot, model)
         driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
         if machines is not None:
-            if rig != "sim" or view:
-                raise tepm.InputError("--machines simulates its own rigs; leave --rig and --view out")
-            with shown(as_json) as bars:
-                run = tepm.run_machines(compiled.model, targets, driven, setup, Family(machines, noises, seed), bound / 1e3, progress=bars)
+            family, limit = Family(machines, noises or Family.noises, seed), BOUND if bound is None else bound / 1e3
+            with stopped_by_signals(), shown(as_json) as bars:
+                run = tepm.run_machines(compiled.model, targets, driven, setup, family, limit, kinematics.settings(), progress=bars)
             run.save(folder)
             plots.draw(run, folder)
             return report(run.summary(), machine_lines(run, out), as_json, run.ok)

@@ -13,6 +13,8 @@ from tepm_opt.models.compile import CompiledModel
 
 BELIEF = 0.5  # how far a measured pressure or tension moves the estimate
 LASTING = 1.0  # s over which a difference that stays is taken for the gauge's own
+TELLING = 10.0  # N²/s, of squared rates over time: motion of the motors that tells how late they are, some tenths of a second of it
+WHOLE = 0.6  # of a period, by which commands have to act later or sooner than assumed before that is assumed
 
 
 @dataclass(frozen=True)
@@ -53,14 +55,17 @@ class Actuators:
         tension: (actuators,) in N.
         command: in force now.
         area: by which pressure pulls, of all muscles or (actuators,) in m².
-        pressure_offset, tension_offset: what monitors and dynamometers read above what devices do, (actuators,) in Pa and N. A command
-            is relative to the present tension: taken for the tension's, such a difference would add up period by period.
+        pressure_offset, tension_offset: what monitors and dynamometers read above what devices do by their commands alone, on average over
+            `LASTING`, (actuators,) in Pa and N. A command is relative to the present tension: taken for the tension's, such a difference
+            would add up period by period.
     """
 
     def __init__(self, devices: Devices, area: float | np.ndarray, command: Command) -> None:
         self.devices, self.area, self.command = devices, area, command
         self.pressure, self.tension = command.pressures.astype(float), command.tensions * command.enabled
         self.pressure_offset, self.tension_offset = np.zeros(len(self.pressure)), np.zeros(len(self.tension))
+        self._told = self.pressure, self.tension  # what devices do by their commands alone
+        self._rate, self._late, self._weight = np.zeros(len(self.tension)), 0.0, 0.0
 
     def copy(self) -> Actuators:
         """A copy for looking ahead."""
@@ -75,34 +80,55 @@ class Actuators:
 
     def advance(self, duration: float) -> np.ndarray:
         """Advance by a time in s under the command in force; F_a at its start and end, (2, actuators) in N."""
-        before, command = self.forces, self.command
-        most = self.devices.tension_rate * duration
-        self.pressure = self.devices.lag(self.pressure, command.pressures, duration)
-        wound = self.tension + np.minimum(np.maximum(command.tensions - self.tension, -most), most)
-        self.tension = np.where(command.enabled, wound, 0.0)  # a motor that is off lets go at once
+        before = self.forces
+        self.pressure, self.tension = self._moved(self.pressure, self.tension, duration)
+        told, self._told = self._told, self._moved(*self._told, duration)
+        self._rate = (self._told[1] - told[1]) / duration
         return np.array([before, self.forces])
+
+    def _moved(self, pressure: np.ndarray, tension: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+        command, most = self.command, self.devices.tension_rate * duration
+        wound = tension + np.minimum(np.maximum(command.tensions - tension, -most), most)
+        return self.devices.lag(pressure, command.pressures, duration), np.where(
+            command.enabled, wound, 0.0
+        )  # off, a motor lets go at once
 
     def correct(self, sample: Sample, passed: float) -> None:
         """Take what the rig measures of pressures and tensions, where it does, a time in s after the last sample."""
         share = 1 - math.exp(-passed / LASTING)
-        self.pressure, self.pressure_offset = _corrected(self.pressure, sample.pressures, self.pressure_offset, share)
-        self.tension, self.tension_offset = _corrected(self.tension, sample.tensions, self.tension_offset, share)
+        pressure, tension = self._told
+        self.pressure_offset = self.pressure_offset + share * _missed(sample.pressures, pressure + self.pressure_offset)
+        missed = _missed(sample.tensions, tension + self.tension_offset)
+        self.tension_offset = self.tension_offset + share * missed
+        if sample.tensions is not None:
+            there = np.isfinite(sample.tensions)
+            self._late = (1 - share) * self._late - passed * float(missed[there] @ self._rate[there])
+            self._weight = (1 - share) * self._weight + passed * float(self._rate[there] @ self._rate[there])
+        self.pressure = _corrected(self.pressure, sample.pressures, self.pressure_offset)
+        self.tension = _corrected(self.tension, sample.tensions, self.tension_offset)
+
+    @property
+    def late(self) -> float:
+        """Time in s by which motors follow later than assumed: what dynamometers read less, by how fast tensions rise (least squares over
+        `LASTING`); 0 as long as they hardly move."""
+        return self._late / self._weight if self._weight > TELLING else 0.0
+
+    def later(self, period: float) -> int:
+        """Number of periods in s by which commands act later than assumed, which is taken for known from now on."""
+        count = round(self.late / period) if abs(self.late) > WHOLE * period else 0
+        if count:
+            self._late = self._weight = 0.0
+        return count
 
 
-def _corrected(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Believed values moved towards measured ones less the gauges' offsets, and the offsets, (actuators,) each.
+def _missed(measured: np.ndarray | None, expected: np.ndarray) -> np.ndarray:
+    """What measured values are above expected ones, 0 where nothing is measured, (actuators,) each."""
+    return np.zeros(len(expected)) if measured is None else np.nan_to_num(np.asarray(measured) - expected, nan=0.0, posinf=0.0, neginf=0.0)
 
-    Args:
-        believed: values.
-        measured: values, NaN where there are none; None where nothing measures.
-        offset: of the gauges.
-        share: of a difference, that is taken for the gauge's own.
-    """
-    if measured is None:
-        return believed, offset
-    error = np.asarray(measured) - believed - offset
-    error = np.where(np.isfinite(error), error, 0.0)
-    return np.maximum(believed + BELIEF * error, 0.0), offset + share * error
+
+def _corrected(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray) -> np.ndarray:
+    """Believed values moved towards measured ones less the gauges' offsets, where there are any, (actuators,) each; never below zero."""
+    return np.maximum(believed + BELIEF * _missed(measured, believed + offset), 0.0)
 
 
 class Sent:
@@ -119,6 +145,10 @@ class Sent:
     def add(self, acts_at: float, command: Command) -> None:
         """A command that acts from a time in s on."""
         self._entries.append((acts_at, command))
+
+    def shift(self, later: float) -> None:
+        """Let all commands act later by a time in s than was thought when they were added."""
+        self._entries = deque((at + later, command) for at, command in self._entries)
 
     def between(self, start: float, end: float) -> Command:
         """The command in force at the middle of an interval in s."""

@@ -1,4 +1,5 @@
-"""What stopped making sense while a loop is closed: gauges that lie or devices that do not follow, a tracker noisier than its file says."""
+"""What does not make sense while a loop is closed: gauges that lie or devices that do not follow, commands that act later and a tracker
+that is noisier than the robot file says."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ NOISY = 1.6  # times the noise declared, that is told
 SLOWEST, LARGEST = 0.5, 6.0  # times the noise declared: bounds of what is believed
 OFF = {"tension": 0.02, "pressure": 0.03}  # of the range: difference between gauge and device that is told
 STAYS = 50  # samples for which it has to stay
+LATE = 12e-3  # s by which commands act later or sooner than declared, that is told
 THIRD = np.array([1.0, -3.0, 3.0, -1.0])  # difference that leaves white noise and hardly any motion
 
 
@@ -60,8 +62,14 @@ class Doubts:
         self._limits = {"pressure": OFF["pressure"] * ranges[0], "tension": OFF["tension"] * ranges[1]}
         self._lasting = {kind: np.zeros(len(names), dtype=int) for kind in self._limits}
 
-    def told(self, actuators: Actuators, noise: TrackerNoise) -> Mapping[str, str]:
-        """What does not make sense now, a sentence each."""
+    def told(self, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
+        """What does not make sense now, a sentence each.
+
+        Args:
+            actuators: with what gauges read beside them.
+            noise: of the tracker.
+            late: by how much in s commands act later than the robot file says.
+        """
         found: dict[str, str] = {}
         for kind, offset, gauge, device, unit, scale in (
             ("tension", actuators.tension_offset, "dynamometer", "motor", "N", 1.0),
@@ -75,6 +83,9 @@ class Doubts:
                     f"{gauge} {name} reads {size:.2g} {unit} {way}, or {device} {name} gives that much {other} than it is told: "
                     "its readings and its commands do not say which"
                 )
+        if abs(late) > LATE:
+            way = "later" if late > 0 else "sooner"
+            found["command delay"] = f"commands act {1e3 * abs(late):.0f} ms {way} than the robot file says; the controller goes by it"
         if noise.measured > NOISY * noise.declared:
             times = noise.measured / noise.declared
             found["tracker noise"] = (

@@ -2,9 +2,8 @@
 
 The state is [q, q', d, g, c, h, b]: modal coordinates about an operating point (see `solvers.modal_model`), axial forces that nobody
 commanded, by what part each muscle is stronger than the model has it, its dry friction, what its force stays behind where its pressure
-turns over (hysteresis), and biases of the reference points. Forces that
-wander and a bias of the tip that does not fade make the tip nearly free of offset (Pannocchia and Rawlings, Disturbance models for
-offset-free model-predictive control, AIChE J. 49, 2003).
+turns over (hysteresis), and biases of the reference points. Forces that wander and a bias of the tip that does not fade make the tip
+nearly free of offset (Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003).
 """
 
 from __future__ import annotations
@@ -128,6 +127,13 @@ class Operating:
         """Turn T and shift t of modal coordinates q that are meant about `other`: about this one they are T q + t."""
         weights = self.model.weights
         return weights @ other.model.shapes, weights @ (other.model.levels - self.model.levels)
+
+    def turned(self, motion: np.ndarray, other: Operating) -> np.ndarray:
+        """A motion [q, q'] that is meant about this point, (2 · modes,), as it is about another one."""
+        if other is self:
+            return motion
+        turn, shift = other.seen_from(self)
+        return np.concatenate([turn @ motion[: len(shift)] + shift, turn @ motion[len(shift) :]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ import scipy.linalg as sla
 
 from tepm_opt.control.estimator import Operating
 from tepm_opt.control.reference import Reference
+from tepm_opt.solvers.modal_model import ModalModel
 
 RIDGE = 2e-3  # m/N: directions of the forces that move the points less are not used to accelerate them
 NOTHING = 1e-6  # m/N: what moves the tip less does not move it (a tip on a guide)
@@ -30,6 +31,18 @@ class Weights:
     shape: float = 2e-2
     force: float = 2.0
     change: float = 0.18
+
+
+def holding(model: ModalModel) -> np.ndarray:
+    """Forces that hold the points where they are displaced to, (actuators, 3 · points) in N/m."""
+    answer = model.observe @ (model.drive / model.stiffness[:, None])  # of the points at rest
+    return np.linalg.solve(answer.T @ answer + RIDGE**2 * np.eye(answer.shape[1]), answer.T)
+
+
+def against(model: ModalModel, bias: np.ndarray) -> np.ndarray:
+    """Smallest forces that take a displacement of the tip back at rest, (actuators, …) in N for (3, …) in m."""
+    by_tip = model.gain[-3:]
+    return -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,12 +111,9 @@ class Horizon:
         drift = -bend - rate @ model.damping.T
         self.forces = reference.forces[rows[1:-1]]
         self._tip, self._others = model.observe[-3:], model.observe[:-3]
-        answer = model.observe @ (model.drive / model.stiffness[:, None])  # of the points at rest
-        ridged = answer.T @ answer + RIDGE**2 * np.eye(answer.shape[1])
-        self.holding = np.linalg.solve(ridged, answer.T)  # forces that hold the points where they are displaced to
+        self.holding = holding(model)
         self.dynamic = (-drift[1:] / model.stiffness) @ (self.holding @ model.observe).T
-        by_tip = model.gain[-3:]
-        self.rest_force = -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
+        self.rest_force = against(model, bias)
         count = len(model.stiffness)
         self.rest = np.concatenate([model.static(self.rest_force), np.zeros(count)])
         start = motion.copy()

@@ -23,11 +23,13 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.robot import builtin_robots
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
+from tepm_opt.solvers.kinematics import IkSettings
 from tepm_opt.solvers.parallel import cores, on_cores
 from tepm_opt.solvers.trajectories import Trajectory
 
 TABLE = "machines.csv"
 BOUND = 3e-3  # m
+IK_DEFAULT = IkSettings()
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,7 @@ class MachineTask:
     trajectory: Trajectory
     course: Course
     setup: LoopSetup
+    kinematics: IkSettings
     family: Family
     number: int
 
@@ -166,7 +169,7 @@ def driven(task: MachineTask) -> list[Drive]:
     found, file = [], random_machine(task.model.source, task.family.seed, task.number)
     with on_cores(1), threadpool_limits(1, "blas"):
         model = compile_model(task.model)
-        reference = whole_reference(model, task.trajectory, task.course)
+        reference = whole_reference(model, task.trajectory, task.course, task.kinematics)
         for noise in range(1, task.family.noises + 1):
             rig = SimulatedRig(file)
             rig.reseed(noise)
@@ -182,7 +185,7 @@ def driven(task: MachineTask) -> list[Drive]:
 
 def run_machines(
     model: Model, trajectory: Trajectory, course: Course, setup: LoopSetup, family: Family, bound: float = BOUND,
-    executor: Executor | None = None, progress: Progress = silent,
+    kinematics: IkSettings = IK_DEFAULT, executor: Executor | None = None, progress: Progress = silent,
 ) -> MachinesRun:  # fmt: skip
     """Drive random machines along a trajectory with a controller that knows the robot file alone.
 
@@ -193,6 +196,7 @@ def run_machines(
         setup: which controller.
         family: which machines.
         bound: error in m within which a run counts as good.
+        kinematics: settings of the inverse kinematics.
         executor: where machines run; processes of this machine where None. It has to import this package, and is left open.
         progress: told how many machines are done.
 
@@ -201,7 +205,7 @@ def run_machines(
     """
     if model.source not in builtin_robots() and not Path(model.source).is_file():
         raise InputError(f"machines: robot {model.source!r} has no file to draw machines around; valid: a built-in robot or a robot file")
-    tasks = [MachineTask(model, trajectory, course, setup, family, number) for number in range(family.machines)]
+    tasks = [MachineTask(model, trajectory, course, setup, kinematics, family, number) for number in range(family.machines)]
     if executor is not None:
         drives, interrupted = _spread(executor, tasks, progress)
     else:

@@ -160,7 +160,18 @@ def test_random_machines(tepm: Command, here: Path) -> None:
     assert "100 % within 50 mm" in done.out
     assert names_in(here / "mpc") == {"machines.csv", "machines.png", "summary.json"}
     assert summary(here / "mpc", "machines")["runs"] == 2
-    assert tepm("mpc", *SHORT, "--machines", 2, "--rig", "sim:perfect").status == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [(("--machines", 2, "--rig", "sim:perfect"), "leave --rig and --view out"), (("--noises", 2), "belong to --machines")],
+)
+def test_options_of_machines_alone(tepm: Command, here: Path, arguments: tuple[object, ...], says: str) -> None:
+    """What would be ignored is refused, and nothing is left behind."""
+    done = tepm("mpc", *SHORT, *arguments)
+    assert done.status == 2
+    assert says in done.err
+    assert not (here / "mpc").exists()
 
 
 def test_point_by_point(tepm: Command, here: Path) -> None:

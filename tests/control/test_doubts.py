@@ -11,6 +11,7 @@ from tepm_opt.control.doubts import LARGEST, STAYS, Doubts, TrackerNoise
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.rig import Command
+from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel
@@ -46,12 +47,14 @@ def test_a_difference_is_told_once_it_stays() -> None:
     actuators = Actuators(Devices(0.0, 0.0, np.inf, 0.0), 5e-5, Command.of(np.zeros(6)))
     doubts, noise = Doubts(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
     actuators.tension_offset = np.array([0.0, -0.4, 0.1])
-    told = [doubts.told(actuators, noise) for _ in range(STAYS + 1)]
+    told = [doubts.told(actuators, noise, 0.0) for _ in range(STAYS + 1)]
     assert not any(told[:STAYS])
     assert list(told[-1]) == ["dynamometer 12"]
     assert "dynamometer 12 reads 0.4 N low" in told[-1]["dynamometer 12"]
     actuators.tension_offset[:] = 0.0
-    assert not doubts.told(actuators, noise)
+    assert not doubts.told(actuators, noise, 0.0)
+    assert "20 ms later" in doubts.told(actuators, noise, 0.020)["command delay"]
+    assert "15 ms sooner" in doubts.told(actuators, noise, -0.015)["command delay"]
 
 
 def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:
@@ -79,3 +82,31 @@ def test_a_noisy_tracker_is_told_and_reckoned_with(kang: CompiledModel, short: R
     late = done.telemetry[150:]
     assert np.mean([row.columns["points_refused"] for row in late]) < 0.02
     assert np.mean([row.columns["nis"] for row in late]) / 12 == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_wrong_pressure_monitor_is_told(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
+    """20 kPa high in all: within two and a half seconds, and the arm is where it was."""
+    file = load_rig_file()
+    done = driven(kang, short, file.model_copy(update={"pressure_monitor": file.pressure_monitor.model_copy(update={"offset_Pa": 2e4})}))
+    assert done.error() < 1.3 * followed.error() + 2e-4
+    told = [k for k, row in enumerate(done.telemetry) if len(row.doubts) == 6]
+    assert done.time[told[0]] < 2.5
+    assert "reads 20 kPa high" in done.telemetry[-1].doubts["pressure monitor 11"]
+
+
+def test_late_commands_are_told_and_reckoned_with(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
+    """20 ms later than the robot file says: known within half a second from the dynamometers; ignored it is some 10 mm."""
+    file = load_rig_file()
+    late = file.imperfections.time_delay.model_copy(update={"delay_s": 0.025})
+    done = driven(kang, short, file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"time_delay": late})}))
+    assert done.error() < 2.5 * followed.error()
+    assert "20 ms later" in done.telemetry[-1].doubts["command delay"]
+    first = next(time for time, row in zip(done.time, done.telemetry, strict=True) if row.doubts)
+    assert first < 0.5
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_nothing_is_told_of_ordinary_machines(kang: CompiledModel, short: Reference, number: int) -> None:
+    """Lags, delays, friction and strengths that differ from the robot file as machines do are no gauge that lies."""
+    done = driven(kang, short, random_machine("kang2017", 77, number))
+    assert not {about for row in done.telemetry for about in row.doubts}

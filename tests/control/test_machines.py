@@ -52,8 +52,8 @@ class TestFamily:
             assert low <= min(values) < low + 0.15 * (high - low), name
             assert high - 0.15 * (high - low) < max(values) <= high, name
 
-    def test_what_the_robot_file_says_is_the_middle(self) -> None:
-        """Devices are the robot file's: a controller that believes it is wrong by what varies, not by more."""
+    def test_devices_are_the_robot_files(self) -> None:
+        """A controller that believes the file is wrong by what varies, not by more."""
         file = random_machine("kang2017", 0, 0)
         assert file.stepper.rate_limit_N_per_s == file.nominal.actuation.tension_rate_N_per_s
         assert 0.6 * 0.12 <= file.imperfections.regulator_lag.fill_s <= 1.7 * 0.12
@@ -74,7 +74,7 @@ class TestFamily:
 
 class TestLqg:
     def test_follows_within_limits(self, kang: CompiledModel, short: Reference) -> None:
-        """Beside a machine that is not the model: some millimetres, no set point beyond its limit, at 100 times no integral of its own."""
+        """On a machine that is not the model: some millimetres, no tension beyond its range, none that the motors could not follow."""
         rig = SimulatedRig(random_machine("kang2017", 2, 0))
         done = close_loop(rig, Lqg(kang, short), kang.robot)
         assert done.outcome.solved
@@ -83,7 +83,7 @@ class TestLqg:
         assert tensions.min() >= 0
         assert tensions.max() <= 7.0
         rates = np.abs(np.diff(tensions, axis=0)) / short.period
-        assert np.median(rates) < 10.0
+        assert np.percentile(rates, 99) < 1.2 * 10.0, "commands are relative to what is believed of the tension, which noise moves a little"
 
     def test_is_offered_like_the_others(self, kang: CompiledModel, short: Reference) -> None:
         kind = find_controller("lqg")
@@ -102,7 +102,7 @@ class TestLqg:
 
 class TestRun:
     def test_two_machines_with_two_noises(self, tmp_path) -> None:
-        """A row each; the same numbers in another order of workers; table, summary and figure."""
+        """A row each, the same whichever machines are asked for; table, summary and figure."""
         task = (Model.of("kang2017"), circle(100, duration=4.0), QUICK, LoopSetup("lqg"), Family(2, 2, 6))
         with concurrent.futures.ThreadPoolExecutor(1) as executor:
             run = run_machines(*task, executor=executor)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from tepm_opt.control.reference import Reference
+from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 
@@ -63,6 +64,20 @@ class ControllerSettings(Protocol):
     def in_real_time(self, period: float) -> ControllerSettings:
         """The same settings for a rig whose time does not wait for a step, with control periods in s."""
         ...
+
+
+Own = TypeVar("Own", bound=ControllerSettings)
+
+
+def own_settings(settings: ControllerSettings, kind: type[Own]) -> Own:
+    """Settings of a controller's own kind.
+
+    Raises:
+        InputError: settings of another controller.
+    """
+    if not isinstance(settings, kind):
+        raise InputError(f"settings: {settings!r}; valid: {kind.__name__}")
+    return settings
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
-from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value, own_settings
 from tepm_opt.control.estimator import Operating
-from tepm_opt.control.forecast import NOTHING, RIDGE, Weights
+from tepm_opt.control.forecast import Weights, against, holding
 from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.reference import Reference
-from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import modal_model
 
 SPACING = 10  # periods between the reference's points at which gains are taken
+MOST_LATE = 8  # periods by which commands may act later than the robot file says
 WINDOW = 2  # periods on each side over which the reference is differentiated
 
 
@@ -92,6 +92,7 @@ class Lqg:
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
         age = robot.tracker.latency_s if robot.tracker else 0.0
         self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
+        self._declared = self.ahead
         step, planner = robot.actuation.pressure_step, settings.pressure_planner
         self._planner = PressurePlanner(self.devices, self._pressure_max, step, 2 * self.period, planner)
         self._noise = max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6)
@@ -136,7 +137,7 @@ class Lqg:
         tension = np.clip(self.area * pressure - ahead - v - change, actuators.tension - most, actuators.tension + most)
         command = Command(pressures, np.clip(tension, 0.0, self._tension_max), np.ones(self._actuated, dtype=bool))
         self._sent.add(sample.time + self.ahead * self.period, command)
-        self._sent.forget(sample.time)
+        self._sent.forget(sample.time - MOST_LATE * self.period)
         return command
 
     def telemetry(self) -> Telemetry:
@@ -185,12 +186,9 @@ class Lqg:
         cost[:modes, :modes], cost[moved:, moved:] = rows.T @ rows, np.eye(actuators) / weights.force**2
         feedback = np.asarray(dlqr(full, enter, cost, np.eye(actuators) / (weights.change / 2) ** 2)[0])
 
-        tip = model.gain[-3:]
-        force = -tip.T @ np.linalg.inv(tip @ tip.T + NOTHING**2 * np.eye(3))
+        force = against(model, np.eye(3))
         rest = np.vstack([force, (model.drive @ force) / model.stiffness[:, None], np.zeros((modes, 3))])
-        answer = model.observe @ (model.drive / model.stiffness[:, None])
-        holding = np.linalg.solve(answer.T @ answer + RIDGE**2 * np.eye(actuators), answer.T)
-        return Station(operating, A, correct, feedback, rest, holding @ (model.observe / model.stiffness))
+        return Station(operating, A, correct, feedback, rest, holding(model) @ (model.observe / model.stiffness))
 
     def _feed_forward(self) -> np.ndarray:
         """Forces that accelerate the arm along the reference, (periods, actuators) in N."""
@@ -218,6 +216,8 @@ class Lqg:
             self._turn(self._station(passed + 1))
         passed, self._row = max(row - self._row, 0), max(row, self._row)
         self._actuators.correct(sample, passed * self.period)
+        before, self.ahead = self.ahead, min(max(self.ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
+        self._sent.shift((self.ahead - before) * self.period)
         self._effects.advance(self._actuators, self.period)
         model, bias = self._at.operating.model, self._state[2 * self._modes + self._actuated :]
         expected = model.equilibrium.points.ravel() + model.observe @ self._state[: self._modes] + bias
@@ -227,7 +227,7 @@ class Lqg:
     def _turn(self, then: Station) -> None:
         """Go on about another operating point."""
         if then is not self._at:
-            self._state[: 2 * self._modes] = _turned(self._state[: 2 * self._modes], self._at.operating, then.operating)
+            self._state[: 2 * self._modes] = self._at.operating.turned(self._state[: 2 * self._modes], then.operating)
             self._at = then
 
     def _look_ahead(self, then: Station) -> tuple[np.ndarray, Actuators]:
@@ -238,7 +238,7 @@ class Lqg:
             start = (self._zero or 0.0) + at * self.period
             actuators.command = self._sent.between(start, start + self.period)
             motion = now.advance(motion, actuators.advance(self.period) + self._effects.forces + unknown)
-        return _turned(motion, now, then.operating), actuators
+        return now.turned(motion, then.operating), actuators
 
     def _beside(self, motion: np.ndarray, at: Station, row: int) -> np.ndarray:
         """Deviation [e, e'] of a motion about a station from the reference at a row."""
@@ -255,23 +255,9 @@ class Lqg:
         return self._planner.plan(need / self.area, self._sent.last.pressures, actuators.pressure, 1)[0]
 
 
-def _turned(motion: np.ndarray, before: Operating, then: Operating) -> np.ndarray:
-    """[q, q'] about another operating point."""
-    if then is before:
-        return motion
-    turn, shift = then.seen_from(before)
-    return np.concatenate([turn @ motion[: len(shift)] + shift, turn @ motion[len(shift) :]])
-
-
 def _gaussian(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Lqg:
-    """The controller with its own settings.
-
-    Raises:
-        InputError: settings of another controller.
-    """
-    if not isinstance(settings, LqgSettings):
-        raise InputError(f"settings: {settings!r}; valid: LqgSettings")
-    return Lqg(model, reference, settings)
+    """The controller with its own settings."""
+    return Lqg(model, reference, own_settings(settings, LqgSettings))
 
 
 LQG = ControllerKind("lqg", "LQG", "#8a5fb0", "linear-quadratic-Gaussian controller", _gaussian, settings=lambda options: LqgSettings())

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
-from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, Value
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, Value, own_settings
 from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, LinearForecast
@@ -29,13 +29,13 @@ from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.pressure_planner import PressurePlanner
 from tepm_opt.control.qp import QpResult, QpSolver
 from tepm_opt.control.reference import Reference
-from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 PERIODS = 2  # of control in a stage of the prediction
+MOST_LATE = 8  # periods by which commands may act later than the robot file says
 LATE = "late"  # why a plan that was found is not used
 
 
@@ -108,6 +108,7 @@ class Mpc:
         self.middle = settings.mid_range * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
         age = robot.tracker.latency_s if robot.tracker else 0.0
         self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
+        self._declared = self.ahead
         step = robot.actuation.pressure_step
         self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
         variables = settings.stages * half
@@ -157,7 +158,7 @@ class Mpc:
         ahead = self._look_ahead(estimate)
         command, step = self._decide(estimate, ahead, began)
         self._sent.add(sample.time + self.ahead * self.period, command)
-        self._sent.forget(sample.time)
+        self._sent.forget(sample.time - MOST_LATE * self.period)
         self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
         return command
 
@@ -203,9 +204,12 @@ class Mpc:
             self._estimator.predict(known, self._actuators.tension, rates, self._point(passed + 1))
         passed, self._row = max(row - self._row, 0), max(row, self._row)
         self._actuators.correct(sample, passed * self.period)
+        before, self.ahead = self.ahead, min(max(self.ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
+        self._sent.shift((self.ahead - before) * self.period)
         self._effects.advance(self._actuators, self.period)
         self._estimator.noise = self._noise.add(sample.points)
-        self._doubted = self._doubts.told(self._actuators, self._noise)
+        late = (self.ahead - self._declared) * self.period + self._actuators.late
+        self._doubted = self._doubts.told(self._actuators, self._noise, late)
         return self._estimator.update(sample.points)
 
     def _look_ahead(self, estimate: StateEstimate) -> _Ahead:
@@ -224,9 +228,7 @@ class Mpc:
             turning = turned(turning, self.area * (actuators.pressure - before), settings.hysteresis_width)
             friction = estimate.friction * direction * self._estimator.loaded(actuators.tension) + estimate.hysteresis * turning
             motion = now.advance(motion, known + self._effects.forces + estimate.unknown - friction)
-        turn, shift = then.seen_from(now)
-        modes = len(shift)
-        return _Ahead(then, np.concatenate([turn @ motion[:modes] + shift, turn @ motion[modes:]]), actuators, direction, turning)
+        return _Ahead(then, now.turned(motion, then), actuators, direction, turning)
 
     def _decide(self, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
@@ -320,6 +322,7 @@ class Mpc:
             low, high = np.tile(-self._tension_max, stages), np.tile(self._tension_max, stages)  # what pressure shall make
         rate_low, rate_high = np.full(len(low), -most), np.full(len(low), most)
         count = len(tension)
+        tension = np.clip(tension, 0.0, self._tension_max)  # a gauge may say what no motor does
         first = tension * self._enabled if self.settings.use is not Use.PRESSURE else tension
         rate_low[:count] += first
         rate_high[:count] += first
@@ -334,14 +337,8 @@ class Mpc:
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:
-    """The controller with its own settings.
-
-    Raises:
-        InputError: settings of another controller.
-    """
-    if not isinstance(settings, MpcSettings):
-        raise InputError(f"settings: {settings!r}; valid: MpcSettings")
-    return Mpc(model, reference, settings)
+    """The controller with its own settings."""
+    return Mpc(model, reference, own_settings(settings, MpcSettings))
 
 
 MPC = ControllerKind("mpc", "MPC", "#1b7f4b", "predictive controller", _predictive, ("rule", "nonlinear", "use"), MpcSettings.of)
