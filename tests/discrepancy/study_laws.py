@@ -1,6 +1,8 @@
 """How well unknown laws are found: `python -m tests.discrepancy.study_laws FOLDER [KEY …]` prints a line for each trial of `laws`.
 
-The search for names is left out: what recalibration leaves is what the law is sought in, as if no name had been found.
+The search for names is left out: what recalibration leaves is what the law is sought in, as if no name had been found. Besides the runs
+to judge by there are some that push and pull harder (`far`); in which of them a law's variable leaves what the machine went through in the
+runs fitted to, the machine's own positions and lengths say, which nobody measures.
 """
 
 from __future__ import annotations
@@ -8,25 +10,33 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
+from tepm_opt.blind import machine
+from tepm_opt.blind.excitation import Excitation, excitations
+from tepm_opt.blind.machine import Deviation
 from tepm_opt.data.datasets import read_dataset
+from tepm_opt.data.run import Run
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.freeform.formula import named
-from tepm_opt.discrepancy.freeform.invent import Invention, invent
+from tepm_opt.discrepancy.freeform.invent import BEYOND, Invention, error_on, invent
+from tepm_opt.discrepancy.freeform.places import Course
 from tepm_opt.discrepancy.freeform.terms import Terms
 from tepm_opt.discrepancy.freeform.writing import curve
 from tepm_opt.errors import InputError
+from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.effect_files import unload_effect
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
-from tests.discrepancy.hidden import make
+from tests.discrepancy.hidden import ROBOT, make, played, true_factors
 from tests.discrepancy.laws import TRIALS, Trial
 
 COEFFICIENTS = 0.2  # relative, by which those of the right formula may be off
@@ -43,11 +53,14 @@ class Found:
     gap_closed: float | None = None
     curve: float | None = None
     terms: bool | None = None
-    beyond: int = 0
+    left: int = 0
+    left_flagged: int = 0
+    stayed: int = 0
+    stayed_flagged: int = 0
     seconds: float = 0.0
 
 
-def examined(trial: Trial, folder: Path, out: Path) -> Found:
+def examined(trial: Trial, folder: Path, out: Path, short: bool) -> Found:
     """One trial, from its data on."""
     key, began = trial.hidden.key, time.monotonic()
     data = read_dataset(folder / key)
@@ -56,13 +69,16 @@ def examined(trial: Trial, folder: Path, out: Path) -> Found:
     noise = data.position_noise or trial.hidden.noise
     problem = Problem(plant, data.fit, plant.free(tuple(known.robot.priors)), noise, step=0.02, derivatives_apart=0.04)
     judged = [run for run in data.runs if run.role == "validation"]
-    found = invent(identify(problem), known, out / key, key, judged)
+    further = [played(trial.hidden, run) for run in far(excitations(trial.hidden.seed, short))]
+    before = identify(problem)
+    found = invent(before, known, out / key, key, [*judged, *further])
     if found is None:
         return Found(key, place=not trial.place, seconds=time.monotonic() - began)
     place = found.formula.place
     right = (place.kind, place.target in trial.targets, place.of in trial.variables) == (trial.place, True, True)
     floor = noise * np.sqrt(3)
-    closed = (found.errors[0] - found.errors[1]) / (found.errors[0] - floor)
+    without, corrected = (error_on(estimate, judged) for estimate in (before, found.estimate))
+    closed = (without - corrected) / (without - floor)
     terms = [named(place, k) for k in found.formula.chosen]
     unload_effect(found.written.name)
     values = {name: float(f"{value:.4g}") for name, value in found.estimate.named.items() if "." in name}
@@ -74,9 +90,64 @@ def examined(trial: Trial, folder: Path, out: Path) -> Found:
         float(closed),
         _curve(trial, found) if right else None,
         _terms(trial, found, terms) if right else None,
-        len(found.beyond),
+        *flags(trial, found, short),
         time.monotonic() - began,
     )
+
+
+def far(runs: Sequence[Excitation]) -> list[Excitation]:
+    """The last run with other sizes: weaker, with higher pressures, with higher tensions, with a force on the tip."""
+    found, (run, asked) = [], (runs[-1], runs[-1].setpoints)
+    for name, pressure, tension, force in (
+        ("weak", 0.7, 0.7, 0.0),
+        ("high", 1.3, 1.0, 0.0),
+        ("tight", 1.0, 2.5, 0.0),
+        ("pushed", 1, 1, 0.6),
+    ):
+        inputs = np.hstack([asked.inputs[:, :6] * pressure, asked.inputs[:, 6:] * tension])
+        pushed = asked.tip_force + force * np.sin(np.linspace(0, np.pi, len(inputs)))[:, None] * [[1, 0, 0]]
+        found.append(replace(run, file=f"{name}.csv", setpoints=SetPoints(asked.time, inputs, pushed)))
+    return found
+
+
+def flags(trial: Trial, found: Invention, short: bool) -> tuple[int, int, int, int]:
+    """How many runs to judge by leave what the machine went through, how many of these are told; how many stay within, and are told."""
+    runs = excitations(trial.hidden.seed, short)
+    place, layout = found.formula.place, found.estimate.plant.model.layout  # type: ignore[union-attr]
+    constant = all(named(place, k).endswith("constant") for k in found.formula.chosen)
+    variables = () if constant else tuple(filter(None, (place.variable, place.times)))
+    went = {run.file: went_through(trial, run) for run in (*runs, *far(runs))}
+    fitted = [went[run.file] for run in runs if run.role == "fit"]
+    told, count = {run.file for run in found.beyond}, [0, 0, 0, 0]
+    for run in (*(run for run in runs if run.role == "validation"), *far(runs)):
+        leaves = False
+        for variable in variables:
+            among, here = (
+                [(v if variable == "time" else v[:, place.targets(layout)]) for v in (c.of(variable, layout) for c in some)]
+                for some in (fitted, [went[run.file]])
+            )
+            low, high = min(v.min() for v in among), max(v.max() for v in among)
+            room = BEYOND * (high - low)
+            leaves |= bool(here[0].min() < low - room or here[0].max() > high + room)
+        count[0 if leaves else 2] += 1
+        count[1 if leaves else 3] += run.file in told
+    return count[0], count[1], count[2], count[3]
+
+
+def went_through(trial: Trial, run: Excitation) -> Course:
+    """What the machine itself went through in a run, without noise: commands, its positions and its lengths."""
+    hidden = Deviation(trial.hidden.imperfections, true_factors(trial.hidden), trial.hidden.before)
+    rig = SimulatedRig(machine.rig_file(ROBOT, hidden, 0.0, trial.hidden.seed))
+    rig.reseed(0, run.began)
+    rig.schedule(run.setpoints if hidden.before is None else hidden.before(run.setpoints))
+    states = []
+    for _ in run.setpoints.time:
+        rig.read()
+        states.append((rig.true_points, rig.true_lengths))
+    asked = run.setpoints
+    points, lengths = (np.array(values) for values in zip(*states, strict=True))
+    whole = Run(run.file, run.role, asked.time, asked.inputs, asked.tip_force, points, began=run.began)
+    return Course(compile_model(Model.of(ROBOT)), whole, points, lengths)
 
 
 def _curve(trial: Trial, found: Invention) -> float | None:
@@ -131,7 +202,7 @@ def main() -> None:
         try:
             if not (options.folder / key / "dataset.toml").exists():
                 make(trial.hidden, options.folder / key, options.short)
-            result = examined(trial, options.folder, options.folder / "laws")
+            result = examined(trial, options.folder, options.folder / "laws", options.short)
         except (InputError, ValidationError) as error:
             result = Found(key, law=f"not made: {str(error).splitlines()[0]}"[:120])
         found.append(asdict(result))

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.freeform.invent import Invention, invent
+from tepm_opt.discrepancy.freeform.invent import Invention, extrapolated, invent
 from tepm_opt.discrepancy.freeform.page import as_json, formula_text, page, paragraph
+from tepm_opt.discrepancy.freeform.responses import courses
 from tepm_opt.discrepancy.freeform.writing import curve, write
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effect_files import load_effects, unload_effect
@@ -91,7 +92,17 @@ def test_what_was_written_is_an_effect_like_others(law: Invention, tmp_path: Pat
 def test_it_says_where_it_extrapolates(law: Invention) -> None:
     assert [run.file for run in law.beyond] == ["high.csv"]
     assert law.beyond[0].high == pytest.approx(1.3 * law.beyond[0].visited[1], rel=0.02)
-    assert "It extrapolates in high.csv" in paragraph(law)
+    assert "It extrapolates in high.csv: pressure" in paragraph(law)
+
+
+def test_a_product_extrapolates_where_either_variable_does(law: Invention, true: CompiledModel) -> None:
+    plant = law.estimate.plant
+    assert isinstance(plant, NetworkPlant)
+    made = courses(plant, law.estimate.problem.runs)
+    judged = [replace(run, file="high.csv") for run in weak(true, ("elongation.csv",), 1.3)]
+    product = replace(law.formula, place=replace(law.formula.place, variable="tension", times="pressure"))
+    assert [(run.file, run.variable) for run in extrapolated(law.estimate, made, product, judged)] == [("high.csv", "pressure")]
+    assert not extrapolated(law.estimate, made, replace(product, place=replace(product.place, times="")), judged)
 
 
 def test_it_is_told_and_drawn(law: Invention, tmp_path: Path) -> None:

@@ -40,9 +40,10 @@ STEPS = 12
 
 @dataclass(frozen=True, eq=False)
 class Beyond:
-    """A run in which the law is asked for what it was never shown: its variable there, and what was visited, in its unit."""
+    """A run in which the law is asked for what it was never shown: a variable of it there, and what was visited, in its unit."""
 
     file: str
+    variable: str
     low: float
     high: float
     visited: tuple[float, float]
@@ -163,8 +164,8 @@ def _invention(
         return None
     model = replace(known, parameters=_changed(known, fitted), effects=_effects(known, written, fitted))
     runs = judged or estimate.problem.runs
-    errors = _error(estimate, runs), _error(fitted, runs)
-    return Invention(scored, formula, written, file, fitted, model, closes, errors, tuple(_beyond(fitted, made, formula, judged)), ())
+    errors = error_on(estimate, runs), error_on(fitted, runs)
+    return Invention(scored, formula, written, file, fitted, model, closes, errors, tuple(extrapolated(fitted, made, formula, judged)), ())
 
 
 def _worth(formula: Formula) -> float:
@@ -206,27 +207,29 @@ def _effects(known: Model, written: Written, fitted: ParameterEstimate) -> tuple
     return tuple(acting_effect(name, detail, fitted.plant.values, Layout.of(known.robot)) for name, detail in every)
 
 
-def _error(estimate: ParameterEstimate, runs: Sequence[Run]) -> float:
+def error_on(estimate: ParameterEstimate, runs: Sequence[Run]) -> float:
     """Root mean square of Eq. (5) in m."""
     points = [estimate.plant.predict(run, (), estimate.problem.step).points for run in runs]
     return error_over_time(np.concatenate([run.points for run in runs]), np.concatenate(points))
 
 
-def _beyond(fitted: ParameterEstimate, made: Sequence[Course], formula: Formula, judged: Sequence[Run]) -> list[Beyond]:
-    """Runs whose variable leaves what the law was fitted over."""
+def extrapolated(fitted: ParameterEstimate, made: Sequence[Course], formula: Formula, judged: Sequence[Run]) -> list[Beyond]:
+    """Runs in which a variable of the law leaves what the law was fitted over."""
     plant, place = fitted.plant, formula.place
     if all(named(place, k).endswith("constant") for k in formula.chosen) or not isinstance(plant, NetworkPlant):
         return []
     layout = plant.model.layout
+    found, asked = [], courses(plant, judged)
+    for variable in filter(None, (place.variable, place.times)):
 
-    def values(course: Course) -> np.ndarray:
-        found = course.of(place.variable, layout)
-        return found[:, place.targets(layout)] if place.variable not in ("time", "supply") else found
+        def values(course: Course, variable: str = variable) -> np.ndarray:
+            every = course.of(variable, layout)
+            return every if variable == "time" else every[:, place.targets(layout)]
 
-    low, high = (float(op([op(values(course)) for course in made])) for op in (np.min, np.max))
-    room, found = BEYOND * (high - low), []
-    for course in courses(plant, judged):
-        at = values(course)
-        if at.min() < low - room or at.max() > high + room:
-            found.append(Beyond(course.run.file, float(at.min()), float(at.max()), (low, high)))
+        low, high = (float(op([op(values(course)) for course in made])) for op in (np.min, np.max))
+        room = BEYOND * (high - low)
+        for course in asked:
+            at = values(course)
+            if at.min() < low - room or at.max() > high + room:
+                found.append(Beyond(course.run.file, variable, float(at.min()), float(at.max()), (low, high)))
     return found

@@ -38,13 +38,14 @@ def paragraph(law: Invention) -> str:
         f"It closes {law.closes:.0%} of the structure left in data that it was not fitted to; error {1e3 * before:.3g} mm without it, "
         f"{1e3 * after:.3g} mm with it."
     )
-    return " ".join([text, *(_extrapolates(law, run) for run in law.beyond)])
+    return " ".join([text, *(_extrapolates(run) for run in law.beyond)])
 
 
-def _extrapolates(law: Invention, run: Beyond) -> str:
+def _extrapolates(run: Beyond) -> str:
     low, high = run.visited
-    unit = UNITS.get(law.formula.place.variable, "")
-    return f"It extrapolates in {run.file}: {run.low:.3g} … {run.high:.3g} {unit} where it was fitted over {low:.3g} … {high:.3g} {unit}."
+    unit = UNITS.get(run.variable, "")
+    here = f"{run.variable} {run.low:.3g} … {run.high:.3g} {unit}"
+    return f"It extrapolates in {run.file}: {here} where it was fitted over {low:.3g} … {high:.3g} {unit}."
 
 
 def as_json(law: Invention) -> dict[str, Any]:
@@ -63,7 +64,10 @@ def as_json(law: Invention) -> dict[str, Any]:
         },
         "closes": float(f"{law.closes:.6g}"),
         "rmse_m": {"without": float(f"{law.errors[0]:.6g}"), "with": float(f"{law.errors[1]:.6g}")},
-        "extrapolates": [{"run": run.file, "low": run.low, "high": run.high, "visited": list(run.visited)} for run in law.beyond],
+        "extrapolates": [
+            {"run": run.file, "variable": run.variable, "low": run.low, "high": run.high, "visited": list(run.visited)}
+            for run in law.beyond
+        ],
     }
 
 
