@@ -164,8 +164,8 @@ class Sent:
 class InputEffects:
     """What the model's effects make of pressures and tensions, as forces that come on top of p A − λ.
 
-    Maps (a weaker muscle, crosstalk, a dead zone) and memories (hysteresis, friction of the tendon) alike; lags and delays are the
-    `Devices`' business and left out here.
+    Maps (a weaker muscle, crosstalk, a dead zone) and memories (hysteresis) alike; lags and delays are the `Devices`' business and left
+    out here, and so is friction of the tendons: it follows the muscles' motion, which the filter knows.
 
     Attributes:
         forces: extra axial forces now, (actuators,) in N.
@@ -174,7 +174,7 @@ class InputEffects:
     def __init__(self, model: CompiledModel, inputs: np.ndarray) -> None:
         self.model = model
         self._area, self._half = model.values["A"], model.layout.inputs // 2
-        self._theta = model.theta_without_lag
+        self._theta = model.theta_without_devices
         self._inputs, self._memory = inputs, np.zeros(model.reference_stepper.dynamics.input_states)
         probes = model.input_max * np.array([[0.1], [0.9]])
         direct = all(np.array_equal(model.statics.actuation(probe, self._theta), probe) for probe in probes)

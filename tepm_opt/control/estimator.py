@@ -31,7 +31,8 @@ class FilterSettings:
         force_noise: intensity of white noise on the axial forces in N √s.
         strength_std: standard deviation of the strength before anything was seen, as part of p A.
         strength_drift: intensity of its random walk in 1/√s.
-        friction_std: standard deviation of a muscle's friction before anything was seen, in N.
+        friction: of a muscle's tendon at the tension's middle before anything was seen, in N.
+        friction_std: its standard deviation in N.
         friction_drift: intensity of its random walk in N/√s.
         surprise_time: time in s over which the normalised innovations are averaged; where their mean is above 1 the unknown forces are
             believed to wander faster by the square of it.
@@ -55,6 +56,7 @@ class FilterSettings:
     force_noise: float = 0.005
     strength_std: float = 0.05
     strength_drift: float = 0.005
+    friction: float = 0.0
     friction_std: float = 2.0
     friction_drift: float = 0.5
     surprise_time: float = 0.15
@@ -71,6 +73,18 @@ class FilterSettings:
     tip_bias_drift: float = 1e-3
     gate_probability: float = 1e-6
     most_rejections: int = 10
+
+    def knowing(self, friction: tuple[float, float] | None, middle: float) -> FilterSettings:
+        """Settings that begin with friction that a model has; these where it has none.
+
+        Args:
+            friction: constant part in N, and share of the tension.
+            middle: tension in N.
+        """
+        if friction is None or not sum(friction):
+            return self
+        whole = friction[0] + friction[1] * middle
+        return replace(self, friction=whole, friction_std=min(self.friction_std, whole / 2))
 
 
 DEFAULT = FilterSettings()
@@ -213,6 +227,7 @@ class Estimator:
         self._motion, self._unknown, self._strength, self._friction, self._hysteresis, self._bias = parts
         self._modes, self._tip = modes, slice(ends[-1] - 3, ends[-1])
         self.mean = np.zeros(ends[-1])
+        self.mean[self._friction] = settings.friction
         spread = np.zeros(ends[-1])
         spread[self._motion], spread[self._unknown], spread[self._friction] = 1e-2, 0.5, settings.friction_std
         spread[self._strength], spread[self._hysteresis] = settings.strength_std, settings.hysteresis_std

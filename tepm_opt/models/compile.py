@@ -155,9 +155,16 @@ class CompiledModel:
         return np.array(self.reference_stepper.dynamics.functions["delay"].map(len(time))(theta))[int(forces)]
 
     @cached_property
-    def theta_without_lag(self) -> np.ndarray:
-        """Values of the parameters with every effect that declares a lag at its null values, (parameters,)."""
-        null = {f"{effect.label}.{p.name}": p.null for effect, kind, _ in self._declared("lag") for p in kind.parameters_of(self.layout)}
+    def tendon_friction(self) -> tuple[float, float] | None:
+        """Dry friction of the tendons, by the effects that declare it: constant part in N, share of the tension; None without one."""
+        found = [friction for _, kind, own in self._declared("friction") if (friction := kind.friction(own)) is not None]
+        return (sum(float(constant) for constant, _ in found), sum(float(share) for _, share in found)) if found else None
+
+    @cached_property
+    def theta_without_devices(self) -> np.ndarray:
+        """Values of the parameters with every effect that declares a lag or friction of the tendons at its null values, (parameters,)."""
+        declared = [*self._declared("lag"), *self._declared("friction")]
+        null = {f"{effect.label}.{p.name}": p.null for effect, kind, _ in declared for p in kind.parameters_of(self.layout)}
         return np.array([null.get(name, value) for name, value in self.values.items()])
 
     @cached_property

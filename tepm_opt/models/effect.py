@@ -282,6 +282,13 @@ class Effect:
         """Time constants, where this effect's pressure memory is a first-order lag that a controller can compensate; else None."""
         return None
 
+    def friction(self, parameters: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX] | None:
+        """Constant part in N and share of the tension, where this effect's tension memory is dry friction of the tendons; else None.
+
+        A memory follows reversals of the command. A controller that knows the muscles' motion lets friction follow that instead.
+        """
+        return None
+
     def delay(self, parameters: Mapping[str, ca.SX]) -> ca.SX:
         """Time in s by which all commands, and known forces where `delays_forces` says so, take effect late."""
         return ca.SX(0)

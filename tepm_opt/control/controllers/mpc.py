@@ -134,7 +134,8 @@ class Mpc:
         self._doubts = Doubts(model.layout.actuator_names, (self._pressure_max, self._tension_max))
         self._doubted: Mapping[str, str] = {}
         middle = settings.mid_range * float(self._tension_max[0])
-        self._estimator = Estimator(self._point(0), self._noise.declared, middle, settings.filter)
+        self._filter = settings.filter.knowing(model.tendon_friction, middle)
+        self._estimator = Estimator(self._point(0), self._noise.declared, middle, self._filter)
         self._zero: float | None = None
         self._row = 0
 
@@ -217,7 +218,7 @@ class Mpc:
         then, now, actuators = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
         actuators.area = self.area * (1 + estimate.strength)
         motion, direction, turning, lengths = estimate.motion, estimate.direction, estimate.turning, self.reference.lengths
-        settings = self.settings.filter
+        settings = self._filter
         for at in range(self._row, self._row + self.ahead):
             start = (self._zero or 0.0) + at * self.period
             actuators.command = self._sent.between(start, start + self.period)
@@ -238,8 +239,8 @@ class Mpc:
         self._forecast.about(ahead.operating, reference, rows, ahead.motion, estimate.bias[-1])
         self._enabled = self._switched(ahead)
         # friction over the coming stages: a part that does not depend on the tension and one in proportion to it
-        steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.filter.load_share
-        pulled = estimate.friction * course(ahead.direction, steps, settings.filter.presliding_distance)
+        steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], self._filter.load_share
+        pulled = estimate.friction * course(ahead.direction, steps, self._filter.presliding_distance)
         still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
         before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
         behind = estimate.hysteresis, ahead.turning
@@ -247,7 +248,7 @@ class Mpc:
         begin = actuators.forces + unknown - horizon.forces[0] - estimate.hysteresis * ahead.turning
         begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
         rises = self.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
-        turns = course(ahead.turning, rises, settings.filter.hysteresis_width)
+        turns = course(ahead.turning, rises, self._filter.hysteresis_width)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
         result = self._solve(begin, offset, factor[:stages], actuators.tension)
         if result.x is not None and time.perf_counter() - began <= settings.deadline:
@@ -308,7 +309,7 @@ class Mpc:
         wanted = (need - self._effects.forces + pulled) / actuators.area
         hysteresis, turning = behind
         rises = self.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
-        wanted = wanted + hysteresis * course(turning, rises, settings.filter.hysteresis_width) / actuators.area
+        wanted = wanted + hysteresis * course(turning, rises, self._filter.hysteresis_width) / actuators.area
         return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages)
 
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:

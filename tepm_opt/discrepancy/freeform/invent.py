@@ -214,7 +214,14 @@ def error_on(estimate: ParameterEstimate, runs: Sequence[Run]) -> float:
 
 
 def extrapolated(fitted: ParameterEstimate, made: Sequence[Course], formula: Formula, judged: Sequence[Run]) -> list[Beyond]:
-    """Runs in which a variable of the law leaves what the law was fitted over."""
+    """Runs in which a variable of the law leaves what the law was fitted over.
+
+    Args:
+        fitted: with the law.
+        made: the runs fitted to, as the model does them.
+        formula: of the law.
+        judged: runs that were not fitted to.
+    """
     plant, place = fitted.plant, formula.place
     if all(named(place, k).endswith("constant") for k in formula.chosen) or not isinstance(plant, NetworkPlant):
         return []

@@ -30,6 +30,9 @@ class TendonFriction(Effect):
         Parameter("distance", "N", null=0.05, probe=0.05, low=1e-3, high=10.0),
     )
 
+    def friction(self, parameters: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+        return parameters["constant"], parameters["share"]
+
     def tension_memory(self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         friction = parameters["constant"] + parameters["share"] * tension
         let_go = parameters["released"] * ca.fmax(parameters["constant"] - tension, 0)
