@@ -4,47 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.devices import Devices
 
 BELIEF = 0.5  # how far a measured pressure or tension moves the estimate
 LASTING = 1.0  # s over which a difference that stays is taken for the gauge's own
 TELLING = 10.0  # N²/s, of squared rates over time: motion of the motors that tells how late they are, some tenths of a second of it
 WHOLE = 0.6  # of a period, by which commands have to act later or sooner than assumed before that is assumed
-
-
-@dataclass(frozen=True)
-class Devices:
-    """How fast the devices between commands and forces are.
-
-    Attributes:
-        filling, exhausting: time constants of the regulators in s; 0 is at once.
-        tension_rate: of the motors in N/s; infinite is at once.
-        delay: by which commands act late in s.
-    """
-
-    filling: float
-    exhausting: float
-    tension_rate: float
-    delay: float
-
-    @staticmethod
-    def of(model: CompiledModel) -> Devices:
-        """The actuators of the robot file; a lag or delay that an effect of the model declares goes before it."""
-        data, lag, delay = model.robot.actuation, model.pressure_lag, model.command_delay
-        filling, exhausting = (data.filling_time_s, data.exhausting_time_s) if lag is None else lag
-        rate = data.tension_rate_N_per_s or np.inf
-        return Devices(filling, exhausting, rate, data.command_delay_s if delay is None else delay)
-
-    def lag(self, pressure: np.ndarray, command: np.ndarray, duration: float) -> np.ndarray:
-        """Pressure in Pa that a constant command leads to after a time in s."""
-        filling, exhausting = (math.exp(-duration / time) if time > 0 else 0.0 for time in (self.filling, self.exhausting))
-        more = pressure - command
-        return command + more * np.where(more < 0, filling, exhausting)
 
 
 class Actuators:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.control.actuators import Devices
+from tepm_opt.models.devices import Devices
 from tepm_opt.models.robot import on_grid
 
 

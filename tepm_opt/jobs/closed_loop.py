@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.actuators import Devices
 from tepm_opt.control.controllers import DEFAULT, find_controller, settings_of
 from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option, Telemetry
 from tepm_opt.control.loop import DONE, LoopRecord
@@ -23,6 +22,7 @@ from tepm_opt.data.tables import write_columns
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.devices import Devices
 from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.recording.measure import GOOD, STATUS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.control.actuators import Actuators, Devices
+from tepm_opt.control.actuators import Actuators
 from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.doubts import LARGEST, STAYS, Doubts, TrackerNoise
 from tepm_opt.control.loop import LoopRecord, close_loop
@@ -15,6 +15,7 @@ from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.devices import Devices
 
 NAMES = ("11", "12", "13")
 

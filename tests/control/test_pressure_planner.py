@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
+from tepm_opt.control.actuators import Actuators, InputEffects, Sent
 from tepm_opt.control.friction import course, turned
 from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import compile_model
+from tepm_opt.models.devices import Devices
 from tepm_opt.models.effects import _registry, find_effect
 from tepm_opt.models.model import Model
 

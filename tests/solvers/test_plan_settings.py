@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.devices import Devices
+from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.choices import Objective
 from tepm_opt.solvers.planning.family import FamilyFit
@@ -15,6 +17,7 @@ from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
 from tepm_opt.solvers.planning.program import Sphere
 from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.trajectories import line
+from tests.tools import variant
 
 START, END = (0.13, 0.0, 0.35), (0.09, 0.0, 0.35)
 COARSE = FamilyFit(degree=3, nodes=4, dynamics_degree=2, dynamics_nodes=3, validation_samples=1)
@@ -41,12 +44,25 @@ def quick(kang: CompiledModel) -> MotionPlan:
     return planned(kang)
 
 
-@pytest.mark.parametrize("setting", ["filling_time", "exhausting_time"])
+@pytest.mark.parametrize("setting", ["filling", "exhausting"])
 def test_slow_regulators_take_longer(kang: CompiledModel, quick: MotionPlan, setting: str) -> None:
-    assert planned(kang, **{setting: 2.5 * getattr(QUICK, setting)}).duration > 1.02 * quick.duration
+    known = Devices.of(kang)
+    assert planned(kang, devices=replace(known, **{setting: 2.5 * getattr(known, setting)})).duration > 1.02 * quick.duration
 
 
-@pytest.mark.parametrize("setting", [{"max_tension_rate": 6.0}, {"tension_rate_reserve": 5.0}], ids=str)
+def test_devices_are_those_of_the_robot_file_or_of_the_model(quick: MotionPlan) -> None:
+    """A lag that the model has goes before the file's, and is not waited for twice."""
+    actuation = {"filling_time_s": 0.3, "exhausting_time_s": 0.6, "tension_rate_N_per_s": 5.0}
+    slow = planned(compile_model(Model.of(variant(actuation=actuation))))
+    assert slow.duration > 1.2 * quick.duration
+    assert largest_rate(slow) < 5.0
+    known = Model.of(variant(actuation={"tension_rate_N_per_s": 5.0})).with_effect("regulator_lag", filling_time=0.3, exhausting_time=0.6)
+    same = planned(compile_model(known))
+    assert same.duration == pytest.approx(slow.duration)
+    assert same.residual_sway == pytest.approx(slow.residual_sway)
+
+
+@pytest.mark.parametrize("setting", [{"devices": Devices(0.12, 0.24, 6.0, 0.0)}, {"tension_rate_reserve": 0.5}], ids=str)
 def test_slow_motors_take_longer(kang: CompiledModel, quick: MotionPlan, setting: dict[str, float]) -> None:
     slow = planned(kang, **setting)
     assert slow.duration > 1.02 * quick.duration
@@ -55,7 +71,9 @@ def test_slow_motors_take_longer(kang: CompiledModel, quick: MotionPlan, setting
 
 def test_the_reserve_keeps_tensions_from_their_limits(kang: CompiledModel) -> None:
     """Here slack, from a low tension at rest."""
-    near, far = (planned(kang, mid_tension=1.5, max_tension_rate=20.0, tension_reserve=reserve) for reserve in (0.15, 0.75))
+    near, far = (
+        planned(kang, mid_tension=1.5, devices=Devices(0.12, 0.24, 20.0, 0.0), tension_reserve=reserve) for reserve in (0.15, 0.75)
+    )
     assert tensions(near).min() < 0.6
     assert tensions(far).min() > 0.75 - 0.1, "up to the regulators' grid"
 

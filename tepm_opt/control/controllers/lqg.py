@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
+from tepm_opt.control.actuators import Actuators, InputEffects, Sent
 from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value, own_settings
 from tepm_opt.control.estimator import Operating
 from tepm_opt.control.forecast import Weights, against, holding
@@ -22,6 +22,7 @@ from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSe
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.modal_model import modal_model
 
 SPACING = 10  # periods between the reference's points at which gains are taken

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.control.actuators import Actuators, Devices, InputEffects, Sent
+from tepm_opt.control.actuators import Actuators, InputEffects, Sent
 from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, Value, own_settings
 from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
@@ -31,6 +31,7 @@ from tepm_opt.control.qp import QpResult, QpSolver
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.devices import Devices
 from tepm_opt.outcome import Outcome
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 

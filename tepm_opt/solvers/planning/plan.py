@@ -16,6 +16,7 @@ from scipy.interpolate import make_interp_spline
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, finite_array
+from tepm_opt.models.devices import Devices
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.choices import ActuationMode, Objective
@@ -40,10 +41,10 @@ class PlanSettings:
     """Settings of a plan.
 
     Attributes:
-        filling_time, exhausting_time: of the regulators' first-order lag, s.
-        max_tension_rate: largest rate of a tension, N/s.
+        devices: lags of the regulators and rate of the motors; as the model, or else its robot file, has them where absent.
         mid_tension: tension at rest at both ends, N; the middle of the range where absent.
-        tension_reserve, tension_rate_reserve: what the program leaves to the regulators' grid, N and N/s.
+        tension_reserve: what the program leaves to the regulators' grid, N.
+        tension_rate_reserve: the same of the motors' rate, as part of it.
         min_stiffness: smallest stiffness eigenvalue, N/m; not looked at where absent.
         clearance: of the reference points from obstacles, m.
         frequency_uncertainty: part by which the sway's frequencies may differ from the model's; 0 trusts it.
@@ -56,12 +57,10 @@ class PlanSettings:
         fit: of the family of configurations.
     """
 
-    filling_time: float = 0.12
-    exhausting_time: float = 0.24
-    max_tension_rate: float = 10.0
+    devices: Devices | None = None
     mid_tension: float | None = None
     tension_reserve: float = 0.15
-    tension_rate_reserve: float = 2.0
+    tension_rate_reserve: float = 0.2
     min_stiffness: float | None = None
     clearance: float = 0.002
     frequency_uncertainty: float = 0.0
@@ -85,7 +84,7 @@ def plan_move(
     """Plan from rest with the tip at `start` to rest with the tip at `end`, by any way.
 
     Args:
-        model: compiled model; its lags and delays are left to the settings.
+        model: compiled model.
         start, end: tips in G, (3,) in m.
         objective: fastest, or least effort.
         duration: in s, for the least effort.
@@ -111,7 +110,7 @@ def plan_path(
     The path is the quintic spline through the trajectory's points; its times do not count.
 
     Args:
-        model: compiled model; its lags and delays are left to the settings.
+        model: compiled model.
         trajectory: whose path to keep to.
         objective, duration, obstacles, settings, progress: see `plan_move`.
 
@@ -144,6 +143,8 @@ def _check(model: CompiledModel, objective: Objective, duration: float | None, s
         raise InputError(f"duration: {duration}; valid: seconds for objective 'effort', none for 'time'")
     if duration is not None and not 0.05 <= duration <= 600:
         raise InputError(f"duration: {duration:g} s; valid: 0.05 … 600 s")
+    if not 0 <= settings.tension_rate_reserve <= 0.9:
+        raise InputError(f"tension_rate_reserve: {settings.tension_rate_reserve:g}; valid: 0 … 0.9 of the rate")
     if not 0 <= settings.frequency_uncertainty <= 0.5:
         raise InputError(f"frequency_uncertainty: {settings.frequency_uncertainty:g}; valid: 0 … 0.5")
     if settings.min_stiffness is not None and not np.isfinite(settings.min_stiffness):
@@ -161,13 +162,14 @@ def _plan(
     obstacles: tuple[Obstacle, ...], settings: PlanSettings, progress: Progress,
 ) -> MotionPlan:  # fmt: skip
     """A plan between two targets or, with parts, along many."""
-    mid, layout = _check(model, objective, duration, settings), model.layout
+    mid, layout, devices, whole = _check(model, objective, duration, settings), model.layout, settings.devices or Devices.of(model), model
+    model = model.with_theta(model.theta_without_devices)  # set points are ahead of regulators; friction has no direction at rest
 
     def none(ending: Ending, message: str) -> MotionPlan:
         rows = SetPoints(np.zeros(0), np.zeros((0, layout.inputs)), np.zeros((0, 3)))
         points = np.zeros((0, layout.points, 3))
         forces, outcome = np.zeros((0, layout.inputs // 2)), Outcome(ending, message)
-        return MotionPlan(model, objective, outcome, rows.time, points[:, 0], points, forces, rows)
+        return MotionPlan(whole, objective, outcome, rows.time, points[:, 0], points, forces, rows)
 
     configurations = []
     each = each_configuration(model, targets, ActuationMode.HYBRID, None, mid)
@@ -189,7 +191,7 @@ def _plan(
     y, area, half = family.within(lengths), model.values["A"], layout.inputs // 2
     air = area * ends[0].allocation.inputs[:half], area * ends[1].allocation.inputs[:half]
     sway = np.array([np.sqrt(modal_model(at, modes=2).stiffness) for at in (ends[0].equilibrium, family.middle, ends[1].equilibrium)])
-    limits = _limits(model, ends, settings, (float(sway.min()), float(sway.max())))
+    limits = _limits(model, ends, devices, settings, (float(sway.min()), float(sway.max())))
     route = None if parts is None else Route(parts, y)
     way = float(np.linalg.norm(np.diff(targets, axis=0), axis=1).sum())
     intervals = int(np.clip(way / INTERVAL, settings.min_intervals, 2 * settings.min_intervals))
@@ -207,7 +209,7 @@ def _plan(
             return none(Ending.NO_PLAN, _why(task, motion))
         progress("set points and simulation", 0, 0)
         try:
-            plan = _played(task, motion, ends, settings, objective)
+            plan = _played(task, motion, ends, devices, settings, objective)
         except FamilyError as error:
             return none(Ending.NO_PLAN, f"on the way: {error}")
         if plan.solved and plan.residual_sway <= settings.max_residual_sway:
@@ -215,7 +217,7 @@ def _plan(
     if not plan.solved:
         return none(plan.outcome.ending, plan.outcome.message)
     lowest, highest = float(sway.min()) / (2 * np.pi), float(sway.max()) / (2 * np.pi)
-    return replace(plan, sway_frequencies=(lowest, highest), iterations=iterations, seconds=seconds)
+    return replace(plan, model=whole, sway_frequencies=(lowest, highest), iterations=iterations, seconds=seconds)
 
 
 def _solved(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
@@ -251,8 +253,18 @@ def _blocked(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSet
     return ""
 
 
-def _limits(model: CompiledModel, ends: tuple[Configuration, Configuration], settings: PlanSettings, sway: tuple[float, float]) -> Limits:
-    """Limits of the program; those of the forces leave both ends inside, or it had no interior."""
+def _limits(
+    model: CompiledModel, ends: tuple[Configuration, Configuration], devices: Devices, settings: PlanSettings, sway: tuple[float, float]
+) -> Limits:
+    """Limits of the program; those of the forces leave both ends inside, or it had no interior.
+
+    Args:
+        model: whose ranges.
+        ends: of the plan.
+        devices: lags and rate.
+        settings: of the plan.
+        sway: its lowest and highest frequency, 1/s.
+    """
     half, doubt, highest = model.layout.inputs // 2, settings.frequency_uncertainty, model.input_max
     held = np.array([found.allocation.inputs[half:] for found in ends])
     frequencies = np.linspace(sway[0] * (1 - doubt), sway[1] * (1 + doubt), 3) if doubt else ()
@@ -262,8 +274,8 @@ def _limits(model: CompiledModel, ends: tuple[Configuration, Configuration], set
             float(min(settings.tension_reserve, held.min() - INSIDE)),
             float(max(highest[half:].min() - settings.tension_reserve, held.max() + INSIDE)),
         ),
-        max_tension_rate=settings.max_tension_rate - settings.tension_rate_reserve,
-        lags=(settings.filling_time, settings.exhausting_time),
+        max_tension_rate=devices.tension_rate * (1 - settings.tension_rate_reserve),
+        lags=(devices.filling, devices.exhausting),
         min_stiffness=settings.min_stiffness, clearance=settings.clearance, max_sway=settings.max_sway,
         frequencies=tuple(float(value) for value in frequencies), frequency_uncertainty=doubt,
     )  # fmt: skip
@@ -276,9 +288,17 @@ def _bulges(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
 
 
 def _played(
-    task: PlanTask, motion: PlannedMotion, ends: tuple[Configuration, Configuration], settings: PlanSettings, objective: Objective
-) -> MotionPlan:
-    """The plan at its rows: exact equilibria, forces and set points that make them."""
+    task: PlanTask, motion: PlannedMotion, ends: tuple[Configuration, Configuration], devices: Devices, settings: PlanSettings,
+    objective: Objective,
+) -> MotionPlan:  # fmt: skip
+    """The plan at its rows: exact equilibria, forces and set points that make them.
+
+    Args:
+        task, motion: the program and what it found.
+        ends: of the plan.
+        devices: that make the forces.
+        settings, objective: of the plan.
+    """
     family, model, layout = task.family, task.family.model, task.family.model.layout
     half, area = layout.inputs // 2, model.values["A"]
     rows = int(np.ceil(motion.duration / settings.max_spacing - 1e-9)) + 1
@@ -292,16 +312,15 @@ def _played(
     ]
     forces = held + np.array([np.asarray(family.moving(*row) - family.forces(row[0])).ravel() for row in zip(y, v, a, strict=True)])
     wanted, rate = motion.air(part) / area, motion.air(part, 1) / area / motion.duration
-    lags = settings.filling_time, settings.exhausting_time
-    ahead = wanted + np.where(rate > 0, *lags) * rate
+    ahead = wanted + np.where(rate > 0, devices.filling, devices.exhausting) * rate
     effort = ((np.diff(area * ahead, axis=0) ** 2).sum() + (np.diff(area * wanted - forces, axis=0) ** 2).sum()) / time[1]
     inputs = np.zeros((rows, layout.inputs))
-    inputs[:, :half], muscle = commands(model, ahead, wanted, time, lags)
+    inputs[:, :half], muscle = commands(model, ahead, wanted, time, devices)
     inputs[:, half:] = [tensions(model, pressures, needed) for pressures, needed in zip(muscle, forces, strict=True)]
     inputs[0], inputs[-1] = ends[0].allocation.inputs, ends[1].allocation.inputs
     message, wind = "", inputs[:, half:]
     wound = np.abs(np.diff(wind, axis=0)).max() / time[1]
-    if wound > settings.max_tension_rate or wind.min() < -3 * INSIDE or (wind > model.input_max[half:] + 3 * INSIDE).any():
+    if wound > devices.tension_rate or wind.min() < -3 * INSIDE or (wind > model.input_max[half:] + 3 * INSIDE).any():
         message = (
             f"the tensions leave their limits ({wind.min():.2f} … {wind.max():.2f} N, up to {wound:.1f} N/s): "
             "the reserves of the settings are too small"

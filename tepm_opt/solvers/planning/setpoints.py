@@ -7,6 +7,7 @@ import numpy as np
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.allocation import axial_forces
 from tepm_opt.solvers.simulate import SimulationError, simulate
 
@@ -27,7 +28,7 @@ def tensions(model: CompiledModel, pressures: np.ndarray, forces: np.ndarray) ->
 
 
 def commands(
-    model: CompiledModel, ahead: np.ndarray, wanted: np.ndarray, time: np.ndarray, lags: tuple[float, float]
+    model: CompiledModel, ahead: np.ndarray, wanted: np.ndarray, time: np.ndarray, devices: Devices
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pressures to command on the regulators' grid, and what they make in the muscles, both (rows, modules · 3) in Pa.
 
@@ -38,7 +39,7 @@ def commands(
         ahead: commands before rounding, (rows, modules · 3) in Pa.
         wanted: pressures in the muscles that they are for; the last ones are commanded as they are.
         time: of the rows, (rows,) in s.
-        lags: of filling and exhausting, s.
+        devices: the regulators.
     """
     half = wanted.shape[1]
     highest, carried = model.input_max[:half], np.zeros(half)
@@ -48,17 +49,15 @@ def commands(
             ideal = np.clip(ahead[row] + carried, 0.0, highest)
             given[row] = model.robot.actuation.pressures_on_grid(ideal)
             carried = ideal - given[row]
-        muscle[row] = _lagged(muscle[row - 1], given[row - 1], given[row], time[row] - time[row - 1], lags)
+        muscle[row] = _lagged(muscle[row - 1], given[row - 1], given[row], time[row] - time[row - 1], devices)
     return given, muscle
 
 
-def _lagged(pressure: np.ndarray, before: np.ndarray, after: np.ndarray, duration: float, lags: tuple[float, float]) -> np.ndarray:
+def _lagged(pressure: np.ndarray, before: np.ndarray, after: np.ndarray, duration: float, devices: Devices) -> np.ndarray:
     """Pressure in the muscles after commands that go linearly from `before` to `after`."""
     steps = max(1, round(duration / SUBSTEP))
     for part in (np.arange(steps) + 0.5) / steps:
-        command = before + part * (after - before)
-        lag = np.where(command > pressure, *lags)
-        pressure = command + (pressure - command) * np.exp(-duration / steps / lag)
+        pressure = devices.lag(pressure, before + part * (after - before), duration / steps)
     return pressure
 
 
