@@ -44,6 +44,9 @@ from .jobs.plan import PlanRun as PlanRun
 from .jobs.plan import run_plan as run_plan
 from .jobs.play import play as play
 from .jobs.record import record as record
+from .jobs.rounds import RoundsRun as RoundsRun
+from .jobs.rounds import read_correction as read_correction
+from .jobs.rounds import run_rounds as run_rounds
 from .jobs.simulate import SimulateRun as SimulateRun
 from .jobs.simulate import SimulationTask as SimulationTask
 from .jobs.simulate import read_task as read_task

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tepm_opt.jobs.closed_loop import ClosedLoop
     from tepm_opt.jobs.machines import MachinesRun
     from tepm_opt.jobs.mpc import Observer
+    from tepm_opt.jobs.rounds import RoundsRun
 
 CONTROLLER = "mpc"
 CONTROLLERS = f"{CONTROLLER}: the predictive controller; lqg: its plain peer; mode1, mode2: the paper's; a wrong name lists all."
@@ -100,6 +101,18 @@ def machine_lines(run: MachinesRun, out: Path) -> list[str]:
     return text if run.ok else [*text, f"[yellow]{escape(run.outcome.message)}[/]"]
 
 
+def round_lines(run: RoundsRun, out: Path) -> list[str]:
+    """What rounds of learning came to, for people."""
+    told, kind = run.summary(), "true" if run.knows_truth else "tracked"
+    text = [f"[bold]{told['controller']}[/] on {told['rig']}: {len(run.loops)} of {run.asked} rounds, files in {escape(str(out))}"]
+    errors = " → ".join(f"{1e3 * loop.rms(run.knows_truth):.3g}" for loop in run.loops)
+    most = 1e3 * told["largest_correction_m"]
+    text.append(f"error of the {kind} tip, mm rms: [bold]{errors}[/]; targets are now corrected by up to {most:.2g} mm")
+    text += [f"[yellow]{escape(says)}[/]" for says in dict.fromkeys(says for loop in run.loops for _, says in loop.doubts.values())]
+    ended = f"ended early: {run.outcome.ending.value}" + (f": {run.outcome.message}" if run.outcome.message else "")
+    return text if run.ok else [*text, f"[yellow]{escape(ended)}[/]"]
+
+
 def mpc(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
@@ -108,6 +121,12 @@ def mpc(
     controller: Annotated[str, typer.Option("--controller", help=CONTROLLERS)] = CONTROLLER,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("mpc"),
     laps: Annotated[float, typer.Option("--laps", help="How often round a closed path.")] = 1.0,
+    learn: Annotated[
+        int | None, typer.Option("--learn", min=1, metavar="N", help="Drive it N times, each time corrected by what was missed before.")
+    ] = None,
+    learned: Annotated[
+        Path | None, typer.Option("--learned", metavar="FILE", help="Begin with what was learned of this path: an earlier learned.csv.")
+    ] = None,
     stay: Annotated[
         float | None, typer.Option("--stay", metavar="S", help="Point by point, S seconds each, of which the last third counts.")
     ] = None,
@@ -143,9 +162,13 @@ def mpc(
         raise tepm.InputError("--noises and --bound belong to --machines N; leave them out, or say how many machines")
     if machines is not None and (rig != "sim" or view):
         raise tepm.InputError("--machines simulates rigs of its own; leave --rig and --view out")
+    if machines is not None and (learn is not None or learned is not None):
+        raise tepm.InputError("--learn and --learned are for one rig; leave them or --machines out")
+    if stay is not None and (learn is not None or learned is not None):
+        raise tepm.InputError("--learn and --learned correct a path; leave --stay out")
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
     setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
-    targets = which.trajectory(path)
+    targets, known = which.trajectory(path), None if learned is None else tepm.read_correction(learned)
     with folder_for(out) as folder:
         compiled = load(robot, model)
         driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
@@ -156,9 +179,21 @@ def mpc(
             run.save(folder)
             plots.draw(run, folder)
             return report(run.summary(), machine_lines(run, out), as_json, run.ok)
-        device = opener(rig, compiled.robot, seed)(seed)
+        opened = opener(rig, compiled.robot, seed)
+        device = opened(seed)
         with shown(as_json) as bars:
             reference = tepm.whole_reference(compiled, targets, driven, kinematics.settings(), bars)
+        if learn is not None or known is not None:
+            try:
+                with stopped_by_signals(), live(view, device) as observer, shown(as_json) as bars:
+                    rounds = tepm.run_rounds(
+                        compiled, reference, lambda number: opened(seed + number) if number else device, setup, learn or 1, folder,
+                        known, kinematics.settings(), progress=bars, observer=observer,
+                    )  # fmt: skip
+            except (RuntimeError, OSError) as error:
+                return failed(error, "rounds that ended are kept")
+            plots.draw(rounds, folder)
+            return report(rounds.summary(), round_lines(rounds, out), as_json, rounds.ok and not any(loop.doubts for loop in rounds.loops))
         try:
             with stopped_by_signals(), live(view, device) as observer, shown(as_json) as bars:
                 loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, observer=observer)

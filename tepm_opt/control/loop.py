@@ -91,8 +91,8 @@ class LoopRecord:
 
     @property
     def targets(self) -> np.ndarray:
-        """Targets of the tip, (samples, 3) in m."""
-        return self.reference.tips[np.array(self.rows, dtype=int)]
+        """Where the tip shall be, (samples, 3) in m."""
+        return self.reference.path[np.array(self.rows, dtype=int)]
 
     @property
     def counted(self) -> np.ndarray:

@@ -32,6 +32,7 @@ class Reference:
         counted: over which periods the error counts, (periods,) of bool.
         point: number of the target at every period, (periods,); paths are one target.
         period: s.
+        wanted: where the tip shall be, (periods, 3) in m in G, where targets are corrected by what was learned; else absent.
     """
 
     tips: np.ndarray
@@ -40,6 +41,12 @@ class Reference:
     counted: np.ndarray
     point: np.ndarray
     period: float = PERIOD
+    wanted: np.ndarray | None = None
+
+    @property
+    def path(self) -> np.ndarray:
+        """Where the tip shall be, by which errors are judged, (periods, 3) in m in G."""
+        return self.tips if self.wanted is None else self.wanted
 
     def __len__(self) -> int:
         """Number of periods."""

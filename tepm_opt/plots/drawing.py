@@ -21,6 +21,7 @@ from tepm_opt.jobs.machines import MachinesRun
 from tepm_opt.jobs.modes import ModesRun
 from tepm_opt.jobs.paper import Study
 from tepm_opt.jobs.plan import PlanRun
+from tepm_opt.jobs.rounds import RoundsRun
 from tepm_opt.jobs.simulate import SimulateRun
 from tepm_opt.jobs.statics import StaticsRun
 from tepm_opt.plots.blind import blind_figures
@@ -35,6 +36,7 @@ from tepm_opt.plots.machines import machines_figure
 from tepm_opt.plots.motion import lengths_figure, tip_figure
 from tepm_opt.plots.paper import draw as experiment_figure
 from tepm_opt.plots.plan import plan_figure
+from tepm_opt.plots.rounds import rounds_figure
 from tepm_opt.plots.statics import statics_figure
 
 Figures = Mapping[str, Figure | None]
@@ -122,6 +124,7 @@ FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     Discovery: discovery_figures,
     Invention: lambda law: {law.written.name: law_figure(law)},
     MachinesRun: lambda run: {"machines": machines_figure(run) if run.drives else None},
+    RoundsRun: lambda run: {"rounds": rounds_figure(run)},
     BlindRun: lambda run: blind_figures(run.analysis),
 }
 """What is drawn of the run of each job."""

@@ -399,3 +399,40 @@ def test_a_second_run_into_the_same_folder(tepm: Command, here: Path) -> None:
     first, again = (read_run(here / name / "log.csv") for name in ("before", "out"))
     np.testing.assert_array_equal(first.points, again.points)
     assert json.loads((here / "out" / "summary.json").read_text()).keys() == {"mpc"}
+
+
+def test_rounds_of_learning_and_what_was_learned(tepm: Command, here: Path) -> None:
+    done = tepm("mpc", *SHORT, "--learn", 2, "--out", "out", "--seed", 3)
+    assert (done.status, done.err) == (0, "")
+    assert names_in(here / "out") == {"learned.csv", "round_1", "round_2", "rounds.png", "summary.json"}
+    told = summary(here / "out", "rounds")
+    assert (told["asked"], told["seed"], told["end"]) == (2, 3, "done")
+    true = [summary(here / "out" / f"round_{number}", "mpc")["errors"]["true"]["rms_m"] for number in (1, 2)]
+    assert [found["true_rms_m"] for found in told["rounds"]] == true
+    assert f"{1e3 * true[0]:.3g} → {1e3 * true[1]:.3g}" in done.out
+    first, second = (read_run(here / "out" / f"round_{number}" / "log.csv") for number in (1, 2))
+    for axis in "xyz":  # judged by the path, not by its corrected targets
+        np.testing.assert_array_equal(first.extra[f"target_{axis}_m"], second.extra[f"target_{axis}_m"])
+    again = tepm("mpc", *SHORT, "--learned", "out/learned.csv", "--out", "again", "--seed", 3)
+    assert again.status == 0
+    assert names_in(here / "again") == {"learned.csv", "round_1", "rounds.png", "summary.json"}
+    commanded = read_run(here / "again" / "round_1" / "log.csv").inputs
+    assert (commanded != first.inputs).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--learn", 2, "--machines", 2), "--learn and --learned are for one rig"),
+        (("--learn", 2, "--stay", 1), "--learn and --learned correct a path; leave --stay out"),
+        (("--learned", "none.csv"), "none.csv"),
+        (("--learned", "other.csv"), "correction: 2 targets; valid: "),
+        (("--learned", "broken.csv"), "broken.csv: line 3: y_m is empty; valid: a finite number"),
+    ],
+)
+def test_learning_that_makes_no_sense(tepm: Command, here: Path, options: tuple, message: str) -> None:
+    (here / "other.csv").write_text("time_s,x_m,y_m,z_m\n0,0,0,0\n0.01,0,0,0\n")
+    (here / "broken.csv").write_text("time_s,x_m,y_m,z_m\n0,0,0,0\n0.01,0,,0\n")
+    done = tepm("mpc", *SHORT, *options)
+    assert done.status == 2
+    assert message in done.err
