@@ -77,10 +77,10 @@ class Doubts:
         ):
             self._lasting[kind] = np.where(np.abs(offset) > self._limits[kind], self._lasting[kind] + 1, 0)
             for k in np.flatnonzero(self._lasting[kind] > STAYS).tolist():
-                name, size, way = self._names[k], abs(scale * offset[k]), "low" if offset[k] < 0 else "high"
+                name, size, way = self._names[k], float(f"{abs(scale * offset[k]):.2g}"), "low" if offset[k] < 0 else "high"
                 other = "less" if offset[k] < 0 else "more"
                 found[f"{gauge} {name}"] = (
-                    f"{gauge} {name} reads {size:.2g} {unit} {way}, or {device} {name} gives that much {other} than it is told: "
+                    f"{gauge} {name} reads {size:g} {unit} {way}, or {device} {name} gives that much {other} than it is told: "
                     "its readings and its commands do not say which"
                 )
         if abs(late) > LATE:
