@@ -34,8 +34,6 @@ class FilterSettings:
         friction: of a muscle's tendon at the tension's middle before anything was seen, in N.
         friction_std: its standard deviation in N.
         friction_drift: intensity of its random walk in N/√s.
-        surprise_time: time in s over which the normalised innovations are averaged; where their mean is above 1 the unknown forces are
-            believed to wander faster by the square of it.
         reversal_noise: standard deviation of the unknown forces in N that one turn-over of the friction adds.
         presliding_distance: distance in m over which friction turns over (Dahl).
         hysteresis_std: standard deviation of half the hysteresis before anything was seen, in N.
@@ -59,7 +57,6 @@ class FilterSettings:
     friction: float = 0.0
     friction_std: float = 2.0
     friction_drift: float = 0.5
-    surprise_time: float = 0.15
     reversal_noise: float = 0.1
     presliding_distance: float = 5e-4
     hysteresis_std: float = 0.5
@@ -240,7 +237,7 @@ class Estimator:
         self._direction, self._deviation, self._turning = np.zeros(actuators), np.zeros(actuators), np.zeros(actuators)
         self._tension: np.ndarray | None = None  # at the last prediction
         self._outlying = np.zeros(outputs // 3, dtype=int)
-        self._nis, self._seen, self._surprise = np.nan, 0, 1.0
+        self._nis, self._seen = np.nan, 0
 
     def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: Operating) -> Transition:
         """Advance the estimate by one period; returns the transition of the state that it used.
@@ -279,7 +276,6 @@ class Estimator:
         A[others, others] *= np.exp(-period / settings.bias_correlation_time)
         push[self._motion] = now.start @ pushed[0] + now.end @ pushed[1]
         variance = period * self._drift**2
-        variance[self._unknown] *= max(self._surprise, 1.0) ** 4
         variance[self._unknown] += settings.reversal_noise**2 * turning
         kick = np.zeros((size, len(turning) + size - 2 * modes))
         kick[modes : 2 * modes, : len(turning)] = np.sqrt(period) * settings.force_noise * drive
@@ -318,8 +314,6 @@ class Estimator:
             inverse = np.linalg.inv(S)
             gain = (self.covariance @ C.T) @ inverse
             self._nis = float(innovation @ inverse @ innovation)
-            passed = 1 - np.exp(-self.operating.period / self.settings.surprise_time)
-            self._surprise += passed * (self._nis / self._seen - self._surprise)
             self.mean = self.mean + gain @ innovation
             left = -gain @ C
             left[np.diag_indices(len(left))] += 1

@@ -23,11 +23,9 @@ MIDDLE = 3.5  # N
 TENSION = np.array([3.5, 2.0, 5.0, 3.0, 4.0, 1.0])  # N
 DIRECTION = np.array([1.0, -1, 1, -1, 1, 1])  # in which the muscles move, far enough that friction has turned over in a period
 RATES = 1.0 * DIRECTION  # m/s
-KNOWN = FilterSettings(
-    rate_time=np.inf, surprise_time=np.inf
-)  # it takes RATES for true, not those that it sees, and so knows the DIRECTION
+KNOWN = FilterSettings(rate_time=np.inf)  # it takes RATES for true, not those that it sees, and so knows the DIRECTION
 OTHER = FilterSettings(
-    force_drift=1.5, surprise_time=np.inf,
+    force_drift=1.5,
     force_correlation_time=0.6, force_noise=0.01, strength_std=0.1, strength_drift=0.01, friction_std=1.0,
     friction_drift=0.4, reversal_noise=0.3, presliding_distance=2e-4, load_share=0.2, rate_time=np.inf, bias_std=2e-3, bias_drift=1e-3,
     bias_correlation_time=3.0, tip_bias_drift=2e-3, hysteresis_std=0.8, hysteresis_drift=0.3, hysteresis_width=0.4,
