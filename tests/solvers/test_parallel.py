@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from collections.abc import Iterator
 
 import pytest
 
@@ -78,6 +79,13 @@ def test_two_different_pieces() -> None:
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals to a thread are POSIX")
 class TestCtrlC:
+    @pytest.fixture(autouse=True)
+    def _heard(self) -> Iterator[None]:
+        """A process that was started in the background ignores Ctrl-C and would wait for ever."""
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        yield
+        signal.signal(signal.SIGINT, before)
+
     def test_ends_all_work_at_once(self) -> None:
         def work(item: int) -> None:
             if item == 1:
