@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tepm_opt.jobs.machines import MachinesRun
     from tepm_opt.jobs.mpc import Observer
     from tepm_opt.jobs.rounds import RoundsRun
+    from tepm_opt.progress import Progress
 
 CONTROLLER = "mpc"
 CONTROLLERS = f"{CONTROLLER}: the predictive controller; lqg: its plain peer; mode1, mode2: the paper's; a wrong name lists all."
@@ -105,12 +106,37 @@ def round_lines(run: RoundsRun, out: Path) -> list[str]:
     """What rounds of learning came to, for people."""
     told, kind = run.summary(), "true" if run.knows_truth else "tracked"
     text = [f"[bold]{told['controller']}[/] on {told['rig']}: {len(run.loops)} of {run.asked} rounds, files in {escape(str(out))}"]
-    errors = " → ".join(f"{1e3 * loop.rms(run.knows_truth):.3g}" for loop in run.loops)
+    rms = [1e3 * loop.rms(run.knows_truth) for loop in run.loops]
+    errors = " → ".join("nothing that counts" if error != error else f"{error:.3g}" for error in rms)
     most = 1e3 * told["largest_correction_m"]
     text.append(f"error of the {kind} tip, mm rms: [bold]{errors}[/]; targets are now corrected by up to {most:.2g} mm")
     text += [f"[yellow]{escape(says)}[/]" for says in dict.fromkeys(says for loop in run.loops for _, says in loop.doubts.values())]
     ended = f"ended early: {run.outcome.ending.value}" + (f": {run.outcome.message}" if run.outcome.message else "")
     return text if run.ok else [*text, f"[yellow]{escape(ended)}[/]"]
+
+
+def _learned(
+    drive: Callable[[Observer | None, Progress], RoundsRun],
+    view: AbstractContextManager[Observer | None],
+    out: Path,
+    folder: Path,
+    as_json: bool,
+) -> int:
+    """Drive the rounds and tell what they came to; the exit status.
+
+    Args:
+        drive: the rounds, given a live view and what is told of progress.
+        view: the live view.
+        out: folder as the person named it, and `folder`, where it is.
+        as_json: whether the summary alone is printed.
+    """
+    try:
+        with stopped_by_signals(), view as observer, shown(as_json) as bars:
+            rounds = drive(observer, bars)
+    except (RuntimeError, OSError) as error:
+        return failed(error, "rounds that ended are kept")
+    plots.draw(rounds, folder)
+    return report(rounds.summary(), round_lines(rounds, out), as_json, rounds.ok and not any(loop.doubts for loop in rounds.loops))
 
 
 def mpc(
@@ -184,16 +210,12 @@ def mpc(
         with shown(as_json) as bars:
             reference = tepm.whole_reference(compiled, targets, driven, kinematics.settings(), bars)
         if learn is not None or known is not None:
-            try:
-                with stopped_by_signals(), live(view, device) as observer, shown(as_json) as bars:
-                    rounds = tepm.run_rounds(
-                        compiled, reference, lambda number: opened(seed + number) if number else device, setup, learn or 1, folder,
-                        known, kinematics.settings(), progress=bars, observer=observer,
-                    )  # fmt: skip
-            except (RuntimeError, OSError) as error:
-                return failed(error, "rounds that ended are kept")
-            plots.draw(rounds, folder)
-            return report(rounds.summary(), round_lines(rounds, out), as_json, rounds.ok and not any(loop.doubts for loop in rounds.loops))
+
+            def rounds(observer: Observer | None, bars: Progress) -> RoundsRun:
+                every = (lambda number: opened(seed + number) if number else device), setup, learn or 1, folder, known
+                return tepm.run_rounds(compiled, reference, *every, kinematics.settings(), progress=bars, observer=observer)
+
+            return _learned(rounds, live(view, device), out, folder, as_json)
         try:
             with stopped_by_signals(), live(view, device) as observer, shown(as_json) as bars:
                 loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, observer=observer)

@@ -60,12 +60,14 @@ class Learner:
         errors: of the rounds, root mean squares in m of what was tracked.
 
     Raises:
-        InputError: a correction of another path.
+        InputError: a correction of another path, or one that is too large.
     """
 
     def __init__(self, path: np.ndarray, period: float, settings: LearningSettings = DEFAULT, correction: np.ndarray | None = None) -> None:
         if correction is not None and correction.shape != path.shape:
             raise InputError(f"correction: {len(correction)} targets; valid: {len(path)}, as many as this path has")
+        if correction is not None and (most := np.linalg.norm(correction, axis=1).max()) > settings.largest * (1 + 1e-9):
+            raise InputError(f"correction: up to {1e3 * most:g} mm; valid: at most {1e3 * settings.largest:g} mm (columns are in m)")
         self.path, self.period, self.settings = path, period, settings
         self.correction = np.zeros_like(path) if correction is None else correction
         self.best, self.errors, self._part = self.correction, list[float](), 1.0

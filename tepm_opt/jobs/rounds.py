@@ -83,14 +83,15 @@ class RoundsRun:
         }
 
     def save(self, folder: str | Path) -> None:
-        """Write learned.csv, for `read_correction`, and summary.json.
+        """Write learned.csv, for `read_correction`, where something was learned, and summary.json.
 
         Raises:
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        time = self.period * np.arange(len(self.correction))
-        write_table(folder / LEARNED, COLUMNS, np.column_stack([np.round(time, 6), self.correction]))
+        if self.correction.any():
+            time = self.period * np.arange(len(self.correction))
+            write_table(folder / LEARNED, COLUMNS, np.column_stack([np.round(time, 6), self.correction]))
         save_summary(folder, "rounds", self.summary())
 
 

@@ -17,7 +17,8 @@ def rounds_figure(run: RoundsRun) -> Figure:
     rms = [1e3 * loop.rms(true) for loop in run.loops]
     numbers = np.arange(1, len(rms) + 1)
     errors.plot(numbers, rms, "o-", color=run.loops[0].setup.kind.color)
-    errors.set(xlabel="round", ylabel=f"{name} tip's error in mm rms", ylim=(0, 1.15 * np.nanmax(rms)), title="Error by round")
+    errors.set(xlabel="round", ylabel=f"{name} tip's error in mm rms", title="Error by round")
+    errors.set_ylim(bottom=0)
     errors.set_xticks(numbers)
     errors.grid(alpha=0.3)
     rounds = ((run.loops[0], MISSED, "--", "round 1"), (run.loops[-1], REACHED, "-", f"round {len(rms)}"))

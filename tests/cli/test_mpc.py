@@ -436,3 +436,16 @@ def test_learning_that_makes_no_sense(tepm: Command, here: Path, options: tuple,
     done = tepm("mpc", *SHORT, *options)
     assert done.status == 2
     assert message in done.err
+
+
+def test_a_round_that_ends_early_teaches_nothing_and_loses_nothing(tepm: Command, here: Path) -> None:
+    """A recording that is too short for the path."""
+    assert tepm("mpc", *SHORT, "--out", "out").status == 0
+    (here / "again").mkdir()
+    (here / "again" / "learned.csv").write_text("mine")
+    done = tepm("mpc", *SHORT[:-1], 2, "--rig", "replay:out/log.csv", "--learn", 2, "--out", "again")
+    assert done.status == 1
+    assert "1 of 2 rounds" in done.out
+    assert "nothing that counts" in done.out
+    assert "ended early: " in done.out
+    assert (here / "again" / "learned.csv").read_text() == "mine"

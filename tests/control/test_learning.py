@@ -86,3 +86,9 @@ def test_corrections_are_bounded_and_none_at_the_start() -> None:
 def test_a_correction_of_another_path_is_refused() -> None:
     with pytest.raises(InputError, match="correction: 3 targets; valid: 1000"):
         Learner(PATH, PERIOD, correction=np.zeros((3, 3)))
+
+
+def test_a_correction_in_millimetres_is_refused() -> None:
+    """On a robot it would be the first thing to be driven."""
+    with pytest.raises(InputError, match=r"correction: up to 40 mm; valid: at most 30 mm \(columns are in m\)"):
+        Learner(PATH, PERIOD, correction=np.tile([0.04, 0.0, 0.0], (COUNT, 1)))
