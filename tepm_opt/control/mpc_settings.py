@@ -15,6 +15,8 @@ from tepm_opt.control.forecast import Weights
 from tepm_opt.control.pressure_planner import PressurePlannerSettings
 from tepm_opt.errors import unknown_name
 
+DAMPING = 2.5  # times the model's: dry friction of body and tendons takes from sway what a linear model does not have
+
 
 class Use(Enum):
     """Which actuators a controller uses."""
@@ -39,6 +41,8 @@ class MpcSettings:
         use: which actuators move; those left out keep still.
         corridor: half width in m, along each axis, of the tube about the reference beyond which the tip's error costs a hundred times as
             much: a soft constraint; infinite for none.
+        damping: times the model's damping that filter and program reckon with; with 1 the circle on twelve random machines is a tenth
+            worse.
         nonlinear: whether the program is linearised along its own last plan (real-time iteration) instead of about the reference.
         pressure_planner: settings of the pressures.
         filter: settings of the state estimator.
@@ -54,6 +58,7 @@ class MpcSettings:
     disable_above: float = 4e-3
     use: Use = Use.BOTH
     corridor: float = np.inf
+    damping: float = DAMPING
     nonlinear: bool = False
     pressure_planner: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
     filter: FilterSettings = field(default_factory=FilterSettings)

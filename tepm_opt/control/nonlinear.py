@@ -40,13 +40,15 @@ class NonlinearForecast:
         horizon: the coming stages.
     """
 
-    def __init__(self, weights: Weights, stages: int) -> None:
+    def __init__(self, weights: Weights, stages: int, damping: float = 1.0) -> None:
         """A forecast without a present.
 
         Args:
             weights: of the cost.
             stages: how many.
+            damping: times the model's that is reckoned with.
         """
+        self._damping = damping
         self.horizon = Horizon(weights, stages)
         self._displaced: np.ndarray | None = None  # of the points from the reference in the last plan, (stages + 1, 3 · points) in m
 
@@ -61,7 +63,7 @@ class NonlinearForecast:
             middle = (first + last + 1) // 2
             at = reference.equilibria[rows[middle + 1]]
             there, change = self._planned(at, middle)
-            before = model = modal_model(there, before)
+            before = model = modal_model(there, before).damped(self._damping)
             period, offset = horizon.stage.period, model.weights @ (model.levels - at.x[1:].ravel())
             path = reference.levels[rows[first : last + 3]] @ model.weights.T
             rate, bend = (path[2:] - path[:-2]) / (2 * period), (path[2:] - 2 * path[1:-1] + path[:-2]) / period**2

@@ -11,7 +11,7 @@ of subspace iteration (Bathe, Finite Element Procedures, 1996, section 11.6). In
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -77,6 +77,10 @@ class ModalModel:
     def levels(self) -> np.ndarray:
         """Free levels at the equilibrium in the base frame, (coordinates,) in m."""
         return self.equilibrium.x[1:].ravel()
+
+    def damped(self, factor: float) -> ModalModel:
+        """The same with a multiple of its damping."""
+        return replace(self, damping=factor * self.damping)
 
     def static(self, forces: np.ndarray) -> np.ndarray:
         """q at rest under changes of the axial forces (modules · actuators,) in N."""

@@ -111,9 +111,11 @@ class Disturbed(SimulatedRig):
 DISTURBANCES = ("weight", "side", "tilt", "weak", "lost", "dead1", "dead4")
 
 
-def disturbed(what: str, seed: int, settings: MpcSettings | None = None) -> dict[str, float]:
-    """Holding the circle's first point: errors of the true tip in mm, and how near tensions came to their limits."""
-    file = weaker(load_rig_file(), 0.10) if what == "weak" else load_rig_file()
+def disturbed(what: str, seed: int, settings: MpcSettings | None = None, file: RigFile | None = None) -> dict[str, float]:
+    """Holding the circle's first point on the virtual prototype or another rig: errors of the true tip in mm, and how near tensions came
+    to their limits."""
+    file = file or load_rig_file()
+    file = weaker(file, 0.10) if what == "weak" else file
     if what == "tilt":
         found = file.imperfections
         found = found.model_copy(update={"base_tilt": found.base_tilt.model_copy(update={"rotation_deg": (1.0, 0.0)})})

@@ -18,6 +18,7 @@ from tepm_opt.control.actuators import Actuators, InputEffects, Sent
 from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value, own_settings
 from tepm_opt.control.estimator import Operating
 from tepm_opt.control.forecast import Weights, against, holding
+from tepm_opt.control.mpc_settings import DAMPING
 from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
@@ -156,7 +157,7 @@ class Lqg:
         newest, found = None, []
         for row in range(0, len(self.reference), SPACING):
             newest = modal_model(self.reference.equilibria[row], newest)
-            found.append(self._gains(Operating.of(newest, self.reference.forces[row], self.period)))
+            found.append(self._gains(Operating.of(newest.damped(DAMPING), self.reference.forces[row], self.period)))
         return found
 
     def _gains(self, operating: Operating) -> Station:

@@ -24,6 +24,7 @@ from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, LinearForecast
 from tepm_opt.control.friction import course, turned
+from tepm_opt.control.markers import Markers
 from tepm_opt.control.mpc_settings import MpcSettings, Use
 from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.pressure_planner import PressurePlanner
@@ -117,8 +118,9 @@ class Mpc:
         kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
         soft = np.append(np.full(variables, np.inf), np.full(kept, (10 / settings.weights.tip) ** 2)) if kept else None
         self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
-        kind = NonlinearForecast if settings.nonlinear else LinearForecast
-        self._forecast: Forecast = kind(settings.weights, settings.stages)
+        weights, stages = settings.weights, settings.stages
+        linear = not settings.nonlinear
+        self._forecast: Forecast = LinearForecast(weights, stages) if linear else NonlinearForecast(weights, stages, settings.damping)
         self._operating: dict[int, Operating] = {}
         self._newest: ModalModel | None = None
         self._plan: np.ndarray | None = None
@@ -134,6 +136,7 @@ class Mpc:
         self._noise = TrackerNoise(max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6))
         self._doubts = Doubts(model.layout.actuator_names, (self._pressure_max, self._tension_max))
         self._doubted: Mapping[str, str] = {}
+        self._markers = Markers(model.layout.point_names)
         middle = settings.mid_range * float(self._tension_max[0])
         self._filter = settings.filter.knowing(model.tendon_friction, middle)
         self._estimator = Estimator(self._point(0), self._noise.declared, middle, self._filter)
@@ -187,7 +190,8 @@ class Mpc:
         found = self._operating.get(row)
         if found is None:
             self._newest = modal_model(self.reference.equilibria[row], self._newest)
-            found = self._operating[row] = Operating.of(self._newest, self.reference.forces[row], self.period)
+            local = self._newest.damped(self.settings.damping)
+            found = self._operating[row] = Operating.of(local, self.reference.forces[row], self.period)
         for old in [known for known in self._operating if known < row - 2 * self.ahead - 4]:
             del self._operating[old]
         return found
@@ -211,8 +215,9 @@ class Mpc:
         self._effects.advance(self._actuators, self.period)
         self._estimator.noise = self._noise.add(sample.points)
         late = (self.ahead - self._declared) * self.period + self._actuators.late
-        self._doubted = self._doubts.told(self._actuators, self._noise, late)
-        return self._estimator.update(sample.points)
+        points = self._markers.placed(sample.points, self._noise.measured)
+        self._doubted = {**self._doubts.told(self._actuators, self._noise, late), **self._markers.told()}
+        return self._estimator.update(points)
 
     def _look_ahead(self, estimate: StateEstimate) -> _Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
