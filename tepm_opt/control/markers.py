@@ -10,20 +10,24 @@ import numpy as np
 HALF = 7  # frames before and after a jump by which it is judged
 JUMPED = 40.0  # squared jump of a point over its variance: chance alone gets there once in 10^8 frames
 STILL = 14.0  # the same of all others: what shakes the arm shakes them, too
+LEFT = 3.0  # of what a jump leaves unexplained over the noise's variance: beyond, the jump is elsewhere, or none
 FARTHEST = 0.03  # m, beyond which it is no slip: another marker, or none
 
 
-def _weights() -> np.ndarray:
-    """A jump in the middle of frames by least squares beside a place, a speed and an acceleration, (2 · HALF,)."""
+def _fit() -> tuple[np.ndarray, np.ndarray]:
+    """A jump in the middle of frames by least squares beside a place, a speed and an acceleration, (2 · HALF,), and what that leaves of the
+    frames, (2 · HALF, 2 · HALF)."""
     time = np.arange(2 * HALF) - HALF + 0.5
-    return np.linalg.pinv(np.column_stack([time > 0, np.ones_like(time), time, time**2]))[0]
+    columns = np.column_stack([time > 0, np.ones_like(time), time, time**2])
+    inverse = np.linalg.pinv(columns)
+    return inverse[0], np.eye(len(time)) - columns @ inverse
 
 
 class Markers:
     """Where tracked points are on the arm beside where they were.
 
-    What a marker slipped by is taken off from then on, or else the tip would be brought to where its marker was. Jumps of four millimetres and
-    more stand out of a millimetre of noise.
+    What a marker slipped by is taken off from then on, or else the tip would be brought to where its marker was. Jumps of four
+    millimetres and more stand out of a millimetre of noise.
 
     Args:
         names: of the points.
@@ -35,9 +39,9 @@ class Markers:
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names
         self.slipped = np.zeros((len(names), 3))
-        self._weights = _weights()
+        self._weights, self._rest = _fit()
         self._frames: deque[np.ndarray] = deque(maxlen=2 * HALF)
-        self._before = np.zeros((len(names), 3)), np.zeros(len(names))  # jumps in the middle of the frames before, squared over variance
+        self._before = np.zeros((len(names), 3)), np.zeros(len(names)), np.zeros(len(names))  # as `_look` finds them
 
     def placed(self, points: np.ndarray, noise: float) -> np.ndarray:
         """Tracked points (points, 3) in m in G where they would be if none had slipped; NaN where missing.
@@ -52,20 +56,24 @@ class Markers:
         return self._frames[-1]
 
     def _look(self, noise: float) -> None:
-        """A jump is where its share of the noise is largest, one frame before now."""
-        jumps = np.tensordot(self._weights, np.array(self._frames), 1)
+        """A jump is where it stands out most, one frame before now: its vector, its square over its variance, and what it leaves."""
+        frames = np.array(self._frames)
+        jumps = np.tensordot(self._weights, frames, 1)
         sizes = (jumps**2).sum(axis=1) / (noise**2 * (self._weights**2).sum())
-        (jumped, before), self._before = self._before, (jumps, sizes)
+        left = (np.tensordot(self._rest, frames, 1) ** 2).sum(axis=(0, 2)) / (3 * noise**2 * np.trace(self._rest))
+        (jumped, before, unexplained), self._before = self._before, (jumps, sizes, left)
         which = int(np.argmax(np.nan_to_num(before)))
         others = np.delete(before, which)
-        seen = np.isfinite(others)
-        far = np.linalg.norm(jumped[which]) > FARTHEST
-        if before[which] <= JUMPED or before[which] <= sizes[which] or not seen.any() or (others[seen] > STILL).any() or far:
+        others = others[np.isfinite(others)]
+        alone = len(others) > 0 and bool((others <= STILL).all())
+        if not alone or before[which] <= max(JUMPED, sizes[which]) or not unexplained[which] <= LEFT:
+            return
+        if np.linalg.norm(jumped[which]) > FARTHEST:
             return
         self.slipped[which] += jumped[which]
         for frame in list(self._frames)[HALF - 1 :]:
             frame[which] -= jumped[which]
-        self._before = np.zeros_like(jumps), np.zeros_like(sizes)
+        self._before = np.zeros_like(jumps), np.zeros_like(sizes), np.zeros_like(left)
 
     def told(self) -> Mapping[str, str]:
         """A sentence for every point that slipped, by what it is about."""

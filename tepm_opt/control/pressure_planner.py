@@ -32,7 +32,7 @@ class PressurePlannerSettings:
     """
 
     preview: int = 26
-    slope_window: int = 3
+    slope_window: int = 2
     deadband: float = 3.0
     quantised: bool = True
     full_feedback_speed: float = 0.1
