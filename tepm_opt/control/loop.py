@@ -65,6 +65,7 @@ class LoopRecord:
         commands: as sent.
         measured: pressures and tensions (2 · actuators,) where the rig measures both, else NaN.
         seconds: that the controller took, one a sample.
+        distance: true least distance of the arm to obstacles in m, where the rig knows it, else NaN; none where there are no obstacles.
         telemetry: what the controller logs, one a sample; written last, so that rows before its end are whole.
         outcome: how it ended, and why.
     """
@@ -77,6 +78,7 @@ class LoopRecord:
     commands: list[Command] = field(default_factory=list)
     measured: list[np.ndarray] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
+    distance: list[float] = field(default_factory=list)
     telemetry: list[Telemetry] = field(default_factory=list)
     outcome: Outcome = DONE
 
@@ -275,7 +277,11 @@ def _note(
     done.rows.append(row)
     done.time.append(passed)
     done.points.append(sample.points)
-    done.truth.append(np.full(3, np.nan) if rig.simulated is None else rig.simulated.true_points[-1])
+    true, keep_out = rig.simulated, done.reference.keep_out
+    done.truth.append(np.full(3, np.nan) if true is None else true.true_points[-1])
+    if keep_out is not None:
+        watched = None if true is None else keep_out.watched(true.true_points, true.true_nodes)
+        done.distance.append(np.nan if watched is None else keep_out.nearest(watched).distance)
     done.commands.append(command)
     done.measured.append(_measured(sample, 2 * len(command.pressures)))
     done.seconds.append(seconds)

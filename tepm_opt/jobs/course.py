@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tepm_opt.control.detour import detour
+from tepm_opt.control.keep_out import KeepOut
+from tepm_opt.control.obstacles import Obstacles
 from tepm_opt.control.reference import PERIOD, START_UP, Reference, along, approach, point_by_point, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
@@ -29,6 +32,7 @@ class Course:
         stay: s for each of its points, of which the last third counts; None: along the path.
         start_up: s in which the path's speed rises and falls, outside what counts.
         steps: whether the target jumps from point to point, as the paper's; else a third of the stay goes into moving there smoothly.
+        keep_out: obstacles, round which the way is led; None for none.
     """
 
     approach: float = 3.0
@@ -37,6 +41,7 @@ class Course:
     stay: float | None = None
     start_up: float = START_UP
     steps: bool = False
+    keep_out: Obstacles | None = None
 
 
 FULL = Course()
@@ -60,7 +65,7 @@ def whole_reference(
         progress: told how many periods are done.
 
     Raises:
-        InputError: laps or a stay that do not fit; a path of one point; a tip out of reach.
+        InputError: laps or a stay that do not fit; a path of one point; a tip out of reach; obstacles that cannot be kept out of.
     """
     if course.stay is not None and not SHORTEST_STAY <= course.stay <= LONGEST_STAY:
         raise InputError(f"stay = {course.stay:g} s; valid: {SHORTEST_STAY:g} … {LONGEST_STAY:g} s")
@@ -80,7 +85,8 @@ def whole_reference(
     tips = np.vstack([lead, tips])
     counted = np.concatenate([np.zeros(len(lead), dtype=bool), counted])
     point = np.concatenate([np.zeros(len(lead), dtype=int), point])
-    return reference_of(model, tips, counted, point, kinematics=kinematics, progress=progress)
+    found = reference_of(model, tips, counted, point, kinematics=kinematics, progress=progress)
+    return found if course.keep_out is None else detour(model, found, KeepOut(model, course.keep_out), progress)
 
 
 def _rests(trajectory: Trajectory) -> bool:

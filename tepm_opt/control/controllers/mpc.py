@@ -24,6 +24,7 @@ from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, LinearForecast
 from tepm_opt.control.friction import course, turned
+from tepm_opt.control.keep_out import PRESSED, WEIGHT, KeepOutRows
 from tepm_opt.control.mpc_settings import MpcSettings, Use
 from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.pressure_planner import PressurePlanner
@@ -114,8 +115,11 @@ class Mpc:
         self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
         variables = settings.stages * half
         self._rates = np.eye(variables) - np.eye(variables, k=-half)
+        keep_out = reference.keep_out
+        self._keep_out = None if keep_out is None else KeepOutRows(keep_out, reference, settings.stages)
         kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
-        soft = np.append(np.full(variables, np.inf), np.full(kept, (10 / settings.weights.tip) ** 2)) if kept else None
+        kept += 0 if self._keep_out is None else self._keep_out.count
+        soft = np.append(np.full(variables, np.inf), np.full(kept, (WEIGHT / settings.weights.tip) ** 2)) if kept else None
         self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
         kind = NonlinearForecast if settings.nonlinear else LinearForecast
         self._forecast: Forecast = kind(settings.weights, settings.stages)
@@ -124,6 +128,7 @@ class Mpc:
         self._plan: np.ndarray | None = None
         self._slow, self._extra = np.zeros(half), np.zeros((settings.stages, half))
         self._planned: np.ndarray | None = None
+        self._pressed = False  # into a margin, so that pressures help at once
         self.fallbacks: dict[str, int] = {}
         self.last: Step | None = None
         first = self.start()
@@ -178,6 +183,8 @@ class Mpc:
             columns[f"pressure_offset_{name}_Pa"] = float(self._actuators.pressure_offset[k])
         columns |= {"nis": float(estimate.nis), "coordinates_seen": float(estimate.seen), "points_refused": float(estimate.refused.sum())}
         columns |= {"tracked_noise_m": self._noise.measured}
+        if self._keep_out is not None:
+            columns |= self._keep_out.keep_out.columns(estimate)
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), self._doubted)
 
@@ -251,7 +258,12 @@ class Mpc:
         rises = self.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
         turns = course(ahead.turning, rises, self._filter.hysteresis_width)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
-        result = self._solve(begin, offset, factor[:stages], actuators.tension)
+        kept = None
+        if self._keep_out is not None:
+            modal, bias = ahead.operating.model, estimate.bias
+            kept = self._keep_out.about(horizon, modal, rows[2 : stages + 1], bias, begin, self._planned)
+        result = self._solve(begin, offset, factor[:stages], actuators.tension, kept)
+        self._pressed = kept is not None and result.violation > PRESSED
         if result.x is not None and time.perf_counter() - began <= settings.deadline:
             plan = result.x.reshape(stages, -1)
             self._planned = offset - factor[:stages] * plan
@@ -305,7 +317,7 @@ class Mpc:
             if self._planned is not None:
                 extra = self._planned - horizon.rest_force - horizon.dynamic[: settings.stages]
                 self._extra = self._extra + (1 - np.exp(-self.period / planner.feedback_time)) * (extra - self._extra)
-                part = min(1.0, horizon.speed / planner.full_feedback_speed)
+                part = 1.0 if self._pressed else min(1.0, horizon.speed / planner.full_feedback_speed)
                 need[: settings.stages] += part * np.linspace(1, 0, settings.stages)[:, None] * self._extra
         wanted = (need - self._effects.forces + pulled) / actuators.area
         hysteresis, turning = behind
@@ -313,8 +325,22 @@ class Mpc:
         wanted = wanted + hysteresis * course(turning, rises, self._filter.hysteresis_width) / actuators.area
         return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages)
 
-    def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
-        """The program in the tensions λ of the stages: v = offset − factor λ."""
+    def _solve(
+        self,
+        begin: np.ndarray,
+        offset: np.ndarray,
+        factor: np.ndarray,
+        tension: np.ndarray,
+        kept: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> QpResult:
+        """The program in the tensions λ of the stages: v = offset − factor λ.
+
+        Args:
+            begin: v at stage 0, (actuators,) in N.
+            offset, factor: (stages, actuators) in N and without unit.
+            tension: now, (actuators,) in N.
+            kept: R and r of soft rows R v ≥ r, see `KeepOutRows`.
+        """
         stages, most = self.settings.stages, self.devices.tension_rate * self.stage
         H, f = self._forecast.cost(begin)
         scale = -factor.ravel()
@@ -329,13 +355,18 @@ class Mpc:
         rate_low[:count] += first
         rate_high[:count] += first
         H, f = H * scale[:, None] * scale, scale * (f + H @ offset.ravel())
-        if not np.isfinite(self.settings.corridor):
+        width, rows, row_low, row_high = self.settings.corridor, [self._rates], [rate_low], [rate_high]
+        if np.isfinite(width):
+            horizon = self._forecast.horizon
+            centre = horizon.tip_free + horizon.tip_answer @ offset.ravel()
+            rows, row_low, row_high = [*rows, horizon.tip_answer * scale], [*row_low, -width - centre], [*row_high, width - centre]
+        if kept is not None:
+            by, least = kept
+            rows, row_low = [*rows, by * scale], [*row_low, least - by @ offset.ravel()]
+            row_high = [*row_high, np.full(len(least), np.inf)]
+        if len(rows) == 1:
             return self._solver.solve(H, f, low, high, rate_low, rate_high)
-        horizon, width = self._forecast.horizon, self.settings.corridor
-        centre = horizon.tip_free + horizon.tip_answer @ offset.ravel()
-        rows = np.vstack([self._rates, horizon.tip_answer * scale])
-        row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
-        return self._solver.solve(H, f, low, high, row_low, row_high, rows)
+        return self._solver.solve(H, f, low, high, np.concatenate(row_low), np.concatenate(row_high), np.vstack(rows))
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:
