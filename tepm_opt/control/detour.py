@@ -163,7 +163,7 @@ class _Band:
         """Distances to obstacles and to the ends of the forces' range, by the forces."""
         watched, before = self._keep_out.along(self.equilibria), None
         self._modal, self._sensed = [], []
-        for places, at, forces in zip(watched, self.equilibria, self.forces, strict=True):
+        for places, at in zip(watched, self.equilibria, strict=True):
             before = modal_model(at, before)
             self._modal.append(before)
             distances, normals = self._keep_out.obstacles.nearest(places)
