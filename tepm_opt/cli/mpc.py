@@ -20,6 +20,7 @@ from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
 
 if TYPE_CHECKING:
+    from tepm_opt.control.timing import PaceSettings
     from tepm_opt.hw.rig import Command, Rig, Sample
     from tepm_opt.jobs.closed_loop import ClosedLoop
     from tepm_opt.jobs.machines import MachinesRun
@@ -84,6 +85,10 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
     text = [f"[bold]{told['controller']}[/]: {told['reached_s']:.2f} of {told['duration_s']:.2f} s, {told['samples']} samples, {where}"]
     if told["samples"]:
         text.append(error_line(told))
+    if told["contour"]:
+        found = told["contour"]["true"] or told["contour"]["tracked"]
+        off = f"distance from the path {1e3 * found['rms_m']:.3g} mm rms, {1e3 * found['largest_m']:.3g} mm at most; " if found else ""
+        text.append(f"{off}what counts took [bold]{told['counted_seconds']:.2f} s[/]")
     if told["keep_out"]:
         text += clearance_lines(told["keep_out"])
     if told["counted_samples"]:
@@ -157,6 +162,15 @@ def _learned(
     return report(rounds.summary(), round_lines(rounds, out), as_json, rounds.ok and not any(loop.doubts for loop in rounds.loops))
 
 
+def _pace(free: bool, sway: float | None) -> PaceSettings | None:
+    """Settings of free progress; None where the path's time holds."""
+    from tepm_opt.control.timing import PaceSettings
+
+    if not free:
+        return None
+    return PaceSettings() if sway is None else PaceSettings(sway=sway / 1e3)
+
+
 def mpc(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
@@ -176,6 +190,13 @@ def mpc(
     ] = None,
     keep_out: Annotated[
         Path | None, typer.Option("--keep-out", metavar="FILE", help="Obstacles to keep out of: spheres, boxes, a table (TOML).")
+    ] = None,
+    free: Annotated[
+        bool, typer.Option("--free-progress", help="MPC: as fast along the path as the actuators can follow, whatever its time.")
+    ] = False,
+    sway: Annotated[
+        float | None,
+        typer.Option("--sway", min=0.1, max=200.0, metavar="MM", help="How far inertia may bend the arm then.", show_default="10"),
     ] = None,
     nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False,
     rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
@@ -215,13 +236,17 @@ def mpc(
         raise tepm.InputError("--learn and --learned correct a path; leave --stay out")
     if keep_out is not None and (learn is not None or learned is not None):
         raise tepm.InputError("--keep-out does not go with --learn and --learned, whose corrections know no obstacles; leave one out")
+    if free and (controller != CONTROLLER or learn is not None or learned is not None or stay is not None):
+        raise tepm.InputError(f"--free-progress is for a path and --controller {CONTROLLER}; leave --learn, --learned and --stay out")
+    if sway is not None and not free:
+        raise tepm.InputError("--sway belongs to --free-progress; leave it out, or free the progress")
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
     setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
     targets, known = which.trajectory(path), None if learned is None else tepm.read_correction(learned)
     with folder_for(out) as folder:
         compiled = load(robot, model)
         driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
-        driven = replace(driven, keep_out=None if keep_out is None else tepm.read_obstacles(keep_out))
+        driven = replace(driven, keep_out=None if keep_out is None else tepm.read_obstacles(keep_out), pace=_pace(free, sway))
         if machines is not None:
             family, limit = Family(machines, noises or Family.noises, seed), BOUND if bound is None else bound / 1e3
             with stopped_by_signals(), shown(as_json) as bars:

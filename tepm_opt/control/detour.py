@@ -28,7 +28,7 @@ from tepm_opt.solvers.statics import Equilibrium, equilibrium
 TIP, FORCE = 1e-3, 1.0  # m and N that cost the same
 STIFF = 3e3  # how much more a millimetre within the margin costs than one of the tip; likewise a newton beyond the range
 SMOOTH = 0.5  # s, τ
-KNOT = 5  # periods, h: changes are cubic splines through them
+SPACING = 0.05  # s, h: changes are cubic splines through knots that far apart
 REACH = 1.5  # s before and after a touch in which forces are changed
 CLOSE = 2e-4  # m by which a margin may be missed in the end
 STEP = 1.5  # N, most by which a force changes in an iteration
@@ -60,7 +60,7 @@ def detour(model: CompiledModel, reference: Reference, keep_out: KeepOut, progre
     margins = keep_out.obstacles.margins
     watched = keep_out.along(reference.equilibria)
     room = (keep_out.obstacles.nearest(watched.reshape(-1, 3))[0] - margins).reshape(len(reference), -1).min(axis=1)
-    stretches = list(_stretches(room < 0, round(REACH / reference.period)))
+    stretches = list(_stretches(room < 0, round(REACH / reference.step)))
     if not stretches:
         return found
     tips, forces, equilibria = reference.tips.copy(), reference.forces.copy(), list(reference.equilibria)
@@ -92,13 +92,14 @@ def _stretches(touches: np.ndarray, reach: int) -> Iterator[slice]:
 
 
 class _Band:
-    """One stretch of a reference that is led round obstacles, at every `KNOT`-th period; its ends join what is before and after."""
+    """One stretch of a reference that is led round obstacles, at knots `SPACING` apart; its ends join what is before and after."""
 
     def __init__(self, model: CompiledModel, keep_out: KeepOut, reference: Reference, stretch: slice) -> None:
-        self._model, self._keep_out, self._period = model, keep_out, reference.period
+        self._model, self._keep_out, self._period = model, keep_out, reference.step
         self._stretch, self._free = stretch, (stretch.start == 0, stretch.stop == len(reference))
-        self._knots = np.arange(stretch.start, stretch.stop - 1 + KNOT, KNOT)
-        at = reference.at(self._knots)
+        apart = max(1, round(SPACING / reference.step))
+        self._knots = np.arange(stretch.start, stretch.stop - 1 + apart, apart)
+        at = np.minimum(self._knots, len(reference) - 1)
         self._first, self.forces = reference.forces[at], reference.forces[at].copy()
         self.equilibria = [reference.equilibria[k] for k in at]
         self._low, self._high = force_range(model, ActuationMode.HYBRID)
@@ -203,7 +204,7 @@ class _Band:
     def _smooth(self, count: int, inputs: int) -> np.ndarray:
         """The cost of second differences, nothing changed before and after the stretch unless the path ends there, in lower banded
         storage."""
-        weight = (SMOOTH / (KNOT * self._period)) ** 4 * self._weights.mean(axis=0)
+        weight = (SMOOTH / SPACING) ** 4 * self._weights.mean(axis=0)
         differences = np.diff(np.eye(count + 4)[:, 2:-2], 2, axis=0)[2 * self._free[0] : count + 2 - 2 * self._free[1]]
         squares = differences.T @ differences
         band = np.zeros((3 * inputs, count * inputs))

@@ -249,19 +249,20 @@ def _closed(
     sample: Sample,
 ) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
-    reference, zero, row = controller.reference, sample.time, -1
-    while (now := round((sample.time - zero) / reference.period)) < len(reference):
+    reference, zero, row, place = controller.reference, sample.time, -1, 0
+    while not reference.over(now := round((sample.time - zero) / reference.period)):
         if now > row:  # a rig may be faster than the control period
             row = now
             began = time.perf_counter()
             command = controller.command(sample)
             seconds = time.perf_counter() - began
             rig.apply(command)
-            _note(done, rig, sample, sample.time - zero, row, command, seconds, controller)
+            place = int(reference.at(row))
+            _note(done, rig, sample, sample.time - zero, place, command, seconds, controller)
             progress("tracking", sample.time - zero, reference.duration)
             if observer:
-                observer(sample, reference.tips[row])
-        supervisor.check(sample, reference.tips[row])
+                observer(sample, reference.tips[place])
+        supervisor.check(sample, reference.tips[place])
         sample = rig.read()
 
 

@@ -66,6 +66,22 @@ class Reference:
         """Time from the first to the last target in s."""
         return self.period * (len(self) - 1)
 
+    @property
+    def step(self) -> float:
+        """Time between rows in s."""
+        return self.period
+
+    def begun(self) -> Reference:
+        """The reference as a controller begins with it."""
+        return self
+
+    def over(self, period: int) -> bool:
+        """Whether a period is beyond the last target."""
+        return period >= len(self)
+
+    def govern(self, period: int, errors: np.ndarray) -> None:
+        """Take note of the errors that a controller foresees, (stages,) in m, from a period on: time goes on as it does."""
+
     def at(self, periods: np.ndarray | int) -> np.ndarray:
         """Row numbers of periods, (…,); those beyond the ends are at the ends."""
         return np.clip(periods, 0, len(self) - 1)

@@ -1,4 +1,4 @@
-"""How near a closed loop came to obstacles: columns of its log and numbers of its summary."""
+"""How near a closed loop came to obstacles, and how far from a path with free progress: columns of its log, numbers of its summary."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from tepm_opt.control.contour import FreeReference, contour_errors
 from tepm_opt.control.keep_out import DISTANCE, OBSTACLE, POINT, TRUE_DISTANCE
 from tepm_opt.control.loop import LoopRecord
 from tepm_opt.control.reference import Reference
+
+CONTOUR, TRUE_CONTOUR = "contour_error_m", "true_contour_error_m"
 
 
 def moved_most(reference: Reference) -> float:
@@ -44,6 +47,27 @@ def touched(steps: Mapping[str, np.ndarray], time: np.ndarray) -> dict[str, tupl
             k = int(np.nanargmin(values))
             what = f" {steps[OBSTACLE][k]!s} (at {steps[POINT][k]!s})" if OBSTACLE in steps else " an obstacle"
             found[f"keep out, {kind}"] = float(time[inside[0]]), f"the arm was {-1e3 * values[k]:.2g} mm inside{what}, {kind}"
+    return found
+
+
+def contour_columns(done: LoopRecord, rows: slice) -> dict[str, np.ndarray]:
+    """Columns of distances from the path in m, of the tracked and the true tip, (samples,), where progress is free."""
+    if not isinstance(done.reference, FreeReference):
+        return {}
+    places, points = np.array(done.rows[rows], dtype=int), np.array(done.points[rows])
+    tips = {CONTOUR: points[:, -1] if len(points) else np.zeros((0, 3)), TRUE_CONTOUR: np.array(done.truth[rows]).reshape(-1, 3)}
+    return {name: contour_errors(done.reference, places, each) for name, each in tips.items()}
+
+
+def contour(steps: Mapping[str, np.ndarray], counted: np.ndarray) -> dict[str, Any] | None:
+    """Contour errors where they count, root mean square and largest in m, true and tracked; None where progress is not free."""
+    if CONTOUR not in steps:
+        return None
+    found: dict[str, Any] = {}
+    for kind, name in (("true", TRUE_CONTOUR), ("tracked", CONTOUR)):
+        known = steps[name][counted]
+        known = known[np.isfinite(known)]
+        found[kind] = {"rms_m": float(np.sqrt((known**2).mean())), "largest_m": float(known.max())} if len(known) else None
     return found
 
 

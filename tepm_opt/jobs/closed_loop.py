@@ -19,7 +19,7 @@ from tepm_opt.control.loop import DONE, LoopRecord
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import FORCE_COLUMNS
 from tepm_opt.data.tables import write_columns
-from tepm_opt.jobs.clearance import clearance, moved_most, touched, true_distance
+from tepm_opt.jobs.clearance import clearance, contour, contour_columns, moved_most, touched, true_distance
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
@@ -142,7 +142,7 @@ class ClosedLoop:
         rows = slice(*rows.indices(len(done.telemetry)))  # an interruption may come between two columns
         commands, places = done.commands[rows], np.array(done.rows[rows], dtype=int)
 
-        steps = {**_stacked(done.telemetry[rows]), **true_distance(done, rows)}
+        steps = {**_stacked(done.telemetry[rows]), **true_distance(done, rows), **contour_columns(done, rows)}
         time, doubts = np.array(done.time[rows]), _doubts(done.time[rows], done.telemetry[rows])
 
         def stacked(values: Sequence[Any], *shape: int) -> np.ndarray:
@@ -297,6 +297,7 @@ class ClosedLoop:
             "actuation": self.shares(),
             "fallbacks": dict(self.fallbacks),
             "doubts": {about: {"from_s": since, "says": text} for about, (since, text) in self.doubts.items()},
+            "contour": contour(self.steps, self.counted),
             "keep_out": clearance(self.steps, self.time, self.moved),
             "rig_complaints": int((self.steps[STATUS] != GOOD).sum()) if STATUS in self.steps else 0,
         }

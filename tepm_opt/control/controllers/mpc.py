@@ -102,7 +102,8 @@ class Mpc:
     """
 
     def __init__(self, model: CompiledModel, reference: Reference, settings: MpcSettings = DEFAULT) -> None:
-        self.model, self.reference, self.settings = model, reference, settings
+        self.model, self.settings = model, settings
+        self.reference = reference = reference.begun()
         robot, half = model.robot, model.layout.inputs // 2
         self.area, self.devices = model.values["A"], Devices.of(model)
         self.period, self.stage = reference.period, PERIODS * reference.period
@@ -195,7 +196,7 @@ class Mpc:
         if found is None:
             self._newest = modal_model(self.reference.equilibria[row], self._newest)
             found = self._operating[row] = Operating.of(self._newest, self.reference.forces[row], self.period)
-        for old in [known for known in self._operating if known < row - 2 * self.ahead - 4]:
+        for old in list(self._operating)[: -2 * self.ahead - 8]:
             del self._operating[old]
         return found
 
@@ -272,6 +273,8 @@ class Mpc:
             self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
         self._forecast.take(self._planned)
+        foreseen = horizon.tip_free + horizon.tip_answer @ (np.zeros(offset.size) if self._planned is None else self._planned.ravel())
+        reference.govern(self._row + self.ahead + 1, np.linalg.norm(foreseen.reshape(-1, 3), axis=1))
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
         against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
