@@ -54,7 +54,7 @@ def detour(model: CompiledModel, reference: Reference, keep_out: KeepOut, progre
         progress: told how far the worst stretch is.
 
     Raises:
-        InputError: no forces within the range keep the margin; says when, how near, and to what.
+        InputError: no forces within the range keep the margin; says when, how near, and to what. The way round has no equilibrium.
     """
     found = replace(reference, keep_out=keep_out, moved=np.zeros(len(reference)))
     margins = keep_out.obstacles.margins
@@ -71,6 +71,8 @@ def detour(model: CompiledModel, reference: Reference, keep_out: KeepOut, progre
         forces[stretch] += band.changes()
         for k in range(stretch.start, stretch.stop):
             equilibria[k] = _balance(model, forces[k], equilibria[k])
+            if not equilibria[k].solved:
+                raise InputError(f"keep out: at {k * reference.step:.2f} s of the way round the arm has no stable equilibrium")
             tips[k] = equilibria[k].tip
     moved = np.linalg.norm(tips - reference.tips, axis=1)
     return replace(found, tips=tips, forces=forces, equilibria=equilibria, moved=moved)

@@ -176,6 +176,15 @@ class Horizon:
                 later[k] += self.by_start
         return Pulses(first, later)
 
+    def tip_errors(self, forces: np.ndarray | None) -> np.ndarray:
+        """Distances of the tip from its targets at stages 1 … stages − 1 in m, as of the last `cost`.
+
+        Args:
+            forces: deviations at stages 1 …, (stages, actuators) in N; none where None.
+        """
+        error = self.tip_free if forces is None else self.tip_free + self.tip_answer @ forces.ravel()
+        return np.linalg.norm(error.reshape(-1, 3), axis=1)
+
     def rows(self) -> np.ndarray:
         """Weighted errors of the points by modal deviations, (3 · points, modes), the tip's first."""
         return np.vstack([self._tip / self.weights.tip, self._others / self.weights.shape])

@@ -259,10 +259,8 @@ class Mpc:
         rises = self.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
         turns = course(ahead.turning, rises, self._filter.hysteresis_width)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
-        kept = None
-        if self._keep_out is not None:
-            modal, bias = ahead.operating.model, estimate.bias
-            kept = self._keep_out.about(horizon, modal, rows[2 : stages + 1], bias, begin, self._planned)
+        about = horizon, ahead.operating.model, rows[2 : stages + 1], estimate.bias, begin, self._planned
+        kept = None if self._keep_out is None else self._keep_out.about(*about)
         result = self._solve(begin, offset, factor[:stages], actuators.tension, kept)
         self._pressed = kept is not None and result.violation > PRESSED
         if result.x is not None and time.perf_counter() - began <= settings.deadline:
@@ -273,8 +271,7 @@ class Mpc:
             self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
         self._forecast.take(self._planned)
-        foreseen = horizon.tip_free + horizon.tip_answer @ (np.zeros(offset.size) if self._planned is None else self._planned.ravel())
-        reference.govern(self._row + self.ahead + 1, np.linalg.norm(foreseen.reshape(-1, 3), axis=1))
+        reference.govern(self._row + self.ahead + 1, horizon.tip_errors(self._planned))
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
         against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
@@ -358,18 +355,19 @@ class Mpc:
         rate_low[:count] += first
         rate_high[:count] += first
         H, f = H * scale[:, None] * scale, scale * (f + H @ offset.ravel())
-        width, rows, row_low, row_high = self.settings.corridor, [self._rates], [rate_low], [rate_high]
-        if np.isfinite(width):
-            horizon = self._forecast.horizon
-            centre = horizon.tip_free + horizon.tip_answer @ offset.ravel()
-            rows, row_low, row_high = [*rows, horizon.tip_answer * scale], [*row_low, -width - centre], [*row_high, width - centre]
-        if kept is not None:
-            by, least = kept
-            rows, row_low = [*rows, by * scale], [*row_low, least - by @ offset.ravel()]
-            row_high = [*row_high, np.full(len(least), np.inf)]
-        if len(rows) == 1:
+        horizon, width = self._forecast.horizon, self.settings.corridor
+        soft = [(horizon.tip_answer, -width - horizon.tip_free, width - horizon.tip_free)] if np.isfinite(width) else []
+        soft += [] if kept is None else [(*kept, np.full(len(kept[1]), np.inf))]
+        if not soft:
             return self._solver.solve(H, f, low, high, rate_low, rate_high)
-        return self._solver.solve(H, f, low, high, np.concatenate(row_low), np.concatenate(row_high), np.vstack(rows))
+        by, least, most = (np.concatenate(parts) for parts in zip(*soft, strict=True))
+        known = by @ offset.ravel()
+        rows, row_low, row_high = (
+            np.vstack([self._rates, by * scale]),
+            np.append(rate_low, least - known),
+            np.append(rate_high, most - known),
+        )
+        return self._solver.solve(H, f, low, high, row_low, row_high, rows)
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:
