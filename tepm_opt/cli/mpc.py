@@ -20,6 +20,7 @@ from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
 
 if TYPE_CHECKING:
+    from tepm_opt.control.timing import PaceSettings
     from tepm_opt.hw.rig import Command, Rig, Sample
     from tepm_opt.jobs.closed_loop import ClosedLoop
     from tepm_opt.jobs.machines import MachinesRun
@@ -63,6 +64,20 @@ def error_line(told: dict[str, Any]) -> str:
     return "error: " + "; ".join(parts) if parts else "error: nothing that counts was tracked"
 
 
+def clearance_lines(told: dict[str, Any]) -> list[str]:
+    """How near the arm came to obstacles, and how far the path was led round them."""
+    parts = []
+    if found := told["true"]:
+        parts.append(f"in truth [bold]{1e3 * found['smallest_m']:.3g} mm[/]")
+    if found := told["estimated"]:
+        where = f"{escape(found['point'])} to {escape(found['obstacle'])} at {found['at_s']:.1f} s"
+        parts.append(f"as estimated {1e3 * found['smallest_m']:.3g} mm ({where})")
+    lines = [f"smallest distance to obstacles: {', '.join(parts)}"] if parts else []
+    if (moved := told["path_moved_by_m"]) > 1e-4:
+        lines.append(f"[yellow]the path was led round obstacles: its targets are moved by up to {1e3 * moved:.3g} mm[/]")
+    return lines
+
+
 def lines(loop: ClosedLoop, out: Path) -> list[str]:
     """What a closed loop says to people."""
     told = loop.summary()
@@ -70,6 +85,12 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
     text = [f"[bold]{told['controller']}[/]: {told['reached_s']:.2f} of {told['duration_s']:.2f} s, {told['samples']} samples, {where}"]
     if told["samples"]:
         text.append(error_line(told))
+    if told["contour"]:
+        found = told["contour"]["true"] or told["contour"]["tracked"]
+        off = f"distance from the path {1e3 * found['rms_m']:.3g} mm rms, {1e3 * found['largest_m']:.3g} mm at most; " if found else ""
+        text.append(f"{off}what counts took [bold]{told['counted_seconds']:.2f} s[/]")
+    if told["keep_out"]:
+        text += clearance_lines(told["keep_out"])
     if told["counted_samples"]:
         shares = [f"{100 * band['share_of_tension']:.0f} %" for band in told["actuation"] if band["share_of_tension"] is not None]
         bands = ", ".join(f"{band['from_Hz']:g}–{band['to_Hz']:g}" for band in told["actuation"])
@@ -99,6 +120,8 @@ def machine_lines(run: MachinesRun, out: Path) -> list[str]:
             f"error of the true tip, rms: mean [bold]{1e3 * told['mean_m']:.3g} mm[/], worst {1e3 * told['worst_m']:.3g} mm "
             f"(machine {told['worst_machine']}); {100 * told['share_within']:.0f} % within {1e3 * run.bound:g} mm"
         )
+    if (least := told["smallest_distance_m"]) is not None:
+        text.append(f"smallest true distance to obstacles: mean {1e3 * least['mean']:.3g} mm, worst {1e3 * least['worst']:.3g} mm")
     return text if run.ok else [*text, f"[yellow]{escape(run.outcome.message)}[/]"]
 
 
@@ -139,6 +162,15 @@ def _learned(
     return report(rounds.summary(), round_lines(rounds, out), as_json, rounds.ok and not any(loop.doubts for loop in rounds.loops))
 
 
+def _pace(free: bool, sway: float | None) -> PaceSettings | None:
+    """Settings of free progress; None where the path's time holds."""
+    from tepm_opt.control.timing import PaceSettings
+
+    if not free:
+        return None
+    return PaceSettings() if sway is None else PaceSettings(sway=sway / 1e3)
+
+
 def mpc(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
@@ -155,6 +187,16 @@ def mpc(
     ] = None,
     stay: Annotated[
         float | None, typer.Option("--stay", metavar="S", help="Point by point, S seconds each, of which the last third counts.")
+    ] = None,
+    keep_out: Annotated[
+        Path | None, typer.Option("--keep-out", metavar="FILE", help="Obstacles to keep out of: spheres, boxes, a table (TOML).")
+    ] = None,
+    free: Annotated[
+        bool, typer.Option("--free-progress", help="MPC: as fast along the path as the actuators can follow, whatever its time.")
+    ] = False,
+    sway: Annotated[
+        float | None,
+        typer.Option("--sway", min=0.1, max=200.0, metavar="MM", help="How far inertia may bend the arm then.", show_default="10"),
     ] = None,
     nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False,
     rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
@@ -192,12 +234,19 @@ def mpc(
         raise tepm.InputError("--learn and --learned are for one rig; leave them or --machines out")
     if stay is not None and (learn is not None or learned is not None):
         raise tepm.InputError("--learn and --learned correct a path; leave --stay out")
+    if keep_out is not None and (learn is not None or learned is not None):
+        raise tepm.InputError("--keep-out does not go with --learn and --learned, whose corrections know no obstacles; leave one out")
+    if free and (controller != CONTROLLER or learn is not None or learned is not None or stay is not None):
+        raise tepm.InputError(f"--free-progress is for a path and --controller {CONTROLLER}; leave --learn, --learned and --stay out")
+    if sway is not None and not free:
+        raise tepm.InputError("--sway belongs to --free-progress; leave it out, or free the progress")
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
     setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
     targets, known = which.trajectory(path), None if learned is None else tepm.read_correction(learned)
     with folder_for(out) as folder:
         compiled = load(robot, model)
         driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
+        driven = replace(driven, keep_out=None if keep_out is None else tepm.read_obstacles(keep_out), pace=_pace(free, sway))
         if machines is not None:
             family, limit = Family(machines, noises or Family.noises, seed), BOUND if bound is None else bound / 1e3
             with stopped_by_signals(), shown(as_json) as bars:

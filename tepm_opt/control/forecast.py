@@ -62,6 +62,19 @@ class Responses:
     last: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Pulses:
+    """States at stages 1 … after a pulse of the forces at one stage, (stages, 2 · modes, actuators) in 1/N.
+
+    Attributes:
+        first: of a pulse at stage 0.
+        later: of a pulse at a later stage: what it is that many stages and one after the stage before.
+    """
+
+    first: np.ndarray
+    later: np.ndarray
+
+
 class Horizon:
     """The reference over the coming stages, the arm's free motion beside it, and the cost of forces with what lies beyond the last stage.
 
@@ -151,6 +164,26 @@ class Horizon:
         gain = np.linalg.solve(change + by.T @ value @ by, by.T @ forward)
         value = cost + full.T @ (forward - value @ by @ gain)
         self.value, self._before = (value + value.T) / 2, operating
+
+    def pulses(self) -> Pulses:
+        """States after pulses of the forces, with the modal model at stage 0."""
+        states, inputs = self.by_start.shape
+        first, later = np.empty((self.stages, states, inputs)), np.empty((self.stages, states, inputs))
+        first[0], later[0] = self.by_start, self.by_end
+        for k in range(1, self.stages):
+            first[k], later[k] = self.stage.A @ first[k - 1], self.stage.A @ later[k - 1]
+            if k == 1:
+                later[k] += self.by_start
+        return Pulses(first, later)
+
+    def tip_errors(self, forces: np.ndarray | None) -> np.ndarray:
+        """Distances of the tip from its targets at stages 1 … stages − 1 in m, as of the last `cost`.
+
+        Args:
+            forces: deviations at stages 1 …, (stages, actuators) in N; none where None.
+        """
+        error = self.tip_free if forces is None else self.tip_free + self.tip_answer @ forces.ravel()
+        return np.linalg.norm(error.reshape(-1, 3), axis=1)
 
     def rows(self) -> np.ndarray:
         """Weighted errors of the points by modal deviations, (3 · points, modes), the tip's first."""
@@ -250,13 +283,8 @@ class LinearForecast:
         horizon = self.horizon
         stages = horizon.stages
         states, inputs = horizon.by_start.shape
-        first = np.empty((stages, states, inputs))  # states after a pulse at stage 0, and after one at a later stage
-        later = np.empty((stages, states, inputs))
-        first[0], later[0] = horizon.by_start, horizon.by_end
-        for k in range(1, stages):
-            first[k], later[k] = horizon.stage.A @ first[k - 1], horizon.stage.A @ later[k - 1]
-            if k == 1:
-                later[k] += horizon.by_start
+        pulses = horizon.pulses()
+        first, later = pulses.first, pulses.later
         rows, modes = horizon.rows(), states // 2
         answer = rows @ later[: stages - 1, :modes]
         seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)

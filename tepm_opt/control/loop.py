@@ -65,6 +65,7 @@ class LoopRecord:
         commands: as sent.
         measured: pressures and tensions (2 · actuators,) where the rig measures both, else NaN.
         seconds: that the controller took, one a sample.
+        distance: true least distance of the arm to obstacles in m, where the rig knows it, else NaN; none where there are no obstacles.
         telemetry: what the controller logs, one a sample; written last, so that rows before its end are whole.
         outcome: how it ended, and why.
     """
@@ -77,6 +78,7 @@ class LoopRecord:
     commands: list[Command] = field(default_factory=list)
     measured: list[np.ndarray] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
+    distance: list[float] = field(default_factory=list)
     telemetry: list[Telemetry] = field(default_factory=list)
     outcome: Outcome = DONE
 
@@ -247,19 +249,20 @@ def _closed(
     sample: Sample,
 ) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
-    reference, zero, row = controller.reference, sample.time, -1
-    while (now := round((sample.time - zero) / reference.period)) < len(reference):
+    reference, zero, row, place = controller.reference, sample.time, -1, 0
+    while not reference.over(now := round((sample.time - zero) / reference.period)):
         if now > row:  # a rig may be faster than the control period
             row = now
             began = time.perf_counter()
             command = controller.command(sample)
             seconds = time.perf_counter() - began
             rig.apply(command)
-            _note(done, rig, sample, sample.time - zero, row, command, seconds, controller)
+            place = int(reference.at(row))
+            _note(done, rig, sample, sample.time - zero, place, command, seconds, controller)
             progress("tracking", sample.time - zero, reference.duration)
             if observer:
-                observer(sample, reference.tips[row])
-        supervisor.check(sample, reference.tips[row])
+                observer(sample, reference.tips[place])
+        supervisor.check(sample, reference.tips[place])
         sample = rig.read()
 
 
@@ -275,7 +278,11 @@ def _note(
     done.rows.append(row)
     done.time.append(passed)
     done.points.append(sample.points)
-    done.truth.append(np.full(3, np.nan) if rig.simulated is None else rig.simulated.true_points[-1])
+    true, keep_out = rig.simulated, done.reference.keep_out
+    done.truth.append(np.full(3, np.nan) if true is None else true.true_points[-1])
+    if keep_out is not None:
+        watched = None if true is None else keep_out.watched(true.true_points, true.true_nodes)
+        done.distance.append(np.nan if watched is None else keep_out.nearest(watched).distance)
     done.commands.append(command)
     done.measured.append(_measured(sample, 2 * len(command.pressures)))
     done.seconds.append(seconds)

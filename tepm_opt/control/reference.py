@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from tepm_opt.control.keep_out import KeepOut
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, counted, silent
@@ -33,6 +34,8 @@ class Reference:
         point: number of the target at every period, (periods,); paths are one target.
         period: s.
         wanted: where the tip shall be, (periods, 3) in m in G, where targets are corrected by what was learned; else absent.
+        keep_out: obstacles beside the path; None for none.
+        moved: how far the tips are from where they were asked for, for the obstacles' sake, (periods,) in m; None where there are none.
     """
 
     tips: np.ndarray
@@ -42,6 +45,8 @@ class Reference:
     point: np.ndarray
     period: float = PERIOD
     wanted: np.ndarray | None = None
+    keep_out: KeepOut | None = None
+    moved: np.ndarray | None = None
 
     @property
     def path(self) -> np.ndarray:
@@ -60,6 +65,22 @@ class Reference:
     def duration(self) -> float:
         """Time from the first to the last target in s."""
         return self.period * (len(self) - 1)
+
+    @property
+    def step(self) -> float:
+        """Time between rows in s."""
+        return self.period
+
+    def begun(self) -> Reference:
+        """The reference as a controller begins with it."""
+        return self
+
+    def over(self, period: int) -> bool:
+        """Whether a period is beyond the last target."""
+        return period >= len(self)
+
+    def govern(self, period: int, errors: np.ndarray) -> None:
+        """Take note of the errors that a controller foresees, (stages,) in m, from a period on: time goes on as it does."""
 
     def at(self, periods: np.ndarray | int) -> np.ndarray:
         """Row numbers of periods, (…,); those beyond the ends are at the ends."""

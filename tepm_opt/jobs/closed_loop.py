@@ -19,6 +19,7 @@ from tepm_opt.control.loop import DONE, LoopRecord
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import FORCE_COLUMNS
 from tepm_opt.data.tables import write_columns
+from tepm_opt.jobs.clearance import clearance, contour, contour_columns, moved_most, touched, true_distance
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
@@ -103,6 +104,7 @@ class ClosedLoop:
         outcome: how it ended, and why.
         fallbacks: number of steps that went on with something older, by the reason.
         doubts: what did not make sense, by what it is about: when it was first told, in s, and the last sentence.
+        moved: how far at most the path was led out of obstacles' way, in m; NaN where there are none.
     """
 
     model: Model
@@ -124,6 +126,7 @@ class ClosedLoop:
     outcome: Outcome = DONE
     fallbacks: Mapping[str, int] = field(default_factory=dict)
     doubts: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    moved: float = math.nan
 
     @staticmethod
     def of(done: LoopRecord, model: CompiledModel, setup: LoopSetup, rows: slice = slice(None)) -> ClosedLoop:
@@ -139,6 +142,9 @@ class ClosedLoop:
         rows = slice(*rows.indices(len(done.telemetry)))  # an interruption may come between two columns
         commands, places = done.commands[rows], np.array(done.rows[rows], dtype=int)
 
+        steps = {**_stacked(done.telemetry[rows]), **true_distance(done, rows), **contour_columns(done, rows)}
+        time, doubts = np.array(done.time[rows]), _doubts(done.time[rows], done.telemetry[rows])
+
         def stacked(values: Sequence[Any], *shape: int) -> np.ndarray:
             return np.array(values, dtype=float).reshape(-1, *shape)
 
@@ -147,7 +153,7 @@ class ClosedLoop:
             done.reference.path[places], done.reference.counted[places], stacked(done.points[rows], model.layout.points, 3),
             stacked(done.truth[rows], 3), stacked([c.pressures for c in commands], half), stacked([c.tensions for c in commands], half),
             stacked([c.enabled for c in commands], half).astype(bool), stacked(done.measured[rows], 2 * half), stacked(done.seconds[rows]),
-            _stacked(done.telemetry[rows]), done.outcome, dict(done.fallbacks), _doubts(done.time[rows], done.telemetry[rows]),
+            steps, done.outcome, dict(done.fallbacks), doubts | touched(steps, time), moved_most(done.reference),
         )  # fmt: skip
 
     @property
@@ -291,6 +297,8 @@ class ClosedLoop:
             "actuation": self.shares(),
             "fallbacks": dict(self.fallbacks),
             "doubts": {about: {"from_s": since, "says": text} for about, (since, text) in self.doubts.items()},
+            "contour": contour(self.steps, self.counted),
+            "keep_out": clearance(self.steps, self.time, self.moved),
             "rig_complaints": int((self.steps[STATUS] != GOOD).sum()) if STATUS in self.steps else 0,
         }
         if "nis" in self.steps and np.isfinite(self.steps["nis"]).any():

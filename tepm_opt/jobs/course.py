@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from tepm_opt.control.contour import FINE, FreeReference
+from tepm_opt.control.detour import detour
+from tepm_opt.control.keep_out import KeepOut
+from tepm_opt.control.obstacles import Obstacles
 from tepm_opt.control.reference import PERIOD, START_UP, Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.timing import PaceSettings, retimed
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, silent
@@ -29,6 +34,8 @@ class Course:
         stay: s for each of its points, of which the last third counts; None: along the path.
         start_up: s in which the path's speed rises and falls, outside what counts.
         steps: whether the target jumps from point to point, as the paper's; else a third of the stay goes into moving there smoothly.
+        keep_out: obstacles, round which the way is led; None for none.
+        pace: how fast a path is driven on which progress is free, whatever its time; None: as its time says.
     """
 
     approach: float = 3.0
@@ -37,6 +44,8 @@ class Course:
     stay: float | None = None
     start_up: float = START_UP
     steps: bool = False
+    keep_out: Obstacles | None = None
+    pace: PaceSettings | None = None
 
 
 FULL = Course()
@@ -60,7 +69,7 @@ def whole_reference(
         progress: told how many periods are done.
 
     Raises:
-        InputError: laps or a stay that do not fit; a path of one point; a tip out of reach.
+        InputError: laps or a stay that do not fit; a path of one point; a tip out of reach; obstacles that cannot be kept out of.
     """
     if course.stay is not None and not SHORTEST_STAY <= course.stay <= LONGEST_STAY:
         raise InputError(f"stay = {course.stay:g} s; valid: {SHORTEST_STAY:g} … {LONGEST_STAY:g} s")
@@ -68,19 +77,28 @@ def whole_reference(
         raise InputError(f"laps = {course.laps:g}; valid: more than 0 … {MOST_LAPS:g}")
     if course.laps != 1 and (course.stay is not None or not trajectory.closed):
         raise InputError(f"laps = {course.laps:g}: only a closed path has laps, such as circle or lissajous; leave them out")
+    if course.stay is not None and course.pace is not None:
+        raise InputError(f"stay = {course.stay:g} s: points have no progress that could be free; leave one of the two out")
+    period = PERIOD if course.pace is None else PERIOD / FINE
+    if course.pace is not None:
+        trajectory = retimed(model, trajectory, course.pace, kinematics, progress)
     if course.stay is not None:
         move = PERIOD if course.steps else course.stay / 3
         tips, counted, point = point_by_point(trajectory.positions, move, course.stay, course.stay / 3)
     else:
         rests = not trajectory.closed and len(trajectory.time) > 2 and _rests(trajectory)
-        tips, counted = along(trajectory, AT_ONCE if rests else course.start_up, course.laps)
+        tips, counted = along(trajectory, AT_ONCE if rests else course.start_up, course.laps, period)
         point = np.zeros(len(tips), dtype=int)
-    lead = approach(model, tips[0], course.approach)
-    lead = np.vstack([lead, np.repeat(tips[:1], round(course.pause / PERIOD), axis=0)])
+    lead = approach(model, tips[0], course.approach, period)
+    lead = np.vstack([lead, np.repeat(tips[:1], round(course.pause / period), axis=0)])
     tips = np.vstack([lead, tips])
     counted = np.concatenate([np.zeros(len(lead), dtype=bool), counted])
     point = np.concatenate([np.zeros(len(lead), dtype=int), point])
-    return reference_of(model, tips, counted, point, kinematics=kinematics, progress=progress)
+    found = reference_of(model, tips, counted, point, kinematics=kinematics, progress=progress)
+    if course.pace is not None:
+        parts = {each.name: getattr(found, each.name) for each in fields(found)}
+        found = FreeReference(**parts, pace=course.pace)
+    return found if course.keep_out is None else detour(model, found, KeepOut(model, course.keep_out), progress)
 
 
 def _rests(trajectory: Trajectory) -> bool:

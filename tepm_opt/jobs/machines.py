@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -13,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.tables import write_columns
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.clearance import smallest
 from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
 from tepm_opt.jobs.executors import processes
@@ -61,6 +63,7 @@ class Drive:
         largest_m: its largest value in m.
         fallbacks: steps that went on with something older.
         end: how it ended, "done" where the reference was followed to its end.
+        distance_m: true least distance of the arm to obstacles in m; infinite where there are none.
     """
 
     machine: int
@@ -69,6 +72,7 @@ class Drive:
     largest_m: float
     fallbacks: int
     end: str
+    distance_m: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +134,15 @@ class MachinesRun:
             "worst_m": _finite(errors.max()) if known else None,
             "worst_machine": worst.machine if worst else None,
             "bound_m": self.bound,
+            "smallest_distance_m": self._distances(),
             "share_within": float((errors <= self.bound).mean()) if known else None,
             "fallbacks": sum(drive.fallbacks for drive in self.drives),
         }
+
+    def _distances(self) -> dict[str, float] | None:
+        """Mean and worst of the least distances to obstacles in m; None where there are none."""
+        each = np.array([drive.distance_m for drive in self.drives])
+        return {"mean": float(each.mean()), "worst": float(each.min())} if len(each) and np.isfinite(each).all() else None
 
     def save(self, folder: str | Path) -> None:
         """Write machines.csv, a row a run, and summary.json.
@@ -141,7 +151,8 @@ class MachinesRun:
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        write_columns(folder / TABLE, {f.name: np.array([getattr(drive, f.name) for drive in self.drives]) for f in fields(Drive)})
+        columns = {f.name: np.array([getattr(drive, f.name) for drive in self.drives]) for f in fields(Drive)}
+        write_columns(folder / TABLE, {name: values for name, values in columns.items() if name != "distance_m" or self._distances()})
         save_summary(folder, "machines", self.summary())
 
     def __repr__(self) -> str:
@@ -179,7 +190,8 @@ def driven(task: MachineTask) -> list[Drive]:
             error = np.linalg.norm(loop.errors(true=True)[loop.counted], axis=1)
             largest = float(error.max()) if len(error) else np.nan
             late = sum(loop.fallbacks.values())
-            found.append(Drive(task.number, noise, loop.rms(true=True), largest, late, loop.outcome.ending.value))
+            end = loop.outcome.ending.value
+            found.append(Drive(task.number, noise, loop.rms(true=True), largest, late, end, smallest(loop.steps)))
     return found
 
 

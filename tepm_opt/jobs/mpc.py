@@ -123,7 +123,8 @@ def run_closed_loop(
     kind, settings = setup.kind, setup.chosen
     if rig.simulated is None:
         settings = settings.in_real_time(reference.period)
-    controller, done = kind.make(model, reference, settings), LoopRecord(reference)
+    controller = kind.make(model, reference, settings)
+    done = LoopRecord(controller.reference)
     statuses: list[str] = []
 
     def row(number: int) -> ClosedLoop:

@@ -449,3 +449,42 @@ def test_a_round_that_ends_early_teaches_nothing_and_loses_nothing(tepm: Command
     assert "nothing that counts" in done.out
     assert "ended early: " in done.out
     assert (here / "again" / "learned.csv").read_text() == "mine"
+
+
+OBSTACLES = """
+[[spheres]]
+name = "lamp"
+centre_m = [0.03, 0.0, 0.35]
+radius_m = 0.02
+margin_m = 0.001
+"""
+
+
+def test_keeping_out_with_free_progress(tepm: Command, here: Path) -> None:
+    """Log, summary and words: how near the arm came, how far from the path it was."""
+    (here / "o.toml").write_text(OBSTACLES, encoding="utf-8")
+    done = tepm("mpc", *SHORT[:-2], "--keep-out", "o.toml", "--free-progress", "--out", "out", "--seed", 3)
+    told = summary(here / "out", "mpc")
+    assert told["keep_out"]["estimated"]["obstacle"] == "lamp"
+    assert told["contour"]["true"]["rms_m"] < 5e-3
+    assert "smallest distance to obstacles: in truth" in done.out
+    assert done.status == int(bool(told["doubts"]))
+    header = (here / "out" / "log.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert {"distance_m", "true_distance_m", "contour_error_m"} < set(header)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--keep-out", "none.toml"), "none.toml: cannot be read"),
+        (("--keep-out", "o.toml"), "spheres entry 1: unknown key 'radius'"),
+        (("--keep-out", "o.toml", "--learn", 2), "--keep-out does not go with --learn"),
+        (("--sway", 3), "--sway belongs to --free-progress"),
+        (("--free-progress", "--controller", "lqg"), "--free-progress is for a path and --controller mpc"),
+    ],
+)
+def test_obstacles_and_progress_that_make_no_sense(tepm: Command, here: Path, options: tuple, message: str) -> None:
+    (here / "o.toml").write_text(OBSTACLES.replace("radius_m", "radius"), encoding="utf-8")
+    done = tepm("mpc", *SHORT, *options, "--out", "out")
+    assert done.status == 2
+    assert message in done.err

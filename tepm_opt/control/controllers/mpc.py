@@ -24,6 +24,7 @@ from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, LinearForecast
 from tepm_opt.control.friction import course, turned
+from tepm_opt.control.keep_out import PRESSED, WEIGHT, KeepOutRows
 from tepm_opt.control.markers import Markers
 from tepm_opt.control.mpc_settings import MpcSettings, Use
 from tepm_opt.control.nonlinear import NonlinearForecast
@@ -102,7 +103,8 @@ class Mpc:
     """
 
     def __init__(self, model: CompiledModel, reference: Reference, settings: MpcSettings = DEFAULT) -> None:
-        self.model, self.reference, self.settings = model, reference, settings
+        self.model, self.settings = model, settings
+        self.reference = reference = reference.begun()
         robot, half = model.robot, model.layout.inputs // 2
         self.area, self.devices = model.values["A"], Devices.of(model)
         self.period, self.stage = reference.period, PERIODS * reference.period
@@ -115,8 +117,11 @@ class Mpc:
         self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
         variables = settings.stages * half
         self._rates = np.eye(variables) - np.eye(variables, k=-half)
+        keep_out = reference.keep_out
+        self._keep_out = None if keep_out is None else KeepOutRows(keep_out, reference, settings.stages)
         kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
-        soft = np.append(np.full(variables, np.inf), np.full(kept, (10 / settings.weights.tip) ** 2)) if kept else None
+        kept += 0 if self._keep_out is None else self._keep_out.count
+        soft = np.append(np.full(variables, np.inf), np.full(kept, (WEIGHT / settings.weights.tip) ** 2)) if kept else None
         self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
         weights, stages = settings.weights, settings.stages
         linear = not settings.nonlinear
@@ -126,6 +131,7 @@ class Mpc:
         self._plan: np.ndarray | None = None
         self._slow, self._extra = np.zeros(half), np.zeros((settings.stages, half))
         self._planned: np.ndarray | None = None
+        self._pressed = False  # into a margin, so that pressures help at once
         self.fallbacks: dict[str, int] = {}
         self.last: Step | None = None
         first = self.start()
@@ -181,6 +187,8 @@ class Mpc:
             columns[f"pressure_offset_{name}_Pa"] = float(self._actuators.pressure_offset[k])
         columns |= {"nis": float(estimate.nis), "coordinates_seen": float(estimate.seen), "points_refused": float(estimate.refused.sum())}
         columns |= {"tracked_noise_m": self._noise.measured}
+        if self._keep_out is not None:
+            columns |= self._keep_out.keep_out.columns(estimate)
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), self._doubted)
 
@@ -192,7 +200,7 @@ class Mpc:
             self._newest = modal_model(self.reference.equilibria[row], self._newest)
             local = self._newest.damped(self.settings.damping)
             found = self._operating[row] = Operating.of(local, self.reference.forces[row], self.period)
-        for old in [known for known in self._operating if known < row - 2 * self.ahead - 4]:
+        for old in list(self._operating)[: -2 * self.ahead - 8]:
             del self._operating[old]
         return found
 
@@ -256,7 +264,10 @@ class Mpc:
         rises = self.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
         turns = course(ahead.turning, rises, self._filter.hysteresis_width)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
-        result = self._solve(begin, offset, factor[:stages], actuators.tension)
+        about = horizon, ahead.operating.model, rows[2 : stages + 1], estimate.bias, begin, self._planned
+        kept = None if self._keep_out is None else self._keep_out.about(*about)
+        result = self._solve(begin, offset, factor[:stages], actuators.tension, kept)
+        self._pressed = kept is not None and result.violation > PRESSED
         if result.x is not None and time.perf_counter() - began <= settings.deadline:
             plan = result.x.reshape(stages, -1)
             self._planned = offset - factor[:stages] * plan
@@ -265,6 +276,7 @@ class Mpc:
             self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
         self._forecast.take(self._planned)
+        reference.govern(self._row + self.ahead + 1, horizon.tip_errors(self._planned))
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
         against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
@@ -310,7 +322,7 @@ class Mpc:
             if self._planned is not None:
                 extra = self._planned - horizon.rest_force - horizon.dynamic[: settings.stages]
                 self._extra = self._extra + (1 - np.exp(-self.period / planner.feedback_time)) * (extra - self._extra)
-                part = min(1.0, horizon.speed / planner.full_feedback_speed)
+                part = 1.0 if self._pressed else min(1.0, horizon.speed / planner.full_feedback_speed)
                 need[: settings.stages] += part * np.linspace(1, 0, settings.stages)[:, None] * self._extra
         wanted = (need - self._effects.forces + pulled) / actuators.area
         hysteresis, turning = behind
@@ -318,8 +330,22 @@ class Mpc:
         wanted = wanted + hysteresis * course(turning, rises, self._filter.hysteresis_width) / actuators.area
         return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages)
 
-    def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
-        """The program in the tensions λ of the stages: v = offset − factor λ."""
+    def _solve(
+        self,
+        begin: np.ndarray,
+        offset: np.ndarray,
+        factor: np.ndarray,
+        tension: np.ndarray,
+        kept: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> QpResult:
+        """The program in the tensions λ of the stages: v = offset − factor λ.
+
+        Args:
+            begin: v at stage 0, (actuators,) in N.
+            offset, factor: (stages, actuators) in N and without unit.
+            tension: now, (actuators,) in N.
+            kept: R and r of soft rows R v ≥ r, see `KeepOutRows`.
+        """
         stages, most = self.settings.stages, self.devices.tension_rate * self.stage
         H, f = self._forecast.cost(begin)
         scale = -factor.ravel()
@@ -334,12 +360,18 @@ class Mpc:
         rate_low[:count] += first
         rate_high[:count] += first
         H, f = H * scale[:, None] * scale, scale * (f + H @ offset.ravel())
-        if not np.isfinite(self.settings.corridor):
-            return self._solver.solve(H, f, low, high, rate_low, rate_high)
         horizon, width = self._forecast.horizon, self.settings.corridor
-        centre = horizon.tip_free + horizon.tip_answer @ offset.ravel()
-        rows = np.vstack([self._rates, horizon.tip_answer * scale])
-        row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
+        soft = [(horizon.tip_answer, -width - horizon.tip_free, width - horizon.tip_free)] if np.isfinite(width) else []
+        soft += [] if kept is None else [(*kept, np.full(len(kept[1]), np.inf))]
+        if not soft:
+            return self._solver.solve(H, f, low, high, rate_low, rate_high)
+        by, least, most = (np.concatenate(parts) for parts in zip(*soft, strict=True))
+        known = by @ offset.ravel()
+        rows, row_low, row_high = (
+            np.vstack([self._rates, by * scale]),
+            np.append(rate_low, least - known),
+            np.append(rate_high, most - known),
+        )
         return self._solver.solve(H, f, low, high, row_low, row_high, rows)
 
 
