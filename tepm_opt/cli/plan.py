@@ -61,7 +61,7 @@ def lines(run: PlanRun, out: Path) -> list[str]:
         f"pressures up to {1e-3 * told['largest_pressure_Pa']:.0f} kPa, tensions {low:.2f} … {high:.2f} N at up to "
         f"{told['largest_tension_rate_N_per_s']:.1f} N/s, smallest stiffness {told['smallest_stiffness_eigenvalue_N_per_m']:.3f} N/m",
         f"in the full network the tip then stays within {1e3 * told['left_over_m']:.2f} mm of its rest "
-        f"(IPOPT: {told['iterations']} iterations in {told['seconds']:.1f} s)",
+        f"({told['iterations']} quadratic programs in {told['seconds']:.2f} s)",
     ]
 
 

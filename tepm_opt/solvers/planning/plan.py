@@ -1,6 +1,6 @@
 """Plans: the fastest, or the gentlest, motion from rest to rest that the actuators can make, as set points.
 
-A plan moves through configurations of equal curvature (`family`), chosen by a nonlinear program (`program`). Its set points
+A plan moves through configurations of equal curvature (`family`), chosen by a nonlinear program (`convex`). Its set points
 come from the configurations themselves: exact equilibria, the forces of inertia and damping, pressures on the regulators' grid ahead of
 their lag, and tensions that take what the pressures leave. Because the robot never leaves the planned motion, none of it sways at the end.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -22,8 +23,9 @@ from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.choices import ActuationMode, Objective
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.planning.convex import solve
 from tepm_opt.solvers.planning.family import FamilyError, FamilyFit, axial, make_family
-from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance, solve
+from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance
 from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.planning.setpoints import commands, residual_sway, tensions
 from tepm_opt.solvers.statics import Equilibrium
@@ -51,7 +53,7 @@ class PlanSettings:
         max_sway: sway that this may leave, m.
         max_spacing: longest time between set points, s.
         min_intervals: of the splines over time.
-        max_iterations: most of IPOPT's.
+        max_iterations: most quadratic programs of a nonlinear one.
         effort_weight: weight of the effort in the fastest plan, s per N²/s.
         max_residual_sway: sway in the full network above which the fastest plan is made anew, smoother, m.
         fit: of the family of configurations.
@@ -67,7 +69,7 @@ class PlanSettings:
     max_sway: float = 5e-4
     max_spacing: float = 0.02
     min_intervals: int = 20
-    max_iterations: int = 300
+    max_iterations: int = 60
     effort_weight: float = 3e-5
     max_residual_sway: float = 8e-4
     fit: FamilyFit = EXACT
@@ -157,13 +159,23 @@ def _check(model: CompiledModel, objective: Objective, duration: float | None, s
     return mid
 
 
+@lru_cache(maxsize=4)
+def _without_devices(model: CompiledModel) -> CompiledModel:
+    """A model without regulators, of which set points are ahead, and friction of the tendons, which has no direction at rest.
+
+    It is kept, as what else is kept of a model goes by the model.
+    """
+    theta = model.theta_without_devices
+    return model if np.array_equal(theta, model.theta) else model.with_theta(theta)
+
+
 def _plan(
     model: CompiledModel, targets: np.ndarray, parts: np.ndarray | None, objective: Objective, duration: float | None,
     obstacles: tuple[Obstacle, ...], settings: PlanSettings, progress: Progress,
 ) -> MotionPlan:  # fmt: skip
     """A plan between two targets or, with parts, along many."""
     mid, layout, devices, whole = _check(model, objective, duration, settings), model.layout, settings.devices or Devices.of(model), model
-    model = model.with_theta(model.theta_without_devices)  # set points are ahead of regulators; friction has no direction at rest
+    model = _without_devices(model)
 
     def none(ending: Ending, message: str) -> MotionPlan:
         rows = SetPoints(np.zeros(0), np.zeros((0, layout.inputs)), np.zeros((0, 3)))
@@ -185,7 +197,8 @@ def _plan(
     progress("configurations about the task", 0, 0)
     lengths = np.array([found.equilibrium.lengths[0] for found in configurations])
     try:
-        family = make_family(model, lengths, configurations[len(configurations) // 2].equilibrium, settings.fit)
+        middle, bounded = configurations[len(configurations) // 2].equilibrium, settings.min_stiffness is not None
+        family = make_family(model, lengths, middle, settings.fit, bounded)
     except FamilyError as error:
         return none(Ending.NO_PLAN, f"the configurations about the task are not all stable: {error}")
     y, area, half = family.within(lengths), model.values["A"], layout.inputs // 2
@@ -232,7 +245,7 @@ def _solved(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
 
 def _why(task: PlanTask, motion: PlannedMotion) -> str:
     """Words for a program without a solution."""
-    ended = f"{motion.outcome.message} after {motion.iterations} iterations of IPOPT"
+    ended = f"{motion.outcome.message} after {motion.iterations} quadratic programs"
     if task.duration is None:
         return f"no motion keeps the limits, margin and obstacles ({ended})"
     fastest = solve(replace(task, duration=None))
@@ -307,10 +320,9 @@ def _played(
     at = [ends[0].equilibrium, *(family.exact(row) for row in y[1:-1]), ends[1].equilibrium]
     points, held = np.array([found.points for found in at]), np.array([axial(found) for found in at])
     errors = [
-        float(np.abs(np.array([np.asarray(function(row)).ravel() for row in y]) - exact.reshape(rows, -1)).max())
-        for function, exact in ((family.points, points), (family.forces, held))
+        float(np.abs(fitted(y) - exact.reshape(rows, -1)).max()) for fitted, exact in ((family.points, points), (family.forces, held))
     ]
-    forces = held + np.array([np.asarray(family.moving(*row) - family.forces(row[0])).ravel() for row in zip(y, v, a, strict=True)])
+    forces = held + family.moving(y, v, a)[0] - family.forces(y)
     wanted, rate = motion.air(part) / area, motion.air(part, 1) / area / motion.duration
     ahead = wanted + np.where(rate > 0, devices.filling, devices.exhausting) * rate
     effort = ((np.diff(area * ahead, axis=0) ** 2).sum() + (np.diff(area * wanted - forces, axis=0) ** 2).sum()) / time[1]

@@ -31,7 +31,7 @@ class MotionPlan:
         sway_frequencies: of the arm at both ends and on the way, lowest and highest, Hz.
         residual_sway: largest distance of the tip from rest in the 5 s after the end, in a simulation of the full network, m.
         surrogate_error: of the reference points and forces of the polynomials against the exact ones along the way, m and N.
-        iterations, seconds: of IPOPT, all attempts together.
+        iterations, seconds: quadratic programs, and what they took, all attempts together.
     """
 
     model: CompiledModel
