@@ -41,7 +41,7 @@ class Rows:
 
     @property
     def beyond(self) -> np.ndarray:
-        """By what the rows are beyond their bounds, (rows,)."""
+        """Excess of the rows over their bounds, (rows,)."""
         return np.maximum(np.maximum(self.low - self.values, self.values - self.high), 0.0)
 
 
