@@ -89,10 +89,10 @@ def test_the_offset_is_that_of_the_worst_signs(kang: CompiledModel) -> None:
     assert min(found) < 0.3 * most
 
 
-def test_room_for_a_controller_takes_a_little_longer(kang: CompiledModel, fastest: MotionPlan) -> None:
+def test_room_for_a_controller_takes_half_as_long_again(kang: CompiledModel, fastest: MotionPlan) -> None:
     roomy = plan_move(kang, START, END, settings=PlanSettings(effort_weight=FOR_LOOPS))
-    assert fastest.duration < roomy.duration < 1.4 * fastest.duration
-    assert roomy.effort < 0.7 * fastest.effort
+    assert fastest.duration < roomy.duration < 1.6 * fastest.duration
+    assert roomy.effort < 0.4 * fastest.effort
 
 
 def test_derivatives_of_the_program(kang: CompiledModel, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,7 @@ from tepm_opt.solvers.statics import Equilibrium
 from tepm_opt.solvers.trajectories import Trajectory
 
 EXACT = FamilyFit()
-FASTEST, FOR_LOOPS = 1.2e-5, 1e-4  # s per N²/s, weights of the effort: within 1.3 times the linear arm's shortest time, and followed well
+FASTEST, FOR_LOOPS = 1.2e-5, 3e-4  # s per N²/s, weights of the effort: within 1.3 times the linear arm's shortest time, and followed well
 INTERVAL = 0.02  # m of a long way to each interval of the splines, up to twice their number
 SMOOTHER = np.array([1.0, 10.0, 100.0])  # times the smoothness, until the full network is still enough
 INSIDE = 0.02  # N by which the program may leave the limits of the forces, which set points on the grid do not
