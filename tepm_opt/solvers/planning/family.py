@@ -172,7 +172,7 @@ def _nodes(count: int) -> np.ndarray:
     return np.array(list(itertools.product(along, repeat=3)))
 
 
-def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, fit: FamilyFit, stability: bool) -> Family:
+def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, fit: FamilyFit, stability: bool = False) -> Family:
     """The family in a box about the lengths of a task.
 
     Args:
