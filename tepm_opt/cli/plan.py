@@ -60,8 +60,10 @@ def lines(run: PlanRun, out: Path) -> list[str]:
         f"{told['largest_speed_m_per_s']:.2f} m/s, files in {escape(str(out))}",
         f"pressures up to {1e-3 * told['largest_pressure_Pa']:.0f} kPa, tensions {low:.2f} … {high:.2f} N at up to "
         f"{told['largest_tension_rate_N_per_s']:.1f} N/s, smallest stiffness {told['smallest_stiffness_eigenvalue_N_per_m']:.3f} N/m",
+        f"left on the rig: sway of {1e3 * told['left_on_rig_m']['sway']:.1f} mm where frequencies are off by the doubt, and up to "
+        f"{1e3 * told['left_on_rig_m']['friction']:.0f} mm that friction holds and a controller takes away",
         f"in the full network the tip then stays within {1e3 * told['left_over_m']:.2f} mm of its rest "
-        f"(IPOPT: {told['iterations']} iterations in {told['seconds']:.1f} s)",
+        f"({told['iterations']} quadratic programs in {told['seconds']:.2f} s)",
     ]
 
 
@@ -77,8 +79,15 @@ def plan(
     margin: Annotated[float | None, typer.Option("--margin", metavar="N/M", help="Smallest stiffness eigenvalue on the way.")] = None,
     mid_tension: Annotated[float | None, typer.Option("--mid-tension", metavar="N", help="Tension at rest at both ends.")] = None,
     doubt: Annotated[
-        float, typer.Option("--frequency-doubt", metavar="PART", help="Leave no sway even if frequencies are off by this part.")
-    ] = 0.0,
+        float, typer.Option("--frequency-doubt", metavar="PART", help="Part by which the sway's frequencies may be off.")
+    ] = 0.05,
+    max_sway: Annotated[
+        float | None, typer.Option("--max-sway", metavar="M", help="Sway that this doubt may leave without a controller; takes a second.")
+    ] = None,
+    friction: Annotated[
+        float, typer.Option("--friction-doubt", metavar="PART", help="Part of the tension that friction may take beyond the model's.")
+    ] = 0.25,
+    loop: Annotated[bool, typer.Option("--loop", help="Leave a controller room: for references of tepm mpc.")] = False,
     which: PathOptions = NO_OPTIONS,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("plan"),
     robot: RobotOption = None,
@@ -86,9 +95,14 @@ def plan(
     as_json: JsonOption = False,
 ) -> int:
     """Plan a motion from rest to rest under all limits: set points to play, the tip's reference, figure."""
+    from tepm_opt.solvers.planning.plan import FASTEST, FOR_LOOPS
+
     ends = vector(start, "--from"), vector(end, "--to")
     kept = [obstacle(text) for text in obstacles or ()]
-    settings = tepm.PlanSettings(min_stiffness=margin, mid_tension=mid_tension, frequency_uncertainty=doubt)
+    settings = tepm.PlanSettings(
+        min_stiffness=margin, mid_tension=mid_tension, frequency_uncertainty=doubt, max_sway=max_sway, friction_doubt=friction,
+        effort_weight=FOR_LOOPS if loop else FASTEST,
+    )  # fmt: skip
     way = _way(path, which, *ends)
     folder = output_folder(out)
     compiled = load(robot, model)

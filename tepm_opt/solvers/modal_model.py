@@ -129,6 +129,20 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
     )
 
 
+def network_matrices(at: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The whole network about a stable equilibrium.
+
+    Returns:
+        Forces on the free levels' coordinates by axial forces, (coordinates, modules · actuators); masses (coordinates,) in kg; stiffness
+        in lower banded storage, N/m; damping (coordinates, coordinates) in N s/m.
+    """
+    model = at.model
+    fixed = _fixed(model)
+    stiffness, damping = model.statics.matrices(at.x, at.inputs, at.mapped, at.loads.ravel(), model.theta)
+    half = _upper(damping)
+    return fixed.axial(at), fixed.masses, stiffness, half + half.T - np.diag(damping[0])
+
+
 @dataclass(frozen=True, eq=False)
 class _Fixed:
     """What does not change with the equilibrium: masses (coordinates,) in kg, reference points by the free levels (3 · points,

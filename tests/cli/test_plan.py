@@ -30,6 +30,7 @@ def test_files_of_a_move(tepm: Command, here: Path, drawn: None) -> None:
     assert told["outcome"] == "solved"
     assert told["duration_s"] == pytest.approx(1.0)
     assert told["largest_tension_rate_N_per_s"] <= 10
+    assert told["left_over_m"] <= told["left_on_rig_m"]["sway"] < told["left_on_rig_m"]["friction"]
     setpoints = read_setpoints(folder / "inputs.csv", Layout.of(robot).actuator_names, robot.input_max)
     reference = read_trajectory(folder / "reference.csv")
     np.testing.assert_array_equal(setpoints.time, reference.time)
@@ -44,8 +45,18 @@ def test_a_path_from_a_file(tepm: Command, here: Path) -> None:
     done = tepm("plan", "--path", "way.csv", *GENTLE, "--out", "made")
     assert (done.status, done.err) == (0, "")
     assert "from rest to rest" in done.out
+    assert "left on the rig: sway of" in done.out
     reference = read_trajectory(here / "made" / "reference.csv")
     assert np.abs(reference.positions[:, 1:] - [0, 0.35]).max() < 1e-5
+
+
+def test_room_and_doubts_are_options(tepm: Command, here: Path) -> None:
+    fast, roomy = (
+        tepm("plan", *MOVE, *more, "--json").json() for more in ((), ("--loop", "--frequency-doubt", "0", "--friction-doubt", "0.5"))
+    )
+    assert fast["duration_s"] < roomy["duration_s"]
+    assert roomy["left_on_rig_m"]["sway"] == roomy["left_over_m"]
+    assert roomy["left_on_rig_m"]["friction"] > 1.9 * fast["left_on_rig_m"]["friction"]
 
 
 @pytest.mark.parametrize(
@@ -72,6 +83,8 @@ def test_no_plan(tepm: Command, arguments: tuple[str, ...], message: str) -> Non
         ((*MOVE, "--obstacle", "box:0,0,0,1,1,0"), "valid: corners with x0 < x1, y0 < y1 and z0 < z1"),
         ((*MOVE, "--mid-tension", "9"), "mid_tension: 9 N; valid: 0.3 … 6.7 N"),
         ((*MOVE, "--frequency-doubt", "0.9"), "frequency_uncertainty: 0.9; valid: 0 … 0.5"),
+        ((*MOVE, "--friction-doubt", "2"), "friction_doubt: 2; valid: 0 … 0.9 of the tension"),
+        ((*MOVE, "--max-sway", "0"), "max_sway: 0 m; valid: more than 0"),
         ((*MOVE, "--margin", "nan"), "min_stiffness: nan N/m; valid: a number"),
         (("--path", "spiral"), "unknown trajectory 'spiral'"),
     ],

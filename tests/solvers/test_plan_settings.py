@@ -21,7 +21,7 @@ from tests.tools import variant
 
 START, END = (0.13, 0.0, 0.35), (0.09, 0.0, 0.35)
 COARSE = FamilyFit(degree=3, nodes=4, dynamics_degree=2, dynamics_nodes=3, validation_samples=1)
-QUICK = PlanSettings(fit=COARSE, min_intervals=6, max_spacing=0.05, max_residual_sway=1.0)
+QUICK = PlanSettings(fit=COARSE, min_intervals=6, max_spacing=0.05, max_residual_sway=1.0, effort_weight=3e-5)
 
 
 def planned(model: CompiledModel, **changed: object) -> MotionPlan:

@@ -14,17 +14,16 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
+import scipy.linalg as sla
 
 from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.modal_model import network_matrices
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
 from tepm_opt.solvers.text import shortened
 
 PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
-MODES = 30  # of the network, the slowest, that count in the least squares: softer ones count more, stiffer ones hardly move
 BOX_MARGIN = 0.25  # parts of the task's size by which the box goes beyond it: the way between its ends may bulge
 MIN_BOX_MARGIN = 0.004  # m by which it does at least, where a length hardly changes along the task
 
@@ -40,14 +39,46 @@ class FamilyFit:
     """
 
     degree: int = 5
-    nodes: int = 7
+    nodes: int = 6
     dynamics_degree: int = 3
     dynamics_nodes: int = 5
-    validation_samples: int = 60
+    validation_samples: int = 20
 
 
 class FamilyError(RuntimeError):
     """No family about this task: some of the configurations in its box are not stable."""
+
+
+class Polynomials:
+    """Polynomials of y, all of one total degree, fitted to values at nodes."""
+
+    def __init__(self, y: np.ndarray, values: np.ndarray, degree: int) -> None:
+        """Least squares.
+
+        Args:
+            y: nodes, (n, 3).
+            values: there, (n, columns).
+            degree: total degree.
+        """
+        self.exponents = np.array([e for e in itertools.product(range(degree + 1), repeat=3) if sum(e) <= degree])
+        self.coefficients = np.linalg.lstsq(self._basis(y), values, rcond=None)[0]
+
+    def __call__(self, y: np.ndarray, *by: int) -> np.ndarray:
+        """Values at y (n, 3), or their derivatives by some of its coordinates one after another, (n, columns)."""
+        return self._basis(y, by) @ self.coefficients
+
+    def slopes(self, y: np.ndarray) -> np.ndarray:
+        """Derivatives by y at y (n, 3), (n, columns, 3)."""
+        return np.stack([self(y, k) for k in range(3)], axis=2)
+
+    def _basis(self, y: np.ndarray, by: tuple[int, ...] = ()) -> np.ndarray:
+        """Monomials, or derivatives of them, (n, terms)."""
+        powers, factor = self.exponents.copy(), np.ones(len(self.exponents))
+        for k in by:
+            factor *= powers[:, k]
+            powers[:, k] = np.maximum(powers[:, k] - 1, 0)
+        steps = y[:, :, None] ** np.arange(powers.max() + 1)
+        return factor * steps[:, 0, powers[:, 0]] * steps[:, 1, powers[:, 1]] * steps[:, 2, powers[:, 2]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,22 +91,21 @@ class Family:
         middle: equilibrium in its middle.
         forces: y to F_eq, (modules · 3,) in N.
         points: y to the reference points in G, (3 · points,) in m.
-        moving: y, y', y'' to F, (modules · 3,) in N; primes are derivatives by time in s.
-        stability: y to the smallest eigenvalue of the stiffness in N/m.
-        point_error, force_error, stability_error: largest errors of the polynomials in the box, as measured, in m, N and N/m.
+        maps: y to [H, D, Q], (modules · 3, 3 + 3 + 6) row by row.
+        stability: y to the smallest eigenvalue of the stiffness in N/m; where it was asked for.
+        point_error, force_error: largest errors of the polynomials in the box, as measured, in m and N.
     """
 
     model: CompiledModel
     low: np.ndarray
     high: np.ndarray
     middle: Equilibrium
-    forces: ca.Function
-    points: ca.Function
-    moving: ca.Function
-    stability: ca.Function
+    forces: Polynomials
+    points: Polynomials
+    maps: Polynomials
+    stability: Polynomials | None
     point_error: float
     force_error: float
-    stability_error: float
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -85,6 +115,28 @@ class Family:
     def within(self, lengths: np.ndarray) -> np.ndarray:
         """Lengths (…, 3) in m as y."""
         return (2 * lengths - self.low - self.high) / (self.high - self.low)
+
+    def moving(self, y: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """F (n, modules · 3) in N of y, y', y'' (n, 3) each, and its derivatives by all nine, (n, modules · 3, 9).
+
+        Primes are derivatives by time in s.
+        """
+        n, first = len(y), [(i, j) for i, j in PAIRS]
+        squares = np.stack([(1 if i == j else 2) * v[:, i] * v[:, j] for i, j in first], axis=1)
+        by = np.hstack([a, v, squares])
+        maps = self.maps(y).reshape(n, -1, by.shape[1])
+        forces = self.forces(y) + np.einsum("nfk,nk->nf", maps, by)
+        of_squares = np.zeros((n, len(first), 3))
+        for k, (i, j) in enumerate(first):
+            of_squares[:, k, i] += 2 * v[:, j]
+            of_squares[:, k, j] += 2 * v[:, i] if i != j else 0.0
+        slopes = np.empty((*forces.shape, 9))
+        slopes[..., :3] = self.forces.slopes(y)
+        for k in range(3):
+            slopes[..., k] += np.einsum("nfk,nk->nf", self.maps(y, k).reshape(maps.shape), by)
+        slopes[..., 3:6] = maps[..., 3:6] + maps[..., 6:] @ of_squares
+        slopes[..., 6:] = maps[..., :3]
+        return forces, slopes
 
     def exact(self, y: np.ndarray, start: Equilibrium | None = None) -> Equilibrium:
         """The equilibrium itself.
@@ -115,39 +167,12 @@ def _exact(model: CompiledModel, lengths: np.ndarray, start: Equilibrium) -> Equ
     raise FamilyError(f"no stable configuration of equal curvature with lengths of {', '.join(f'{1e3 * v:.1f}' for v in lengths)} mm")
 
 
-def _exponents(degree: int) -> np.ndarray:
-    return np.array([e for e in itertools.product(range(degree + 1), repeat=3) if sum(e) <= degree])
-
-
-def _basis(y: np.ndarray, exponents: np.ndarray, by: tuple[int, ...] = ()) -> np.ndarray:
-    """Monomials of y (rows, 3), or their derivatives by some of the coordinates, (rows, terms)."""
-    powers, factor = exponents.copy(), np.ones(len(exponents))
-    for k in by:
-        factor *= powers[:, k]
-        powers[:, k] = np.maximum(powers[:, k] - 1, 0)
-    return factor * np.prod(y[:, None] ** powers, axis=2)
-
-
 def _nodes(count: int) -> np.ndarray:
     along = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     return np.array(list(itertools.product(along, repeat=3)))
 
 
-def _fitted(y: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
-    return np.linalg.lstsq(_basis(y, _exponents(degree)), values, rcond=None)[0]
-
-
-def _polynomial(y: ca.SX, coefficients: np.ndarray, degree: int) -> ca.SX:
-    """Symbolic value of fitted polynomials, (columns,)."""
-    powers = [[ca.SX(1), y[k]] for k in range(3)]
-    for row in powers:
-        for _ in range(degree - 1):
-            row.append(row[-1] * row[1])
-    terms = ca.vertcat(*[powers[0][i] * powers[1][j] * powers[2][k] for i, j, k in _exponents(degree)])
-    return ca.mtimes(ca.DM(coefficients.T), terms)
-
-
-def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, fit: FamilyFit) -> Family:
+def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, fit: FamilyFit, stability: bool = False) -> Family:
     """The family in a box about the lengths of a task.
 
     Args:
@@ -155,6 +180,7 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
         lengths: actuator lengths of the modules along the task, (n, 3) in m.
         start: an equilibrium nearby.
         fit: degrees and nodes of the polynomials.
+        stability: whether the smallest eigenvalue is needed, which takes longest.
 
     Raises:
         FamilyError: some configurations of the box do not exist.
@@ -167,47 +193,32 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
     def solved(y: np.ndarray) -> list[Equilibrium]:
         return [_exact(model, (low + high) / 2 + half * row, middle) for row in y]
 
-    y, degree = _nodes(fit.nodes), fit.degree
-    found = solved(y)
-    forces = _fitted(y, np.array([axial(at) for at in found]), degree)
-    points = _fitted(y, np.array([at.points.ravel() for at in found]), degree)
-    levels = _fitted(y, np.array([at.x[1:].ravel() for at in found]), degree)
-
-    y_slow = _nodes(fit.dynamics_nodes)
-    first = np.stack([_basis(y_slow, _exponents(degree), (k,)) @ levels for k in range(3)], axis=2)
-    second = np.stack([_basis(y_slow, _exponents(degree), pair) @ levels for pair in PAIRS], axis=2)
-    slow_found = solved(y_slow)
+    y, slow = _nodes(fit.nodes), _nodes(fit.dynamics_nodes)
+    found, slow_found = solved(y), solved(slow)
+    forces = Polynomials(y, np.array([axial(at) for at in found]), fit.degree)
+    points = Polynomials(y, np.array([at.points.ravel() for at in found]), fit.degree)
+    levels = Polynomials(y, np.array([at.x[1:].ravel() for at in found]), fit.degree)
+    first, second = levels.slopes(slow), np.stack([levels(slow, *pair) for pair in PAIRS], axis=2)
     maps = np.array([_maps(at, a, b) for at, a, b in zip(slow_found, first, second, strict=True)])
-    moving = _fitted(y_slow, maps.reshape(len(maps), -1), fit.dynamics_degree)
-    stability = _fitted(y_slow, np.array([[at.smallest_eigenvalue] for at in slow_found]), fit.dynamics_degree)
-
-    place, speed, change = ca.SX.sym("y", 3), ca.SX.sym("v", 3), ca.SX.sym("a", 3)
-    squares = ca.vertcat(*[(1 if i == j else 2) * speed[i] * speed[j] for i, j in PAIRS])
-    held = _polynomial(place, forces, degree)
-    matrix = ca.reshape(_polynomial(place, moving, fit.dynamics_degree), 3 + 3 + len(PAIRS), -1).T
-    functions = (
-        ca.Function("forces", [place], [held]),
-        ca.Function("points", [place], [_polynomial(place, points, degree)]),
-        ca.Function("moving", [place, speed, change], [held + ca.mtimes(matrix, ca.vertcat(change, speed, squares))]),
-        ca.Function("stability", [place], [_polynomial(place, stability, fit.dynamics_degree)]),
-    )
+    moving = Polynomials(slow, maps.reshape(len(maps), -1), fit.dynamics_degree)
+    margin = Polynomials(slow, np.array([[at.smallest_eigenvalue] for at in slow_found]), fit.dynamics_degree) if stability else None
     checks = np.random.default_rng(0).uniform(-1.0, 1.0, (fit.validation_samples, 3))
     at = solved(checks)
     errors = [
-        float(np.abs(np.array([np.asarray(function(row)).ravel() - exact for row, exact in zip(checks, exacts, strict=True)])).max())
-        for function, exacts in (
-            (functions[1], [e.points.ravel() for e in at]),
-            (functions[0], [axial(e) for e in at]),
-            (functions[3], [e.smallest_eigenvalue for e in at]),
-        )
+        float(np.abs(fitted(checks) - exact).max())
+        for fitted, exact in ((points, np.array([e.points.ravel() for e in at])), (forces, np.array([axial(e) for e in at])))
     ]
-    return Family(model, low, high, middle, *functions, *errors)
+    return Family(model, low, high, middle, forces, points, moving, margin, *errors)
 
 
 def _maps(at: Equilibrium, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """[H, D, Q] at an equilibrium, (modules · 3, 3 + 3 + 6), from dx/dy (coordinates, 3) and d²x/dy² (coordinates, 6)."""
-    local = modal_model(at, modes=min(MODES, len(first)))
-    inertia, curvature = local.weights @ first, local.weights @ second
-    needed = np.hstack([inertia, local.damping @ inertia, curvature])
-    softness = 1 / local.stiffness[:, None]
-    return np.linalg.lstsq(softness * local.drive, softness * needed, rcond=None)[0]
+    """[H, D, Q] at an equilibrium, (modules · 3, 3 + 3 + 6), from dx/dy (coordinates, 3) and d²x/dy² (coordinates, 6).
+
+    What M x'' + C x' would move at rest is what the forces have to move back, in the least squares weighted by the masses.
+    """
+    by_forces, masses, stiffness, damping = network_matrices(at)
+    needed = np.hstack([masses[:, None] * first, damping @ first, masses[:, None] * second])
+    moved = sla.solveh_banded(stiffness, np.hstack([by_forces, needed]), lower=True, check_finite=False)
+    moved *= np.sqrt(masses)[:, None]
+    driven = by_forces.shape[1]
+    return np.linalg.lstsq(moved[:, :driven], moved[:, driven:], rcond=None)[0]

@@ -1,6 +1,6 @@
 """Plans: the fastest, or the gentlest, motion from rest to rest that the actuators can make, as set points.
 
-A plan moves through configurations of equal curvature (`family`), chosen by a nonlinear program (`program`). Its set points
+A plan moves through configurations of equal curvature (`family`), chosen by a nonlinear program (`convex`). Its set points
 come from the configurations themselves: exact equilibria, the forces of inertia and damping, pressures on the regulators' grid ahead of
 their lag, and tensions that take what the pressures leave. Because the robot never leaves the planned motion, none of it sways at the end.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -22,14 +23,16 @@ from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.choices import ActuationMode, Objective
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.planning.convex import solve
 from tepm_opt.solvers.planning.family import FamilyError, FamilyFit, axial, make_family
-from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance, solve
+from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance
 from tepm_opt.solvers.planning.result import MotionPlan
-from tepm_opt.solvers.planning.setpoints import commands, residual_sway, tensions
+from tepm_opt.solvers.planning.setpoints import Friction, commands, residual_sway, tensions
 from tepm_opt.solvers.statics import Equilibrium
 from tepm_opt.solvers.trajectories import Trajectory
 
 EXACT = FamilyFit()
+FASTEST, FOR_LOOPS = 1.2e-5, 3e-4  # s per N²/s, weights of the effort: within 1.3 times the linear arm's shortest time, and followed well
 INTERVAL = 0.02  # m of a long way to each interval of the splines, up to twice their number
 SMOOTHER = np.array([1.0, 10.0, 100.0])  # times the smoothness, until the full network is still enough
 INSIDE = 0.02  # N by which the program may leave the limits of the forces, which set points on the grid do not
@@ -47,12 +50,14 @@ class PlanSettings:
         tension_rate_reserve: the same of the motors' rate, as part of it.
         min_stiffness: smallest stiffness eigenvalue, N/m; not looked at where absent.
         clearance: of the reference points from obstacles, m.
-        frequency_uncertainty: part by which the sway's frequencies may differ from the model's; 0 trusts it.
-        max_sway: sway that this may leave, m.
+        frequency_uncertainty: part by which the sway's frequencies may differ from the model's.
+        max_sway: sway that this may leave, m, which takes more than a period of the sway; only told, not bounded, where absent.
+        friction_doubt: part of the tension that friction of the tendons may take beyond what the model has, either way: the plan leaves as
+            much of the tensions' range and rate.
         max_spacing: longest time between set points, s.
         min_intervals: of the splines over time.
-        max_iterations: most of IPOPT's.
-        effort_weight: weight of the effort in the fastest plan, s per N²/s.
+        max_iterations: most quadratic programs of a nonlinear one.
+        effort_weight: weight of the effort in the fastest plan, s per N²/s; `FOR_LOOPS` leaves a controller room.
         max_residual_sway: sway in the full network above which the fastest plan is made anew, smoother, m.
         fit: of the family of configurations.
     """
@@ -63,12 +68,13 @@ class PlanSettings:
     tension_rate_reserve: float = 0.2
     min_stiffness: float | None = None
     clearance: float = 0.002
-    frequency_uncertainty: float = 0.0
-    max_sway: float = 5e-4
+    frequency_uncertainty: float = 0.05
+    max_sway: float | None = None
+    friction_doubt: float = 0.25
     max_spacing: float = 0.02
     min_intervals: int = 20
-    max_iterations: int = 300
-    effort_weight: float = 3e-5
+    max_iterations: int = 60
+    effort_weight: float = FASTEST
     max_residual_sway: float = 8e-4
     fit: FamilyFit = EXACT
 
@@ -147,6 +153,10 @@ def _check(model: CompiledModel, objective: Objective, duration: float | None, s
         raise InputError(f"tension_rate_reserve: {settings.tension_rate_reserve:g}; valid: 0 … 0.9 of the rate")
     if not 0 <= settings.frequency_uncertainty <= 0.5:
         raise InputError(f"frequency_uncertainty: {settings.frequency_uncertainty:g}; valid: 0 … 0.5")
+    if settings.max_sway is not None and not 0 < settings.max_sway < np.inf:
+        raise InputError(f"max_sway: {settings.max_sway:g} m; valid: more than 0")
+    if not 0 <= settings.friction_doubt <= 0.9:
+        raise InputError(f"friction_doubt: {settings.friction_doubt:g}; valid: 0 … 0.9 of the tension")
     if settings.min_stiffness is not None and not np.isfinite(settings.min_stiffness):
         raise InputError(f"min_stiffness: {settings.min_stiffness:g} N/m; valid: a number")
     highest = float(model.input_max[model.layout.inputs // 2 :].min())
@@ -157,13 +167,23 @@ def _check(model: CompiledModel, objective: Objective, duration: float | None, s
     return mid
 
 
+@lru_cache(maxsize=4)
+def _without_devices(model: CompiledModel) -> CompiledModel:
+    """A model without regulators, of which set points are ahead, and friction of the tendons, which has no direction at rest.
+
+    It is kept, as what else is kept of a model goes by the model.
+    """
+    theta = model.theta_without_devices
+    return model if np.array_equal(theta, model.theta) else model.with_theta(theta)
+
+
 def _plan(
     model: CompiledModel, targets: np.ndarray, parts: np.ndarray | None, objective: Objective, duration: float | None,
     obstacles: tuple[Obstacle, ...], settings: PlanSettings, progress: Progress,
 ) -> MotionPlan:  # fmt: skip
     """A plan between two targets or, with parts, along many."""
     mid, layout, devices, whole = _check(model, objective, duration, settings), model.layout, settings.devices or Devices.of(model), model
-    model = model.with_theta(model.theta_without_devices)  # set points are ahead of regulators; friction has no direction at rest
+    model = _without_devices(model)
 
     def none(ending: Ending, message: str) -> MotionPlan:
         rows = SetPoints(np.zeros(0), np.zeros((0, layout.inputs)), np.zeros((0, 3)))
@@ -185,13 +205,15 @@ def _plan(
     progress("configurations about the task", 0, 0)
     lengths = np.array([found.equilibrium.lengths[0] for found in configurations])
     try:
-        family = make_family(model, lengths, configurations[len(configurations) // 2].equilibrium, settings.fit)
+        middle, bounded = configurations[len(configurations) // 2].equilibrium, settings.min_stiffness is not None
+        family = make_family(model, lengths, middle, settings.fit, bounded)
     except FamilyError as error:
         return none(Ending.NO_PLAN, f"the configurations about the task are not all stable: {error}")
     y, area, half = family.within(lengths), model.values["A"], layout.inputs // 2
     air = area * ends[0].allocation.inputs[:half], area * ends[1].allocation.inputs[:half]
     sway = np.array([np.sqrt(modal_model(at, modes=2).stiffness) for at in (ends[0].equilibrium, family.middle, ends[1].equilibrium)])
-    limits = _limits(model, ends, devices, settings, (float(sway.min()), float(sway.max())))
+    friction = Friction.of(whole, settings.friction_doubt)
+    limits = _limits(model, ends, devices, friction, settings, (float(sway.min()), float(sway.max())))
     route = None if parts is None else Route(parts, y)
     way = float(np.linalg.norm(np.diff(targets, axis=0), axis=1).sum())
     intervals = int(np.clip(way / INTERVAL, settings.min_intervals, 2 * settings.min_intervals))
@@ -209,7 +231,7 @@ def _plan(
             return none(Ending.NO_PLAN, _why(task, motion))
         progress("set points and simulation", 0, 0)
         try:
-            plan = _played(task, motion, ends, devices, settings, objective)
+            plan = _played(task, motion, ends, devices, settings, objective, friction)
         except FamilyError as error:
             return none(Ending.NO_PLAN, f"on the way: {error}")
         if plan.solved and plan.residual_sway <= settings.max_residual_sway:
@@ -232,7 +254,7 @@ def _solved(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
 
 def _why(task: PlanTask, motion: PlannedMotion) -> str:
     """Words for a program without a solution."""
-    ended = f"{motion.outcome.message} after {motion.iterations} iterations of IPOPT"
+    ended = f"{motion.outcome.message} after {motion.iterations} quadratic programs"
     if task.duration is None:
         return f"no motion keeps the limits, margin and obstacles ({ended})"
     fastest = solve(replace(task, duration=None))
@@ -254,29 +276,32 @@ def _blocked(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSet
 
 
 def _limits(
-    model: CompiledModel, ends: tuple[Configuration, Configuration], devices: Devices, settings: PlanSettings, sway: tuple[float, float]
-) -> Limits:
+    model: CompiledModel, ends: tuple[Configuration, Configuration], devices: Devices, friction: Friction, settings: PlanSettings,
+    sway: tuple[float, float],
+) -> Limits:  # fmt: skip
     """Limits of the program; those of the forces leave both ends inside, or it had no interior.
 
     Args:
         model: whose ranges.
         ends: of the plan.
         devices: lags and rate.
+        friction: that tensions may have to make up for.
         settings: of the plan.
         sway: its lowest and highest frequency, 1/s.
     """
     half, doubt, highest = model.layout.inputs // 2, settings.frequency_uncertainty, model.input_max
     held = np.array([found.allocation.inputs[half:] for found in ends])
-    frequencies = np.linspace(sway[0] * (1 - doubt), sway[1] * (1 + doubt), 3) if doubt else ()
+    frequencies = np.linspace(sway[0] * (1 - doubt), sway[1] * (1 + doubt), 3) if doubt and settings.max_sway is not None else ()
+    most, part = float(highest[half:].min()), 1 + friction.share
     return Limits(
         air=(-INSIDE, float(model.values["A"] * highest[:half].min()) + INSIDE),
         tension=(
-            float(min(settings.tension_reserve, held.min() - INSIDE)),
-            float(max(highest[half:].min() - settings.tension_reserve, held.max() + INSIDE)),
+            float(min(max(settings.tension_reserve, friction.constant), held.min() - INSIDE)),
+            float(max(min(most - settings.tension_reserve, (most - friction.constant) / part), held.max() + INSIDE)),
         ),
-        max_tension_rate=devices.tension_rate * (1 - settings.tension_rate_reserve),
+        max_tension_rate=devices.tension_rate * min(1 - settings.tension_rate_reserve, 1 / part),
         lags=(devices.filling, devices.exhausting),
-        min_stiffness=settings.min_stiffness, clearance=settings.clearance, max_sway=settings.max_sway,
+        min_stiffness=settings.min_stiffness, clearance=settings.clearance, max_sway=settings.max_sway or np.inf,
         frequencies=tuple(float(value) for value in frequencies), frequency_uncertainty=doubt,
     )  # fmt: skip
 
@@ -289,7 +314,7 @@ def _bulges(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
 
 def _played(
     task: PlanTask, motion: PlannedMotion, ends: tuple[Configuration, Configuration], devices: Devices, settings: PlanSettings,
-    objective: Objective,
+    objective: Objective, friction: Friction,
 ) -> MotionPlan:  # fmt: skip
     """The plan at its rows: exact equilibria, forces and set points that make them.
 
@@ -298,6 +323,7 @@ def _played(
         ends: of the plan.
         devices: that make the forces.
         settings, objective: of the plan.
+        friction: that tensions may have to make up for.
     """
     family, model, layout = task.family, task.family.model, task.family.model.layout
     half, area = layout.inputs // 2, model.values["A"]
@@ -307,10 +333,9 @@ def _played(
     at = [ends[0].equilibrium, *(family.exact(row) for row in y[1:-1]), ends[1].equilibrium]
     points, held = np.array([found.points for found in at]), np.array([axial(found) for found in at])
     errors = [
-        float(np.abs(np.array([np.asarray(function(row)).ravel() for row in y]) - exact.reshape(rows, -1)).max())
-        for function, exact in ((family.points, points), (family.forces, held))
+        float(np.abs(fitted(y) - exact.reshape(rows, -1)).max()) for fitted, exact in ((family.points, points), (family.forces, held))
     ]
-    forces = held + np.array([np.asarray(family.moving(*row) - family.forces(row[0])).ravel() for row in zip(y, v, a, strict=True)])
+    forces = held + family.moving(y, v, a)[0] - family.forces(y)
     wanted, rate = motion.air(part) / area, motion.air(part, 1) / area / motion.duration
     ahead = wanted + np.where(rate > 0, devices.filling, devices.exhausting) * rate
     effort = ((np.diff(area * ahead, axis=0) ** 2).sum() + (np.diff(area * wanted - forces, axis=0) ** 2).sum()) / time[1]
@@ -328,7 +353,10 @@ def _played(
     outcome = Outcome(Ending.NO_PLAN, message) if message else Outcome()
     setpoints = SetPoints(time, np.clip(inputs, 0.0, model.input_max), np.zeros((rows, 3)))
     muscle[-1] = wanted[-1]
-    left = residual_sway(model, time, muscle, wind, points[-1, -1])
-    margin = min(found.smallest_eigenvalue for found in at)
-    return MotionPlan(model, objective, outcome, time, points[:, -1], points, forces, setpoints, margin, float(effort),
-                residual_sway=left, surrogate_error=(errors[0], errors[1]))  # fmt: skip
+    doubt, rest = settings.frequency_uncertainty, points[-1, -1]
+    left, *doubted = (residual_sway(model, time * pace, muscle, wind, rest) for pace in ((1.0, 1 - doubt, 1 + doubt) if doubt else (1.0,)))
+    return MotionPlan(
+        model, objective, outcome, time, points[:, -1], points, forces, setpoints, min(found.smallest_eigenvalue for found in at),
+        float(effort), residual_sway=left, doubted_sway=max([left, *doubted]), surrogate_error=(errors[0], errors[1]),
+        friction_offset=friction.offset(ends[1].equilibrium, wind[-1]),
+    )  # fmt: skip

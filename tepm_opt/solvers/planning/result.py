@@ -30,8 +30,11 @@ class MotionPlan:
         effort: see `Objective`, N²/s.
         sway_frequencies: of the arm at both ends and on the way, lowest and highest, Hz.
         residual_sway: largest distance of the tip from rest in the 5 s after the end, in a simulation of the full network, m.
+        doubted_sway: the same, the most of it where the sway's frequencies are off by their doubt either way, m.
+        friction_offset: how far friction of the tendons, the model's and its doubt, may hold the tip from its rest on a rig, m. Set points
+            alone do not take it away, a controller does.
         surrogate_error: of the reference points and forces of the polynomials against the exact ones along the way, m and N.
-        iterations, seconds: of IPOPT, all attempts together.
+        iterations, seconds: quadratic programs, and what they took, all attempts together.
     """
 
     model: CompiledModel
@@ -46,6 +49,8 @@ class MotionPlan:
     effort: float = 0.0
     sway_frequencies: tuple[float, float] = (0.0, 0.0)
     residual_sway: float = 0.0
+    doubted_sway: float = 0.0
+    friction_offset: float = 0.0
     surrogate_error: tuple[float, float] = (0.0, 0.0)
     iterations: int = 0
     seconds: float = 0.0
@@ -89,6 +94,7 @@ class MotionPlan:
             "effort_N2_per_s": self.effort,
             "sway_frequencies_Hz": list(self.sway_frequencies),
             "left_over_m": self.residual_sway,
+            "left_on_rig_m": {"sway": self.doubted_sway, "friction": self.friction_offset},
             "surrogate_error_m": self.surrogate_error[0],
             "surrogate_error_N": self.surrogate_error[1],
         }

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import dataclass
+
 import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
@@ -9,11 +12,38 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.allocation import axial_forces
+from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.simulate import SimulationError, simulate
+from tepm_opt.solvers.statics import Equilibrium
 
 SUBSTEP = 1e-3  # s, of the regulators between the set points
 WATCHED, ROW = 5.0, 0.02  # s: for how long the tip is watched after the end, and how often
 STEP = 0.01  # s, of simulations; fixed, so that small changes of a plan change its sway smoothly
+
+
+@dataclass(frozen=True)
+class Friction:
+    """What a tendon's end may pull more or less than its motor: a force that is bounded and otherwise unknown.
+
+    Attributes:
+        constant: part in N.
+        share: of the tension.
+    """
+
+    constant: float
+    share: float
+
+    @staticmethod
+    def of(model: CompiledModel, doubt: float) -> Friction:
+        """What the model has, and a part of the tension beyond it."""
+        constant, share = model.tendon_friction or (0.0, 0.0)
+        return Friction(constant, share + doubt)
+
+    def offset(self, at: Equilibrium, tension: np.ndarray) -> float:
+        """How far this may hold the tip from an equilibrium with these tensions (modules · 3,) in N, at most and to first order, m."""
+        gain, forces = modal_model(at, modes=1).gain[-3:], self.constant + self.share * tension
+        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=len(forces))))
+        return float(np.linalg.norm((signs * forces) @ gain.T, axis=1).max())
 
 
 def tensions(model: CompiledModel, pressures: np.ndarray, forces: np.ndarray) -> np.ndarray:
@@ -66,7 +96,7 @@ def residual_sway(model: CompiledModel, time: np.ndarray, muscle: np.ndarray, te
 
     Args:
         model: the network; regulators are what comes before these pressures, so it should have none of its own.
-        time: of the rows, (rows,) in s.
+        time: of the rows, (rows,) in s; stretched, it is that of an arm whose frequencies are as much higher.
         muscle: pressures in the muscles, (rows, modules · 3) in Pa.
         tension: (rows, modules · 3) in N.
         rest: of the tip in G, m.
