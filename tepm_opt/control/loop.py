@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tepm_opt.control.controllers.base import Controller, Telemetry
+from tepm_opt.control.controllers.base import Controller, Prepares, Telemetry
 from tepm_opt.control.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
@@ -247,7 +247,7 @@ def _closed(
     sample: Sample,
 ) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
-    reference, zero, row = controller.reference, sample.time, -1
+    reference, zero, row, prepares = controller.reference, sample.time, -1, isinstance(controller, Prepares)
     while (now := round((sample.time - zero) / reference.period)) < len(reference):
         if now > row:  # a rig may be faster than the control period
             row = now
@@ -255,6 +255,10 @@ def _closed(
             command = controller.command(sample)
             seconds = time.perf_counter() - began
             rig.apply(command)
+            if prepares:
+                began = time.perf_counter()
+                controller.prepare()
+                seconds += time.perf_counter() - began
             _note(done, rig, sample, sample.time - zero, row, command, seconds, controller)
             progress("tracking", sample.time - zero, reference.duration)
             if observer:

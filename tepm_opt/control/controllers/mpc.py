@@ -12,6 +12,7 @@ which is taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -76,14 +77,37 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class _Ahead:
-    """What will be when a new command can act: the operating point, [q, q'] about it, the actuators, which way friction and hysteresis
-    pull."""
+class _Prepared:
+    """What is ready before a sample.
 
-    operating: Operating
+    Attributes:
+        row: of the reference, at which the sample is expected; `ahead` periods later a new command can act.
+        ahead: as of then.
+        estimator, actuators: brought up to the sample's time.
+        then: operating point when a new command can act.
+        directions: which way friction pulls after each period until then, (ahead, actuators).
+        courses: and over the coming stages, (preview, actuators).
+        foreseen: friction there as far as known before the sample, (preview, actuators) in N.
+        factor: of the tensions by it, (preview, actuators).
+    """
+
+    row: int
+    ahead: int
+    estimator: Estimator
+    actuators: Actuators
+    then: Operating
+    directions: np.ndarray
+    courses: np.ndarray
+    foreseen: np.ndarray
+    factor: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Ahead:
+    """What will be when a new command can act: [q, q'] about the operating point, the actuators, which way hysteresis pulls."""
+
     motion: np.ndarray
     actuators: Actuators
-    direction: np.ndarray
     turning: np.ndarray
 
 
@@ -119,7 +143,7 @@ class Mpc:
         self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
         kind = NonlinearForecast if settings.nonlinear else LinearForecast
         self._forecast: Forecast = kind(settings.weights, settings.stages)
-        self._operating: dict[int, Operating] = {}
+        self._operating: dict[int, tuple[int, Operating]] = {}
         self._newest: ModalModel | None = None
         self._plan: np.ndarray | None = None
         self._slow, self._extra = np.zeros(half), np.zeros((settings.stages, half))
@@ -139,6 +163,8 @@ class Mpc:
         self._estimator = Estimator(self._point(0), self._noise.declared, middle, self._filter)
         self._zero: float | None = None
         self._row = 0
+        self._ready: _Prepared | None = None
+        self._taken: Sample | None = None  # of which noise and doubts have not been told yet
 
     def __repr__(self) -> str:
         kind = "nonlinear" if self.settings.nonlinear else "linear"
@@ -154,21 +180,26 @@ class Mpc:
         return Command(pressure, tension, np.full(len(forces), free))
 
     def command(self, sample: Sample) -> Command:
-        """Set points for a sample; never NaN, always within the limits."""
+        """Set points for a sample; never NaN, always within the limits. What `prepare` has not prepared is prepared first."""
         began = time.perf_counter()
-        estimate = self._observe(sample)
-        ahead = self._look_ahead(estimate)
-        command, step = self._decide(estimate, ahead, began)
-        self._sent.add(sample.time + self.ahead * self.period, command)
-        self._sent.forget(sample.time - MOST_LATE * self.period)
-        self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
-        return command
+        self._zero = sample.time if self._zero is None else self._zero
+        row = max(round((sample.time - self._zero) / self.period), self._row)
+        ready = self._ready
+        if ready is None or (ready.row, ready.ahead) != (row, self.ahead):
+            ready = self._prepared(row)
+        self._ready, self._taken = None, sample
+        return self._feedback(ready, sample, began)
+
+    def prepare(self) -> None:
+        """Do what the next sample is not needed for, should it come a period after the last one; best as soon as a command is sent."""
+        self._ready = self._prepared(self._row + (self.last is not None))
 
     def telemetry(self) -> Telemetry:
         """Estimate, quadratic program and moves of the last step, and how often an older plan went on."""
         step, names = self.last, self.model.layout.actuator_names
         if step is None:
             return Telemetry()
+        self._note()
         estimate = step.estimate
         columns: dict[str, Value] = {f"estimated_tip_{axis}_m": float(estimate.points[-1, k]) for k, axis in enumerate("xyz")}
         for k, name in enumerate(names):
@@ -184,70 +215,95 @@ class Mpc:
     def _point(self, period: int) -> Operating:
         """Local model of the network about the reference at a period."""
         row = int(self.reference.at(period))
-        found = self._operating.get(row)
-        if found is None:
+        slot = row % (self._declared + MOST_LATE + 4)  # more than lie between an estimate and the point that is looked ahead to
+        at, found = self._operating.get(slot, (-1, None))
+        if found is None or at != row:
             self._newest = modal_model(self.reference.equilibria[row], self._newest)
-            found = self._operating[row] = Operating.of(self._newest, self.reference.forces[row], self.period)
-        for old in [known for known in self._operating if known < row - 2 * self.ahead - 4]:
-            del self._operating[old]
+            found = Operating.of(self._newest, self.reference.forces[row], self.period)
+            self._operating[slot] = row, found
         return found
 
-    def _observe(self, sample: Sample) -> StateEstimate:
-        """Bring estimator and actuators up to the sample."""
-        reference = self.reference
-        self._zero = sample.time if self._zero is None else self._zero
-        row = round((sample.time - self._zero) / self.period)
+    def _note(self) -> None:
+        """Noise of the tracker and doubts by the last sample."""
+        if self._taken is not None:
+            self._noise.add(self._taken.points)
+            late = (self.ahead - self._declared) * self.period + self._actuators.late
+            self._doubted, self._taken = self._doubts.told(self._actuators, self._noise, late), None
+
+    def _acting(self, row: int) -> Command:
+        """The command that is in force over a period."""
+        start = (self._zero or 0.0) + row * self.period
+        return self._sent.between(start, start + self.period)
+
+    def _prepared(self, row: int) -> _Prepared:
+        """Prepare for a sample at a row of the reference."""
+        self._note()
+        reference, settings = self.reference, self._filter
+        estimator, actuators = copy.copy(self._estimator), copy.copy(self._actuators)
+        estimator.noise = self._noise.measured
         for passed in range(self._row, row):
-            start = self._zero + passed * self.period
-            self._actuators.command = self._sent.between(start, start + self.period)
-            known = self._actuators.advance(self.period) + self._effects.forces
+            actuators.command = self._acting(passed)
+            known = actuators.advance(self.period) + self._effects.forces
             a, b = reference.at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / self.period
-            self._estimator.predict(known, self._actuators.tension, rates, self._point(passed + 1))
-        passed, self._row = max(row - self._row, 0), max(row, self._row)
+            estimator.predict(known, actuators.tension, rates, self._point(passed + 1))
+        then, seen, directions = self._point(row + self.ahead), estimator.estimate(np.zeros(0)), [estimator.direction]
+        for at in range(row, row + self.ahead):
+            a, b = reference.at(np.array([at, at + 1]))
+            change = reference.lengths[b] - reference.lengths[a] + self.period * seen.deviation
+            directions.append(turned(directions[-1], change, settings.presliding_distance))
+        preview, stages = self.settings.pressure_planner.preview, self.settings.stages
+        rows = reference.at(row + self.ahead + PERIODS * np.arange(-1, preview + 2))
+        courses = course(directions[-1], np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.presliding_distance)
+        foreseen = seen.friction * courses
+        factor = 1 + settings.load_share / estimator.middle * foreseen
+        self._hessian, scale = self._forecast.prepare(then, reference, rows), factor[:stages].ravel()
+        if not np.isfinite(self.settings.corridor):
+            self._solver.take(self._hessian * scale[:, None] * scale)
+        return _Prepared(row, self.ahead, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
+
+    def _feedback(self, ready: _Prepared, sample: Sample, began: float) -> Command:
+        """From a sample to the command."""
+        passed, self._row = ready.row - self._row, ready.row
+        self._estimator, self._actuators = ready.estimator, ready.actuators
         self._actuators.correct(sample, passed * self.period)
+        self._effects.advance(self._actuators, self.period)
+        estimate = self._estimator.update(sample.points)
+        command, step = self._decide(ready, estimate, self._look_ahead(ready, estimate), began)
+        self._sent.add(sample.time + self.ahead * self.period, command)
+        self._sent.forget(sample.time - MOST_LATE * self.period)
         before, self.ahead = self.ahead, min(max(self.ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
         self._sent.shift((self.ahead - before) * self.period)
-        self._effects.advance(self._actuators, self.period)
-        self._estimator.noise = self._noise.add(sample.points)
-        late = (self.ahead - self._declared) * self.period + self._actuators.late
-        self._doubted = self._doubts.told(self._actuators, self._noise, late)
-        return self._estimator.update(sample.points)
+        self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
+        return command
 
-    def _look_ahead(self, estimate: StateEstimate) -> _Ahead:
+    def _look_ahead(self, ready: _Prepared, estimate: StateEstimate) -> _Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
-        then, now, actuators = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
+        now, actuators = estimate.operating, self._actuators.copy()
         actuators.area = self.area * (1 + estimate.strength)
-        motion, direction, turning, lengths = estimate.motion, estimate.direction, estimate.turning, self.reference.lengths
-        settings = self._filter
-        for at in range(self._row, self._row + self.ahead):
-            start = (self._zero or 0.0) + at * self.period
-            actuators.command = self._sent.between(start, start + self.period)
-            a, b = self.reference.at(np.array([at, at + 1]))
-            change = lengths[b] - lengths[a] + self.period * estimate.deviation
-            direction = turned(direction, change, settings.presliding_distance)
+        motion, turning = estimate.motion, estimate.turning
+        for at, direction in enumerate(ready.directions, self._row):
+            actuators.command = self._acting(at)
             before, known = actuators.pressure, actuators.advance(self.period)
-            turning = turned(turning, self.area * (actuators.pressure - before), settings.hysteresis_width)
+            turning = turned(turning, self.area * (actuators.pressure - before), self._filter.hysteresis_width)
             friction = estimate.friction * direction * self._estimator.loaded(actuators.tension) + estimate.hysteresis * turning
             motion = now.advance(motion, known + self._effects.forces + estimate.unknown - friction)
-        return _Ahead(then, now.turned(motion, then), actuators, direction, turning)
+        return _Ahead(now.turned(motion, ready.then), actuators, turning)
 
-    def _decide(self, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
+    def _decide(self, ready: _Prepared, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
-        reference, settings, horizon = self.reference, self.settings, self._forecast.horizon
-        stages, preview, actuators = settings.stages, settings.pressure_planner.preview, ahead.actuators
-        rows = reference.at(self._row + self.ahead + PERIODS * np.arange(-1, preview + 2))
-        self._forecast.about(ahead.operating, reference, rows, ahead.motion, estimate.bias[-1])
-        self._enabled = self._switched(ahead)
-        # friction over the coming stages: a part that does not depend on the tension and one in proportion to it
-        steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], self._filter.load_share
-        pulled = estimate.friction * course(ahead.direction, steps, self._filter.presliding_distance)
-        still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
+        settings, horizon, share = self.settings, self._forecast.horizon, self._filter.load_share
+        stages, actuators, direction = settings.stages, ahead.actuators, ready.directions[-1]
+        self._forecast.about(ahead.motion, estimate.bias[-1])
+        self._enabled = self._switched(ready.then, ahead.motion)
+        # friction over the coming stages: what is foreseen of it in proportion to the tension, all else as at the tension's middle
+        pulled, factor = estimate.friction * ready.courses, ready.factor
+        still = pulled - share * ready.foreseen
         before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
         behind = estimate.hysteresis, ahead.turning
         pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators, behind)
         begin = actuators.forces + unknown - horizon.forces[0] - estimate.hysteresis * ahead.turning
-        begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
+        begin = begin - estimate.friction * direction * self._estimator.loaded(actuators.tension)
         rises = self.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
         turns = course(ahead.turning, rises, self._filter.hysteresis_width)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
@@ -262,7 +318,7 @@ class Mpc:
         self._forecast.take(self._planned)
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
-        against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
+        against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * direction
         moves = int(np.sum(pressures != before))
         seconds = (0.0, result.seconds)
         step = Step(self._row, estimate, pressures, tensions, moves, against, plan, result.outcome, result.iterations, seconds)
@@ -275,13 +331,13 @@ class Mpc:
         later = np.vstack([self._plan[1:], self._plan[-1:]])
         return np.clip((self._plan + later) / 2, 0.0, self._tension_max)
 
-    def _switched(self, ahead: _Ahead) -> np.ndarray:
+    def _switched(self, then: Operating, motion: np.ndarray) -> np.ndarray:
         """ENA, (actuators,): by the rule of mode 2, from the lengths; all on in free mode."""
         settings, count = self.settings, len(self.middle)
         if settings.use is Use.PRESSURE or not settings.switching:
             return np.full(count, settings.use is not Use.PRESSURE)
-        drive = ahead.operating.model.drive  # lengths follow the modes as the modes follow the axial forces
-        return np.abs(drive.T @ ahead.motion[: len(drive)]) < np.where(self._enabled, settings.disable_above, settings.enable_below)
+        drive = then.model.drive  # lengths follow the modes as the modes follow the axial forces
+        return np.abs(drive.T @ motion[: len(drive)]) < np.where(self._enabled, settings.disable_above, settings.enable_below)
 
     def _plan_pressures(
         self, unknown: np.ndarray, pulled: np.ndarray, actuators: Actuators, behind: tuple[np.ndarray, np.ndarray]
@@ -316,9 +372,8 @@ class Mpc:
     def _solve(self, begin: np.ndarray, offset: np.ndarray, factor: np.ndarray, tension: np.ndarray) -> QpResult:
         """The program in the tensions λ of the stages: v = offset − factor λ."""
         stages, most = self.settings.stages, self.devices.tension_rate * self.stage
-        H, f = self._forecast.cost(begin)
-        scale = -factor.ravel()
-        low = np.zeros(H.shape[0])
+        f, scale = self._forecast.gradient(begin) + self._hessian @ offset.ravel(), -factor.ravel()
+        low = np.zeros(len(f))
         high = np.tile(self._tension_max * self._enabled, stages)
         if self.settings.use is Use.PRESSURE:
             low, high = np.tile(-self._tension_max, stages), np.tile(self._tension_max, stages)  # what pressure shall make
@@ -328,14 +383,14 @@ class Mpc:
         first = tension * self._enabled if self.settings.use is not Use.PRESSURE else tension
         rate_low[:count] += first
         rate_high[:count] += first
-        H, f = H * scale[:, None] * scale, scale * (f + H @ offset.ravel())
         if not np.isfinite(self.settings.corridor):
-            return self._solver.solve(H, f, low, high, rate_low, rate_high)
+            return self._solver.solve(None, scale * f, low, high, rate_low, rate_high)
         horizon, width = self._forecast.horizon, self.settings.corridor
         centre = horizon.tip_free + horizon.tip_answer @ offset.ravel()
         rows = np.vstack([self._rates, horizon.tip_answer * scale])
         row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
-        return self._solver.solve(H, f, low, high, row_low, row_high, rows)
+        H = self._hessian * scale[:, None] * scale
+        return self._solver.solve(H, scale * f, low, high, row_low, row_high, rows)
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:
