@@ -30,50 +30,21 @@ from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.pressure_planner import PressurePlanner
 from tepm_opt.control.qp import QpResult, QpSolver
 from tepm_opt.control.reference import Reference
+from tepm_opt.control.step.compiled import LATE, CompiledStep
+from tepm_opt.control.step.layout import MOST_LATE
+from tepm_opt.control.step.record import Step
+from tepm_opt.control.step.setup import StepSetup
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.outcome import Outcome
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 PERIODS = 2  # of control in a stage of the prediction
-MOST_LATE = 8  # periods by which commands may act later than the robot file says
-LATE = "late"  # why a plan that was found is not used
+TRIALS = 30  # steps in which computing time is measured, of which some first ones do not count
+SLACK = 0.05  # of a period, by which computing time may go beyond whole ones
 
 
 DEFAULT = MpcSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Record of one control step.
-
-    Attributes:
-        period: number of the sample's reference row.
-        estimate: at the sample's time.
-        pressures, tensions: commanded, (actuators,) in Pa and N.
-        moves: how many pressures were moved.
-        unknown: forces with friction that stand against the known ones, (actuators,) in N.
-        plan: tensions of the coming stages, (stages, actuators) in N.
-        outcome: of the quadratic program; the last plan goes on where it is not solved.
-        iterations: of the program.
-        seconds: of the whole step and, of these, of the program.
-    """
-
-    period: int
-    estimate: StateEstimate
-    pressures: np.ndarray
-    tensions: np.ndarray
-    moves: int
-    unknown: np.ndarray
-    plan: np.ndarray
-    outcome: Outcome
-    iterations: int
-    seconds: tuple[float, float]
-
-    def __repr__(self) -> str:
-        took = f"{1e3 * self.seconds[0]:.2g} ms"
-        return f"Step({self.outcome}, period={self.period}, moves={self.moves}, iterations={self.iterations}, took={took})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +90,8 @@ class Mpc:
         reference: targets of the tip.
         settings: of the controller.
 
-    Attributes:
-        last: record of the last step; None before the first one.
-        fallbacks: number of steps that went on with an older plan, by the reason.
+    Raises:
+        InputError: `backend="c"` where the step cannot be in C.
     """
 
     def __init__(self, model: CompiledModel, reference: Reference, settings: MpcSettings = DEFAULT) -> None:
@@ -131,8 +101,9 @@ class Mpc:
         self.period, self.stage = reference.period, PERIODS * reference.period
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
         self.middle = settings.mid_range * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
-        age = robot.tracker.latency_s if robot.tracker else 0.0
-        self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
+        late = (robot.tracker.latency_s if robot.tracker else 0.0) + self.devices.delay
+        took = computing_time(model, reference, settings) if settings.computing is None else settings.computing
+        self.ahead = int(max(np.ceil(late / self.period - 1e-9), np.ceil((late + took) / self.period - SLACK)))
         self._declared = self.ahead
         step = robot.actuation.pressure_step
         self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
@@ -148,8 +119,8 @@ class Mpc:
         self._plan: np.ndarray | None = None
         self._slow, self._extra = np.zeros(half), np.zeros((settings.stages, half))
         self._planned: np.ndarray | None = None
-        self.fallbacks: dict[str, int] = {}
-        self.last: Step | None = None
+        self._fallbacks: dict[str, int] = {}
+        self._last: Step | None = None
         first = self.start()
         inputs = np.concatenate([first.pressures, first.tensions])
         self._enabled = first.enabled.copy()
@@ -165,10 +136,30 @@ class Mpc:
         self._row = 0
         self._ready: _Prepared | None = None
         self._taken: Sample | None = None  # of which noise and doubts have not been told yet
+        setup = StepSetup(
+            model, reference, settings, self._filter, self._pressure_planner, self._tension_max, self.ahead, self._noise.declared, first,
+            self._point(0).model, self._effects.none,
+        )  # fmt: skip
+        self._compiled = CompiledStep.of(setup, self._doubts)
 
     def __repr__(self) -> str:
-        kind = "nonlinear" if self.settings.nonlinear else "linear"
-        return f"Mpc({self.model.robot.name}, {kind}, {self.reference!r}, fallbacks={self.fallbacks})"
+        kind, steps = "nonlinear" if self.settings.nonlinear else "linear", "C" if self.is_c else "Python"
+        return f"Mpc({self.model.robot.name}, {kind} in {steps}, {self.reference!r}, fallbacks={self.fallbacks})"
+
+    @property
+    def is_c(self) -> bool:
+        """Whether it steps in compiled C."""
+        return self._compiled is not None
+
+    @property
+    def last(self) -> Step | None:
+        """Record of the last step; None before the first one."""
+        return self._compiled.last if self._compiled else self._last
+
+    @property
+    def fallbacks(self) -> dict[str, int]:
+        """Number of steps that went on with an older plan, by the reason."""
+        return self._compiled.fallbacks if self._compiled else self._fallbacks
 
     def start(self) -> Command:
         """Set points under which the robot shall rest before the first sample."""
@@ -181,6 +172,8 @@ class Mpc:
 
     def command(self, sample: Sample) -> Command:
         """Set points for a sample; never NaN, always within the limits. What `prepare` has not prepared is prepared first."""
+        if self._compiled:
+            return self._compiled.feedback(sample, self.settings.deadline)
         began = time.perf_counter()
         self._zero = sample.time if self._zero is None else self._zero
         row = max(round((sample.time - self._zero) / self.period), self._row)
@@ -192,11 +185,16 @@ class Mpc:
 
     def prepare(self) -> None:
         """Do what the next sample is not needed for, should it come a period after the last one; best as soon as a command is sent."""
-        self._ready = self._prepared(self._row + (self.last is not None))
+        if self._compiled:
+            self._compiled.prepare()
+        else:
+            self._ready = self._prepared(self._row + (self._last is not None))
 
     def telemetry(self) -> Telemetry:
         """Estimate, quadratic program and moves of the last step, and how often an older plan went on."""
-        step, names = self.last, self.model.layout.actuator_names
+        if self._compiled:
+            return self._compiled.telemetry()
+        step, names = self._last, self.model.layout.actuator_names
         if step is None:
             return Telemetry()
         self._note()
@@ -274,7 +272,7 @@ class Mpc:
         self._sent.forget(sample.time - MOST_LATE * self.period)
         before, self.ahead = self.ahead, min(max(self.ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
         self._sent.shift((self.ahead - before) * self.period)
-        self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
+        self._last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
         return command
 
     def _look_ahead(self, ready: _Prepared, estimate: StateEstimate) -> _Ahead:
@@ -313,7 +311,7 @@ class Mpc:
             self._planned = offset - factor[:stages] * plan
         else:
             reason = result.outcome.ending.value if result.x is None else LATE
-            self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
+            self._fallbacks[reason] = self._fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
         self._forecast.take(self._planned)
         self._plan = plan
@@ -391,6 +389,17 @@ class Mpc:
         row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
         H = self._hessian * scale[:, None] * scale
         return self._solver.solve(H, scale * f, low, high, row_low, row_high, rows)
+
+
+def computing_time(model: CompiledModel, reference: Reference, settings: MpcSettings) -> float:
+    """Longest time in s from a sample to the command of a controller that stands at the start, prepared; at most a period."""
+    trial, took = Mpc(model, reference, replace(settings, deadline=np.inf, computing=0.0)), []
+    for row in range(TRIALS):
+        trial.prepare()
+        began = time.perf_counter()
+        trial.command(Sample(row * reference.period, reference.equilibria[0].points))
+        took.append(time.perf_counter() - began)
+    return min(max(took[TRIALS // 3 :]), reference.period)
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:
