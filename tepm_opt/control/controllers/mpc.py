@@ -103,8 +103,8 @@ class Mpc:
         self.middle = settings.mid_range * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
         late = (robot.tracker.latency_s if robot.tracker else 0.0) + self.devices.delay
         took = computing_time(model, reference, settings) if settings.computing is None else settings.computing
-        self.ahead = int(max(np.ceil(late / self.period - 1e-9), np.ceil((late + took) / self.period - SLACK)))
-        self._declared = self.ahead
+        self._ahead = int(max(np.ceil(late / self.period - 1e-9), np.ceil((late + took) / self.period - SLACK)))
+        self._declared = self._ahead
         step = robot.actuation.pressure_step
         self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
         variables = settings.stages * half
@@ -137,7 +137,7 @@ class Mpc:
         self._ready: _Prepared | None = None
         self._taken: Sample | None = None  # of which noise and doubts have not been told yet
         setup = StepSetup(
-            model, reference, settings, self._filter, self._pressure_planner, self._tension_max, self.ahead, self._noise.declared, first,
+            model, reference, settings, self._filter, self._pressure_planner, self._tension_max, self._ahead, self._noise.declared, first,
             self._point(0).model, self._effects.none,
         )  # fmt: skip
         self._compiled = CompiledStep.of(setup, self._doubts)
@@ -150,6 +150,11 @@ class Mpc:
     def is_c(self) -> bool:
         """Whether it steps in compiled C."""
         return self._compiled is not None
+
+    @property
+    def ahead(self) -> int:
+        """Periods from a sample to when a new command acts, as far as is known."""
+        return self._compiled.ahead if self._compiled else self._ahead
 
     @property
     def last(self) -> Step | None:
@@ -178,7 +183,7 @@ class Mpc:
         self._zero = sample.time if self._zero is None else self._zero
         row = max(round((sample.time - self._zero) / self.period), self._row)
         ready = self._ready
-        if ready is None or (ready.row, ready.ahead) != (row, self.ahead):
+        if ready is None or (ready.row, ready.ahead) != (row, self._ahead):
             ready = self._prepared(row)
         self._ready, self._taken = None, sample
         return self._feedback(ready, sample, began)
@@ -225,7 +230,7 @@ class Mpc:
         """Noise of the tracker and doubts by the last sample."""
         if self._taken is not None:
             self._noise.add(self._taken.points)
-            late = (self.ahead - self._declared) * self.period + self._actuators.late
+            late = (self._ahead - self._declared) * self.period + self._actuators.late
             self._doubted, self._taken = self._doubts.told(self._actuators, self._noise, late), None
 
     def _acting(self, row: int) -> Command:
@@ -245,20 +250,20 @@ class Mpc:
             a, b = reference.at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / self.period
             estimator.predict(known, actuators.tension, rates, self._point(passed + 1))
-        then, seen, directions = self._point(row + self.ahead), estimator.estimate(np.zeros(0)), [estimator.direction]
-        for at in range(row, row + self.ahead):
+        then, seen, directions = self._point(row + self._ahead), estimator.estimate(np.zeros(0)), [estimator.direction]
+        for at in range(row, row + self._ahead):
             a, b = reference.at(np.array([at, at + 1]))
             change = reference.lengths[b] - reference.lengths[a] + self.period * seen.deviation
             directions.append(turned(directions[-1], change, settings.presliding_distance))
         preview, stages = self.settings.pressure_planner.preview, self.settings.stages
-        rows = reference.at(row + self.ahead + PERIODS * np.arange(-1, preview + 2))
+        rows = reference.at(row + self._ahead + PERIODS * np.arange(-1, preview + 2))
         courses = course(directions[-1], np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.presliding_distance)
         foreseen = seen.friction * courses
         factor = 1 + settings.load_share / estimator.middle * foreseen
         self._hessian, scale = self._forecast.prepare(then, reference, rows), factor[:stages].ravel()
         if not np.isfinite(self.settings.corridor):
             self._solver.take(self._hessian * scale[:, None] * scale)
-        return _Prepared(row, self.ahead, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
+        return _Prepared(row, self._ahead, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
 
     def _feedback(self, ready: _Prepared, sample: Sample, began: float) -> Command:
         """From a sample to the command."""
@@ -268,10 +273,10 @@ class Mpc:
         self._effects.advance(self._actuators, self.period)
         estimate = self._estimator.update(sample.points)
         command, step = self._decide(ready, estimate, self._look_ahead(ready, estimate), began)
-        self._sent.add(sample.time + self.ahead * self.period, command)
+        self._sent.add(sample.time + self._ahead * self.period, command)
         self._sent.forget(sample.time - MOST_LATE * self.period)
-        before, self.ahead = self.ahead, min(max(self.ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
-        self._sent.shift((self.ahead - before) * self.period)
+        before, self._ahead = self._ahead, min(max(self._ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
+        self._sent.shift((self._ahead - before) * self.period)
         self._last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
         return command
 

@@ -103,9 +103,7 @@ static int prepare(step *o, long row) {
   }
   look_from(o, then, row + o->ahead);
   condense(o);
-  double *scale = o->factor[0], H[NV][NV];
-  for (int i = 0; i < NV; i++) for (int j = i; j < NV; j++) H[i][j] = o->hessian[i][j] * scale[i] * scale[j];
-  take(&o->best, H, 0);
+  take(&o->best, o->hessian, o->factor[0]);
   o->ready = 1;
   o->ready_row = row;
   return 0;
@@ -328,6 +326,7 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
     for (int k = 0; k < o->sents; k++) o->sent[k].at += (o->ahead - before) * o->set.period;
   }
   memcpy(o->seen[o->samples++ % NOISE_WINDOW], points, sizeof o->seen[0]);
+  o->out.ahead[0] = o->ahead;
   o->out.seconds[0] = since(&began);
   return 0;
 }

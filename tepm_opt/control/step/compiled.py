@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -177,8 +178,8 @@ class CompiledStep:
         model = ModalModel(reference.equilibria[row], basis, weights, values[:modes], damping, drive, observe, gain)
         return Operating(model, reference.forces[row], *discrete, reference.period)
 
-    def _columns(self) -> tuple[list[str], np.ndarray]:
-        """Names of the log's columns, and where their values are among the results."""
+    def _columns(self) -> tuple[list[str], Callable[[list[float]], tuple[float, ...]]]:
+        """Names of the log's columns, and what picks their values from the results."""
         sizes, part = self._setup.sizes, {name: found.start for name, found in self._part.items()}
         tip, friction = part["points"] + 3 * (sizes.points - 1), part["state"] + 2 * sizes.modes + 2 * sizes.actuators
         columns = {f"estimated_tip_{axis}_m": tip + k for k, axis in enumerate("xyz")}
@@ -186,28 +187,25 @@ class CompiledStep:
             columns[f"unknown_force_{name}_N"], columns[f"friction_{name}_N"] = part["against"] + k, friction + k
             columns[f"tension_offset_{name}_N"] = part["tension_offset"] + k
             columns[f"pressure_offset_{name}_Pa"] = part["pressure_offset"] + k
-        named = {"nis": "nis", "coordinates_seen": "seen", "points_refused": "refused", "tracked_noise_m": "noise", "program": "status"}
+        named = {"nis": "nis", "coordinates_seen": "seen", "points_refused": "refusals", "tracked_noise_m": "noise", "program": "status"}
         named |= {"iterations": "iterations", "pressure_moves": "moves", "program_seconds": "seconds"}
         columns |= {name: part[what] for name, what in named.items()}
-        return list(columns), np.array(list(columns.values()))
+        return list(columns), itemgetter(*columns.values())
 
     def telemetry(self) -> Telemetry:
         """See `Mpc.telemetry`; the program's time is that of the whole feedback."""
-        seen, part = self._seen, self._part
-        if seen is None:
+        if self._seen is None:
             return Telemetry()
         self._note(self._at)
-        columns: dict[str, Value] = dict(zip(self._names, seen[self._picked].tolist(), strict=True))
-        now = self._out
-        columns["tracked_noise_m"] = float(now[part["noise"]][0])
-        columns["points_refused"] = float(seen[part["refused"]].sum())
-        columns["program"] = OUTCOMES[int(seen[self._status][0])].ending.value
+        now, part = self._out.tolist(), self._part
+        columns: dict[str, Value] = dict(zip(self._names, self._picked(now), strict=True))
+        columns["program"] = OUTCOMES[int(now[part["status"].start])].ending.value
         doubts: Mapping[str, str] = {}
-        if now[part["doubtful"]][0]:
-            lasting = {kind: now[part[f"lasting_{kind}"]] for kind in ("pressure", "tension")}
-            offsets = {kind: now[part[f"{kind}_offset"]] for kind in lasting}
-            noise = float(now[part["noise"]][0]), float(self._setup.noise)
-            doubts = self._doubts.sentences(lasting, offsets, noise, float(now[part["late"]][0]))
+        if now[part["doubtful"].start]:
+            lasting = {kind: self._out[part[f"lasting_{kind}"]] for kind in ("pressure", "tension")}
+            offsets = {kind: self._out[part[f"{kind}_offset"]] for kind in lasting}
+            noise = now[part["noise"].start], self._setup.noise
+            doubts = self._doubts.sentences(lasting, offsets, noise, now[part["late"].start])
         return Telemetry(columns, dict(self.fallbacks), doubts)
 
 

@@ -88,7 +88,8 @@ static void predict(const step *o, filter *f, double forces[2][NA], const double
     }
   }
   for (int i = 0; i < NQ; i++) for (int j = 0; j < NA; j++) noisy[NQ + i][j] = s->kick * now->drive[i][j];
-  seen_from(o, then, now, turn, shift);
+  if (then->before == now->row && then != now) { memcpy(turn, then->turn, sizeof turn); memcpy(shift, then->shift, sizeof shift); }
+  else seen_from(o, then, now, turn, shift);
   for (int part = 0; part < NX; part += NQ) {
     TIMES(NQ, NQ, NM, turn, A + part, B + part, 0);
     TIMES(NQ, NQ, NA, turn, noisy + part, kick + part, 0);
@@ -142,6 +143,7 @@ static void correct(step *o, filter *f, correction *c, const double *points) {
   const operating *at = f->at;
   double off[NY], S[NY][NY], left[NY][1];
   int count = 0, which[NY];
+  o->out.refusals[0] = 0;
   for (int k = 0; k < NY; k++) {
     off[k] = points[k] - at->points[k] - f->mean[BIAS + k];
     for (int i = 0; i < NQ; i++) off[k] -= at->observe[k][i] * f->mean[i];
@@ -159,7 +161,7 @@ static void correct(step *o, filter *f, correction *c, const double *points) {
     f->outlying[p] = wrong ? f->outlying[p] + 1 : 0;
     int refused = wrong && f->outlying[p] <= o->set.most_rejections;
     c->good[p] = there && !refused;
-    o->out.refused[p] = there && refused;
+    o->out.refusals[0] += o->out.refused[p] = there && refused;
     if (c->good[p]) for (int i = 0; i < 3; i++) which[count++] = 3 * p + i;
   }
   o->out.seen[0] = count;

@@ -24,7 +24,7 @@ static void step_back(horizon *h, const settings *s) {
 
 /* The cost beyond the last stage about another operating point; at first where the recursion ends. */
 static void value(step *o, horizon *h, const operating *before) {
-  double turn[NQ][NQ], T[NZ][NZ], (*V)[NZ] = h->value;
+  double turn[NQ][NQ], shift[NQ], T[NZ][NZ], (*V)[NZ] = h->value;
   if (!before) {
     memset(V, 0, sizeof h->value);
     for (int round = 0; round < 20000; round++) {
@@ -35,7 +35,11 @@ static void value(step *o, horizon *h, const operating *before) {
       if (moved < 1e-14) break;
     }
   } else if (before != h->at) {
-    seen_from(o, h->at, before, turn, 0);
+    seen_from(o, o->beyond.at, before, turn, shift);
+    operating *at = &o->kept[h->at->row % KEPT];
+    memcpy(at->turn, turn, sizeof turn);
+    memcpy(at->shift, shift, sizeof shift);
+    at->before = before->row;
     memcpy(T, V, sizeof T);
     for (int part = 0; part < NX; part += NQ) TIMES(NQ, NQ, NZ, turn, V + part, T + part, 0);
     for (int i = 0; i < NZ; i++)
@@ -140,34 +144,35 @@ static void look_from(step *o, const operating *at, long period) {
 static void condense(step *o) {
   const horizon *h = &o->beyond;
   const settings *s = &o->set;
-  double later[STAGES][NX][NA], seen[STAGES][NQ][NA], ends[STAGES][NX][NA], block[NA][NA];
+  double later[STAGES][NA][NX], A[NX][NX], row[NA][NX], seen[NQ][NV], ends[NX][NV]; /* rows are forces: of `later`, after so many stages */
   double (*H)[NV] = o->hessian, change = 1 / (s->change * s->change), force = 1 / (s->force * s->force);
-  memcpy(later[0], h->end, sizeof later[0]);
-  for (int k = 1; k < STAGES; k++) {
-    if (k == 1) memcpy(later[1], h->start, sizeof later[1]);
-    TIMES(NX, NX, NA, h->A, later[k - 1], later[k], k == 1);
+  for (int i = 0; i < NX; i++) {
+    for (int j = 0; j < NX; j++) A[j][i] = h->A[i][j];
+    for (int j = 0; j < NA; j++) { later[0][j][i] = h->end[i][j]; later[1][j][i] = h->start[i][j]; }
   }
-  for (int k = 0; k < STAGES; k++) {
-    TIMES(NQ, NQ, NA, h->Q, later[k], seen[k], 0);
-    TIMES(NX, NX, NA, h->value, later[k], ends[k], 0);
+  for (int k = 1; k < STAGES; k++) TIMES(NA, NX, NX, later[k - 1], A, later[k], k == 1);
+  for (int k = 0; k < STAGES; k++) { /* the force of stage j acts for STAGES - 1 - j stages */
+    TIMES(NA, NX, NX, later[k], h->value, row, 0);
+    for (int j = 0; j < NA; j++) for (int i = 0; i < NX; i++) ends[i][(STAGES - 1 - k) * NA + j] = row[j][i];
+    if (k == STAGES - 1) break;
+    TIMES(NA, NQ, NQ, later[k], h->Q, row, 0);
+    for (int j = 0; j < NA; j++) for (int i = 0; i < NQ; i++) seen[i][(STAGES - 2 - k) * NA + j] = row[j][i];
   }
-  for (int i = 0; i < NX; i++) for (int j = 0; j < NA; j++) ends[0][i][j] += h->value[i][NX + j]; /* the last force is in the cost beyond */
-  for (int i = STAGES - 1; i >= 0; i--) /* sums over the stages, each block from the one below it */
-    for (int j = i; j < STAGES; j++) {
-      for (int r = 0; r < NA; r++)
-        for (int k = 0; k < NA; k++) block[r][k] = j < STAGES - 1 ? H[(i + 1) * NA + r][(j + 1) * NA + k] : 0;
-      if (j < STAGES - 1) TIMES_BACK(NA, NQ, NA, later[STAGES - 2 - i], seen[STAGES - 2 - j], block, 1);
-      for (int r = 0; r < NA; r++) memcpy(H[i * NA + r] + j * NA, block[r], sizeof block[r]);
+  for (int i = 0; i < NX; i++) for (int j = 0; j < NA; j++) ends[i][NV - NA + j] += h->value[i][NX + j]; /* the last force is in the cost beyond */
+  for (int i = STAGES - 1; i >= 0; i--) { /* sums over the stages, each row of blocks from the one below it */
+    int first = i * NA, left = NV - first;
+    for (int r = 0; r < NA; r++) {
+      double *to = H[first + r] + first;
+      if (left > NA) memcpy(to, H[first + NA + r] + first + NA, (left - NA) * sizeof(double));
+      for (int j = left - NA; j < left; j++) to[j] = 0;
     }
-  for (int i = 0; i < STAGES; i++)
-    for (int j = i; j < STAGES; j++) {
-      TIMES_BACK(NA, NX, NA, later[STAGES - 1 - i], ends[STAGES - 1 - j], block, 0);
-      for (int r = 0; r < NA; r++) for (int k = 0; k < NA; k++) H[i * NA + r][j * NA + k] += block[r][k];
-    }
+    if (left > NA) times(NA, NQ, left - NA, later[STAGES - 2 - i][0], NX, 1, seen[0] + first, NV, H[first] + first, NV, 1);
+  }
+  for (int i = 0; i < STAGES; i++) times(NA, NX, NV - i * NA, later[STAGES - 1 - i][0], NX, 1, ends[0] + i * NA, NV, H[i * NA] + i * NA, NV, 1);
   for (int r = 0; r < NA; r++)
     for (int k = 0; k < NA; k++) {
       double sum = h->value[NX + r][NX + k];
-      for (int i = 0; i < NX; i++) sum += h->value[NX + r][i] * later[0][i][k];
+      for (int i = 0; i < NX; i++) sum += h->value[NX + r][i] * later[0][k][i];
       H[NV - NA + r][NV - NA + k] += sum;
     }
   for (int i = 0; i < NV; i++) {

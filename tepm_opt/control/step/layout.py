@@ -73,7 +73,7 @@ class Sizes:
         """Lengths of what a step leaves, in the order of the structure `outcome`."""
         each = ("pressures", "tensions", "against", "direction", "turning", "deviation", "pressure_offset", "tension_offset")
         each += ("lasting_pressure", "lasting_tension")
-        single = ("row", "status", "iterations", "moves", "nis", "seen", "late", "ahead", "noise", "doubtful", "seconds")
+        single = ("row", "status", "iterations", "moves", "nis", "seen", "late", "ahead", "noise", "doubtful", "seconds", "refusals")
         sizes = dict.fromkeys(each, self.actuators) | dict.fromkeys(single, 1)
         more = {"state": self.state, "points": 3 * self.points, "refused": self.points, "plan": self.stages * self.actuators}
         return sizes | more

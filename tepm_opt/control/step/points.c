@@ -61,7 +61,7 @@ static operating *point(step *o, long period) {
   int first = !o->newest;
   if (first) { memcpy(p->basis, c->basis, sizeof p->basis); memcpy(p->values, c->values, sizeof p->values); }
   else if (p != o->newest) memcpy(p->basis, o->newest->basis, sizeof p->basis);
-  p->row = -1;
+  p->row = p->before = -1;
   p->levels = c->levels + row * NLEVELS;
   if (o->modal(p->levels, c->inputs + row * 2 * NA, c->mapped[row], c->loads + row * NY, c->theta, c->masses, c->by, first ? 0 : SWEEPS,
                o->set.near, p->basis[0], p->values, p->damping[0], p->drive[0], p->observe[0], p->gain[0])) return 0;

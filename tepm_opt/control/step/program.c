@@ -5,7 +5,7 @@
    2022), with a Cholesky factor of the active rows' products, ready before the sample. Row k < NV is x's, row NV + k that of its change
    from the stage before, which for the first stage is in x's own bounds. */
 
-static const double TOLERANCE = 1e-9, DEPENDENT = 1e-11, ALLOWED = 1e-6;
+static const double TOLERANCE = 1e-9, DEPENDENT = 1e-11, ALLOWED = 1e-6, SINGULAR = 1e-9, MOST_MORE = 1e-4; /* as qp.py has them */
 
 /* Elements of a row of unit length from the first one that is not 0 on; returns that one's number. */
 static inline int row_of(const program *p, int row, double *to) {
@@ -23,70 +23,87 @@ static inline int row_at(int active) { return active < 0 ? -active - 1 : active;
 
 /* Takes the row `active` of signed rows in as the last; returns 1 where it depends on the others, whose combination is in `by` then. */
 static int enter(program *p, int active, double *by) {
-  double row[NV], other[NV];
+  double row[NV], other[NV], *to = p->lower[p->count], left = 0;
   int n = p->count, first = row_of(p, row_at(active), row);
-  for (int i = 0; i <= n; i++) {
-    int code = i < n ? p->active[i] : active, at = row_of(p, row_at(code), other), from = at > first ? at : first;
-    double sum = 0;
-    for (int k = from; k < NV; k++) sum += row[k] * other[k];
-    p->gram[n][i] = (code < 0) == (active < 0) ? sum : -sum;
-  }
+  for (int k = first; k < NV; k++) left += row[k] * row[k];
   for (int i = 0; i < n; i++) {
-    double sum = p->gram[n][i];
-    for (int k = 0; k < i; k++) sum -= p->lower[i][k] * p->lower[n][k];
-    p->lower[n][i] = sum / p->lower[i][i];
+    int from = row_of(p, row_at(p->active[i]), other);
+    double sum = 0;
+    for (int k = from > first ? from : first; k < NV; k++) sum += row[k] * other[k];
+    if ((p->active[i] < 0) != (active < 0)) sum = -sum;
+    for (int k = 0; k < i; k++) sum -= p->lower[i][k] * to[k];
+    to[i] = sum / p->lower[i][i];
+    left -= to[i] * to[i];
   }
-  double left = p->gram[n][n];
-  for (int k = 0; k < n; k++) left -= p->lower[n][k] * p->lower[n][k];
   if (n == NV || left < DEPENDENT) {
     for (int i = n - 1; i >= 0; i--) {
-      by[i] = p->lower[n][i];
+      by[i] = to[i];
       for (int k = i + 1; k < n; k++) by[i] -= p->lower[k][i] * by[k];
       by[i] /= p->lower[i][i];
     }
     return 1;
   }
-  p->lower[n][n] = sqrt(left);
+  to[n] = sqrt(left);
   p->active[n] = active;
   p->multiplier[n] = 0;
   p->count++;
   return 0;
 }
 
+/* Takes an active row out; rotations of two columns at a time make the factor triangular again. */
 static void leave(program *p, int which) {
   int n = --p->count;
   for (int i = which; i < n; i++) {
     p->active[i] = p->active[i + 1];
     p->multiplier[i] = p->multiplier[i + 1];
-    memcpy(p->gram[i], p->gram[i + 1], which * sizeof(double));
-    for (int k = which; k <= i; k++) p->gram[i][k] = p->gram[i + 1][k + 1];
+    memcpy(p->lower[i], p->lower[i + 1], (i + 2) * sizeof(double));
   }
-  for (int i = which; i < n; i++)
-    for (int j = 0; j <= i; j++) {
-      double sum = p->gram[i][j];
-      for (int k = 0; k < j; k++) sum -= p->lower[i][k] * p->lower[j][k];
-      p->lower[i][j] = j < i ? sum / p->lower[j][j] : sqrt(most(sum, DEPENDENT));
+  for (int j = which; j < n; j++) {
+    double a = p->lower[j][j], b = p->lower[j][j + 1], length = sqrt(a * a + b * b), c = a / length, s = b / length;
+    for (int i = j; i < n; i++) {
+      double x = p->lower[i][j], y = p->lower[i][j + 1];
+      p->lower[i][j] = c * x + s * y;
+      p->lower[i][j + 1] = c * y - s * x;
     }
+  }
 }
 
-/* Takes a Hessian, of which the upper half is given and destroyed, and the rows that were active before. */
-static void take(program *p, double H[NV][NV], int cold) {
-  double largest = 0, by[NV];
-  for (int i = 0; i < NV; i++) largest = most(largest, H[i][i]);
-  p->status = !isfinite(largest) ? NOT_FINITE : upper(NV, H[0], NV, 1e-9 * largest) ? NOT_CONVEX : SOLVED;
+/* Takes a Hessian, scale[i] scale[j] hessian[i][j], of which the upper half is given, with as little more on its diagonal as makes it
+   definite, and the rows that were active before. */
+static void take(program *p, double hessian[NV][NV], const double *scale) {
+  double largest = 0, more = 0, by[NV], H[NV][NV], (*V)[NV] = p->inverse;
+  for (int i = 0; i < NV; i++) largest = most(largest, hessian[i][i] * scale[i] * scale[i]);
+  for (p->status = NOT_CONVEX; p->status && more <= MOST_MORE && largest > 0 && largest < INFINITY; more = most(SINGULAR, 100 * more)) {
+    for (int i = 0; i < NV; i++) {
+      for (int j = i; j < NV; j++) H[i][j] = hessian[i][j] * (scale[i] * scale[j]);
+      H[i][i] += more * largest;
+    }
+    if (!upper(NV, H[0], NV, SINGULAR * largest)) p->status = SOLVED;
+  }
+  if (!isfinite(largest)) p->status = NOT_FINITE;
   if (p->status) return;
-  double (*V)[NV] = p->inverse;
   p->scale = H[0][0] * H[0][0];
-  memset(V, 0, sizeof p->inverse);
-  for (int i = NV - 1; i >= 0; i--) {
-    double inverse = 1 / H[i][i];
-    V[i][i] = H[0][0] * inverse;
+  for (int i = NV - 1; i >= 0; i -= 2) { /* two rows at once, of which the upper one needs the lower one, too; 0 below the diagonal */
+    int top = i > 0 ? i - 1 : i;
+    double *restrict low = V[i], *restrict high = V[top], inverse = 1 / H[i][i], above = 1 / H[top][top];
+    memset(low + i, 0, (NV - i) * sizeof(double));
+    memset(high + top, 0, (NV - top) * sizeof(double));
     int k = i + 1;
     for (; k + 4 <= NV; k += 4) {
-      double s = H[i][k] * inverse, t = H[i][k + 1] * inverse, u = H[i][k + 2] * inverse, v = H[i][k + 3] * inverse;
-      for (int j = k; j < NV; j++) V[i][j] -= s * V[k][j] + t * V[k + 1][j] + u * V[k + 2][j] + v * V[k + 3][j];
+      double s = H[i][k], t = H[i][k + 1], u = H[i][k + 2], v = H[i][k + 3];
+      double w = H[top][k], x = H[top][k + 1], y = H[top][k + 2], z = H[top][k + 3];
+      for (int j = k; j < NV; j++) {
+        low[j] -= s * V[k][j] + t * V[k + 1][j] + u * V[k + 2][j] + v * V[k + 3][j];
+        high[j] -= w * V[k][j] + x * V[k + 1][j] + y * V[k + 2][j] + z * V[k + 3][j];
+      }
     }
-    for (; k < NV; k++) { double s = H[i][k] * inverse; for (int j = k; j < NV; j++) V[i][j] -= s * V[k][j]; }
+    for (; k < NV; k++) { double s = H[i][k], w = H[top][k]; for (int j = k; j < NV; j++) { low[j] -= s * V[k][j]; high[j] -= w * V[k][j]; } }
+    low[i] = H[0][0];
+    for (int j = i; j < NV; j++) low[j] *= inverse;
+    if (top == i) break;
+    high[top] = H[0][0];
+    for (int j = i; j < NV; j++) high[j] -= H[top][i] * low[j];
+    for (int j = top; j < NV; j++) high[j] *= above;
   }
   for (int i = 0; i < NV; i++) {
     double own = 0, change = 0;
@@ -99,7 +116,7 @@ static void take(program *p, double H[NV][NV], int cold) {
   int before = p->count, codes[NV];
   memcpy(codes, p->active, before * sizeof(int));
   p->count = 0;
-  for (int i = 0; i < before && !cold; i++) enter(p, codes[i], by);
+  for (int i = 0; i < before; i++) enter(p, codes[i], by);
 }
 
 /* One run from the active rows at hand; low and high are those of the 2 NV rows. Returns a status; x and iterations. */

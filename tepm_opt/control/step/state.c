@@ -40,6 +40,8 @@ typedef struct {
   double basis[NCO][NSHAPE], values[NSHAPE], damping[NQ][NQ], drive[NQ][NA], observe[NY][NQ], gain[NY][NA];
   double A[NX][NX], start[NX][NQ], end[NX][NQ], by_start[NX][NA], by_end[NX][NA];
   const double *levels, *forces, *points;
+  long before; /* row of the point from which `turn` and `shift` are known, or -1 */
+  double turn[NQ][NQ], shift[NQ];
 } operating;
 
 typedef struct { double pressure[NA], tension[NA]; } devices;
@@ -67,7 +69,7 @@ typedef struct {
 
 typedef struct {
   int status, active[2 * NV], count; /* number of a row, negative - 1 at its lower bound */
-  double inverse[NV][NV], length[2 * NV], scale, gram[NV][NV], lower[NV][NV], multiplier[NV];
+  double inverse[NV][NV], length[2 * NV], scale, lower[NV + 1][NV + 1], multiplier[NV];
 } program;
 
 typedef struct {
@@ -121,7 +123,8 @@ static inline __attribute__((always_inline)) void times(int n, int k, int m, con
 #define TIMES(n, k, m, a, b, c, keep) times(n, k, m, (a)[0], WIDTH(a), 1, (b)[0], WIDTH(b), (c)[0], WIDTH(c), keep)
 #define TIMES_BACK(n, k, m, a, b, c, keep) times(n, k, m, (a)[0], 1, WIDTH(a), (b)[0], WIDTH(b), (c)[0], WIDTH(c), keep) /* of a transposed */
 
-/* Upper factor of a symmetric matrix in place, rows of which go on `stride`; returns 1 where a pivot is not above `smallest`. */
+/* Upper factor of a symmetric matrix in place, rows of which go on `stride`; returns 1 where a pivot is not above `smallest`. What is
+   left of the diagonal is destroyed. */
 static int upper(int n, double *a, int stride, double smallest) {
   for (int k = 0; k < n; k += 4) {
     int end = k + 4 < n ? k + 4 : n;
@@ -133,11 +136,17 @@ static int upper(int n, double *a, int stride, double smallest) {
       for (int j = r; j < n; j++) row[j] *= inverse;
     }
     if (end - k < 4) break;
-    const double *b = a + k * stride, *c = b + stride, *d = c + stride, *e = d + stride;
-    for (int r = end; r < n; r++) {
-      double *row = a + r * stride, s = b[r], t = c[r], u = d[r], v = e[r];
-      for (int j = r; j < n; j++) row[j] -= s * b[j] + t * c[j] + u * d[j] + v * e[j];
+    const double *restrict b = a + k * stride, *restrict c = b + stride, *restrict d = c + stride, *restrict e = d + stride;
+    int r = end;
+    for (; r + 2 <= n; r += 2) {
+      double *restrict row = a + r * stride, *restrict next = row + stride, s = b[r], t = c[r], u = d[r], v = e[r];
+      double w = b[r + 1], x = c[r + 1], y = d[r + 1], z = e[r + 1];
+      for (int j = r; j < n; j++) {
+        row[j] -= s * b[j] + t * c[j] + u * d[j] + v * e[j];
+        next[j] -= w * b[j] + x * c[j] + y * d[j] + z * e[j];
+      }
     }
+    for (; r < n; r++) a[r * stride + r] -= b[r] * b[r] + c[r] * c[r] + d[r] * d[r] + e[r] * e[r];
   }
   return 0;
 }
