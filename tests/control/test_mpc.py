@@ -27,6 +27,7 @@ from tests.control.study_models import alone, error
 
 ROBOT = load_robot("kang2017")
 STAGES, ROW = 4, 330
+PYTHON = MpcSettings(backend="python")  # for what reaches into a step
 WEIGHTS = Weights()
 
 
@@ -167,7 +168,7 @@ def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, ending: Ending, wh
 @pytest.mark.parametrize("ending", [Ending.INFEASIBLE, Ending.NOT_FINITE, Ending.ITERATION_LIMIT])
 def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, ending):
     """Shifted by a period, half a stage; counted by its reason; when the program works again, its plan counts again."""
-    controller, random = Mpc(kang, short), np.random.default_rng(1)
+    controller, random = Mpc(kang, short, PYTHON), np.random.default_rng(1)
     for row in range(20):
         controller.command(sample_at(short, row, random))
     assert not controller.fallbacks
@@ -187,7 +188,7 @@ def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, end
 
 def test_first_program_fails(kang, short, monkeypatch):
     """Without any plan yet the tensions stay where they are."""
-    controller = Mpc(kang, short)
+    controller = Mpc(kang, short, PYTHON)
     failing(controller, monkeypatch, Ending.FAILED, lambda: True)
     first = controller.start().tensions
     for row in range(5):
@@ -197,7 +198,7 @@ def test_first_program_fails(kang, short, monkeypatch):
 
 def test_program_that_fails_now_and_then(kang, short, monkeypatch):
     """One of twenty, at random, with half of the points lost or wrong: commands are finite and within the limits, all failures counted."""
-    controller, random = Mpc(kang, short), np.random.default_rng(3)
+    controller, random = Mpc(kang, short, PYTHON), np.random.default_rng(3)
     count = failing(controller, monkeypatch, Ending.INFEASIBLE, lambda: random.random() < 0.05)
     for row in range(120):
         sample = sample_at(short, row, random)
@@ -331,7 +332,7 @@ def test_results_say_in_one_line_what_they_are(kang, short, followed):
     controller.command(sample_at(short, 0, np.random.default_rng(1)))
     assert repr(short) == "Reference(4.49 s, 450 periods, counted=100, targets=1)"
     assert repr(followed) == "LoopRecord(done, samples=450, until=4.49 s)"
-    assert repr(controller).startswith("Mpc(kang2017, linear, Reference(")
+    assert repr(controller).startswith(f"Mpc(kang2017, linear in {'C' if controller.is_c else 'Python'}, Reference(")
     assert repr(controller.last).startswith("Step(solved, period=0, moves=")
     assert repr(controller.last.estimate).startswith("StateEstimate(tip=(")
     loop = ClosedLoop.of(followed, kang, LoopSetup(rig="sim <one>"))
@@ -347,7 +348,7 @@ def test_soft_corridor_pulls_the_tip_in(kang, short):
     """From 8 mm beside it and with the error itself cheap: less is planned beyond a corridor that cannot be kept at once; nothing fails."""
     beyond = {}
     for corridor in (np.inf, 1e-3):
-        controller = Mpc(kang, short, MpcSettings(weights=Weights(tip=1e-2), corridor=corridor))
+        controller = Mpc(kang, short, MpcSettings(weights=Weights(tip=1e-2), corridor=corridor, backend="python"))
         for k in range(60):
             controller.command(Sample(k * short.period, short.equilibria[k].points + np.array([8e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4))
         horizon = controller._forecast.horizon

@@ -85,9 +85,12 @@ def test_the_same_in_closed_loop(kang, quick, recorded):
 
 
 def test_the_same_where_tensions_meet_their_bounds(kang, quick, recorded):
-    """With their middle near 0, from 50 mm beside the reference: half of the program's rows are active, and its Hessian comes near singular."""
-    commands = compared(both(kang, quick, MpcSettings(mid_range=0.1)), iter(recorded[250:350]))
-    assert (np.array([command.tensions for command in commands]) < 1e-9).sum() > 20
+    """With their middle near 0, from far beside the reference: half of the program's rows are active, its Hessian is nearly singular."""
+    pair, met = both(kang, quick, MpcSettings(mid_range=0.1)), 0
+    for sample in recorded[250:320]:
+        compared(pair, iter([sample]))
+        met += int((pair[0].last.plan == 0.0).sum())
+    assert met > 100
 
 
 def spoiled(samples: list[Sample], seed: int) -> Iterator[Sample]:
@@ -113,27 +116,33 @@ def spoiled(samples: list[Sample], seed: int) -> Iterator[Sample]:
             yield replace(given, time=zero)  # from long ago
 
 
-@pytest.mark.parametrize(("seed", "prepares"), [(0, True), (1, False)])
-def test_the_same_whatever_is_measured(kang, quick, recorded, seed, prepares):
-    """Prepared for the next period, which does not always come, or when a sample is there."""
+def test_the_same_whatever_is_measured(kang, quick, recorded):
+    """Prepared for the next period, which does not always come."""
     pair = both(kang, quick, MpcSettings())
-    compared(pair, spoiled(recorded, seed), prepares)
-    assert "dynamometer 13" in pair[0].telemetry().doubts
-    assert "tracker noise" in pair[0].telemetry().doubts
+    compared(pair, spoiled(recorded, 0))
+    assert {"dynamometer 13", "tracker noise"} <= set(pair[0].telemetry().doubts)
+
+
+def test_the_same_without_time_to_prepare(kang, quick, recorded):
+    """All of it when the sample is there; the same commands as prepared."""
+    lazy = compared(both(kang, quick, MpcSettings()), iter(recorded[:60]), prepares=False)
+    early = compared(both(kang, quick, MpcSettings()), iter(recorded[:60]))
+    np.testing.assert_array_equal([command.tensions for command in lazy], [command.tensions for command in early])
+    compared(both(kang, quick, MpcSettings()), spoiled(recorded[150:230], 1), prepares=False)
 
 
 def test_the_same_with_late_motors(kang, quick, recorded):
     """Dynamometers that read what was three periods ago: commands act later, which is found out."""
     late = [replace(sample, tensions=recorded[max(k - 3, 0)].tensions) for k, sample in enumerate(recorded)]
     pair = both(kang, quick, MpcSettings())
-    compared(pair, iter(late[:250]))
+    compared(pair, iter(late[:120]))
     assert pair[1].ahead > 2
     assert pair[0].ahead == pair[1].ahead
 
 
 def test_the_same_with_other_settings(kang, quick, recorded):
     """Sizes, weights and what the planner does; a horizon beyond the reference's end."""
-    planner = PressurePlannerSettings(preview=11, slope_window=2, deadband=1.0, quantised=False)
+    planner = PressurePlannerSettings(preview=11, deadband=1.0, quantised=False)
     settings = MpcSettings(stages=8, weights=Weights(tip=2e-3, change=0.3), mid_range=0.3, mid_ranging=False, pressure_planner=planner)
     compared(both(kang, quick, settings), iter(recorded[:40]))
     last = replace(quick, tips=quick.tips[:20], forces=quick.forces[:20], equilibria=quick.equilibria[:20])

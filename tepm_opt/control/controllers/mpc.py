@@ -31,7 +31,7 @@ from tepm_opt.control.pressure_planner import PressurePlanner
 from tepm_opt.control.qp import QpResult, QpSolver
 from tepm_opt.control.reference import Reference
 from tepm_opt.control.step.compiled import LATE, CompiledStep
-from tepm_opt.control.step.layout import MOST_LATE
+from tepm_opt.control.step.layout import MOST_LATE, kept
 from tepm_opt.control.step.record import Step
 from tepm_opt.control.step.setup import StepSetup
 from tepm_opt.hw.rig import Command, Sample
@@ -218,7 +218,7 @@ class Mpc:
     def _point(self, period: int) -> Operating:
         """Local model of the network about the reference at a period."""
         row = int(self.reference.at(period))
-        slot = row % (self._declared + MOST_LATE + 4)  # more than lie between an estimate and the point that is looked ahead to
+        slot = row % kept(self._declared)
         at, found = self._operating.get(slot, (-1, None))
         if found is None or at != row:
             self._newest = modal_model(self.reference.equilibria[row], self._newest)

@@ -82,7 +82,7 @@ class Sizes:
         """The C text, for settings of these names; their values are told later."""
         macros = {
             "NA": self.actuators, "NP": self.points, "NQ": self.modes, "NSHAPE": self.shapes, "NCO": self.free, "NLEVELS": self.levels,
-            "STAGES": self.stages, "PREVIEW": self.preview, "WINDOW": self.window, "KEPT": self.ahead + MOST_LATE + 4,
+            "STAGES": self.stages, "PREVIEW": self.preview, "WINDOW": self.window, "KEPT": kept(self.ahead),
             "SWEEPS": SWEEPS, "NOISE_WINDOW": WINDOW, "NOISE_EVERY": EVERY, "MOST_LATE": MOST_LATE, "MOST_ITERATIONS": ITERATIONS,
         }  # fmt: skip
         lines = [f"#define {name} {value}" for name, value in macros.items()]
@@ -90,6 +90,11 @@ class Sizes:
         lines += [_structure("outcome", self.results)]
         folder = resources.files("tepm_opt.control.step")
         return "\n".join((*lines, *((folder / name).read_text(encoding="utf-8") for name in FILES)))
+
+
+def kept(ahead: int) -> int:
+    """Operating points that are kept, more than lie between an estimate and the point that is looked ahead to, `ahead` periods or more."""
+    return 16 * -(-(ahead + MOST_LATE + 4) // 16)
 
 
 def _structure(name: str, sizes: Mapping[str, int]) -> str:
