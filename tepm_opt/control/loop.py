@@ -247,7 +247,7 @@ def _closed(
     sample: Sample,
 ) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
-    reference, zero, row, prepares = controller.reference, sample.time, -1, isinstance(controller, Prepares)
+    reference, zero, row = controller.reference, sample.time, -1
     while (now := round((sample.time - zero) / reference.period)) < len(reference):
         if now > row:  # a rig may be faster than the control period
             row = now
@@ -255,7 +255,7 @@ def _closed(
             command = controller.command(sample)
             seconds = time.perf_counter() - began
             rig.apply(command)
-            if prepares:
+            if isinstance(controller, Prepares):
                 began = time.perf_counter()
                 controller.prepare()
                 seconds += time.perf_counter() - began

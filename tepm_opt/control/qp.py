@@ -124,9 +124,10 @@ class QpSolver:
         if factor is None:
             self._taken = _NOT_CONVEX if np.isfinite(H).all() else _NOT_FINITE
             return
-        self._inverse, n = _inverse(factor, lower=1)[0], self.variables
+        self._inverse = inverse = np.asarray(_inverse(factor, lower=1)[0])
+        n = self.variables
         self._scale = float(factor[0, 0]) ** 2
-        np.multiply(self._inverse.T, factor[0, 0], out=self._M[:n])  # rows neither long nor short, whatever the unit of the cost
+        np.multiply(inverse.T, factor[0, 0], out=self._M[:n])  # rows neither long nor short, whatever the unit of the cost
         self._M[n:] = self._rows @ self._M[:n]
         self._taken = _SOLVED
 

@@ -148,7 +148,7 @@ class Fixed:
 
 @lru_cache(maxsize=8)
 def fixed_part(model: CompiledModel) -> Fixed:
-    """Of a model; what effects make of masses and of the points is taken without inputs."""
+    """What does not change of a model; what effects make of masses and of the points is taken without inputs."""
     layout, stepper = model.layout, model.reference_stepper
     count, block = layout.levels * layout.block, layout.block
     properties = stepper.value("properties", np.zeros(layout.inputs), np.zeros((layout.points, 3)), model.theta)

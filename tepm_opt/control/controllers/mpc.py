@@ -15,12 +15,12 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, InputEffects, Sent
-from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, Value, own_settings
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, own_settings
 from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, LinearForecast
@@ -32,54 +32,19 @@ from tepm_opt.control.qp import QpResult, QpSolver
 from tepm_opt.control.reference import Reference
 from tepm_opt.control.step.compiled import LATE, CompiledStep
 from tepm_opt.control.step.layout import MOST_LATE, kept
-from tepm_opt.control.step.record import Step
+from tepm_opt.control.step.record import Ahead, Prepared, Step, columns_of
 from tepm_opt.control.step.setup import StepSetup
+from tepm_opt.control.step.timing import computing_time
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 PERIODS = 2  # of control in a stage of the prediction
-TRIALS = 30  # steps in which computing time is measured, of which some first ones do not count
 SLACK = 0.05  # of a period, by which computing time may go beyond whole ones
 
 
 DEFAULT = MpcSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """What is ready before a sample.
-
-    Attributes:
-        row: of the reference, at which the sample is expected; `ahead` periods later a new command can act.
-        ahead: as of then.
-        estimator, actuators: brought up to the sample's time.
-        then: operating point when a new command can act.
-        directions: which way friction pulls after each period until then, (ahead, actuators).
-        courses: and over the coming stages, (preview, actuators).
-        foreseen: friction there as far as known before the sample, (preview, actuators) in N.
-        factor: of the tensions by it, (preview, actuators).
-    """
-
-    row: int
-    ahead: int
-    estimator: Estimator
-    actuators: Actuators
-    then: Operating
-    directions: np.ndarray
-    courses: np.ndarray
-    foreseen: np.ndarray
-    factor: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class _Ahead:
-    """What will be when a new command can act: [q, q'] about the operating point, the actuators, which way hysteresis pulls."""
-
-    motion: np.ndarray
-    actuators: Actuators
-    turning: np.ndarray
 
 
 class Mpc:
@@ -102,7 +67,9 @@ class Mpc:
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
         self.middle = settings.mid_range * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
         late = (robot.tracker.latency_s if robot.tracker else 0.0) + self.devices.delay
-        took = computing_time(model, reference, settings) if settings.computing is None else settings.computing
+        took = settings.computing
+        if took is None:
+            took = computing_time(Mpc(model, reference, replace(settings, deadline=np.inf, computing=0.0)))
         self._ahead = int(max(np.ceil(late / self.period - 1e-9), np.ceil((late + took) / self.period - SLACK)))
         self._declared = self._ahead
         step = robot.actuation.pressure_step
@@ -134,7 +101,7 @@ class Mpc:
         self._estimator = Estimator(self._point(0), self._noise.declared, middle, self._filter)
         self._zero: float | None = None
         self._row = 0
-        self._ready: _Prepared | None = None
+        self._ready: Prepared | None = None
         self._taken: Sample | None = None  # of which noise and doubts have not been told yet
         setup = StepSetup(
             model, reference, settings, self._filter, self._pressure_planner, self._tension_max, self._ahead, self._noise.declared, first,
@@ -203,15 +170,7 @@ class Mpc:
         if step is None:
             return Telemetry()
         self._note()
-        estimate = step.estimate
-        columns: dict[str, Value] = {f"estimated_tip_{axis}_m": float(estimate.points[-1, k]) for k, axis in enumerate("xyz")}
-        for k, name in enumerate(names):
-            columns[f"unknown_force_{name}_N"] = float(step.unknown[k])
-            columns[f"friction_{name}_N"] = float(estimate.friction[k])
-            columns[f"tension_offset_{name}_N"] = float(self._actuators.tension_offset[k])
-            columns[f"pressure_offset_{name}_Pa"] = float(self._actuators.pressure_offset[k])
-        columns |= {"nis": float(estimate.nis), "coordinates_seen": float(estimate.seen), "points_refused": float(estimate.refused.sum())}
-        columns |= {"tracked_noise_m": self._noise.measured}
+        columns = columns_of(step, names, self._actuators) | {"tracked_noise_m": self._noise.measured}
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), self._doubted)
 
@@ -238,7 +197,7 @@ class Mpc:
         start = (self._zero or 0.0) + row * self.period
         return self._sent.between(start, start + self.period)
 
-    def _prepared(self, row: int) -> _Prepared:
+    def _prepared(self, row: int) -> Prepared:
         """Prepare for a sample at a row of the reference."""
         self._note()
         reference, settings = self.reference, self._filter
@@ -263,9 +222,9 @@ class Mpc:
         self._hessian, scale = self._forecast.prepare(then, reference, rows), factor[:stages].ravel()
         if not np.isfinite(self.settings.corridor):
             self._solver.take(self._hessian * scale[:, None] * scale)
-        return _Prepared(row, self._ahead, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
+        return Prepared(row, self._ahead, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
 
-    def _feedback(self, ready: _Prepared, sample: Sample, began: float) -> Command:
+    def _feedback(self, ready: Prepared, sample: Sample, began: float) -> Command:
         """From a sample to the command."""
         passed, self._row = ready.row - self._row, ready.row
         self._estimator, self._actuators = ready.estimator, ready.actuators
@@ -280,7 +239,7 @@ class Mpc:
         self._last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
         return command
 
-    def _look_ahead(self, ready: _Prepared, estimate: StateEstimate) -> _Ahead:
+    def _look_ahead(self, ready: Prepared, estimate: StateEstimate) -> Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
         now, actuators = estimate.operating, self._actuators.copy()
         actuators.area = self.area * (1 + estimate.strength)
@@ -291,9 +250,9 @@ class Mpc:
             turning = turned(turning, self.area * (actuators.pressure - before), self._filter.hysteresis_width)
             friction = estimate.friction * direction * self._estimator.loaded(actuators.tension) + estimate.hysteresis * turning
             motion = now.advance(motion, known + self._effects.forces + estimate.unknown - friction)
-        return _Ahead(now.turned(motion, ready.then), actuators, turning)
+        return Ahead(now.turned(motion, ready.then), actuators, turning)
 
-    def _decide(self, ready: _Prepared, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
+    def _decide(self, ready: Prepared, estimate: StateEstimate, ahead: Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
         settings, horizon, share = self.settings, self._forecast.horizon, self._filter.load_share
         stages, actuators, direction = settings.stages, ahead.actuators, ready.directions[-1]
@@ -394,17 +353,6 @@ class Mpc:
         row_low, row_high = np.append(rate_low, -width - centre), np.append(rate_high, width - centre)
         H = self._hessian * scale[:, None] * scale
         return self._solver.solve(H, scale * f, low, high, row_low, row_high, rows)
-
-
-def computing_time(model: CompiledModel, reference: Reference, settings: MpcSettings) -> float:
-    """Longest time in s from a sample to the command of a controller that stands at the start, prepared; at most a period."""
-    trial, took = Mpc(model, reference, replace(settings, deadline=np.inf, computing=0.0)), []
-    for row in range(TRIALS):
-        trial.prepare()
-        began = time.perf_counter()
-        trial.command(Sample(row * reference.period, reference.equilibria[0].points))
-        took.append(time.perf_counter() - began)
-    return min(max(took[TRIALS // 3 :]), reference.period)
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:

@@ -111,7 +111,7 @@ class CompiledStep:
             raise InputError(_NOWHERE)
 
     def feedback(self, sample: Sample, deadline: float) -> Command:
-        """From a sample to the command; after a deadline in s the last plan goes on.
+        """Command for a sample; after a deadline in s the last plan goes on.
 
         Raises:
             InputError: points of another shape, or an equilibrium of the reference is not stable.
@@ -176,7 +176,8 @@ class CompiledStep:
         basis, values, damping, drive, observe, gain, *discrete = found
         weights, row = basis[:, :modes].T * self._held["masses"], int(reference.at(row))
         model = ModalModel(reference.equilibria[row], basis, weights, values[:modes], damping, drive, observe, gain)
-        return Operating(model, reference.forces[row], *discrete, reference.period)
+        A, start, end = discrete
+        return Operating(model, reference.forces[row], A, start, end, reference.period)
 
     def _columns(self) -> tuple[list[str], Callable[[list[float]], tuple[float, ...]]]:
         """Names of the log's columns, and what picks their values from the results."""
