@@ -55,6 +55,9 @@ class Mpc:
         reference: targets of the tip.
         settings: of the controller.
 
+    Attributes:
+        setup: what a step in C is made of.
+
     Raises:
         InputError: `backend="c"` where the step cannot be in C.
     """
@@ -103,11 +106,11 @@ class Mpc:
         self._row = 0
         self._ready: Prepared | None = None
         self._taken: Sample | None = None  # of which noise and doubts have not been told yet
-        setup = StepSetup(
+        self.setup = StepSetup(
             model, reference, settings, self._filter, self._pressure_planner, self._tension_max, self._ahead, self._noise.declared, first,
             self._point(0).model, self._effects.none,
         )  # fmt: skip
-        self._compiled = CompiledStep.of(setup, self._doubts)
+        self._compiled = CompiledStep.of(self.setup, self._doubts)
 
     def __repr__(self) -> str:
         kind, steps = "nonlinear" if self.settings.nonlinear else "linear", "C" if self.is_c else "Python"

@@ -40,10 +40,7 @@ MAX_CORRECTION = 5e-3
 """m from its extrapolation within which a solution of Newton's method is believed; farther ones halve the step."""
 STAYS = 1e12
 """N/m of what nothing holds in a motion's first equilibrium: its derivatives say that it stays where it begins."""
-MODES = 10
-"""Modes of the slow motion about an equilibrium that controllers count with."""
-GUARDS = 4
-"""Shapes beyond the modes that are carried along, so that the last modes converge as the first."""
+MODES, GUARDS = 10, 4  # of the slow motion about an equilibrium; shapes beyond them that are carried along, so that the last converge
 IMPLICIT, EXPLICIT = range(2)
 
 
