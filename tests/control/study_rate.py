@@ -1,7 +1,7 @@
-"""Whether the compiled step holds a rate beside the simulated rig: `python -m tests.control.study_rate HERTZ SECONDS`.
+"""Whether the compiled step holds a rate beside the simulated rig: `python -m tests.control.study_rate HERTZ SECONDS [alone]`.
 
 The rig goes on in another process, in real time; the controller's own waits for samples, answers, prepares, and lets the command line's
-journal write. Prints how many commands came after the next sample was due, quantiles of feedback and step, and the machine's load.
+journal write (not with "alone"). Prints how many commands came after the next sample was due, quantiles of feedback and step, and the machine's load.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.control.controllers.mpc import Mpc, MpcSettings
-from tepm_opt.control.loop import LoopRecord, _note, _uncollected
+from tepm_opt.control.loop import LoopRecord, _note, undisturbed
 from tepm_opt.control.reference import along, reference_of
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -26,6 +26,8 @@ from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.mpc import _kept
 from tepm_opt.solvers.trajectories import circle
 from tests.control.study import model
+
+SPIN = 2e-4  # s before a sample is due, from which the simulation does not sleep
 
 
 def rig_of(rate: float) -> SimulatedRig:
@@ -42,6 +44,7 @@ def simulate(pipe: Connection, rate: float, samples: int, first: Command) -> Non
     pipe.send(None)
     began = time.perf_counter() + 0.5
     for k in range(samples):
+        time.sleep(max(began + k / rate - time.perf_counter() - SPIN, 0.0))
         while time.perf_counter() < began + k / rate:
             pass
         late += time.perf_counter() > began + (k + 0.5) / rate
@@ -52,7 +55,7 @@ def simulate(pipe: Connection, rate: float, samples: int, first: Command) -> Non
     pipe.send(late)
 
 
-def main(rate: float, seconds: float) -> None:
+def main(rate: float, seconds: float, journal: bool) -> None:
     """Print what came out."""
     period, samples = 1 / rate, round(rate * seconds)
     tips, counted = along(circle(400), laps=max(seconds - 2, 1) / 8, period=period)
@@ -66,11 +69,10 @@ def main(rate: float, seconds: float) -> None:
     took: list[tuple[float, float, float]] = []
 
     def row(number: int) -> ClosedLoop:
-        last = LoopRecord(reference, *(getattr(done, name)[number : number + 1] for name in list(vars(done))[1:-1]))
-        return ClosedLoop.of(last, model(), LoopSetup())
+        return ClosedLoop.of(done, model(), LoopSetup(), rows=slice(number, number + 1))
 
     controller.prepare()
-    with tempfile.TemporaryDirectory() as folder, _uncollected(), _kept(Path(folder), row) as keep:
+    with tempfile.TemporaryDirectory() as folder, undisturbed(), _kept(Path(folder) if journal else None, row) as keep:
         for k in range(samples):
             sample: Sample
             sample, sent = here.recv()
@@ -94,4 +96,4 @@ def main(rate: float, seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]), float(sys.argv[2]))
+    main(float(sys.argv[1]), float(sys.argv[2]), "alone" not in sys.argv)

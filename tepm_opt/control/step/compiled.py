@@ -56,10 +56,13 @@ class CompiledStep:
         p, d = ctypes.c_void_p, ctypes.c_double
         library.step_size.restype = library.step_outcome.restype = ctypes.c_long
         library.step_open.argtypes, library.step_open.restype = [p, p, p, p, p, p, ctypes.c_int], None
-        self._prepare, self._feedback, self._note, self._point = (getattr(library, name) for name in SYMBOLS[3:])
-        self._prepare.argtypes = self._note.argtypes = [p]
-        self._feedback.argtypes, self._point.argtypes = [p, d, d, p, p, p], [p, p]
-        self._note.restype = self._point.restype = None
+        # calls that keep the interpreter's lock: a thread that has it for long (the journal's) would make the command late
+        takes = {"step_prepare": [p], "step_feedback": [p, d, d, p, p, p]}
+        self._prepare, self._feedback = (
+            ctypes.PYFUNCTYPE(ctypes.c_int, *kinds)(ctypes.cast(getattr(library, name), p).value) for name, kinds in takes.items()
+        )
+        self._note = ctypes.PYFUNCTYPE(None, p)(ctypes.cast(library.step_note, p).value)
+        self._point = ctypes.PYFUNCTYPE(None, p, p)(ctypes.cast(library.step_point, p).value)
         self._memory = np.zeros(library.step_size() + ALIGNED, np.uint8)
         begin = -self._memory.ctypes.data % ALIGNED
         self._at = self._memory.ctypes.data + begin
