@@ -1,7 +1,8 @@
 """Whether the compiled step holds a rate beside the simulated rig: `python -m tests.control.study_rate HERTZ SECONDS [alone]`.
 
 The rig goes on in another process, in real time; the controller's own waits for samples, answers, prepares, and lets the command line's
-journal write (not with "alone"). Prints how many commands came after the next sample was due, quantiles of feedback and step, and the machine's load.
+journal write (not with "alone"). Prints how many commands came after the next sample was due, quantiles of feedback and step, and the
+machine's load.
 """
 
 from __future__ import annotations

@@ -90,7 +90,10 @@ static int prepare(step *o, long row) {
   memcpy(direction, f->direction, sizeof direction);
   for (int k = 0; k < o->ahead; k++) {
     const double *l = c->lengths + at_row(o, row + k) * NA, *m = c->lengths + at_row(o, row + k + 1) * NA;
-    for (int j = 0; j < NA; j++) o->directions[k][j] = direction[j] = turned(direction[j], m[j] - l[j] + s->period * f->deviation[j], s->presliding);
+    for (int j = 0; j < NA; j++) {
+      double change = m[j] - l[j] + s->period * f->deviation[j];
+      o->directions[k][j] = direction[j] = turned(direction[j], change, s->presliding);
+    }
   }
   for (int k = 0; k < PREVIEW; k++) {
     long at = row + o->ahead + PERIODS * k;
@@ -114,7 +117,8 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
                            double still[PREVIEW][NA], double *pressures, double reached[STAGES][NA]) {
   const settings *s = &o->set;
   const horizon *h = &o->beyond;
-  const double *now = o->sent[o->sents - 1].command.pressure, *mean = o->filters[o->now].mean, part = least(1, h->speed / s->full_feedback_speed);
+  const double *now = o->sent[o->sents - 1].command.pressure, *mean = o->filters[o->now].mean;
+  double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
@@ -171,7 +175,8 @@ static void decide(step *o, const double *motion, const devices *acted, const do
     for (int j = 0; j < NA; j++) still[k][j] = mean[FRICTION + j] * o->courses[k][j] - s->load_share * o->foreseen[k][j];
   plan_pressures(o, acted, area, turning, rest_force, still, command.pressure, reached);
   for (int j = 0; j < NA; j++) {
-    double unknown = mean[FORCE + j], friction = mean[FRICTION + j], hysteresis = mean[HYSTERESIS + j], way = turning[j], before = acted->pressure[j];
+    double unknown = mean[FORCE + j], friction = mean[FRICTION + j], hysteresis = mean[HYSTERESIS + j];
+    double way = turning[j], before = acted->pressure[j];
     begin[j] = area[j] * acted->pressure[j] - acted->tension[j] + unknown - h->forces[0][j] - hysteresis * turning[j]
              - friction * direction[j] * loaded(o, acted->tension[j]);
     for (int k = 0; k < STAGES; k++) {
@@ -241,7 +246,8 @@ long step_size(void) { return sizeof(step); }
 long step_outcome(void) { return offsetof(step, out); }
 
 /* A controller at rest under its first commands, on a course that stays where it is. */
-void step_open(step *o, const settings *set, const course *way, linearise *modal, const double *pressures, const double *tensions, int ahead) {
+void step_open(step *o, const settings *set, const course *way, linearise *modal, const double *pressures, const double *tensions,
+               int ahead) {
   memset(o, 0, sizeof *o);
   o->set = *set;
   o->way = *way;

@@ -16,7 +16,8 @@ static void step_back(horizon *h, const settings *s) {
   upper(NA, inner[0], NA, 0);
   backed(NA, inner[0], NA, NZ, gain[0], NZ, 1); /* of the value, the square of this goes off */
   TIMES_BACK(NZ, NZ, NZ, F, G, V, 0);
-  for (int k = 0; k < NA; k++) for (int i = 0; i < NZ; i++) { double t = gain[k][i]; for (int j = 0; j < NZ; j++) V[i][j] -= t * gain[k][j]; }
+  for (int k = 0; k < NA; k++)
+    for (int i = 0; i < NZ; i++) { double t = gain[k][i]; for (int j = 0; j < NZ; j++) V[i][j] -= t * gain[k][j]; }
   for (int i = 0; i < NQ; i++) for (int j = 0; j < NQ; j++) V[i][j] += h->Q[i][j];
   for (int j = 0; j < NA; j++) V[NX + j][NX + j] += 1 / (s->force * s->force);
   for (int i = 0; i < NZ; i++) for (int j = 0; j < i; j++) V[i][j] = V[j][i] = (V[i][j] + V[j][i]) / 2;
@@ -61,7 +62,8 @@ static void look_from(step *o, const operating *at, long period) {
   const course *c = &o->way;
   double duration = PERIODS * s->period, first[NX][NQ], last[NX][NQ], T[NX][NX], path[PREVIEW + 3][NQ], drift[PREVIEW + 1][NQ];
   h->at = at;
-  for (int i = 0; i < NX; i++) for (int j = 0; j < NQ; j++) { T[i][j] = at->start[i][j] + at->end[i][j] / 2; T[i][NQ + j] = at->end[i][j] / 2; }
+  for (int i = 0; i < NX; i++)
+    for (int j = 0; j < NQ; j++) { T[i][j] = at->start[i][j] + at->end[i][j] / 2; T[i][NQ + j] = at->end[i][j] / 2; }
   double both[NX][NX];
   TIMES(NX, NX, NX, at->A, T, both, 0);
   for (int i = 0; i < NX; i++)
@@ -126,7 +128,10 @@ static void look_from(step *o, const operating *at, long period) {
   const double (*gain)[NA] = at->gain + NY - 3;
   for (int i = 0; i < 3; i++) {
     memcpy(back[i], gain[i], sizeof back[i]);
-    for (int j = 0; j < 3; j++) { tip[i][j] = i == j ? s->nothing * s->nothing : 0; for (int k = 0; k < NA; k++) tip[i][j] += gain[i][k] * gain[j][k]; }
+    for (int j = 0; j < 3; j++) {
+      tip[i][j] = i == j ? s->nothing * s->nothing : 0;
+      for (int k = 0; k < NA; k++) tip[i][j] += gain[i][k] * gain[j][k];
+    }
   }
   upper(3, tip[0], 3, 0);
   backed(3, tip[0], 3, NA, back[0], NA, 0);
@@ -158,7 +163,8 @@ static void condense(step *o) {
     TIMES(NA, NQ, NQ, later[k], h->Q, row, 0);
     for (int j = 0; j < NA; j++) for (int i = 0; i < NQ; i++) seen[i][(STAGES - 2 - k) * NA + j] = row[j][i];
   }
-  for (int i = 0; i < NX; i++) for (int j = 0; j < NA; j++) ends[i][NV - NA + j] += h->value[i][NX + j]; /* the last force is in the cost beyond */
+  for (int i = 0; i < NX; i++) /* the last force is in the cost beyond */
+    for (int j = 0; j < NA; j++) ends[i][NV - NA + j] += h->value[i][NX + j];
   for (int i = STAGES - 1; i >= 0; i--) { /* sums over the stages, each row of blocks from the one below it */
     int first = i * NA, left = NV - first;
     for (int r = 0; r < NA; r++) {
@@ -168,7 +174,7 @@ static void condense(step *o) {
     }
     if (left > NA) times(NA, NQ, left - NA, later[STAGES - 2 - i][0], NX, 1, seen[0] + first, NV, H[first] + first, NV, 1);
   }
-  for (int i = 0; i < STAGES; i++) times(NA, NX, NV - i * NA, later[STAGES - 1 - i][0], NX, 1, ends[0] + i * NA, NV, H[i * NA] + i * NA, NV, 1);
+  for (int i = 0; i < NV; i += NA) times(NA, NX, NV - i, later[STAGES - 1 - i / NA][0], NX, 1, ends[0] + i, NV, H[i] + i, NV, 1);
   for (int r = 0; r < NA; r++)
     for (int k = 0; k < NA; k++) {
       double sum = h->value[NX + r][NX + k];
@@ -199,7 +205,8 @@ static void gradient(const step *o, const double *state, const double *begin, do
     }
     TIMES(1, NX, NX, x + k, turned_A, x + k + 1, 1);
   }
-  for (int i = 0; i < NZ; i++) left[i] = i < NQ ? x[STAGES][i] - rest[i] : i < NX ? x[STAGES][i] : v[STAGES - 1][i - NX] - rest_force[i - NX];
+  for (int i = 0; i < NX; i++) left[i] = x[STAGES][i] - (i < NQ ? rest[i] : 0);
+  for (int j = 0; j < NA; j++) left[NX + j] = v[STAGES - 1][j] - rest_force[j];
   for (int k = 0; k < STAGES; k++)
     for (int j = 0; j < NA; j++) {
       double at = v[k][j];

@@ -97,7 +97,10 @@ static void take(program *p, double hessian[NV][NV], const double *scale) {
         high[j] -= w * V[k][j] + x * V[k + 1][j] + y * V[k + 2][j] + z * V[k + 3][j];
       }
     }
-    for (; k < NV; k++) { double s = H[i][k], w = H[top][k]; for (int j = k; j < NV; j++) { low[j] -= s * V[k][j]; high[j] -= w * V[k][j]; } }
+    for (; k < NV; k++) {
+      double s = H[i][k], w = H[top][k];
+      for (int j = k; j < NV; j++) { low[j] -= s * V[k][j]; high[j] -= w * V[k][j]; }
+    }
     low[i] = H[0][0];
     for (int j = i; j < NV; j++) low[j] *= inverse;
     if (top == i) break;

@@ -121,7 +121,8 @@ static inline __attribute__((always_inline)) void times(int n, int k, int m, con
 }
 #define WIDTH(a) (sizeof *(a) / sizeof(double))
 #define TIMES(n, k, m, a, b, c, keep) times(n, k, m, (a)[0], WIDTH(a), 1, (b)[0], WIDTH(b), (c)[0], WIDTH(c), keep)
-#define TIMES_BACK(n, k, m, a, b, c, keep) times(n, k, m, (a)[0], 1, WIDTH(a), (b)[0], WIDTH(b), (c)[0], WIDTH(c), keep) /* of a transposed */
+/* of a transposed: */
+#define TIMES_BACK(n, k, m, a, b, c, keep) times(n, k, m, (a)[0], 1, WIDTH(a), (b)[0], WIDTH(b), (c)[0], WIDTH(c), keep)
 
 /* Upper factor of a symmetric matrix in place, rows of which go on `stride`; returns 1 where a pivot is not above `smallest`. What is
    left of the diagonal is destroyed. */

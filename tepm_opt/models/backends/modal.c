@@ -89,7 +89,8 @@ static int reduced(double k[NWIDE][NWIDE], double m[NWIDE][NWIDE], double y[NWID
   return 0;
 }
 
-/* One way from the basis to a better one: loads, solutions, the reduced problem. Returns whether the modes have converged, -1 if it fails. */
+/* One way from the basis to a better one: loads, solutions, the reduced problem. Returns whether the modes have
+   converged, -1 if it fails. */
 static int sweep_shapes(modal_work *o, const double *masses, double near, double *basis, double *values) {
   for (int g = 0; g < NSV; g++) {
     for (int c = 0; c < NCO; c++)
@@ -174,11 +175,12 @@ int modal(const double *x, const double *u, int mapped, const double *external, 
         double span[3], length = 0;
         for (int k = 0; k < 3; k++) { span[k] = w->x[s + 1][3 * j + k] - w->x[s][3 * j + k]; length += span[k] * span[k]; }
         for (int k = 0; k < 3; k++) {
+          const double *at = basis + (s * NB + 3 * j + k) * NSHAPE;
           double along = span[k] / sqrt(length), *upper = (double *)&o->axial[which / LANES][s + 1][3 * j + k];
           upper[which % LANES] += along;
           if (s) ((double *)&o->axial[which / LANES][s][3 * j + k])[which % LANES] -= along;
           for (int i = 0; i < NMODE; i++)
-            drive[i * NACT + which] += along * (basis[(s * NB + 3 * j + k) * NSHAPE + i] - (s ? basis[((s - 1) * NB + 3 * j + k) * NSHAPE + i] : 0));
+            drive[i * NACT + which] += along * (at[i] - (s ? at[i - NB * NSHAPE] : 0));
         }
       }
     for (int g = 0; g < NAV; g++) solve(w, o->axial[g]);
