@@ -58,11 +58,9 @@ class CompiledStep:
         library.step_open.argtypes, library.step_open.restype = [p, p, p, p, p, p, ctypes.c_int], None
         # calls that keep the interpreter's lock: a thread that has it for long (the journal's) would make the command late
         takes = {"step_prepare": [p], "step_feedback": [p, d, d, p, p, p]}
-        self._prepare, self._feedback = (
-            ctypes.PYFUNCTYPE(ctypes.c_int, *kinds)(ctypes.cast(getattr(library, name), p).value) for name, kinds in takes.items()
-        )
-        self._note = ctypes.PYFUNCTYPE(None, p)(ctypes.cast(library.step_note, p).value)
-        self._point = ctypes.PYFUNCTYPE(None, p, p)(ctypes.cast(library.step_point, p).value)
+        self._prepare, self._feedback = (ctypes.PYFUNCTYPE(ctypes.c_int, *kinds)(_address(library, name)) for name, kinds in takes.items())
+        self._note = ctypes.PYFUNCTYPE(None, p)(_address(library, "step_note"))
+        self._point = ctypes.PYFUNCTYPE(None, p, p)(_address(library, "step_point"))
         self._memory = np.zeros(library.step_size() + ALIGNED, np.uint8)
         begin = -self._memory.ctypes.data % ALIGNED
         self._at = self._memory.ctypes.data + begin
@@ -211,6 +209,11 @@ class CompiledStep:
             noise = now[part["noise"].start], self._setup.noise
             doubts = self._doubts.sentences(lasting, offsets, noise, now[part["late"].start])
         return Telemetry(columns, dict(self.fallbacks), doubts)
+
+
+def _address(library: ctypes.CDLL, name: str) -> int:
+    """Where a function of a library is."""
+    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
 
 
 def _statics(model: CompiledModel) -> CompiledStatics:
