@@ -6,14 +6,13 @@ See `control_problem` for the problem, `control_peers` for who solves it. do-mpc
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from importlib.util import find_spec
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.control_loop import recorded_step
+from benchmarks.control_loop import RecordedLoop
 from benchmarks.control_peers import Step, do_mpc, ours, peers
 from benchmarks.control_problem import Problem, Program
 from benchmarks.goals import Goal
@@ -24,6 +23,7 @@ CLOSE = 1e-3  # N
 MODES = {"control": 10, "control_small": 6}  # by task
 QP, AGAIN = "tepm_opt QpSolver", "tepm_opt QpSolver, the Hessian of before"
 DO_MPC, WHOLE = "do-mpc, a step", "tepm_opt, a whole step of the controller"
+FEEDBACK = "tepm_opt, of these from a sample to the command"
 
 
 def _contender(problem: Problem, name: str, solve: Step, own: bool = False) -> Contender:
@@ -37,20 +37,24 @@ def _contender(problem: Problem, name: str, solve: Step, own: bool = False) -> C
     return Contender(name, step, lambda found: found[1][: len(problem.rest)] - found[0].best, own)
 
 
-def whole_step(step: Callable[[], None], actuators: int = 6) -> Contender:
-    """A controller's step, from the measurements to the commands; what it commands is judged by other tests."""
-    return Contender(WHOLE, step, lambda _: np.zeros(actuators), ours=True)
+def whole_step(loop: RecordedLoop, actuators: int = 6) -> list[Contender]:
+    """A controller's step with its log, and its feedback; what it commands is judged by other tests."""
+
+    def nothing(_: object) -> np.ndarray:
+        return np.zeros(actuators)
+
+    whole = Contender(WHOLE, loop.whole, nothing, ours=True, ready=loop.begin)
+    return [whole, Contender(FEEDBACK, loop.feedback, nothing, ours=True, ready=loop.prepare)]
 
 
 def tasks(session: Session) -> list[Task]:
     """The problem with 20 and with 12 states; the controller's whole step is timed beside the former."""
     model, found = session.scene.model, []
-    step = recorded_step(model)
     for key, modes in MODES.items():
         problem = Problem.of(model, modes)
         contenders = [_contender(problem, QP, ours(problem), True), _contender(problem, AGAIN, ours(problem, again=True), True)]
         if not found:
-            contenders.append(whole_step(step, len(problem.rest)))
+            contenders += whole_step(RecordedLoop(model), len(problem.rest))
         contenders += [_contender(problem, name, solve) for name, solve in peers(problem)]
         if find_spec("do_mpc"):
             contenders.append(_contender(problem, DO_MPC, do_mpc(problem)))
@@ -79,9 +83,14 @@ def _over_do_mpc(key: str, name: str, what: str, factor: float, contender: str) 
     return Goal(key, f"{name}, over do-mpc", text, lambda task, _: _ratio(task, contender), factor, True)
 
 
-def _steady(name: str, what: str, contender: str) -> Goal:
-    text = f"{what}: 99 % of all within twice the median"
-    return Goal("control", f"{name}, 99 % over median", text, lambda task, _: _steadiness(task, contender), 2)
+def _steady(name: str, what: str, contender: str, times: float = 2) -> Goal:
+    text = f"{what}: 99 % of all within {times:g} medians"
+    return Goal("control", f"{name}, 99 % over median", text, lambda task, _: _steadiness(task, contender), times)
+
+
+def _within(name: str, what: str, contender: str, seconds: float) -> Goal:
+    text = f"{what}: at most {1e6 * seconds:.0f} us"
+    return Goal("control", f"{name}, s", text, lambda task, _: task.named(contender).median, seconds)
 
 
 SIZES = {key: f"{2 * modes} states" for key, modes in MODES.items()}
@@ -89,8 +98,11 @@ GOALS = (
     *(_over_do_mpc(key, f"program, {size}", "the program", 100, QP) for key, size in SIZES.items()),
     *(_over_do_mpc(key, f"program again, {size}", "the program with the Hessian of before", 100, AGAIN) for key, size in SIZES.items()),
     _steady("program", "the program", QP),
-    _over_do_mpc("control", "controller's step", "the whole step", 10, WHOLE),
-    _steady("controller's step", "the whole step", WHOLE),
+    _over_do_mpc("control", "controller's step", "the whole step", 100, WHOLE),
+    _within("controller's step", "the whole step", WHOLE, 250e-6),
+    _within("controller's feedback", "from a sample to the command", FEEDBACK, 60e-6),
+    _steady("controller's step", "the whole step", WHOLE, 1.5),
+    _steady("controller's feedback", "from a sample to the command", FEEDBACK, 1.5),
 )
 
 

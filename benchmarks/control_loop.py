@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from benchmarks.goals import Goal, times_real
@@ -30,24 +28,47 @@ def _course(model: CompiledModel, laps: float) -> Reference:
     return reference_of(model, np.vstack([lead, tips]), np.concatenate([np.zeros(len(lead), dtype=bool), counted]))
 
 
-def recorded_step(model: CompiledModel) -> Callable[[], None]:
-    """A call is one control step, from a sample to the command, on samples of the circle that were recorded in closed loop."""
-    reference, samples = _course(model, 1.0), []
-    rig, controller = SimulatedRig(), Mpc(model, reference)
-    rig.apply(controller.start())
-    for _ in range(RECORDED):
-        samples.append(rig.read())
-        rig.apply(controller.command(samples[-1]))
-    state: list[tuple[Mpc, list[Sample]]] = []
+class RecordedLoop:
+    """A controller on samples of the circle that were recorded in closed loop, again and again from the start."""
 
-    def step() -> None:
-        if not state or not state[0][1]:
-            state[:] = [(Mpc(model, reference), samples[::-1])]
-        controller, left = state[0]
-        controller.command(left.pop())
+    def __init__(self, model: CompiledModel) -> None:
+        self._model, self._reference = model, _course(model, 1.0)
+        self._samples: list[Sample] = []
+        rig, self._controller = SimulatedRig(), Mpc(model, self._reference)
+        rig.apply(self._controller.start())
+        for _ in range(RECORDED):
+            self._samples.append(rig.read())
+            rig.apply(self._controller.command(self._samples[-1]))
+        self._next = RECORDED
 
-    step()
-    return step
+    @property
+    def is_c(self) -> bool:
+        """Whether the controller steps in C."""
+        return self._controller.is_c
+
+    def prepare(self) -> None:
+        """Prepare for the next sample; at the end of the recording with a new controller."""
+        if self._next == RECORDED:
+            self._controller, self._next = Mpc(self._model, self._reference), 0
+        self._controller.prepare()
+
+    def feedback(self) -> None:
+        """From a sample to the command, prepared."""
+        self._controller.command(self._samples[self._next])
+        self._next += 1
+
+    def whole(self) -> None:
+        """Feedback, what is logged, and preparation for the next sample."""
+        self.feedback()
+        self._controller.telemetry()
+        if self._next < RECORDED:
+            self._controller.prepare()
+
+    def begin(self) -> None:
+        """Let the next step not be the first of a recording, which takes longer."""
+        if self._next == RECORDED:
+            self.prepare()
+            self.whole()
 
 
 def tasks(session: Session) -> list[Task]:

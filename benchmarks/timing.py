@@ -26,6 +26,7 @@ class Contender:
         answer: what it found, from the call's result, comparable within the task; not timed, may raise.
         ours: whether it is the package's.
         slow: whether --quick leaves it out.
+        ready: what is done before each call, and not timed.
         rounds: times of its calls in s, by round.
         verdict: "right", or how it went wrong.
         error: largest deviation from the task's answer.
@@ -36,6 +37,7 @@ class Contender:
     answer: Callable[[Any], np.ndarray]
     ours: bool = False
     slow: bool = False
+    ready: Callable[[], Any] = lambda: None
     rounds: dict[int, list[float]] = field(default_factory=dict)
     verdict: str = "left out"
     error: float = np.nan
@@ -97,6 +99,8 @@ def _check(task: Task, contender: Contender) -> float:
     """Set the verdict of a contender from its first call; time of that call or of the fastest of three more."""
     start, took = time.perf_counter(), np.nan
     try:
+        contender.ready()
+        start = time.perf_counter()
         result = contender.solve()
         took = time.perf_counter() - start
         answer = contender.answer(result)
@@ -112,8 +116,10 @@ def _calls(contender: Contender, count: int, expected: float) -> list[float]:
     """Times of calls; where there are many, after one untimed, which finds the caches as the contender before left them."""
     times, clock = [], time.process_time if expected > INTERRUPTED else time.perf_counter
     if count > 1:
+        contender.ready()
         contender.solve()
     for _ in range(count):
+        contender.ready()
         start = clock()
         contender.solve()
         times.append(clock() - start)

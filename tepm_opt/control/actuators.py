@@ -121,9 +121,9 @@ class Sent:
         self._entries = deque((at + later, command) for at, command in self._entries)
 
     def between(self, start: float, end: float) -> Command:
-        """The command in force at the middle of an interval in s."""
+        """The command in force at the middle of an interval in s; the oldest one that is known where none was yet."""
         middle = (start + end) / 2
-        return next(command for at, command in reversed(self._entries) if at <= middle)
+        return next((command for at, command in reversed(self._entries) if at <= middle), self._entries[0][1])
 
     def forget(self, before: float) -> None:
         """Drop what a time in s from `before` on does not need."""

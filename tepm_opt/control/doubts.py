@@ -70,13 +70,29 @@ class Doubts:
             noise: of the tracker.
             late: by how much in s commands act later than the robot file says.
         """
-        found: dict[str, str] = {}
-        for kind, offset, gauge, device, unit, scale in (
-            ("tension", actuators.tension_offset, "dynamometer", "motor", "N", 1.0),
-            ("pressure", actuators.pressure_offset, "pressure monitor", "regulator", "kPa", 1e-3),
-        ):
+        offsets = {"tension": actuators.tension_offset, "pressure": actuators.pressure_offset}
+        for kind, offset in offsets.items():
             self._lasting[kind] = np.where(np.abs(offset) > self._limits[kind], self._lasting[kind] + 1, 0)
-            for k in np.flatnonzero(self._lasting[kind] > STAYS).tolist():
+        return self.sentences(self._lasting, offsets, (noise.measured, noise.declared), late)
+
+    def sentences(
+        self, lasting: Mapping[str, np.ndarray], offsets: Mapping[str, np.ndarray], noise: tuple[float, float], late: float
+    ) -> Mapping[str, str]:
+        """What does not make sense, a sentence each.
+
+        Args:
+            lasting: number of samples for which offsets of "pressure" and "tension" have been beyond their limits, (actuators,) each.
+            offsets: what gauges read above what devices do, (actuators,) each in Pa and N.
+            noise: of a tracked coordinate in m, as measured and as declared.
+            late: by how much in s commands act later than the robot file says.
+        """
+        found: dict[str, str] = {}
+        for kind, gauge, device, unit, scale in (
+            ("tension", "dynamometer", "motor", "N", 1.0),
+            ("pressure", "pressure monitor", "regulator", "kPa", 1e-3),
+        ):
+            offset = offsets[kind]
+            for k in np.flatnonzero(lasting[kind] > STAYS).tolist():
                 name, size, way = self._names[k], float(f"{abs(scale * offset[k]):.2g}"), "low" if offset[k] < 0 else "high"
                 other = "less" if offset[k] < 0 else "more"
                 found[f"{gauge} {name}"] = (
@@ -86,9 +102,8 @@ class Doubts:
         if abs(late) > LATE:
             way = "later" if late > 0 else "sooner"
             found["command delay"] = f"commands act {1e3 * abs(late):.0f} ms {way} than the robot file says; the controller goes by it"
-        if noise.measured > NOISY * noise.declared:
-            times = noise.measured / noise.declared
+        if noise[0] > NOISY * noise[1]:
             found["tracker noise"] = (
-                f"tracked points are {times:.1f} times as noisy as the robot file says; the filter goes by what is measured"
+                f"tracked points are {noise[0] / noise[1]:.1f} times as noisy as the robot file says; the filter goes by what is measured"
             )
         return found

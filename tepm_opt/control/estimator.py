@@ -250,7 +250,7 @@ class Estimator:
         """
         settings, now, before = self.settings, self.operating, self._direction
         seen = now.model.drive.T @ self.mean[self._modes : 2 * self._modes]
-        self._deviation += (1 - np.exp(-now.period / settings.rate_time)) * (seen - rates - self._deviation)
+        self._deviation = self._deviation + (1 - np.exp(-now.period / settings.rate_time)) * (seen - rates - self._deviation)
         self._direction = turned(before, (rates + self._deviation) * now.period, settings.presliding_distance)
         rise = forces[1] - forces[0] + (0.0 if self._tension is None else tension - self._tension)  # of p A
         self._turning, self._tension = turned(self._turning, rise, settings.hysteresis_width), tension
@@ -285,6 +285,11 @@ class Estimator:
             A[part], push[part], kick[part] = turn @ A[part], turn @ push[part], turn @ kick[part]
         push[:modes] += shift
         return Transition(A, push, kick)
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Which way friction pulls now, −1 … 1, (actuators,)."""
+        return self._direction
 
     def loaded(self, tension: np.ndarray) -> np.ndarray:
         """Friction at a tension in N over that at the middle one."""

@@ -50,15 +50,12 @@ class Responses:
     """What forces at the coming stages make of the arm: everything is linear in them.
 
     Attributes:
-        errors_by_forces: weighted errors at stages 1 … stages − 1 by the forces at stages 1 …, (errors, stages · actuators) in 1/N.
-        errors: what they are without these forces, (errors,); the tip's are the first three of each stage.
-        last_by_forces: the state at the last stage by these forces, (states, stages · actuators).
-        last: what it is without these forces, (states,).
+        errors: weighted errors at stages 1 … stages − 1 by the forces at stages 1 …, (errors, stages · actuators) in 1/N; the tip's are
+            the first three of each stage.
+        last: the state at the last stage by these forces, (states, stages · actuators).
     """
 
-    errors_by_forces: np.ndarray
     errors: np.ndarray
-    last_by_forces: np.ndarray
     last: np.ndarray
 
 
@@ -90,8 +87,8 @@ class Horizon:
         rest: deviation [e, e'] at rest under `rest_force`, (2 · modes,).
         value: cost beyond the last stage by its state and forces, (2 · modes + actuators, 2 · modes + actuators).
         tip_answer: tip's error at stages 1 … stages − 1 by the forces at stages 1 …, (3 · (stages − 1), stages · actuators) in m/N; as of
-            the last `cost`.
-        tip_free: tip's error there without these forces, (3 · (stages − 1),) in m; as of the last `cost`.
+            the last `hessian`.
+        tip_free: tip's error there without these forces, (3 · (stages − 1),) in m; as of the last `gradient`.
     """
 
     def __init__(self, weights: Weights, stages: int) -> None:
@@ -105,15 +102,13 @@ class Horizon:
         self.value = np.zeros(0)
         self._before: Operating | None = None
 
-    def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """Take a new present.
+    def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> None:
+        """Take a new present, of which no sample has been seen yet.
 
         Args:
             operating: modal model at stage 0, by control periods.
             reference: what is followed.
             rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
-            motion: [q, q'] about the operating point at stage 0, (2 · modes,).
-            bias: what the tip's position is off by in m, (3,).
         """
         model, two = operating.model, operating.doubled()
         path = (reference.levels[rows] - model.levels) @ model.weights.T
@@ -126,18 +121,26 @@ class Horizon:
         self._tip, self._others = model.observe[-3:], model.observe[:-3]
         self.holding = holding(model)
         self.dynamic = (-drift[1:] / model.stiffness) @ (self.holding @ model.observe).T
-        self.rest_force = against(model, bias)
-        count = len(model.stiffness)
-        self.rest = np.concatenate([model.static(self.rest_force), np.zeros(count)])
-        start = motion.copy()
-        start[count:] -= rate[0]
-        self.free = np.empty((self.stages + 1, 2 * count))
-        self.free[0] = start
-        pushed = two.start @ drift[: self.stages].T + two.end @ drift[1 : self.stages + 1].T
-        for k in range(self.stages):
-            self.free[k + 1] = two.A @ self.free[k] + pushed[:, k]
+        self._model, self._rate = model, rate[0]
+        self._pushed = two.start @ drift[: self.stages].T + two.end @ drift[1 : self.stages + 1].T
         self.stage, self.by_start, self.by_end = two, two.start @ model.drive, two.end @ model.drive
         self._turn(operating)
+
+    def about(self, motion: np.ndarray, bias: np.ndarray) -> None:
+        """Take what was seen.
+
+        Args:
+            motion: [q, q'] about the operating point at stage 0, (2 · modes,).
+            bias: what the tip's position is off by in m, (3,).
+        """
+        count = len(self._rate)
+        self.rest_force = against(self._model, bias)
+        self.rest = np.concatenate([self._model.static(self.rest_force), np.zeros(count)])
+        self.free = np.empty((self.stages + 1, 2 * count))
+        self.free[0] = motion
+        self.free[0, count:] -= self._rate
+        for k in range(self.stages):
+            self.free[k + 1] = self.stage.A @ self.free[k] + self._pushed[:, k]
 
     def _turn(self, operating: Operating) -> None:
         """The cost beyond the last stage, one step of the Riccati recursion on, about the new operating point."""
@@ -189,25 +192,12 @@ class Horizon:
         """Weighted errors of the points by modal deviations, (3 · points, modes), the tip's first."""
         return np.vstack([self._tip / self.weights.tip, self._others / self.weights.shape])
 
-    def cost(self, begin: np.ndarray, found: Responses) -> tuple[np.ndarray, np.ndarray]:
-        """H and f of ½ vᵀ H v + fᵀ v for the deviations v of the forces at stages 1 … , (stages · actuators,), in N.
-
-        Args:
-            begin: the deviation at stage 0, (actuators,) in N.
-            found: what the deviations make of the arm.
-        """
-        weights, rows, inputs = self.weights, self.rows(), len(begin)
-        seen, error, at_last, last = found.errors_by_forces, found.errors, found.last_by_forces, found.last
-        states = len(last)
-        tips = np.column_stack([seen, error]).reshape(self.stages - 1, len(rows), -1)[:, :3].reshape(3 * self.stages - 3, -1)
-        self.tip_answer, self.tip_free = weights.tip * tips[:, :-1], weights.tip * tips[:, -1]
-        end = np.zeros((states + inputs, seen.shape[1]))
-        end[:states], end[states:, -inputs:] = at_last, np.eye(inputs)
-        at_end = np.concatenate([last - self.rest, -self.rest_force])
-        value = self.value
-        H = seen.T @ seen + end.T @ (value @ end)
-        f = seen.T @ error + end.T @ (value @ at_end)
-        size = self.stages * inputs
+    def hessian(self, by: Responses) -> np.ndarray:
+        """H of ½ vᵀ H v + fᵀ v for the deviations v of the forces at stages 1 …, (stages · actuators,), in N, which make `by`."""
+        weights, inputs, size = self.weights, self.by_end.shape[1], by.errors.shape[1]
+        tips = by.errors.reshape(self.stages - 1, -1, size)[:, :3].reshape(3 * self.stages - 3, size)
+        self.tip_answer, end = weights.tip * tips, self._at_end(by)
+        H = by.errors.T @ by.errors + end.T @ (self.value @ end)
         change, force = 1 / weights.change**2, 1 / weights.force**2
         diagonal = np.full(size, 2 * change + force)
         diagonal[-inputs:] = change  # the last one is in the cost beyond
@@ -215,9 +205,31 @@ class Horizon:
         off = np.arange(size - inputs)
         H[off, off + inputs] -= change
         H[off + inputs, off] -= change
-        f[:inputs] -= change * begin
-        f[: size - inputs] -= force * np.tile(self.rest_force, self.stages - 1)
-        return H, f
+        return H
+
+    def gradient(self, begin: np.ndarray, by: Responses, errors: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """f of the same program.
+
+        Args:
+            begin: the deviation at stage 0, (actuators,) in N.
+            by: what the deviations make of the arm.
+            errors, last: weighted errors and last state without the deviations at stages 1 …, as those of `by`.
+        """
+        weights, inputs = self.weights, len(begin)
+        size = self.stages * inputs
+        self.tip_free = weights.tip * errors.reshape(self.stages - 1, -1)[:, :3].ravel()
+        at_end = np.concatenate([last - self.rest, -self.rest_force])
+        f = by.errors.T @ errors + self._at_end(by).T @ (self.value @ at_end)
+        f[:inputs] -= begin / weights.change**2
+        f[: size - inputs] -= np.tile(self.rest_force, self.stages - 1) / weights.force**2
+        return f
+
+    def _at_end(self, by: Responses) -> np.ndarray:
+        """State and deviation of the forces at the last stage by the deviations, (states + actuators, stages · actuators)."""
+        states, inputs = self.by_end.shape
+        end = np.zeros((states + inputs, by.last.shape[1]))
+        end[:states], end[states:, -inputs:] = by.last, np.eye(inputs)
+        return end
 
 
 class Forecast(Protocol):
@@ -228,20 +240,27 @@ class Forecast(Protocol):
         """The coming stages."""
         ...
 
-    def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """Take a new present.
+    def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> np.ndarray:
+        """Take a new present, of which no sample has been seen yet; H of the program in the deviations of the forces.
 
         Args:
             operating: modal model at stage 0, by control periods.
             reference: what is followed.
             rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
+        """
+        ...
+
+    def about(self, motion: np.ndarray, bias: np.ndarray) -> None:
+        """Take what was seen.
+
+        Args:
             motion: [q, q'] about the operating point at stage 0, (2 · modes,).
             bias: what the tip's position is off by in m, (3,).
         """
         ...
 
-    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """H and f of the program in the deviations of the forces, which are `begin`, (actuators,) in N, at stage 0; see `Horizon.cost`."""
+    def gradient(self, begin: np.ndarray) -> np.ndarray:
+        """f of the program in the deviations of the forces, which are `begin`, (actuators,) in N, at stage 0; see `Horizon.gradient`."""
         ...
 
     def take(self, forces: np.ndarray | None) -> None:
@@ -267,19 +286,28 @@ class LinearForecast:
         behind = np.arange(stages - 1)[:, None] - np.arange(stages)  # of stages 1 … stages − 1 behind the forces of stages 1 …
         self._lags, self._later = np.maximum(behind, 0), behind >= 0
 
-    def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """See `Forecast.about`."""
-        self.horizon.about(operating, reference, rows, motion, bias)
+    def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> np.ndarray:
+        """See `Forecast.prepare`."""
+        self.horizon.prepare(operating, reference, rows)
+        self._by = self._responses()
+        return self.horizon.hessian(self._by)
 
-    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """H and f of the program; see `Forecast.cost`."""
-        return self.horizon.cost(begin, self._responses(begin))
+    def about(self, motion: np.ndarray, bias: np.ndarray) -> None:
+        """See `Forecast.about`."""
+        self.horizon.about(motion, bias)
+
+    def gradient(self, begin: np.ndarray) -> np.ndarray:
+        """See `Forecast.gradient`."""
+        horizon, modes = self.horizon, len(self.horizon.rest) // 2
+        free = horizon.free[1:] + self._first @ begin
+        error = (free[:-1, :modes] - horizon.rest[:modes]) @ horizon.rows().T
+        return horizon.gradient(begin, self._by, error.ravel(), free[-1])
 
     def take(self, forces: np.ndarray | None) -> None:
         """Ignore the plan: this forecast is always about the reference."""
 
-    def _responses(self, begin: np.ndarray) -> Responses:
-        """What the forces at stages 1 … make of the arm, with `begin` at stage 0."""
+    def _responses(self) -> Responses:
+        """What the forces at stages 1 … make of the arm."""
         horizon = self.horizon
         stages = horizon.stages
         states, inputs = horizon.by_start.shape
@@ -289,6 +317,5 @@ class LinearForecast:
         answer = rows @ later[: stages - 1, :modes]
         seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)
         seen = seen.transpose(0, 2, 1, 3).reshape(-1, stages * inputs)
-        free = horizon.free[1:] + first @ begin
-        error = (free[:-1, :modes] - horizon.rest[:modes]) @ rows.T
-        return Responses(seen, error.ravel(), later[::-1].transpose(1, 0, 2).reshape(states, -1), free[-1])
+        self._first = first
+        return Responses(seen, later[::-1].transpose(1, 0, 2).reshape(states, -1))

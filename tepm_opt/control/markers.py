@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
+
+from tepm_opt.hw.rig import Sample
 
 HALF = 7  # frames before and after a jump by which it is judged
 JUMPED = 40.0  # squared jump of a point over its variance: chance alone gets there once in 10^8 frames
@@ -21,6 +23,10 @@ def _fit() -> tuple[np.ndarray, np.ndarray]:
     columns = np.column_stack([time > 0, np.ones_like(time), time, time**2])
     inverse = np.linalg.pinv(columns)
     return inverse[0], np.eye(len(time)) - columns @ inverse
+
+
+_JUMP, _REST = _fit()
+_VARIANCE, _FREEDOM = float(_JUMP @ _JUMP), float(np.trace(_REST))
 
 
 class Markers:
@@ -39,44 +45,50 @@ class Markers:
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names
         self.slipped = np.zeros((len(names), 3))
-        self._weights, self._rest = _fit()
-        self._frames: deque[np.ndarray] = deque(maxlen=2 * HALF)
-        self._before = np.zeros((len(names), 3)), np.zeros(len(names)), np.zeros(len(names))  # as `_look` finds them
+        self._any = False
+        self._frames = np.full((2 * HALF + 1, 3 * len(names)), np.nan)  # the oldest first; one more than a jump is judged by
+        self._sizes = np.zeros(len(names))  # of jumps in the middle of all frames but the last, squared over variance
 
-    def placed(self, points: np.ndarray, noise: float) -> np.ndarray:
-        """Tracked points (points, 3) in m in G where they would be if none had slipped; NaN where missing.
+    def placed(self, sample: Sample) -> Sample:
+        """A sample with its points where they would be if none had slipped."""
+        return replace(sample, points=sample.points - self.slipped) if self._any else sample
+
+    def look(self, points: np.ndarray, noise: float) -> None:
+        """Take the points of a sample, (points, 3) in m in G, NaN where missing, as `placed` gave them, and see whether one has slipped.
+
+        A jump is where its share of the noise is largest, one frame before now.
 
         Args:
             points: as tracked.
             noise: of a coordinate, 1 sigma in m.
         """
-        self._frames.append(points - self.slipped)
-        if len(self._frames) == 2 * HALF:
-            self._look(noise)
-        return self._frames[-1]
-
-    def _look(self, noise: float) -> None:
-        """A jump is where it stands out most, one frame before now: its vector, its square over its variance, and what it leaves."""
-        frames = np.array(self._frames)
-        jumps = np.tensordot(self._weights, frames, 1)
-        sizes = (jumps**2).sum(axis=1) / (noise**2 * (self._weights**2).sum())
-        left = (np.tensordot(self._rest, frames, 1) ** 2).sum(axis=(0, 2)) / (3 * noise**2 * np.trace(self._rest))
-        (jumped, before, unexplained), self._before = self._before, (jumps, sizes, left)
-        which = int(np.argmax(np.nan_to_num(before)))
+        frames = self._frames
+        frames[:-1] = frames[1:]
+        frames[-1] = points.ravel()
+        jumps = (_JUMP @ frames[1:]).reshape(-1, 3)
+        now = np.einsum("px,px->p", jumps, jumps) / (noise**2 * _VARIANCE)
+        before, self._sizes = self._sizes, now
+        tallest = np.fmax.reduce(before)
+        if not tallest > JUMPED:
+            return
+        which = int(np.flatnonzero(before == tallest)[0])
+        own = frames[:-1, 3 * which : 3 * which + 3]
+        jump = _JUMP @ own
         others = np.delete(before, which)
         others = others[np.isfinite(others)]
         alone = len(others) > 0 and bool((others <= STILL).all())
-        if not alone or before[which] <= max(JUMPED, sizes[which]) or not unexplained[which] <= LEFT:
+        left = float(((_REST @ own) ** 2).sum()) / (3 * noise**2 * _FREEDOM)
+        if not alone or tallest <= now[which] or left > LEFT or np.linalg.norm(jump) > FARTHEST:
             return
-        if np.linalg.norm(jumped[which]) > FARTHEST:
-            return
-        self.slipped[which] += jumped[which]
-        for frame in list(self._frames)[HALF - 1 :]:
-            frame[which] -= jumped[which]
-        self._before = np.zeros_like(jumps), np.zeros_like(sizes), np.zeros_like(left)
+        self.slipped[which] += jump
+        self._any = True
+        frames[HALF:, 3 * which : 3 * which + 3] -= jump
+        self._sizes = np.zeros(len(now))
 
     def told(self) -> Mapping[str, str]:
         """A sentence for every point that slipped, by what it is about."""
+        if not self._any:
+            return {}
         found = {}
         for name, off in zip(self._names, 1e3 * np.linalg.norm(self.slipped, axis=1), strict=True):
             if off > 0:

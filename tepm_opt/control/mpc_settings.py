@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 
@@ -47,6 +48,8 @@ class MpcSettings:
         pressure_planner: settings of the pressures.
         filter: settings of the state estimator.
         deadline: duration of a step in s after which its program is not used and the last plan goes on.
+        computing: time in s from a sample to its command, which counts as delay; None to measure it when the controller is made.
+        backend: "auto" steps in C where model, settings and compiler allow it; "c" insists on it; "python" never does: the same commands.
     """
 
     stages: int = 15
@@ -63,6 +66,8 @@ class MpcSettings:
     pressure_planner: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
     filter: FilterSettings = field(default_factory=FilterSettings)
     deadline: float = math.inf
+    computing: float | None = 0.0
+    backend: Literal["auto", "c", "python"] = "auto"
 
     @property
     def asked(self) -> dict[str, Option]:
@@ -70,8 +75,8 @@ class MpcSettings:
         return {"use": self.use.value, "rule": self.switching, "nonlinear": self.nonlinear}
 
     def in_real_time(self, period: float) -> MpcSettings:
-        """Settings with which a step that takes longer than a control period in s is late."""
-        return replace(self, deadline=min(self.deadline, period))
+        """Settings with which a step that takes longer than a control period in s is late, and with which what it takes is a delay."""
+        return replace(self, deadline=min(self.deadline, period), computing=None)
 
     @staticmethod
     def of(options: Mapping[str, Option]) -> MpcSettings:

@@ -52,10 +52,10 @@ class NonlinearForecast:
         self.horizon = Horizon(weights, stages)
         self._displaced: np.ndarray | None = None  # of the points from the reference in the last plan, (stages + 1, 3 · points) in m
 
-    def about(self, operating: Operating, reference: Reference, rows: np.ndarray, motion: np.ndarray, bias: np.ndarray) -> None:
-        """See `Forecast.about`; linearises along the last plan."""
+    def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> np.ndarray:
+        """See `Forecast.prepare`; linearises along the last plan."""
         horizon, stages = self.horizon, self.horizon.stages
-        horizon.about(operating, reference, rows, motion, bias)
+        horizon.prepare(operating, reference, rows)
         self._operating, before = operating, operating.model
         self._stretches = []
         for first in range(0, stages, STRETCH):
@@ -69,6 +69,15 @@ class NonlinearForecast:
             rate, bend = (path[2:] - path[:-2]) / (2 * period), (path[2:] - 2 * path[1:-1] + path[:-2]) / period**2
             pushed = model.stiffness * offset - model.drive @ change - bend - rate @ model.damping.T
             self._stretches.append(_Stretch(Operating.of(model, reference.forces[rows[middle + 1]] + change, period), pushed))
+        inputs = horizon.by_end.shape[1]
+        forces = np.zeros((stages + 1, inputs, stages * inputs))
+        forces[1:] = np.eye(stages * inputs).reshape(stages, inputs, -1)
+        self._by, self._by_forces = self._responses(np.zeros((len(horizon.by_end), stages * inputs)), forces)
+        return horizon.hessian(self._by)
+
+    def about(self, motion: np.ndarray, bias: np.ndarray) -> None:
+        """See `Forecast.about`."""
+        self.horizon.about(motion, bias)
 
     def _planned(self, at: Equilibrium, stage: int) -> tuple[Equilibrium, np.ndarray]:
         """The equilibrium where the last plan has the points, and by what its axial forces differ from those of one on the reference."""
@@ -82,46 +91,50 @@ class NonlinearForecast:
         found = equilibrium(at.model, inputs, at.loads, at, mapped=at.mapped, explain=False)
         return (found, change) if found.solved else (at, np.zeros(len(change)))
 
-    def cost(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """H and f of the program; see `Forecast.cost`."""
-        return self.horizon.cost(begin, self._responses(begin))
-
-    def _responses(self, begin: np.ndarray) -> Responses:
-        """What the forces at stages 1 … make of the arm, with `begin` at stage 0.
-
-        Columns are what is without the forces at stages 1 …, then each of these.
-        """
-        horizon, weights, stages = self.horizon, self.horizon.weights, self.horizon.stages
-        inputs, modes = len(begin), len(self._operating.model.stiffness)
-        forces = np.zeros((stages + 1, inputs, 1 + stages * inputs))
+    def gradient(self, begin: np.ndarray) -> np.ndarray:
+        """See `Forecast.gradient`."""
+        horizon = self.horizon
+        forces = np.zeros((horizon.stages + 1, len(begin), 1))
         forces[0, :, 0] = begin
-        forces[1:, :, 1:] = np.eye(stages * inputs).reshape(stages, inputs, -1)
-        state = np.zeros((2 * modes, 1 + stages * inputs))
-        state[:, 0] = horizon.free[0]
+        alone, self._free = self._responses(horizon.free[0][:, None], forces, True)
+        return horizon.gradient(begin, self._by, alone.errors.ravel(), alone.last.ravel())
+
+    def _responses(self, state: np.ndarray, forces: np.ndarray, driven: bool = False) -> tuple[Responses, np.ndarray]:
+        """What forces (stages + 1, actuators, columns) in N make of the arm from states (2 · modes, columns) at stage 0.
+
+        Args:
+            state: at stage 0, in the modes there.
+            forces: deviations from the reference's.
+            driven: whether what drives the arm anyway and the errors' aim count, too.
+
+        Returns:
+            Errors and last state, and displacements of the points at stages 0 …, (stages + 1, 3 · points, columns) in m.
+        """
+        horizon, weights, modes = self.horizon, self.horizon.weights, len(state) // 2
         weighted, displaced, now, stage = [], [], self._operating, 0
         for stretch in self._stretches:
             then, model = stretch.operating, stretch.operating.model
             state, now = _turned(state, now, then), then
             scale = np.repeat([weights.shape, weights.tip], [len(model.observe) - 3, 3])[:, None]
-            rest = model.observe @ model.static(horizon.rest_force)
             for pushed, after in zip(stretch.pushed[:-1], stretch.pushed[1:], strict=True):
                 displaced.append(model.observe @ state[:modes])
                 by_start, by_end = model.drive @ forces[stage], model.drive @ forces[stage + 1]
-                by_start[:, 0] += pushed
-                by_end[:, 0] += after
+                if driven:
+                    by_start[:, 0] += pushed
+                    by_end[:, 0] += after
                 state = then.A @ state + then.start @ by_start + then.end @ by_end
                 error = model.observe @ state[:modes]
-                error[:, 0] -= rest
+                if driven:
+                    error[:, 0] -= model.observe @ model.static(horizon.rest_force)
                 weighted.append(np.roll(error / scale, 3, axis=0))  # the tip first
                 stage += 1
         displaced.append(now.model.observe @ state[:modes])
-        self._answers = np.array(displaced)
-        seen, last = np.concatenate(weighted[:-1]), _turned(state, now, self._operating)
-        return Responses(seen[:, 1:], seen[:, 0], last[:, 1:], last[:, 0])
+        last = _turned(state, now, self._operating)
+        return Responses(np.concatenate(weighted[:-1]), last), np.array(displaced)
 
     def take(self, forces: np.ndarray | None) -> None:
         """Take note of the plan along which the next forecast is linearised; without one it is the reference."""
-        self._displaced = None if forces is None else self._answers @ np.append(1.0, forces.ravel())
+        self._displaced = None if forces is None else self._free[:, :, 0] + self._by_forces @ forces.ravel()
 
 
 def _turned(state: np.ndarray, before: Operating, after: Operating) -> np.ndarray:

@@ -104,7 +104,32 @@ class QpSolver:
         self._low, self._high, self._rest, self._M = np.zeros(n + m), np.zeros(n + m), np.zeros(n + m), np.zeros((n + m, n))
         self._inverse: np.ndarray | None = None  # L⁻¹
         self._scale, self._moved = 1.0, True  # of the cost; whether M is new to the workspace
+        self._taken = _NO_HESSIAN  # how the last Hessian was taken
         self._workspace: daqp.Model | None = None
+
+    def take(self, hessian: np.ndarray) -> None:
+        """Factor the Hessian of the programs to come, which then need none of their own; what is wrong with it, their outcome tells.
+
+        Args:
+            hessian: H, positive semidefinite, (variables, variables), of which the lower triangle is read.
+
+        Raises:
+            InputError: wrong shape.
+        """
+        H = np.asarray(hessian, dtype=float)
+        if H.shape != self._shapes[0]:
+            raise InputError(f"hessian: shape {H.shape}; valid: {self._shapes[0]}")
+        self._inverse, self._moved = None, True
+        factor = _definite_factor(H)
+        if factor is None:
+            self._taken = _NOT_CONVEX if np.isfinite(H).all() else _NOT_FINITE
+            return
+        self._inverse = inverse = np.asarray(_inverse(factor, lower=1)[0])
+        n = self.variables
+        self._scale = float(factor[0, 0]) ** 2
+        np.multiply(inverse.T, factor[0, 0], out=self._M[:n])  # rows neither long nor short, whatever the unit of the cost
+        self._M[n:] = self._rows @ self._M[:n]
+        self._taken = _SOLVED
 
     def solve(
         self,
@@ -122,8 +147,8 @@ class QpSolver:
         before is tried once more from none.
 
         Args:
-            hessian: H, positive semidefinite, (variables, variables), of which the lower triangle is read; None for that of the program
-                before, which saves most of the time; failed where that one had none of use.
+            hessian: H as `take` takes it; None for that of the program before, or the last one taken, which saves most of the time;
+                failed where that was of no use.
             gradient: f, (variables,).
             lower, upper: of x, (variables,); infinite where there is none.
             row_lower, row_upper: of R x, (rows,); likewise.
@@ -144,7 +169,11 @@ class QpSolver:
             raise InputError(f"shapes {shapes}; valid: {self._shapes}")
         n = self.variables
         self._low[:n], self._high[:n], self._low[n:], self._high[n:] = given[2:]
-        outcome, count = self._prepare(None if hessian is None else H, given[1]), 0
+        if hessian is not None:
+            self.take(H)
+        outcome, count = self._prepare(given[1]) if self._taken.solved else self._taken, 0
+        if hessian is not None and not self._taken.solved:
+            self._taken = _NO_HESSIAN
         if not outcome.solved:
             return QpResult(outcome=outcome, seconds=time.perf_counter() - began)
         for warm in (True, False) if self._workspace else (False,):
@@ -168,18 +197,9 @@ class QpSolver:
             return Outcome(Ending.ITERATION_LIMIT, f"no answer after {self.iterations} changes of the active set")
         return Outcome(Ending.FAILED, f"DAQP ended with flag {flag}")
 
-    def _prepare(self, H: np.ndarray | None, f: np.ndarray) -> Outcome:
+    def _prepare(self, f: np.ndarray) -> Outcome:
         """The change of variables: x and its rows are M u + rest, where u = 0 is the minimiser without bounds; solved if there is one."""
         low, high, n = self._low, self._high, self.variables
-        if H is not None:
-            self._inverse, self._moved = None, True
-            factor = _definite_factor(H)
-            if factor is None:
-                return _NOT_CONVEX if np.isfinite(H).all() else _NOT_FINITE
-            self._inverse = inverse = _inverse(factor, lower=1)[0]
-            self._scale = float(factor[0, 0]) ** 2
-            np.multiply(inverse.T, factor[0, 0], out=self._M[:n])  # rows neither long nor short, whatever the unit of the cost
-            self._M[n:] = self._rows @ self._M[:n]
         if self._inverse is None:
             return _NO_HESSIAN
         if not np.isfinite(f).all() or np.isnan(low).any() or np.isnan(high).any():

@@ -18,11 +18,10 @@ import numpy as np
 import scipy.linalg as sla
 
 from tepm_opt.errors import InputError
+from tepm_opt.models.backends.interface import GUARDS, MODES
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.statics import Equilibrium
 
-MODES = 10
-GUARDS = 4  # shapes beyond the modes that are carried along, so that the last modes converge as the first
 NEAR = 0.03  # residual of a mode, of its stiffness, at which subspace iteration ends; frequencies err by its square
 SWEEPS = 12  # after which a start was no neighbour: exact modes are cheaper
 
@@ -102,7 +101,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
     model = at.model
     if not at.solved:
         raise InputError(f"no stable equilibrium to linearise about: {at.outcome.message}")
-    fixed = _fixed(model)
+    fixed = fixed_part(model)
     most = len(fixed.masses)
     if not 1 <= modes <= most:
         raise InputError(f"modes: {modes!r}; valid: 1 … {most}")
@@ -137,14 +136,14 @@ def network_matrices(at: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarra
         in lower banded storage, N/m; damping (coordinates, coordinates) in N s/m.
     """
     model = at.model
-    fixed = _fixed(model)
+    fixed = fixed_part(model)
     stiffness, damping = model.statics.matrices(at.x, at.inputs, at.mapped, at.loads.ravel(), model.theta)
     half = _upper(damping)
     return fixed.axial(at), fixed.masses, stiffness, half + half.T - np.diag(damping[0])
 
 
 @dataclass(frozen=True, eq=False)
-class _Fixed:
+class Fixed:
     """What does not change with the equilibrium: masses (coordinates,) in kg, reference points by the free levels (3 · points,
     coordinates), and where the directions of the actuators' edges go in the matrix of `axial`, by segment."""
 
@@ -166,15 +165,15 @@ class _Fixed:
 
 
 @lru_cache(maxsize=8)
-def _fixed(model: CompiledModel) -> _Fixed:
-    """Of a model; what effects make of masses and of the points is taken without inputs."""
+def fixed_part(model: CompiledModel) -> Fixed:
+    """What does not change of a model; what effects make of masses and of the points is taken without inputs."""
     layout, stepper = model.layout, model.reference_stepper
     count, block = layout.levels * layout.block, layout.block
     properties = stepper.value("properties", np.zeros(layout.inputs), np.zeros((layout.points, 3)), model.theta)
     by = stepper.jacobian("observe_by", model.rest.ravel(), model.theta)
     segment, actuator, axis = np.indices((layout.levels, layout.actuators, 3))
     upper = (segment // layout.segments * layout.actuators + actuator) * count + segment * block + 3 * actuator + axis
-    return _Fixed(
+    return Fixed(
         masses=np.repeat(properties[stepper.mass_row], block),
         observe=np.ascontiguousarray(by[: 3 * layout.points, block : block + count]),
         actuators=layout.modules * layout.actuators,

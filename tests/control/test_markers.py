@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.control.markers import FARTHEST, HALF, Markers
+from tepm_opt.hw.rig import Sample
 
 NAMES, NOISE = ("s1", "s2", "s3", "s4"), 6e-4
 TIME = 0.01 * np.arange(300)
@@ -19,6 +20,13 @@ def arm(seed: int, velocity: float = 0.0) -> np.ndarray:
     return sway[:, None, None] * SHARE * np.array([1.0, 0.5, 0.0]) + noise
 
 
+def take(markers: Markers, points: np.ndarray) -> np.ndarray:
+    """Points of a sample as they are placed, which are looked at then."""
+    placed = markers.placed(Sample(0.0, points)).points
+    markers.look(placed, NOISE)
+    return placed
+
+
 @pytest.mark.parametrize(("which", "by"), [(3, (5e-3, 0.0, 0.0)), (1, (0.0, -4e-3, 8e-3)), (0, (3e-3, 3e-3, -3e-3))])
 def test_a_slip_is_found_and_taken_off(which: int, by: tuple[float, float, float]) -> None:
     """Within the time of the frames that judge it, to what the noise leaves; nothing is told before."""
@@ -26,7 +34,7 @@ def test_a_slip_is_found_and_taken_off(which: int, by: tuple[float, float, float
     points[150:, which] += by
     told = []
     for frame in points:
-        markers.placed(frame, NOISE)
+        take(markers, frame)
         told.append(list(markers.told()))
     assert not any(told[:150])
     assert told[150 + HALF + 1] == [f"marker {NAMES[which]}"]
@@ -40,7 +48,7 @@ def test_what_was_taken_off_is_no_jump_again() -> None:
     points[100:, 3] += (6e-3, 0.0, 0.0)
     points[200:, 3] += (6e-3, 0.0, 0.0)
     for frame in points:
-        placed = markers.placed(frame, NOISE)
+        placed = take(markers, frame)
     assert markers.slipped[3, 0] == pytest.approx(12e-3, abs=3e-3)
     np.testing.assert_allclose(placed, points[-1] - markers.slipped)
 
@@ -49,7 +57,7 @@ def test_what_was_taken_off_is_no_jump_again() -> None:
 def test_an_arm_that_is_hit_has_not_slipped(velocity: float) -> None:
     markers = Markers(NAMES)
     for frame in arm(3, velocity):
-        markers.placed(frame, NOISE)
+        take(markers, frame)
     assert not markers.slipped.any()
 
 
@@ -60,11 +68,11 @@ def test_chance_and_lost_points_are_no_slip() -> None:
         points = arm(int(random.integers(2**31)))
         points[random.random(points.shape[:2]) < 0.1] = np.nan
         for frame in points[: 250 + 1]:
-            markers.placed(frame, NOISE)
+            take(markers, frame)
         markers = Markers(NAMES) if not markers.slipped.any() else markers
     assert not markers.slipped.any()
     points = arm(5)
     points[150:, 3] += 2 * FARTHEST
     for frame in points:
-        markers.placed(frame, NOISE)
+        take(markers, frame)
     assert not markers.slipped.any()

@@ -27,6 +27,7 @@ from tests.control.study_models import alone, error
 
 ROBOT = load_robot("kang2017")
 STAGES, ROW = 4, 330
+PYTHON = MpcSettings(backend="python")  # for what reaches into a step
 WEIGHTS = Weights()
 
 
@@ -36,14 +37,17 @@ def operating(short: Reference) -> Operating:
     return Operating.of(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
 
 
-def forecast_of(operating: Operating, reference: Reference, stages: int = STAGES, still: bool = False, seed: int = 5) -> Forecast:
-    """About a point of a reference, from a random motion and with a random bias of the tip."""
+def forecast_of(
+    operating: Operating, reference: Reference, stages: int = STAGES, still: bool = False, seed: int = 5
+) -> tuple[Forecast, np.ndarray]:
+    """About a point of a reference, from a random motion and with a random bias of the tip; with the program's H."""
     random = np.random.default_rng(seed)
     rows = np.full(stages + 9, ROW) if still else ROW + 2 * np.arange(-1, stages + 8)
     forecast = LinearForecast(WEIGHTS, stages)
     motion = np.append(4e-3 * random.normal(size=10), 1e-2 * random.normal(size=10))
-    forecast.about(operating, reference, rows, motion, 2e-3 * random.normal(size=3))
-    return forecast
+    hessian = forecast.prepare(operating, reference, rows)
+    forecast.about(motion, 2e-3 * random.normal(size=3))
+    return forecast, hessian
 
 
 def written_out(
@@ -78,11 +82,11 @@ def written_out(
 @pytest.mark.parametrize("still", [True, False])
 def test_cost_is_the_sum_over_the_stages(short, operating, still):
     """½ vᵀ H v + fᵀ v differs between plans as sums do that are written out naively."""
-    forecast, random = forecast_of(operating, short, still=still), np.random.default_rng(6)
+    (forecast, H), random = forecast_of(operating, short, still=still), np.random.default_rng(6)
     rows = np.full(STAGES + 3, ROW) if still else ROW + 2 * np.arange(-1, STAGES + 2)
     path = (short.levels[rows] - operating.model.levels) @ operating.model.weights.T
     begin = random.normal(size=6)
-    H, f = forecast.cost(begin)
+    f = forecast.gradient(begin)
     np.testing.assert_allclose(H, H.T, rtol=1e-9, atol=1e-9)
     plans = random.normal(size=(5, STAGES, 6))
     condensed = [plan.ravel() @ (H @ plan.ravel() / 2 + f) for plan in plans]
@@ -104,13 +108,13 @@ def riccati(operating: Operating) -> np.ndarray:
 
 def test_value_beyond_the_horizon_converges(short, operating):
     """From the value about a point further on, by a step a period, to that of scipy about the one at which the robot stays."""
-    rows, motion = np.full(STAGES + 9, ROW), np.zeros(20)
+    rows = np.full(STAGES + 9, ROW)
     far = Operating.of(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
     forecast = LinearForecast(WEIGHTS, STAGES)
-    forecast.about(far, short, rows, motion, np.zeros(3))
+    forecast.prepare(far, short, rows)
     wanted, off = riccati(operating), []
     for _ in range(200):
-        forecast.about(operating, short, rows, motion, np.zeros(3))
+        forecast.prepare(operating, short, rows)
         off.append(np.abs(forecast.horizon.value - wanted).max() / np.abs(wanted).max())
     assert off[0] > 1e-3
     assert off[-1] < 1e-6
@@ -120,8 +124,8 @@ def test_horizon_does_not_matter_without_limits(short, operating):
     """At a point where the robot stays, the first forces of a plan over 3 stages are those of one over 20."""
     begin, plans = np.linspace(-1, 1, 6), []
     for stages in (3, 20):
-        H, f = forecast_of(operating, short, stages, still=True).cost(begin)
-        plans.append(np.linalg.solve(H, -f)[:18])
+        forecast, H = forecast_of(operating, short, stages, still=True)
+        plans.append(np.linalg.solve(H, -forecast.gradient(begin))[:18])
     np.testing.assert_allclose(plans[0], plans[1], atol=1e-5)
     assert np.abs(plans[0]).max() > 0.1
 
@@ -130,7 +134,8 @@ def test_forces_at_rest_undo_the_bias(short, operating):
     """The static answer of the tip to `rest_force`, exactly, is minus its bias."""
     forecast = LinearForecast(WEIGHTS, STAGES)
     bias = np.array([2e-3, -1e-3, 3e-3])
-    forecast.about(operating, short, np.full(STAGES + 9, ROW), np.zeros(20), bias)
+    forecast.prepare(operating, short, np.full(STAGES + 9, ROW))
+    forecast.about(np.zeros(20), bias)
     assert operating.model.gain[-3:] @ forecast.horizon.rest_force == pytest.approx(-bias)
 
 
@@ -163,7 +168,7 @@ def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, ending: Ending, wh
 @pytest.mark.parametrize("ending", [Ending.INFEASIBLE, Ending.NOT_FINITE, Ending.ITERATION_LIMIT])
 def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, ending):
     """Shifted by a period, half a stage; counted by its reason; when the program works again, its plan counts again."""
-    controller, random = Mpc(kang, short), np.random.default_rng(1)
+    controller, random = Mpc(kang, short, PYTHON), np.random.default_rng(1)
     for row in range(20):
         controller.command(sample_at(short, row, random))
     assert not controller.fallbacks
@@ -183,7 +188,7 @@ def test_failed_program_goes_on_with_the_last_plan(kang, short, monkeypatch, end
 
 def test_first_program_fails(kang, short, monkeypatch):
     """Without any plan yet the tensions stay where they are."""
-    controller = Mpc(kang, short)
+    controller = Mpc(kang, short, PYTHON)
     failing(controller, monkeypatch, Ending.FAILED, lambda: True)
     first = controller.start().tensions
     for row in range(5):
@@ -193,7 +198,7 @@ def test_first_program_fails(kang, short, monkeypatch):
 
 def test_program_that_fails_now_and_then(kang, short, monkeypatch):
     """One of twenty, at random, with half of the points lost or wrong: commands are finite and within the limits, all failures counted."""
-    controller, random = Mpc(kang, short), np.random.default_rng(3)
+    controller, random = Mpc(kang, short, PYTHON), np.random.default_rng(3)
     count = failing(controller, monkeypatch, Ending.INFEASIBLE, lambda: random.random() < 0.05)
     for row in range(120):
         sample = sample_at(short, row, random)
@@ -327,7 +332,7 @@ def test_results_say_in_one_line_what_they_are(kang, short, followed):
     controller.command(sample_at(short, 0, np.random.default_rng(1)))
     assert repr(short) == "Reference(4.49 s, 450 periods, counted=100, targets=1)"
     assert repr(followed) == "LoopRecord(done, samples=450, until=4.49 s)"
-    assert repr(controller).startswith("Mpc(kang2017, linear, Reference(")
+    assert repr(controller).startswith(f"Mpc(kang2017, linear in {'C' if controller.is_c else 'Python'}, Reference(")
     assert repr(controller.last).startswith("Step(solved, period=0, moves=")
     assert repr(controller.last.estimate).startswith("StateEstimate(tip=(")
     loop = ClosedLoop.of(followed, kang, LoopSetup(rig="sim <one>"))
@@ -343,7 +348,7 @@ def test_soft_corridor_pulls_the_tip_in(kang, short):
     """From 8 mm beside it and with the error itself cheap: less is planned beyond a corridor that cannot be kept at once; nothing fails."""
     beyond = {}
     for corridor in (np.inf, 1e-3):
-        controller = Mpc(kang, short, MpcSettings(weights=Weights(tip=1e-2), corridor=corridor))
+        controller = Mpc(kang, short, MpcSettings(weights=Weights(tip=1e-2), corridor=corridor, backend="python"))
         for k in range(60):
             controller.command(Sample(k * short.period, short.equilibria[k].points + np.array([8e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4))
         horizon = controller._forecast.horizon

@@ -27,9 +27,16 @@ def operating(short: Reference) -> Operating:
     return Operating.of(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
 
 
+def prepared(forecast: Forecast, operating: Operating, reference: Reference, motion: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Let a forecast stand at the point; H of its program."""
+    hessian = forecast.prepare(operating, reference, np.full(STAGES + 9, ROW))
+    forecast.about(motion, bias)
+    return hessian
+
+
 def tip_errors(forecast: Forecast, begin: np.ndarray, plan: np.ndarray) -> np.ndarray:
     """As foreseen at stages 1 … stages − 1, (stages − 1, 3) in m."""
-    forecast.cost(begin)
+    forecast.gradient(begin)
     horizon = forecast.horizon
     return (horizon.tip_free + horizon.tip_answer @ plan.ravel()).reshape(-1, 3)
 
@@ -41,8 +48,8 @@ def test_without_a_plan_it_is_the_linear_one_where_the_reference_stands(short, o
     programs = []
     for kind in (LinearForecast, NonlinearForecast):
         forecast = kind(Weights(), STAGES)
-        forecast.about(operating, short, np.full(STAGES + 9, ROW), motion, np.array([1e-3, 0.0, 2e-3]))
-        programs.append(forecast.cost(begin))
+        hessian = prepared(forecast, operating, short, motion, np.array([1e-3, 0.0, 2e-3]))
+        programs.append((hessian, forecast.gradient(begin)))
     for one, other in zip(*programs, strict=True):
         np.testing.assert_allclose(other, one, atol=1e-8 * np.abs(one).max())
 
@@ -59,7 +66,7 @@ def test_large_motion_is_foreseen(kang: CompiledModel, short: Reference, operati
     for kind in (LinearForecast, NonlinearForecast):
         forecast = kind(Weights(), STAGES)
         for _ in range(4):  # the plan is the same again and again: iterations that have converged
-            forecast.about(operating, short, np.full(STAGES + 9, ROW), np.zeros(20), np.zeros(3))
+            prepared(forecast, operating, short, np.zeros(20), np.zeros(3))
             found = tip_errors(forecast, np.zeros(6), plan)
             forecast.take(plan)
         off[kind] = np.linalg.norm(found - true, axis=1)
@@ -71,11 +78,11 @@ def test_a_plan_without_an_equilibrium_is_left(short, operating):
     """A plan that cannot be: the forecast is along the reference then, and finite."""
     forecast = NonlinearForecast(Weights(), STAGES)
     for plan in (np.full((STAGES, 6), 500.0), None):
-        forecast.about(operating, short, np.full(STAGES + 9, ROW), np.zeros(20), np.zeros(3))
-        assert all(np.isfinite(part).all() for part in forecast.cost(np.zeros(6)))
+        hessian = prepared(forecast, operating, short, np.zeros(20), np.zeros(3))
+        assert all(np.isfinite(part).all() for part in (hessian, forecast.gradient(np.zeros(6))))
         forecast.take(plan)
-    forecast.about(operating, short, np.full(STAGES + 9, ROW), np.zeros(20), np.zeros(3))
-    assert all(np.isfinite(part).all() for part in forecast.cost(np.zeros(6)))
+    hessian = prepared(forecast, operating, short, np.zeros(20), np.zeros(3))
+    assert all(np.isfinite(part).all() for part in (hessian, forecast.gradient(np.zeros(6))))
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from tepm_opt.control.reference import Reference
 from tepm_opt.errors import InputError
@@ -50,6 +50,15 @@ class Controller(Protocol):
 
     def telemetry(self) -> Telemetry:
         """What is logged of the last sample."""
+        ...
+
+
+@runtime_checkable
+class Prepares(Protocol):
+    """A controller part of whose work needs no sample and can be done while the rig goes on."""
+
+    def prepare(self) -> None:
+        """Do what the next sample is not needed for, should it come a period after the last one; best as soon as a command is sent."""
         ...
 
 

@@ -12,81 +12,41 @@ which is taken in every period. Rawlings, Mayne, Diehl, Model Predictive Control
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from tepm_opt.control.actuators import Actuators, InputEffects, Sent
-from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, Value, own_settings
+from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Telemetry, own_settings
 from tepm_opt.control.doubts import Doubts, TrackerNoise
 from tepm_opt.control.estimator import Estimator, Operating, StateEstimate
 from tepm_opt.control.forecast import Forecast, LinearForecast
 from tepm_opt.control.friction import course, turned
-from tepm_opt.control.keep_out import PRESSED, WEIGHT, KeepOutRows
+from tepm_opt.control.keep_out import PRESSED, KeepOutRows
 from tepm_opt.control.markers import Markers
 from tepm_opt.control.mpc_settings import MpcSettings, Use
 from tepm_opt.control.nonlinear import NonlinearForecast
 from tepm_opt.control.pressure_planner import PressurePlanner
-from tepm_opt.control.qp import QpResult, QpSolver
+from tepm_opt.control.program import TensionProgram
 from tepm_opt.control.reference import Reference
+from tepm_opt.control.step.compiled import LATE, CompiledStep
+from tepm_opt.control.step.layout import MOST_LATE, kept
+from tepm_opt.control.step.record import Ahead, Prepared, Step, columns_of
+from tepm_opt.control.step.setup import StepSetup
+from tepm_opt.control.step.timing import computing_time
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.outcome import Outcome
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 PERIODS = 2  # of control in a stage of the prediction
-MOST_LATE = 8  # periods by which commands may act later than the robot file says
-LATE = "late"  # why a plan that was found is not used
+SLACK = 0.05  # of a period, by which computing time may go beyond whole ones
 
 
 DEFAULT = MpcSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Record of one control step.
-
-    Attributes:
-        period: number of the sample's reference row.
-        estimate: at the sample's time.
-        pressures, tensions: commanded, (actuators,) in Pa and N.
-        moves: how many pressures were moved.
-        unknown: forces with friction that stand against the known ones, (actuators,) in N.
-        plan: tensions of the coming stages, (stages, actuators) in N.
-        outcome: of the quadratic program; the last plan goes on where it is not solved.
-        iterations: of the program.
-        seconds: of the whole step and, of these, of the program.
-    """
-
-    period: int
-    estimate: StateEstimate
-    pressures: np.ndarray
-    tensions: np.ndarray
-    moves: int
-    unknown: np.ndarray
-    plan: np.ndarray
-    outcome: Outcome
-    iterations: int
-    seconds: tuple[float, float]
-
-    def __repr__(self) -> str:
-        took = f"{1e3 * self.seconds[0]:.2g} ms"
-        return f"Step({self.outcome}, period={self.period}, moves={self.moves}, iterations={self.iterations}, took={took})"
-
-
-@dataclass(frozen=True, eq=False)
-class _Ahead:
-    """What will be when a new command can act: the operating point, [q, q'] about it, the actuators, which way friction and hysteresis
-    pull."""
-
-    operating: Operating
-    motion: np.ndarray
-    actuators: Actuators
-    direction: np.ndarray
-    turning: np.ndarray
 
 
 class Mpc:
@@ -98,8 +58,10 @@ class Mpc:
         settings: of the controller.
 
     Attributes:
-        last: record of the last step; None before the first one.
-        fallbacks: number of steps that went on with an older plan, by the reason.
+        setup: what a step in C is made of.
+
+    Raises:
+        InputError: `backend="c"` where the step cannot be in C.
     """
 
     def __init__(self, model: CompiledModel, reference: Reference, settings: MpcSettings = DEFAULT) -> None:
@@ -110,30 +72,28 @@ class Mpc:
         self.period, self.stage = reference.period, PERIODS * reference.period
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
         self.middle = settings.mid_range * self._tension_max if settings.use is not Use.PRESSURE else np.zeros(half)
-        age = robot.tracker.latency_s if robot.tracker else 0.0
-        self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
-        self._declared = self.ahead
+        late = (robot.tracker.latency_s if robot.tracker else 0.0) + self.devices.delay
+        took = settings.computing
+        if took is None:
+            took = computing_time(Mpc(model, reference, replace(settings, deadline=np.inf, computing=0.0)))
+        self._ahead = int(max(np.ceil(late / self.period - 1e-9), np.ceil((late + took) / self.period - SLACK)))
+        self._declared = self._ahead
         step = robot.actuation.pressure_step
         self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
-        variables = settings.stages * half
-        self._rates = np.eye(variables) - np.eye(variables, k=-half)
         keep_out = reference.keep_out
         self._keep_out = None if keep_out is None else KeepOutRows(keep_out, reference, settings.stages)
-        kept = 3 * (settings.stages - 1) if np.isfinite(settings.corridor) else 0
-        kept += 0 if self._keep_out is None else self._keep_out.count
-        soft = np.append(np.full(variables, np.inf), np.full(kept, (WEIGHT / settings.weights.tip) ** 2)) if kept else None
-        self._solver = QpSolver(np.vstack([self._rates, np.zeros((kept, variables))]), soft)
-        weights, stages = settings.weights, settings.stages
-        linear = not settings.nonlinear
+        kept_rows = 0 if self._keep_out is None else self._keep_out.count
+        self._program = TensionProgram(settings, self._tension_max, self.devices.tension_rate * self.stage, kept_rows)
+        weights, stages, linear = settings.weights, settings.stages, not settings.nonlinear
         self._forecast: Forecast = LinearForecast(weights, stages) if linear else NonlinearForecast(weights, stages, settings.damping)
-        self._operating: dict[int, Operating] = {}
+        self._operating: dict[int, tuple[int, Operating]] = {}
         self._newest: ModalModel | None = None
         self._plan: np.ndarray | None = None
         self._slow, self._extra = np.zeros(half), np.zeros((settings.stages, half))
         self._planned: np.ndarray | None = None
         self._pressed = False  # into a margin, so that pressures help at once
-        self.fallbacks: dict[str, int] = {}
-        self.last: Step | None = None
+        self._fallbacks: dict[str, int] = {}
+        self._last: Step | None = None
         first = self.start()
         inputs = np.concatenate([first.pressures, first.tensions])
         self._enabled = first.enabled.copy()
@@ -148,10 +108,38 @@ class Mpc:
         self._estimator = Estimator(self._point(0), self._noise.declared, middle, self._filter)
         self._zero: float | None = None
         self._row = 0
+        self._ready: Prepared | None = None
+        self._taken: Sample | None = None  # of which noise and doubts have not been told yet
+        self._fresh: Sample | None = None  # of which nobody has looked whether a point slipped
+        self.setup = StepSetup(
+            model, reference, settings, self._filter, self._pressure_planner, self._tension_max, self._ahead, self._noise.declared, first,
+            self._point(0).model, self._effects.none,
+        )  # fmt: skip
+        self._compiled = CompiledStep.of(self.setup, self._doubts)
 
     def __repr__(self) -> str:
-        kind = "nonlinear" if self.settings.nonlinear else "linear"
-        return f"Mpc({self.model.robot.name}, {kind}, {self.reference!r}, fallbacks={self.fallbacks})"
+        kind, steps = "nonlinear" if self.settings.nonlinear else "linear", "C" if self.is_c else "Python"
+        return f"Mpc({self.model.robot.name}, {kind} in {steps}, {self.reference!r}, fallbacks={self.fallbacks})"
+
+    @property
+    def is_c(self) -> bool:
+        """Whether it steps in compiled C."""
+        return self._compiled is not None
+
+    @property
+    def ahead(self) -> int:
+        """Periods from a sample to when a new command acts, as far as is known."""
+        return self._compiled.ahead if self._compiled else self._ahead
+
+    @property
+    def last(self) -> Step | None:
+        """Record of the last step; None before the first one."""
+        return self._compiled.last if self._compiled else self._last
+
+    @property
+    def fallbacks(self) -> dict[str, int]:
+        """Number of steps that went on with an older plan, by the reason."""
+        return self._compiled.fallbacks if self._compiled else self._fallbacks
 
     def start(self) -> Command:
         """Set points under which the robot shall rest before the first sample."""
@@ -163,123 +151,161 @@ class Mpc:
         return Command(pressure, tension, np.full(len(forces), free))
 
     def command(self, sample: Sample) -> Command:
-        """Set points for a sample; never NaN, always within the limits."""
+        """Set points for a sample; never NaN, always within the limits. What `prepare` has not prepared is prepared first."""
+        self._look()
+        sample = self._fresh = self._markers.placed(sample)
+        if self._compiled:
+            return self._compiled.feedback(sample, self.settings.deadline)
         began = time.perf_counter()
-        estimate = self._observe(sample)
-        ahead = self._look_ahead(estimate)
-        command, step = self._decide(estimate, ahead, began)
-        self._sent.add(sample.time + self.ahead * self.period, command)
-        self._sent.forget(sample.time - MOST_LATE * self.period)
-        self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
-        return command
+        self._zero = sample.time if self._zero is None else self._zero
+        row = max(round((sample.time - self._zero) / self.period), self._row)
+        ready = self._ready
+        if ready is None or (ready.row, ready.ahead) != (row, self._ahead):
+            ready = self._prepared(row)
+        self._ready, self._taken = None, sample
+        return self._feedback(ready, sample, began)
+
+    def prepare(self) -> None:
+        """Do what the next sample is not needed for, should it come a period after the last one; best as soon as a command is sent."""
+        self._look()
+        if self._compiled:
+            self._compiled.prepare()
+        else:
+            self._ready = self._prepared(self._row + (self._last is not None))
 
     def telemetry(self) -> Telemetry:
         """Estimate, quadratic program and moves of the last step, and how often an older plan went on."""
-        step, names = self.last, self.model.layout.actuator_names
+        self._look()
+        told = self._compiled.telemetry() if self._compiled else self._telemetry()
+        slipped = self._markers.told()
+        return replace(told, doubts={**told.doubts, **slipped}) if slipped else told
+
+    def _look(self) -> None:
+        """Look once whether a tracked point of the last sample has slipped."""
+        if self._fresh is not None:
+            self._markers.look(self._fresh.points, self._compiled.noise if self._compiled else self._noise.measured)
+            self._fresh = None
+
+    def _telemetry(self) -> Telemetry:
+        step, names = self._last, self.model.layout.actuator_names
         if step is None:
             return Telemetry()
-        estimate = step.estimate
-        columns: dict[str, Value] = {f"estimated_tip_{axis}_m": float(estimate.points[-1, k]) for k, axis in enumerate("xyz")}
-        for k, name in enumerate(names):
-            columns[f"unknown_force_{name}_N"] = float(step.unknown[k])
-            columns[f"friction_{name}_N"] = float(estimate.friction[k])
-            columns[f"tension_offset_{name}_N"] = float(self._actuators.tension_offset[k])
-            columns[f"pressure_offset_{name}_Pa"] = float(self._actuators.pressure_offset[k])
-        columns |= {"nis": float(estimate.nis), "coordinates_seen": float(estimate.seen), "points_refused": float(estimate.refused.sum())}
-        columns |= {"tracked_noise_m": self._noise.measured}
+        self._note()
+        columns = columns_of(step, names, self._actuators) | {"tracked_noise_m": self._noise.measured}
         if self._keep_out is not None:
-            columns |= self._keep_out.keep_out.columns(estimate)
+            columns |= self._keep_out.keep_out.columns(step.estimate)
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), self._doubted)
 
     def _point(self, period: int) -> Operating:
         """Local model of the network about the reference at a period."""
         row = int(self.reference.at(period))
-        found = self._operating.get(row)
-        if found is None:
+        slot = row % kept(self._declared)
+        at, found = self._operating.get(slot, (-1, None))
+        if found is None or at != row:
             self._newest = modal_model(self.reference.equilibria[row], self._newest)
-            local = self._newest.damped(self.settings.damping)
-            found = self._operating[row] = Operating.of(local, self.reference.forces[row], self.period)
-        for old in list(self._operating)[: -2 * self.ahead - 8]:
-            del self._operating[old]
+            found = Operating.of(self._newest.damped(self.settings.damping), self.reference.forces[row], self.period)
+            self._operating[slot] = row, found
         return found
 
-    def _observe(self, sample: Sample) -> StateEstimate:
-        """Bring estimator and actuators up to the sample."""
-        reference = self.reference
-        self._zero = sample.time if self._zero is None else self._zero
-        row = round((sample.time - self._zero) / self.period)
+    def _note(self) -> None:
+        """Noise of the tracker and doubts by the last sample."""
+        if self._taken is not None:
+            self._noise.add(self._taken.points)
+            late = (self._ahead - self._declared) * self.period + self._actuators.late
+            self._doubted, self._taken = self._doubts.told(self._actuators, self._noise, late), None
+
+    def _acting(self, row: int) -> Command:
+        """The command that is in force over a period."""
+        start = (self._zero or 0.0) + row * self.period
+        return self._sent.between(start, start + self.period)
+
+    def _prepared(self, row: int) -> Prepared:
+        """Prepare for a sample at a row of the reference."""
+        self._note()
+        reference, settings = self.reference, self._filter
+        estimator, actuators = copy.copy(self._estimator), copy.copy(self._actuators)
+        estimator.noise = self._noise.measured
         for passed in range(self._row, row):
-            start = self._zero + passed * self.period
-            self._actuators.command = self._sent.between(start, start + self.period)
-            known = self._actuators.advance(self.period) + self._effects.forces
+            actuators.command = self._acting(passed)
+            known = actuators.advance(self.period) + self._effects.forces
             a, b = reference.at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / self.period
-            self._estimator.predict(known, self._actuators.tension, rates, self._point(passed + 1))
-        passed, self._row = max(row - self._row, 0), max(row, self._row)
-        self._actuators.correct(sample, passed * self.period)
-        before, self.ahead = self.ahead, min(max(self.ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
-        self._sent.shift((self.ahead - before) * self.period)
-        self._effects.advance(self._actuators, self.period)
-        self._estimator.noise = self._noise.add(sample.points)
-        late = (self.ahead - self._declared) * self.period + self._actuators.late
-        points = self._markers.placed(sample.points, self._noise.measured)
-        self._doubted = {**self._doubts.told(self._actuators, self._noise, late), **self._markers.told()}
-        return self._estimator.update(points)
+            estimator.predict(known, actuators.tension, rates, self._point(passed + 1))
+        then, seen, directions = self._point(row + self._ahead), estimator.estimate(np.zeros(0)), [estimator.direction]
+        for at in range(row, row + self._ahead):
+            a, b = reference.at(np.array([at, at + 1]))
+            change = reference.lengths[b] - reference.lengths[a] + self.period * seen.deviation
+            directions.append(turned(directions[-1], change, settings.presliding_distance))
+        preview, stages = self.settings.pressure_planner.preview, self.settings.stages
+        rows = reference.at(row + self._ahead + PERIODS * np.arange(-1, preview + 2))
+        courses = course(directions[-1], np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.presliding_distance)
+        foreseen = seen.friction * courses
+        factor = 1 + settings.load_share / estimator.middle * foreseen
+        self._program.prepare(self._forecast.prepare(then, reference, rows), factor[:stages])
+        return Prepared(row, self._ahead, rows, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
 
-    def _look_ahead(self, estimate: StateEstimate) -> _Ahead:
+    def _feedback(self, ready: Prepared, sample: Sample, began: float) -> Command:
+        """From a sample to the command."""
+        passed, self._row = ready.row - self._row, ready.row
+        self._estimator, self._actuators = ready.estimator, ready.actuators
+        self._actuators.correct(sample, passed * self.period)
+        self._effects.advance(self._actuators, self.period)
+        estimate = self._estimator.update(sample.points)
+        command, step = self._decide(ready, estimate, self._look_ahead(ready, estimate), began)
+        self._sent.add(sample.time + self._ahead * self.period, command)
+        self._sent.forget(sample.time - MOST_LATE * self.period)
+        before, self._ahead = self._ahead, min(max(self._ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
+        self._sent.shift((self._ahead - before) * self.period)
+        self._last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
+        return command
+
+    def _look_ahead(self, ready: Prepared, estimate: StateEstimate) -> Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
-        then, now, actuators = self._point(self._row + self.ahead), estimate.operating, self._actuators.copy()
+        now, actuators = estimate.operating, self._actuators.copy()
         actuators.area = self.area * (1 + estimate.strength)
-        motion, direction, turning, lengths = estimate.motion, estimate.direction, estimate.turning, self.reference.lengths
-        settings = self._filter
-        for at in range(self._row, self._row + self.ahead):
-            start = (self._zero or 0.0) + at * self.period
-            actuators.command = self._sent.between(start, start + self.period)
-            a, b = self.reference.at(np.array([at, at + 1]))
-            change = lengths[b] - lengths[a] + self.period * estimate.deviation
-            direction = turned(direction, change, settings.presliding_distance)
+        motion, turning = estimate.motion, estimate.turning
+        for at, direction in enumerate(ready.directions, self._row):
+            actuators.command = self._acting(at)
             before, known = actuators.pressure, actuators.advance(self.period)
-            turning = turned(turning, self.area * (actuators.pressure - before), settings.hysteresis_width)
+            turning = turned(turning, self.area * (actuators.pressure - before), self._filter.hysteresis_width)
             friction = estimate.friction * direction * self._estimator.loaded(actuators.tension) + estimate.hysteresis * turning
             motion = now.advance(motion, known + self._effects.forces + estimate.unknown - friction)
-        return _Ahead(then, now.turned(motion, then), actuators, direction, turning)
+        return Ahead(now.turned(motion, ready.then), actuators, turning)
 
-    def _decide(self, estimate: StateEstimate, ahead: _Ahead, began: float) -> tuple[Command, Step]:
+    def _decide(self, ready: Prepared, estimate: StateEstimate, ahead: Ahead, began: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them."""
-        reference, settings, horizon = self.reference, self.settings, self._forecast.horizon
-        stages, preview, actuators = settings.stages, settings.pressure_planner.preview, ahead.actuators
-        rows = reference.at(self._row + self.ahead + PERIODS * np.arange(-1, preview + 2))
-        self._forecast.about(ahead.operating, reference, rows, ahead.motion, estimate.bias[-1])
-        self._enabled = self._switched(ahead)
-        # friction over the coming stages: a part that does not depend on the tension and one in proportion to it
-        steps, share = np.diff(reference.lengths[rows[1:]], axis=0)[:preview], self._filter.load_share
-        pulled = estimate.friction * course(ahead.direction, steps, self._filter.presliding_distance)
-        still, factor = (1 - share) * pulled, 1 + share / self._estimator.middle * pulled
+        settings, horizon, share = self.settings, self._forecast.horizon, self._filter.load_share
+        stages, actuators, direction = settings.stages, ahead.actuators, ready.directions[-1]
+        self._forecast.about(ahead.motion, estimate.bias[-1])
+        self._enabled = self._switched(ready.then, ahead.motion)
+        # friction over the coming stages: what is foreseen of it in proportion to the tension, all else as at the tension's middle
+        pulled, factor = estimate.friction * ready.courses, ready.factor
+        still = pulled - share * ready.foreseen
         before, unknown = self._sent.last.pressures, estimate.unknown + self._effects.forces
         behind = estimate.hysteresis, ahead.turning
         pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self.middle * self._enabled, actuators, behind)
         begin = actuators.forces + unknown - horizon.forces[0] - estimate.hysteresis * ahead.turning
-        begin = begin - estimate.friction * ahead.direction * self._estimator.loaded(actuators.tension)
+        begin = begin - estimate.friction * direction * self._estimator.loaded(actuators.tension)
         rises = self.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
         turns = course(ahead.turning, rises, self._filter.hysteresis_width)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
-        about = horizon, ahead.operating.model, rows[2 : stages + 1], estimate.bias, begin, self._planned
-        kept = None if self._keep_out is None else self._keep_out.about(*about)
-        result = self._solve(begin, offset, factor[:stages], actuators.tension, kept)
-        self._pressed = kept is not None and result.violation > PRESSED
+        about = horizon, ready.then.model, ready.rows[2 : stages + 1], estimate.bias, begin, self._planned
+        soft = None if self._keep_out is None else self._keep_out.about(*about)
+        result = self._program.solve(self._forecast, begin, offset, actuators.tension, self._enabled, soft)
+        self._pressed = soft is not None and result.violation > PRESSED
         if result.x is not None and time.perf_counter() - began <= settings.deadline:
             plan = result.x.reshape(stages, -1)
             self._planned = offset - factor[:stages] * plan
         else:
             reason = result.outcome.ending.value if result.x is None else LATE
-            self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
+            self._fallbacks[reason] = self._fallbacks.get(reason, 0) + 1
             plan, self._planned = self._shifted(actuators.tension), None
         self._forecast.take(self._planned)
-        reference.govern(self._row + self.ahead + 1, horizon.tip_errors(self._planned))
+        self.reference.govern(self._row + self._ahead + 1, horizon.tip_errors(self._planned))
         self._plan = plan
         tensions = np.clip((actuators.tension + plan[0]) / 2, 0.0, self._tension_max) * self._enabled  # a period is half a stage
-        against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * ahead.direction
+        against = unknown + self.area * estimate.strength * actuators.pressure - estimate.friction * direction
         moves = int(np.sum(pressures != before))
         seconds = (0.0, result.seconds)
         step = Step(self._row, estimate, pressures, tensions, moves, against, plan, result.outcome, result.iterations, seconds)
@@ -292,13 +318,13 @@ class Mpc:
         later = np.vstack([self._plan[1:], self._plan[-1:]])
         return np.clip((self._plan + later) / 2, 0.0, self._tension_max)
 
-    def _switched(self, ahead: _Ahead) -> np.ndarray:
+    def _switched(self, then: Operating, motion: np.ndarray) -> np.ndarray:
         """ENA, (actuators,): by the rule of mode 2, from the lengths; all on in free mode."""
         settings, count = self.settings, len(self.middle)
         if settings.use is Use.PRESSURE or not settings.switching:
             return np.full(count, settings.use is not Use.PRESSURE)
-        drive = ahead.operating.model.drive  # lengths follow the modes as the modes follow the axial forces
-        return np.abs(drive.T @ ahead.motion[: len(drive)]) < np.where(self._enabled, settings.disable_above, settings.enable_below)
+        drive = then.model.drive  # lengths follow the modes as the modes follow the axial forces
+        return np.abs(drive.T @ motion[: len(drive)]) < np.where(self._enabled, settings.disable_above, settings.enable_below)
 
     def _plan_pressures(
         self, unknown: np.ndarray, pulled: np.ndarray, actuators: Actuators, behind: tuple[np.ndarray, np.ndarray]
@@ -329,50 +355,6 @@ class Mpc:
         rises = self.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
         wanted = wanted + hysteresis * course(turning, rises, self._filter.hysteresis_width) / actuators.area
         return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages)
-
-    def _solve(
-        self,
-        begin: np.ndarray,
-        offset: np.ndarray,
-        factor: np.ndarray,
-        tension: np.ndarray,
-        kept: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> QpResult:
-        """The program in the tensions λ of the stages: v = offset − factor λ.
-
-        Args:
-            begin: v at stage 0, (actuators,) in N.
-            offset, factor: (stages, actuators) in N and without unit.
-            tension: now, (actuators,) in N.
-            kept: R and r of soft rows R v ≥ r, see `KeepOutRows`.
-        """
-        stages, most = self.settings.stages, self.devices.tension_rate * self.stage
-        H, f = self._forecast.cost(begin)
-        scale = -factor.ravel()
-        low = np.zeros(H.shape[0])
-        high = np.tile(self._tension_max * self._enabled, stages)
-        if self.settings.use is Use.PRESSURE:
-            low, high = np.tile(-self._tension_max, stages), np.tile(self._tension_max, stages)  # what pressure shall make
-        rate_low, rate_high = np.full(len(low), -most), np.full(len(low), most)
-        count = len(tension)
-        tension = np.clip(tension, 0.0, self._tension_max)  # a gauge may say what no motor does
-        first = tension * self._enabled if self.settings.use is not Use.PRESSURE else tension
-        rate_low[:count] += first
-        rate_high[:count] += first
-        H, f = H * scale[:, None] * scale, scale * (f + H @ offset.ravel())
-        horizon, width = self._forecast.horizon, self.settings.corridor
-        soft = [(horizon.tip_answer, -width - horizon.tip_free, width - horizon.tip_free)] if np.isfinite(width) else []
-        soft += [] if kept is None else [(*kept, np.full(len(kept[1]), np.inf))]
-        if not soft:
-            return self._solver.solve(H, f, low, high, rate_low, rate_high)
-        by, least, most = (np.concatenate(parts) for parts in zip(*soft, strict=True))
-        known = by @ offset.ravel()
-        rows, row_low, row_high = (
-            np.vstack([self._rates, by * scale]),
-            np.append(rate_low, least - known),
-            np.append(rate_high, most - known),
-        )
-        return self._solver.solve(H, f, low, high, row_low, row_high, rows)
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:

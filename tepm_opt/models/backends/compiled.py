@@ -10,8 +10,10 @@ import numpy as np
 
 from tepm_opt.models.backends.ccode import Unit
 from tepm_opt.models.backends.interface import (
+    GUARDS,
     LANES,
     MAX_CORRECTION,
+    MODES,
     SHARED,
     STATUSES,
     Allotment,
@@ -48,13 +50,15 @@ def statics_unit(network: Network) -> Unit:
         "NTHETA": len(network.parameter_names),
         "NPOINT": 3 * layout.points,
         "NLEN": layout.inputs // 2,
+        "NMODE": min(MODES, layout.levels * layout.block),
+        "NSHAPE": min(MODES + GUARDS, layout.levels * layout.block),
     }
-    symbols = ("actuation", "statics", "sensitivity", "matrices", "inverse", "response", "allocate", "configurations")
+    symbols = ("actuation", "statics", "sensitivity", "matrices", "inverse", "response", "allocate", "configurations", "modal")
     return Unit(
         network.functions,
         sizes,
         {"DRIVEN": network.driven},
-        ("real.c", "rotations.c", "statics.c", "kinematics.c"),
+        ("real.c", "rotations.c", "statics.c", "kinematics.c", "modal.c"),
         symbols,
         stem="statics",
     )
@@ -121,6 +125,8 @@ class CompiledStatics:
         self._allocate.argtypes, self._allocate.restype = [p, p, p, p, p, d, i, p, p], d
         self._configurations = library.configurations
         self._configurations.argtypes = [i, p, i, *[p] * 7, d, d, d, d, i, p, p, p, d, i, *[p] * 7]
+        self.modal = ctypes.cast(library.modal, p).value
+        """Address of `modal` of modal.c, for compiled controllers."""
         self._arrays = _Arrays(network)
 
     def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:

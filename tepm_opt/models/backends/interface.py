@@ -40,7 +40,7 @@ MAX_CORRECTION = 5e-3
 """m from its extrapolation within which a solution of Newton's method is believed; farther ones halve the step."""
 STAYS = 1e12
 """N/m of what nothing holds in a motion's first equilibrium: its derivatives say that it stays where it begins."""
-IMPLICIT, EXPLICIT = range(2)
+IMPLICIT, EXPLICIT, MODES, GUARDS = 0, 1, 10, 4  # schemes; modes of the slow motion, and shapes beyond them that are carried along
 
 
 class Status(IntEnum):

@@ -1,0 +1,196 @@
+/* Regulators, motors and the Kalman filter. */
+
+static double lagged(const step *o, double pressure, double command, int whole_stage) {
+  double more = pressure - command;
+  const settings *s = &o->set;
+  return command + more * (more < 0 ? (whole_stage ? s->fill_stage : s->fill) : (whole_stage ? s->empty_stage : s->empty));
+}
+
+/* Devices a control period on under a command; F_a at its start and end with these areas. */
+static void advance(const step *o, devices *d, const devices *command, const double *area, double forces[2][NA]) {
+  for (int j = 0; j < NA; j++) {
+    if (forces) forces[0][j] = area[j] * d->pressure[j] - d->tension[j];
+    d->pressure[j] = lagged(o, d->pressure[j], command->pressure[j], 0);
+    d->tension[j] += within(command->tension[j] - d->tension[j], -o->set.pull, o->set.pull);
+    if (forces) forces[1][j] = area[j] * d->pressure[j] - d->tension[j];
+  }
+}
+
+/* The command in force over a period; the oldest one that is known where none was yet. */
+static const devices *acting(const step *o, long row) {
+  double start = o->zero + row * o->set.period, middle = (start + (start + o->set.period)) / 2;
+  for (int k = o->sents - 1; k > 0; k--) if (o->sent[k].at <= middle) return &o->sent[k].command;
+  return &o->sent[0].command;
+}
+
+static void send(step *o, double at, const devices *command, double before) {
+  if (o->sents == SENT) { memmove(o->sent, o->sent + 1, (SENT - 1) * sizeof *o->sent); o->sents--; }
+  o->sent[o->sents].at = at;
+  o->sent[o->sents++].command = *command;
+  int gone = 0;
+  while (gone < o->sents - 1 && o->sent[gone + 1].at <= before) gone++;
+  memmove(o->sent, o->sent + gone, (o->sents - gone) * sizeof *o->sent);
+  o->sents -= gone;
+}
+
+/* What is measured above what is expected, 0 where nothing is. */
+static double missed(const double *measured, int j, double expected) {
+  double off = measured ? measured[j] - expected : 0;
+  return isfinite(off) ? off : 0;
+}
+
+static void take_gauges(const step *o, actuators *a, const double *pressures, const double *tensions, double passed) {
+  double share = 1 - exp(-passed / o->set.lasting), by = 0, squares = 0;
+  for (int j = 0; j < NA; j++) {
+    double pressure = missed(pressures, j, a->told.pressure[j] + a->offset.pressure[j]);
+    double tension = missed(tensions, j, a->told.tension[j] + a->offset.tension[j]);
+    a->offset.pressure[j] += share * pressure;
+    a->offset.tension[j] += share * tension;
+    if (tensions && isfinite(tensions[j])) { by += tension * a->rate[j]; squares += a->rate[j] * a->rate[j]; }
+    a->now.pressure[j] = most(a->now.pressure[j] + o->set.belief * missed(pressures, j, a->now.pressure[j] + a->offset.pressure[j]), 0);
+    a->now.tension[j] = most(a->now.tension[j] + o->set.belief * missed(tensions, j, a->now.tension[j] + a->offset.tension[j]), 0);
+  }
+  if (!tensions) return;
+  a->late = (1 - share) * a->late - passed * by;
+  a->weight = (1 - share) * a->weight + passed * squares;
+}
+
+static double lateness(const step *o, const actuators *a) { return a->weight > o->set.telling ? a->late / a->weight : 0; }
+
+static double loaded(const step *o, double tension) { return 1 - o->set.load_share + o->set.load_share * tension / o->set.middle; }
+
+/* The filter a period on, to the operating point `then`. */
+static void predict(const step *o, filter *f, double forces[2][NA], const double *tension, const double *rates, const operating *then) {
+  const operating *now = f->at;
+  const settings *s = &o->set;
+  double A[NX][NM] = {{0}}, B[NX][NM], T[NX][NS], push[NX], noisy[NX][NA] = {{0}}, over[NA], turn[NQ][NQ], shift[NQ], kick[NX][NA] = {{0}};
+  for (int j = 0; j < NA; j++) {
+    double seen = 0, before = f->direction[j];
+    for (int i = 0; i < NQ; i++) seen += now->drive[i][j] * f->mean[NQ + i];
+    f->deviation[j] += s->rate_share * (seen - rates[j] - f->deviation[j]);
+    f->direction[j] = turned(before, (rates[j] + f->deviation[j]) * s->period, s->presliding);
+    over[j] = fabs(f->direction[j] - before);
+    double rise = forces[1][j] - forces[0][j] + (f->begun ? tension[j] - f->tension[j] : 0);
+    f->turning[j] = turned(f->turning[j], rise, s->width);
+    f->tension[j] = tension[j];
+  }
+  f->begun = 1;
+  for (int i = 0; i < NX; i++) {
+    push[i] = 0;
+    for (int j = 0; j < NX; j++) A[i][j] = now->A[i][j];
+    for (int j = 0; j < NA; j++) {
+      double by = now->by_start[i][j] + now->by_end[i][j];
+      A[i][FORCE + j] = by;
+      A[i][STRENGTH + j] = by * ((forces[0][j] + forces[1][j]) / 2 + tension[j]);
+      A[i][FRICTION + j] = -by * f->direction[j] * loaded(o, tension[j]);
+      A[i][HYSTERESIS + j] = -by * f->turning[j];
+      push[i] += now->by_start[i][j] * (forces[0][j] - now->forces[j]) + now->by_end[i][j] * (forces[1][j] - now->forces[j]);
+    }
+  }
+  for (int i = 0; i < NQ; i++) for (int j = 0; j < NA; j++) noisy[NQ + i][j] = s->kick * now->drive[i][j];
+  if (then->before == now->row && then != now) { memcpy(turn, then->turn, sizeof turn); memcpy(shift, then->shift, sizeof shift); }
+  else seen_from(o, then, now, turn, shift);
+  for (int part = 0; part < NX; part += NQ) {
+    TIMES(NQ, NQ, NM, turn, A + part, B + part, 0);
+    TIMES(NQ, NQ, NA, turn, noisy + part, kick + part, 0);
+  }
+  double mean[NX];
+  for (int i = 0; i < NX; i++) {
+    mean[i] = i < NQ ? shift[i] : 0;
+    for (int j = 0; j < NQ; j++) mean[i] += turn[i % NQ][j] * push[i / NQ * NQ + j];
+    for (int j = 0; j < NM; j++) mean[i] += B[i][j] * f->mean[j];
+  }
+  double keep[NS], grown[NS];
+  for (int i = NX; i < NS; i++) {
+    keep[i] = i < STRENGTH ? s->force_keeps : i >= BIAS && i < NS - 3 ? s->bias_keeps : 1;
+    double drift = i < STRENGTH ? s->force_drift : i < FRICTION ? s->strength_drift : i < HYSTERESIS ? s->friction_drift
+                   : i < BIAS ? s->hysteresis_drift : i < NS - 3 ? s->bias_drift : s->tip_bias_drift;
+    grown[i] = s->period * drift * drift + (i < STRENGTH ? s->reversal_noise * s->reversal_noise * over[i - FORCE] : 0);
+    f->mean[i] *= keep[i];
+  }
+  memcpy(f->mean, mean, sizeof mean);
+  TIMES(NX, NM, NS, B, f->covariance, T, 0);
+  double (*P)[NS] = f->covariance;
+  for (int i = 0; i < NX; i++) for (int j = NX; j < NS; j++) P[i][j] = P[j][i] = T[i][j] * keep[j];
+  for (int i = 0; i < NX; i++)
+    for (int j = 0; j <= i; j++) {
+      double sum = 0;
+      for (int k = 0; k < NM; k++) sum += T[i][k] * B[j][k];
+      for (int k = 0; k < NA; k++) sum += kick[i][k] * kick[j][k];
+      P[i][j] = P[j][i] = sum;
+    }
+  for (int i = NX; i < NS; i++) {
+    for (int j = NX; j < NS; j++) P[i][j] *= keep[i] * keep[j];
+    P[i][i] += grown[i];
+  }
+  f->at = then;
+}
+
+/* What of the correction by a sample needs none: covariances of the innovation. */
+static void expect(const filter *f, correction *c) {
+  const operating *at = f->at;
+  double by[NQ][NY];
+  for (int i = 0; i < NQ; i++) for (int k = 0; k < NY; k++) by[i][k] = at->observe[k][i];
+  for (int i = 0; i < NS; i++) memcpy(c->cross[i], f->covariance[i] + BIAS, sizeof c->cross[i]);
+  TIMES(NS, NQ, NY, f->covariance, by, c->cross, 1);
+  memcpy(c->S, c->cross + BIAS, sizeof c->S);
+  TIMES(NY, NQ, NY, at->observe, c->cross, c->S, 1);
+  for (int k = 0; k < NY; k++) c->S[k][k] += f->noise * f->noise;
+}
+
+/* Mean of the filter after a sample's points. */
+static void correct(step *o, filter *f, correction *c, const double *points) {
+  const operating *at = f->at;
+  double off[NY], S[NY][NY], left[NY][1];
+  int count = 0, which[NY];
+  o->out.refusals[0] = 0;
+  for (int k = 0; k < NY; k++) {
+    off[k] = points[k] - at->points[k] - f->mean[BIAS + k];
+    for (int i = 0; i < NQ; i++) off[k] -= at->observe[k][i] * f->mean[i];
+  }
+  for (int p = 0; p < NP; p++) {
+    double *e = off + 3 * p, own[3][3], v[3][1] = {{e[0]}, {e[1]}, {e[2]}}, far = 0;
+    int there = isfinite(points[3 * p]) && isfinite(points[3 * p + 1]) && isfinite(points[3 * p + 2]), wrong = 0;
+    if (there) {
+      for (int i = 0; i < 3; i++) for (int j = 0; j < 3; j++) own[i][j] = c->S[3 * p + i][3 * p + j];
+      upper(3, own[0], 3, 0);
+      backed(3, own[0], 3, 1, v[0], 1, 1);
+      for (int i = 0; i < 3; i++) far += v[i][0] * v[i][0];
+      wrong = far > o->set.gate;
+    }
+    f->outlying[p] = wrong ? f->outlying[p] + 1 : 0;
+    int refused = wrong && f->outlying[p] <= o->set.most_rejections;
+    c->good[p] = there && !refused;
+    o->out.refusals[0] += o->out.refused[p] = there && refused;
+    if (c->good[p]) for (int i = 0; i < 3; i++) which[count++] = 3 * p + i;
+  }
+  o->out.seen[0] = count;
+  o->out.nis[0] = NAN;
+  if (!count) return;
+  for (int i = 0; i < count; i++) {
+    for (int j = i; j < count; j++) S[i][j] = c->S[which[i]][which[j]];
+    left[i][0] = off[which[i]];
+  }
+  upper(count, S[0], NY, 0);
+  backed(count, S[0], NY, 1, left[0], 1, 0);
+  o->out.nis[0] = 0;
+  for (int i = 0; i < count; i++) {
+    o->out.nis[0] += left[i][0] * off[which[i]];
+    for (int j = 0; j < NS; j++) f->mean[j] += c->cross[j][which[i]] * left[i][0];
+  }
+}
+
+/* The covariance after the same sample, which the commands do not need. */
+static void settle(filter *f, const correction *c) {
+  double S[NY][NY], W[NY][NS];
+  int count = 0, which[NY];
+  for (int k = 0; k < NY; k++) if (c->good[k / 3]) which[count++] = k;
+  for (int i = 0; i < count; i++) {
+    for (int j = i; j < count; j++) S[i][j] = c->S[which[i]][which[j]];
+    for (int j = 0; j < NS; j++) W[i][j] = c->cross[j][which[i]];
+  }
+  upper(count, S[0], NY, 0);
+  backed(count, S[0], NY, NS, W[0], NS, 1);
+  for (int k = 0; k < count; k++)
+    for (int i = 0; i < NS; i++) { double s = W[k][i]; for (int j = 0; j < NS; j++) f->covariance[i][j] -= s * W[k][j]; }
+}

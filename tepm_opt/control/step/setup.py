@@ -1,0 +1,154 @@
+"""What a compiled step is made of, and its settings by the names they have in C."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import chdtri
+
+from tepm_opt.control.actuators import BELIEF, LASTING, TELLING, WHOLE
+from tepm_opt.control.contour import FreeReference
+from tepm_opt.control.doubts import LARGEST, LATE, NOISY, OFF, SLOWEST, STAYS
+from tepm_opt.control.estimator import FilterSettings
+from tepm_opt.control.forecast import NOTHING, RIDGE
+from tepm_opt.control.mpc_settings import MpcSettings, Use
+from tepm_opt.control.pressure_planner import PressurePlanner
+from tepm_opt.control.reference import Reference
+from tepm_opt.control.step.layout import Sizes
+from tepm_opt.hw.rig import Command
+from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.modal_model import NEAR, ModalModel, fixed_part
+
+Told = dict[str, float | np.ndarray]
+"""Settings by name: numbers, or an array with one for each actuator."""
+
+
+FITS = (
+    "a model in C without effects on its inputs, both kinds of actuators always on, linear forecast, no corridor, no obstacles, "
+    "a path with time, 2 stages or more"
+)
+"""What a step in C is for."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepSetup:
+    """What a compiled step is made of.
+
+    Attributes:
+        model: compiled.
+        reference: what is followed.
+        controller, filter: settings.
+        planner: of the pressures, with the devices.
+        tension_max: of the motors, (actuators,) in N.
+        ahead: periods from a sample to when a command acts, as declared.
+        noise: of a tracked coordinate as declared in m.
+        first: commands under which the robot rests.
+        start: modal model about the reference's first equilibrium.
+        direct: whether no effect of the model is on its inputs.
+    """
+
+    model: CompiledModel
+    reference: Reference
+    controller: MpcSettings
+    filter: FilterSettings
+    planner: PressurePlanner
+    tension_max: np.ndarray
+    ahead: int
+    noise: float
+    first: Command
+    start: ModalModel
+    direct: bool
+
+    def __repr__(self) -> str:
+        return f"{self.model!r}, {self.controller!r}"
+
+    @property
+    def fits(self) -> bool:
+        """Whether there is a step in C for it."""
+        asked = self.controller
+        plain = asked.use is Use.BOTH and not (asked.nonlinear or asked.switching or math.isfinite(asked.corridor))
+        reference = self.reference
+        plain = plain and reference.keep_out is None and not isinstance(reference, FreeReference)
+        return plain and self.direct and self.model.is_c and asked.stages > 1
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes of the step."""
+        planner = self.controller.pressure_planner
+        return Sizes.of(self.model, self.controller.stages, planner.preview, planner.slope_window, self.ahead)
+
+    @cached_property
+    def told(self) -> Told:
+        """Settings by name."""
+        period, rest = self.reference.period, self.controller.mid_range * self.tension_max
+        more: Told = {"area": self.model.values["A"], "middle": float(rest[0]), "rest_tension": rest}
+        doubts = told_of_doubts(self.model.robot.input_max[: len(rest)], self.tension_max, self.noise)
+        devices = told_of_devices(self.planner, period, self.tension_max)
+        return devices | told_of_settings(self.controller, self.filter, period) | doubts | more
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values of the settings, one after the other."""
+        return np.concatenate([np.ravel(value) for value in self.told.values()]).astype(float)
+
+    def course(self) -> dict[str, np.ndarray]:
+        """Arrays of the structure `course`, by name."""
+        model, reference, fixed, start = self.model, self.reference, fixed_part(self.model), self.start
+        at = reference.equilibria
+        arrays = {
+            "levels": [each.x for each in at], "inputs": [each.inputs for each in at], "loads": [each.loads for each in at],
+            "forces": reference.forces, "lengths": reference.lengths, "tips": reference.tips, "points": [each.points for each in at],
+            "theta": model.theta, "masses": fixed.masses, "by": fixed.observe, "basis": start.basis,
+            "values": np.append(start.stiffness, np.zeros(start.basis.shape[1] - len(start.stiffness))),
+        }  # fmt: skip
+        found = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
+        return found | {"mapped": np.array([each.mapped for each in at], dtype=ctypes.c_int)}
+
+
+def told_of_devices(planner: PressurePlanner, period: float, tension_max: np.ndarray) -> Told:
+    """How fast devices are, with control periods in s; how far they go, pressures by their planner, tensions (actuators,) in N."""
+
+    def left(duration: float, time: float) -> float:
+        return math.exp(-duration / time) if time > 0 else 0.0
+
+    devices, stage = planner.devices, planner.stage
+    filling, exhausting, rate = devices.filling, devices.exhausting, devices.tension_rate
+    return {
+        "period": period, "filling": filling, "exhausting": exhausting, "fill": left(period, filling), "empty": left(period, exhausting),
+        "fill_stage": left(stage, filling), "empty_stage": left(stage, exhausting), "pull": rate * period, "pull_stage": rate * stage,
+        "pressure_max": planner.limits, "grid": planner.step, "tension_max": tension_max,
+        "belief": BELIEF, "lasting": LASTING, "telling": TELLING, "whole": WHOLE,
+    }  # fmt: skip
+
+
+def told_of_settings(settings: MpcSettings, filtering: FilterSettings, period: float) -> Told:
+    """What is wanted and believed, with control periods in s."""
+    weights, planner = settings.weights, settings.pressure_planner
+    same = (
+        *("force_drift", "strength_std", "strength_drift", "friction", "friction_std", "friction_drift", "reversal_noise", "load_share"),
+        *("hysteresis_std", "hysteresis_drift", "bias_std", "bias_drift", "tip_bias_drift"),
+    )
+    return {
+        **{name: float(getattr(filtering, name)) for name in same},
+        "presliding": filtering.presliding_distance, "width": filtering.hysteresis_width,
+        "rate_share": 1 - math.exp(-period / filtering.rate_time), "force_keeps": math.exp(-period / filtering.force_correlation_time),
+        "bias_keeps": math.exp(-period / filtering.bias_correlation_time), "kick": math.sqrt(period) * filtering.force_noise,
+        "gate": float(chdtri(3, filtering.gate_probability)), "most_rejections": float(filtering.most_rejections),
+        "tip": weights.tip, "shape": weights.shape, "force": weights.force, "change": weights.change,
+        "ridge": RIDGE, "nothing": NOTHING, "near": NEAR, "damping": settings.damping,
+        "mid_ranging": float(settings.mid_ranging), "deadband": planner.deadband,
+        "full_feedback_speed": planner.full_feedback_speed, "slow_share": 1 - math.exp(-period / planner.disturbance_time),
+        "feedback_share": 1 - math.exp(-period / planner.feedback_time),
+    }  # fmt: skip
+
+
+def told_of_doubts(pressure_max: np.ndarray, tension_max: np.ndarray, noise: float) -> Told:
+    """When doubts are told, by ranges of pressures in Pa and tensions in N, (actuators,) each, and the noise declared in m."""
+    return {
+        "declared_noise": noise, "slowest": SLOWEST, "largest": LARGEST, "late_told": LATE, "noisy": NOISY, "stays": float(STAYS),
+        "pressure_off": OFF["pressure"] * pressure_max, "tension_off": OFF["tension"] * tension_max,
+    }  # fmt: skip

@@ -1,0 +1,185 @@
+"""The predictive controller's step in C against its twin in Python: the same commands, estimates, doubts and columns of the log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
+from tepm_opt.control.forecast import Weights
+from tepm_opt.control.pressure_planner import PressurePlannerSettings
+from tepm_opt.control.reference import Reference, along, reference_of
+from tepm_opt.errors import InputError
+from tepm_opt.hw.rig import Command, Sample
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.solvers.trajectories import lissajous
+
+CLOSE = 1e-9  # N, and m
+
+
+@pytest.fixture(scope="module")
+def quick(kang: CompiledModel) -> Reference:
+    """Back and forth with friction that turns over, too quick for the motors now and then: 4 s."""
+    return reference_of(kang, along(lissajous(400))[0][:400])
+
+
+@pytest.fixture(scope="module")
+def recorded(kang: CompiledModel, quick: Reference, compiler: str) -> list[Sample]:
+    """Samples of a closed loop on the virtual prototype, all well."""
+    controller, rig, samples = Mpc(kang, quick, MpcSettings(backend="c")), SimulatedRig(), []
+    rig.reseed(1)
+    rig.apply(controller.start())
+    for _ in range(len(quick)):
+        samples.append(rig.read())
+        rig.apply(controller.command(samples[-1]))
+    return samples
+
+
+def both(model: CompiledModel, reference: Reference, settings: MpcSettings) -> tuple[Mpc, Mpc]:
+    """The controller in C and in Python."""
+    c, python = (Mpc(model, reference, replace(settings, backend=backend)) for backend in ("c", "python"))
+    assert c.is_c
+    assert not python.is_c
+    return c, python
+
+
+def compared(pair: tuple[Mpc, Mpc], samples: Iterator[Sample], prepares: bool = True, plan: float = 10 * CLOSE) -> list[Command]:
+    """Feeds both with the same samples and checks that they do the same, later stages of the plan within `plan` in N; the commands."""
+    c, python = pair
+    commands = []
+    for sample in samples:
+        found, expected = c.command(sample), python.command(sample)
+        if prepares:
+            c.prepare(), python.prepare()
+        np.testing.assert_allclose(found.tensions, expected.tensions, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(found.pressures, expected.pressures, rtol=1e-9)
+        assert (found.enabled == expected.enabled).all()
+        step, twin = c.last, python.last
+        assert (step.period, step.moves, step.outcome.ending) == (twin.period, twin.moves, twin.outcome.ending)
+        np.testing.assert_allclose(step.estimate.points, twin.estimate.points, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(step.estimate.friction, twin.estimate.friction, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(step.estimate.deviation, twin.estimate.deviation, rtol=0, atol=CLOSE)
+        assert (step.estimate.refused == twin.estimate.refused).all()
+        np.testing.assert_allclose(step.plan, twin.plan, rtol=0, atol=plan)
+        logs = c.telemetry(), python.telemetry()
+        assert list(logs[0].columns) == list(logs[1].columns)
+        timed = {"program_seconds", "iterations", "program"}
+        values = [[value for name, value in log.columns.items() if name not in timed] for log in logs]
+        np.testing.assert_allclose(values[0], values[1], rtol=1e-6, atol=1e-8)
+        assert logs[0].columns["program"] == logs[1].columns["program"]
+        assert (logs[0].doubts, logs[0].fallbacks) == (logs[1].doubts, logs[1].fallbacks)
+        commands.append(found)
+    return commands
+
+
+def test_the_same_in_closed_loop(kang, quick, recorded):
+    """Four seconds with reversals of friction and motors that are as fast as they can."""
+    commands = compared(both(kang, quick, MpcSettings()), iter(recorded))
+    tensions = np.array([command.tensions for command in commands])
+    assert np.abs(np.diff(tensions, axis=0)).max() > 0.099  # 10 N/s
+    assert len({tuple(command.pressures) for command in commands}) > 50
+
+
+def test_the_same_where_tensions_meet_their_bounds(kang, quick, recorded):
+    """With their middle near 0, from far beside the reference: half of the program's rows are active, its Hessian is nearly singular.
+
+    Later stages of the plan are then determined to some 1e-6 N by it, by either method; what is commanded is not.
+    """
+    pair, met = both(kang, quick, MpcSettings(mid_range=0.1)), 0
+    for sample in recorded[250:320]:
+        compared(pair, iter([sample]), plan=1e-4)
+        met += int((pair[0].last.plan == 0.0).sum())
+    assert met > 100
+
+
+def spoiled(samples: list[Sample], seed: int) -> Iterator[Sample]:
+    """Points lost and far off, all of them lost for a while, gauges that lie, are off or are not there, frames lost and given twice."""
+    random, zero = np.random.default_rng(seed), samples[0].time
+    for k, sample in enumerate(samples):
+        if k and (random.random() < 0.03 or 200 <= k < 205):
+            continue
+        points = sample.points + (2e-3 * random.normal(size=sample.points.shape) if k > 150 else 0.0)  # noisier than declared
+        points[random.random(len(points)) < 0.1] = np.nan
+        points[random.random(len(points)) < 0.05] += 0.1
+        points[:] = np.nan if 100 <= k < 115 else points
+        pressures, tensions = np.array(sample.pressures), np.array(sample.tensions)
+        tensions[2] -= 0.5
+        pressures[random.random(6) < 0.1] = np.nan
+        tensions[random.random(6) < 0.1] = np.inf
+        late = sample.time + (0.2e-3 * random.normal() if k else 0.0)
+        given = Sample(late, points, None if 250 <= k < 300 else pressures, None if 270 <= k < 320 else tensions)
+        yield given
+        if random.random() < 0.02:
+            yield replace(given, time=given.time + 1e-3)
+        if k == 350:
+            yield replace(given, time=zero)  # from long ago
+
+
+def test_the_same_whatever_is_measured(kang, quick, recorded):
+    """Prepared for the next period, which does not always come."""
+    pair = both(kang, quick, MpcSettings())
+    compared(pair, spoiled(recorded, 0))
+    assert {"dynamometer 13", "tracker noise"} <= set(pair[0].telemetry().doubts)
+
+
+def test_the_same_without_time_to_prepare(kang, quick, recorded):
+    """All of it when the sample is there; the same commands as prepared."""
+    lazy = compared(both(kang, quick, MpcSettings()), iter(recorded[:60]), prepares=False)
+    early = compared(both(kang, quick, MpcSettings()), iter(recorded[:60]))
+    np.testing.assert_array_equal([command.tensions for command in lazy], [command.tensions for command in early])
+    compared(both(kang, quick, MpcSettings()), spoiled(recorded[150:230], 1), prepares=False)
+
+
+def test_the_same_with_late_motors(kang, quick, recorded):
+    """Dynamometers that read what was three periods ago: commands act later, which is found out."""
+    late = [replace(sample, tensions=recorded[max(k - 3, 0)].tensions) for k, sample in enumerate(recorded)]
+    pair = both(kang, quick, MpcSettings())
+    compared(pair, iter(late[:120]))
+    assert pair[1].ahead > 2
+    assert pair[0].ahead == pair[1].ahead
+
+
+def test_the_same_with_other_settings(kang, quick, recorded):
+    """Sizes, weights and what the planner does; a horizon beyond the reference's end."""
+    planner = PressurePlannerSettings(preview=11, deadband=1.0, quantised=False)
+    settings = MpcSettings(stages=8, weights=Weights(tip=2e-3, change=0.3), mid_range=0.3, mid_ranging=False, pressure_planner=planner)
+    compared(both(kang, quick, settings), iter(recorded[:40]))
+    last = replace(quick, tips=quick.tips[:20], forces=quick.forces[:20], equilibria=quick.equilibria[:20])
+    compared(both(kang, last, MpcSettings()), iter(recorded[:40]))
+
+
+def test_late_steps_go_on_with_the_last_plan(kang, quick, recorded):
+    pair = both(kang, quick, MpcSettings(deadline=0.0))
+    compared(pair, iter(recorded[:5]))
+    assert pair[0].fallbacks == {"late": 5}
+
+
+@pytest.mark.parametrize("settings", [MpcSettings(nonlinear=True), MpcSettings(corridor=1e-2), MpcSettings(use=Use.TENSION)])
+def test_other_settings_step_in_python(kang, quick, settings):
+    assert not Mpc(kang, quick, settings).is_c
+    with pytest.raises(InputError, match=r"backend 'c': .*; valid: a model in C without effects on its inputs"):
+        Mpc(kang, quick, replace(settings, backend="c"))
+
+
+def test_other_models_step_in_python(kang_python, kang, short, compiler):
+    assert not Mpc(kang_python, short).is_c
+    weaker = compile_model(kang.model.with_effect("actuator_gain", "11", loss=0.2))
+    assert not Mpc(weaker, short).is_c
+    assert repr(Mpc(kang, short)).startswith("Mpc(kang2017, linear in C, ")
+
+
+def test_points_of_another_robot(kang, short, compiler):
+    with pytest.raises(InputError, match=r"points: shape \(3, 3\); valid: \(4, 3\)"):
+        Mpc(kang, short, MpcSettings(backend="c")).command(Sample(0.0, np.zeros((3, 3))))
+
+
+def test_computing_time_is_a_delay_in_real_time(kang, short):
+    """15 ms of age and 5 ms of delay are two periods; with what a step takes they are three only where that is more than a 20th of one."""
+    assert Mpc(kang, short).ahead == 2
+    assert [Mpc(kang, short, MpcSettings(computing=each)).ahead for each in (4e-4, 6e-4, 12e-3)] == [2, 3, 4]
+    assert MpcSettings().in_real_time(0.01).computing is None
+    assert Mpc(kang, short, MpcSettings().in_real_time(0.01)).ahead in (2, 3)
