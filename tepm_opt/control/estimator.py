@@ -50,20 +50,20 @@ class FilterSettings:
     """
 
     force_drift: float = 1.2
-    force_correlation_time: float = 1.0
+    force_correlation_time: float = 0.7
     force_noise: float = 0.005
     strength_std: float = 0.05
     strength_drift: float = 0.005
     friction: float = 0.0
     friction_std: float = 2.0
     friction_drift: float = 0.5
-    reversal_noise: float = 0.1
+    reversal_noise: float = 0.15
     presliding_distance: float = 5e-4
     hysteresis_std: float = 0.5
     hysteresis_drift: float = 0.1
     hysteresis_width: float = 1.0
     load_share: float = 0.8
-    rate_time: float = 0.15
+    rate_time: float = 0.08
     bias_std: float = 5e-3
     bias_drift: float = 2e-3
     bias_correlation_time: float = 10.0

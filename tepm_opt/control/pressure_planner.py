@@ -35,7 +35,7 @@ class PressurePlannerSettings:
     slope_window: int = 2
     deadband: float = 3.0
     quantised: bool = True
-    full_feedback_speed: float = 0.1
+    full_feedback_speed: float = 0.05
     feedback_time: float = 0.05
     disturbance_time: float = 0.3
 
