@@ -14,6 +14,8 @@ from tepm_opt.models.devices import Devices
 BELIEF = 0.5  # how far a measured pressure or tension moves the estimate
 LASTING = 1.0  # s over which a difference that stays is taken for the gauge's own
 TELLING = 10.0  # N²/s, of squared rates over time: motion of the motors that tells how late they are, some tenths of a second of it
+EXPLAINED = 0.25  # of what dynamometers read beside the commands, that motors which are late have to explain
+FARTHEST = 0.5  # N, that a motor may be from where its commands have it: what is read beyond is the gauge's, which is not believed then
 WHOLE = 0.6  # of a period, by which commands have to act later or sooner than assumed before that is assumed
 
 
@@ -35,7 +37,7 @@ class Actuators:
         self.pressure, self.tension = command.pressures.astype(float), command.tensions * command.enabled
         self.pressure_offset, self.tension_offset = np.zeros(len(self.pressure)), np.zeros(len(self.tension))
         self._told = self.pressure, self.tension  # what devices do by their commands alone
-        self._rate, self._late, self._weight = np.zeros(len(self.tension)), 0.0, 0.0
+        self._rate, self._late, self._weight, self._spread = np.zeros(len(self.tension)), 0.0, 0.0, 0.0
 
     def copy(self) -> Actuators:
         """A copy for looking ahead."""
@@ -68,26 +70,30 @@ class Actuators:
         share = 1 - math.exp(-passed / LASTING)
         pressure, tension = self._told
         self.pressure_offset = self.pressure_offset + share * _missed(sample.pressures, pressure + self.pressure_offset)
-        missed = _missed(sample.tensions, tension + self.tension_offset)
-        self.tension_offset = self.tension_offset + share * missed
+        read = _missed(sample.tensions, tension + self.tension_offset)
+        missed = np.minimum(np.maximum(read, -FARTHEST), FARTHEST)
+        self.tension_offset = self.tension_offset + (read - missed) + share * missed
         if sample.tensions is not None:
             there = np.isfinite(sample.tensions)
             self._late = (1 - share) * self._late - passed * float(missed[there] @ self._rate[there])
             self._weight = (1 - share) * self._weight + passed * float(self._rate[there] @ self._rate[there])
+            self._spread = (1 - share) * self._spread + passed * float(missed[there] @ missed[there])
         self.pressure = _corrected(self.pressure, sample.pressures, self.pressure_offset)
-        self.tension = _corrected(self.tension, sample.tensions, self.tension_offset)
+        corrected = _corrected(self.tension, sample.tensions, self.tension_offset)
+        self.tension = np.where(np.abs(self.tension_offset) > FARTHEST, self.tension, corrected)
 
     @property
     def late(self) -> float:
         """Time in s by which motors follow later than assumed: what dynamometers read less, by how fast tensions rise (least squares over
-        `LASTING`); 0 as long as they hardly move."""
-        return self._late / self._weight if self._weight > TELLING else 0.0
+        `LASTING`); 0 as long as they hardly move, or where that explains little of what they read."""
+        explains = self._late**2 >= EXPLAINED * self._weight * self._spread
+        return self._late / self._weight if self._weight > TELLING and explains else 0.0
 
     def later(self, period: float) -> int:
         """Number of periods in s by which commands act later than assumed, which is taken for known from now on."""
         count = round(self.late / period) if abs(self.late) > WHOLE * period else 0
         if count:
-            self._late = self._weight = 0.0
+            self._late = self._weight = self._spread = 0.0
         return count
 
 

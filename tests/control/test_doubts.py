@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.doubts import LARGEST, STAYS, Doubts, TrackerNoise
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.reference import Reference
-from tepm_opt.hw.rig import Command
+from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
@@ -73,6 +75,24 @@ def test_a_low_dynamometer_harms_nothing_and_is_told(kang: CompiledModel, short:
     told = [k for k, row in enumerate(done.telemetry) if len(row.doubts) == 6]
     assert done.time[told[0]] < 2.0
     assert not any(row.doubts for row in followed.telemetry), "nothing is told of a machine without such an error"
+
+
+class Dead(SimulatedRig):
+    """The virtual prototype whose dynamometers read 0 from two and a half seconds on."""
+
+    def read(self) -> Sample:
+        """As of the rig, but for the tensions."""
+        sample = super().read()
+        return replace(sample, tensions=np.zeros(6)) if sample.time > 2.5 else sample
+
+
+def test_dead_dynamometers_are_not_believed(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
+    """Read as tensions they would let the tip go by a decimetre, and as motors that are late by 80 ms."""
+    rig = Dead(load_rig_file())
+    rig.reseed(1)
+    done = close_loop(rig, Mpc(kang, short), kang.robot)
+    assert done.error() < 1.3 * followed.error() + 2e-4
+    assert set(done.telemetry[-1].doubts) == {f"dynamometer {name}" for name in kang.layout.actuator_names}
 
 
 def test_a_noisy_tracker_is_told_and_reckoned_with(kang: CompiledModel, short: Reference) -> None:

@@ -325,7 +325,7 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
   tell(o, a);
   int count = fabs(lateness(o, a)) > o->set.whole * o->set.period ? (int)rint(lateness(o, a) / o->set.period) : 0;
   int before = o->ahead, now = o->ahead + count;
-  if (count) a->late = a->weight = 0;
+  if (count) a->late = a->weight = a->spread = 0;
   o->ahead = now < 1 ? 1 : now > o->declared + MOST_LATE ? o->declared + MOST_LATE : now;
   if (o->ahead != before) {
     o->ready = 0;

@@ -40,22 +40,27 @@ static double missed(const double *measured, int j, double expected) {
 }
 
 static void take_gauges(const step *o, actuators *a, const double *pressures, const double *tensions, double passed) {
-  double share = 1 - exp(-passed / o->set.lasting), by = 0, squares = 0;
+  double share = 1 - exp(-passed / o->set.lasting), by = 0, squares = 0, spread = 0;
   for (int j = 0; j < NA; j++) {
     double pressure = missed(pressures, j, a->told.pressure[j] + a->offset.pressure[j]);
-    double tension = missed(tensions, j, a->told.tension[j] + a->offset.tension[j]);
+    double read = missed(tensions, j, a->told.tension[j] + a->offset.tension[j]);
+    double tension = fmin(fmax(read, -o->set.farthest), o->set.farthest);
     a->offset.pressure[j] += share * pressure;
-    a->offset.tension[j] += share * tension;
-    if (tensions && isfinite(tensions[j])) { by += tension * a->rate[j]; squares += a->rate[j] * a->rate[j]; }
+    a->offset.tension[j] += read - tension + share * tension;
+    if (tensions && isfinite(tensions[j])) { by += tension * a->rate[j]; squares += a->rate[j] * a->rate[j]; spread += tension * tension; }
     a->now.pressure[j] = most(a->now.pressure[j] + o->set.belief * missed(pressures, j, a->now.pressure[j] + a->offset.pressure[j]), 0);
+    if (fabs(a->offset.tension[j]) > o->set.farthest) continue;
     a->now.tension[j] = most(a->now.tension[j] + o->set.belief * missed(tensions, j, a->now.tension[j] + a->offset.tension[j]), 0);
   }
   if (!tensions) return;
   a->late = (1 - share) * a->late - passed * by;
   a->weight = (1 - share) * a->weight + passed * squares;
+  a->spread = (1 - share) * a->spread + passed * spread;
 }
 
-static double lateness(const step *o, const actuators *a) { return a->weight > o->set.telling ? a->late / a->weight : 0; }
+static double lateness(const step *o, const actuators *a) {
+  return a->weight > o->set.telling && a->late * a->late >= o->set.explained * a->weight * a->spread ? a->late / a->weight : 0;
+}
 
 static double loaded(const step *o, double tension) { return 1 - o->set.load_share + o->set.load_share * tension / o->set.middle; }
 

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtri
 
-from tepm_opt.control.actuators import BELIEF, LASTING, TELLING, WHOLE
+from tepm_opt.control.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE
 from tepm_opt.control.contour import FreeReference
 from tepm_opt.control.doubts import LARGEST, LATE, NOISY, OFF, SLOWEST, STAYS
 from tepm_opt.control.estimator import FilterSettings
@@ -121,7 +121,8 @@ def told_of_devices(planner: PressurePlanner, period: float, tension_max: np.nda
         "period": period, "filling": filling, "exhausting": exhausting, "fill": left(period, filling), "empty": left(period, exhausting),
         "fill_stage": left(stage, filling), "empty_stage": left(stage, exhausting), "pull": rate * period, "pull_stage": rate * stage,
         "pressure_max": planner.limits, "grid": planner.step, "tension_max": tension_max,
-        "belief": BELIEF, "lasting": LASTING, "telling": TELLING, "whole": WHOLE,
+        "belief": BELIEF, "lasting": LASTING, "telling": TELLING, "whole": WHOLE, "explained": EXPLAINED,
+        "farthest": FARTHEST,
     }  # fmt: skip
 
 

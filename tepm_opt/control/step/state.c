@@ -47,7 +47,7 @@ typedef struct {
 typedef struct { double pressure[NA], tension[NA]; } devices;
 typedef struct {
   devices now, told, offset; /* offset: of what measures them */
-  double rate[NA], late, weight;
+  double rate[NA], late, weight, spread;
 } actuators;
 
 typedef struct {
