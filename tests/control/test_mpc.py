@@ -153,7 +153,7 @@ def in_order(command: Command) -> None:
 
 def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, ending: Ending, when) -> SimpleNamespace:
     """The quadratic program fails when asked to; counts how often."""
-    solve, count = controller._solver.solve, SimpleNamespace(failed=0)
+    solve, count = controller._program._solver.solve, SimpleNamespace(failed=0)
 
     def unreliable(*args) -> QpResult:
         if not when():
@@ -161,7 +161,7 @@ def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, ending: Ending, wh
         count.failed += 1
         return QpResult(outcome=Outcome(ending))
 
-    monkeypatch.setattr(controller._solver, "solve", unreliable)
+    monkeypatch.setattr(controller._program._solver, "solve", unreliable)
     return count
 
 
@@ -261,7 +261,7 @@ def held_off(kang: CompiledModel, short: Reference, settings: MpcSettings, first
 @pytest.mark.parametrize(
     ("row", "quick", "slow"),
     [
-        (0, {"disturbance_time": 0.05}, {"disturbance_time": 5.0}),
+        (0, {"disturbance_time": 0.05, "full_feedback_speed": 1e3}, {"disturbance_time": 5.0, "full_feedback_speed": 1e3}),
         (400, {"full_feedback_speed": 0.05}, {"full_feedback_speed": 1e3}),
         (400, {"feedback_time": 0.01}, {"feedback_time": 5.0}),
     ],
