@@ -77,13 +77,38 @@ def test_a_low_dynamometer_harms_nothing_and_is_told(kang: CompiledModel, short:
     assert not any(row.doubts for row in followed.telemetry), "nothing is told of a machine without such an error"
 
 
+BEGINS = 2.5  # s
+
+
 class Dead(SimulatedRig):
-    """The virtual prototype whose dynamometers read 0 from two and a half seconds on."""
+    """The virtual prototype whose dynamometers read 0 from some time on."""
 
     def read(self) -> Sample:
         """As of the rig, but for the tensions."""
         sample = super().read()
-        return replace(sample, tensions=np.zeros(6)) if sample.time > 2.5 else sample
+        return replace(sample, tensions=np.zeros(6)) if sample.time > BEGINS else sample
+
+
+class Slipping(SimulatedRig):
+    """The virtual prototype on which the tip's marker slips by 5 mm."""
+
+    def read(self) -> Sample:
+        """As of the rig, but for the tip."""
+        sample = super().read()
+        off = np.zeros((4, 3))
+        off[-1, 0] = 5e-3 * (sample.time > BEGINS)
+        return replace(sample, points=sample.points + off)
+
+
+def test_a_marker_that_slips_is_told_and_taken_off(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
+    """Followed it would be 5 mm; what remains is what the noise leaves of the estimate of the jump."""
+    rig = Slipping(load_rig_file())
+    rig.reseed(1)
+    done = close_loop(rig, Mpc(kang, short), kang.robot)
+    assert done.error() < followed.error() + 2e-3
+    assert list(done.telemetry[-1].doubts) == ["marker s4"]
+    first = next(time for time, row in zip(done.time, done.telemetry, strict=True) if row.doubts)
+    assert BEGINS < first < BEGINS + 0.2
 
 
 def test_dead_dynamometers_are_not_believed(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
