@@ -16,7 +16,7 @@ from tepm_opt.control.forecast import Weights
 from tepm_opt.control.pressure_planner import PressurePlannerSettings
 from tepm_opt.errors import unknown_name
 
-DAMPING = 2.0  # times the model's: dry friction of body and tendons takes from sway what a linear model does not have
+DAMPING = 1.5  # times the model's: dry friction of body and tendons takes from sway what a linear model does not have
 
 
 class Use(Enum):
@@ -42,8 +42,8 @@ class MpcSettings:
         use: which actuators move; those left out keep still.
         corridor: half width in m, along each axis, of the tube about the reference beyond which the tip's error costs a hundred times as
             much: a soft constraint; infinite for none.
-        damping: times the model's damping that filter and program reckon with; with 1 the circle on twelve random machines is 7 %
-            worse, with 2.5 a machine without any friction is twice as far off.
+        damping: times the model's damping that filter and program reckon with; with 1 the circle on twelve random machines is 8 % worse,
+            with 2 some machines without any friction are twice as far off.
         nonlinear: whether the program is linearised along its own last plan (real-time iteration) instead of about the reference.
         pressure_planner: settings of the pressures.
         filter: settings of the state estimator.
