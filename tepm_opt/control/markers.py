@@ -37,13 +37,14 @@ class Markers:
 
     Args:
         names: of the points.
+        period: of the samples in s.
 
     Attributes:
         slipped: (points, 3) in m in G.
     """
 
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self._names = names
+    def __init__(self, names: tuple[str, ...], period: float) -> None:
+        self._names, self._period, self._time = names, period, -np.inf
         self.slipped = np.zeros((len(names), 3))
         self._any = False
         self._frames = np.full((2 * HALF + 1, 3 * len(names)), np.nan)  # the oldest first; one more than a jump is judged by
@@ -53,18 +54,22 @@ class Markers:
         """A sample with its points where they would be if none had slipped."""
         return replace(sample, points=sample.points - self.slipped) if self._any else sample
 
-    def look(self, points: np.ndarray, noise: float) -> None:
-        """Take the points of a sample, (points, 3) in m in G, NaN where missing, as `placed` gave them, and see whether one has slipped.
+    def look(self, sample: Sample, noise: float) -> None:
+        """Take a sample as `placed` gave it, and see whether one of its points has slipped.
 
-        A jump is where its share of the noise is largest, one frame before now.
+        A jump is where its share of the noise is largest, one frame before now. Frames that are not a period apart (some were lost) are
+        not judged together: there the arm itself moves by jumps.
 
         Args:
-            points: as tracked.
+            sample: with points in m in G, NaN where missing.
             noise: of a coordinate, 1 sigma in m.
         """
-        frames = self._frames
+        frames, apart = self._frames, sample.time - self._time
+        self._time = sample.time
+        if not 0.5 * self._period < apart < 1.5 * self._period:
+            frames[:] = np.nan
         frames[:-1] = frames[1:]
-        frames[-1] = points.ravel()
+        frames[-1] = sample.points.ravel()
         jumps = (_JUMP @ frames[1:]).reshape(-1, 3)
         now = np.einsum("px,px->p", jumps, jumps) / (noise**2 * _VARIANCE)
         before, self._sizes = self._sizes, now

@@ -20,17 +20,18 @@ def arm(seed: int, velocity: float = 0.0) -> np.ndarray:
     return sway[:, None, None] * SHARE * np.array([1.0, 0.5, 0.0]) + noise
 
 
-def take(markers: Markers, points: np.ndarray) -> np.ndarray:
-    """Points of a sample as they are placed, which are looked at then."""
-    placed = markers.placed(Sample(0.0, points)).points
-    markers.look(placed, NOISE)
-    return placed
+def take(markers: Markers, points: np.ndarray, after: float = 0.01) -> np.ndarray:
+    """Points of a sample some time in s after the last one as they are placed, which are looked at then."""
+    before = markers._time if np.isfinite(markers._time) else 0.0
+    sample = markers.placed(Sample(before + after, points))
+    markers.look(sample, NOISE)
+    return sample.points
 
 
 @pytest.mark.parametrize(("which", "by"), [(3, (5e-3, 0.0, 0.0)), (1, (0.0, -4e-3, 8e-3)), (0, (3e-3, 3e-3, -3e-3))])
 def test_a_slip_is_found_and_taken_off(which: int, by: tuple[float, float, float]) -> None:
     """Within the time of the frames that judge it, to what the noise leaves; nothing is told before."""
-    points, markers = arm(1), Markers(NAMES)
+    points, markers = arm(1), Markers(NAMES, 0.01)
     points[150:, which] += by
     told = []
     for frame in points:
@@ -44,7 +45,7 @@ def test_a_slip_is_found_and_taken_off(which: int, by: tuple[float, float, float
 
 def test_what_was_taken_off_is_no_jump_again() -> None:
     """Of frames before and after the slip, once it is known; a second slip adds up."""
-    points, markers = arm(2), Markers(NAMES)
+    points, markers = arm(2), Markers(NAMES, 0.01)
     points[100:, 3] += (6e-3, 0.0, 0.0)
     points[200:, 3] += (6e-3, 0.0, 0.0)
     for frame in points:
@@ -55,7 +56,7 @@ def test_what_was_taken_off_is_no_jump_again() -> None:
 
 @pytest.mark.parametrize("velocity", [0.3, 1.0])
 def test_an_arm_that_is_hit_has_not_slipped(velocity: float) -> None:
-    markers = Markers(NAMES)
+    markers = Markers(NAMES, 0.01)
     for frame in arm(3, velocity):
         take(markers, frame)
     assert not markers.slipped.any()
@@ -63,16 +64,34 @@ def test_an_arm_that_is_hit_has_not_slipped(velocity: float) -> None:
 
 def test_chance_and_lost_points_are_no_slip() -> None:
     """Two minutes of noise, of which a tenth of the points is lost; and a jump that no marker makes."""
-    markers, random = Markers(NAMES), np.random.default_rng(4)
+    markers, random = Markers(NAMES, 0.01), np.random.default_rng(4)
     for _ in range(40):
         points = arm(int(random.integers(2**31)))
         points[random.random(points.shape[:2]) < 0.1] = np.nan
         for frame in points[: 250 + 1]:
             take(markers, frame)
-        markers = Markers(NAMES) if not markers.slipped.any() else markers
+        markers = Markers(NAMES, 0.01) if not markers.slipped.any() else markers
     assert not markers.slipped.any()
     points = arm(5)
     points[150:, 3] += 2 * FARTHEST
     for frame in points:
         take(markers, frame)
     assert not markers.slipped.any()
+
+
+def test_frames_that_are_lost_are_no_slip() -> None:
+    """A seventh of all frames, while the tip alone moves fast; a jump in frames that are there is found all the same."""
+    points, markers, random = arm(6), Markers(NAMES, 0.01), np.random.default_rng(7)
+    points[:, 3] += 0.05 * np.sin(2 * np.pi * 1.5 * TIME)[:, None]
+    gap = 0.01
+    for frame in points[:280]:
+        gap += 0.01
+        if random.random() > 0.15:
+            take(markers, frame, gap - 0.01)
+            gap = 0.01
+    assert not markers.slipped.any()
+    still = arm(8)
+    still[150:, 3, 0] += 6e-3
+    for frame in still:
+        take(markers, frame)
+    assert markers.slipped[3, 0] == pytest.approx(6e-3, abs=2.5e-3)

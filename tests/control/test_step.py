@@ -11,12 +11,14 @@ import pytest
 from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.forecast import Weights
 from tepm_opt.control.pressure_planner import PressurePlannerSettings
-from tepm_opt.control.reference import Reference, along, reference_of
+from tepm_opt.control.reference import Reference, along, reference_by_forces, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.model import Model
 from tepm_opt.solvers.trajectories import lissajous
+from tests.tools import variant
 
 CLOSE = 1e-9  # N, and m
 PLANNED = 1e-7  # N, of later stages: DAQP lets rows of the Python step's program be off by 1e-9 of their scaled length
@@ -151,6 +153,27 @@ def test_the_same_with_other_settings(kang, quick, recorded):
     compared(both(kang, quick, settings), iter(recorded[:40]))
     last = replace(quick, tips=quick.tips[:20], forces=quick.forces[:20], equilibria=quick.equilibria[:20])
     compared(both(kang, last, MpcSettings()), iter(recorded[:40]))
+
+
+ROBOTS = {
+    "one module": {"geometry": {"modules": 1}},
+    "one module of five": {"geometry": {"modules": 1, "actuator_angles_deg": (0.0, 72.0, 144.0, 216.0, 288.0)}},
+    "three light modules": {"geometry": {"modules": 3, "segments_per_module": 2}, "parameters": {"m_d": 0.05}},
+}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_same_on_other_robots(robot, compiler):
+    """Programs of an odd number of tensions among them; pushed off the reference half way."""
+    model = compile_model(Model.of(variant(**ROBOTS[robot])))
+    time, muscles = np.linspace(0, 1, 60)[:, None], np.arange(model.layout.inputs // 2)
+    reference = reference_by_forces(model, 3 * np.sin(2 * np.pi * time + muscles) * np.minimum(1, 4 * time))
+    random, places = np.random.default_rng(0), [at.points for at in reference.equilibria]
+    samples = [
+        Sample(0.01 * k, at + 8e-4 * random.normal(size=at.shape) + 0.02 * (k > 30)) for k, at in enumerate(places)
+    ]  # fmt: skip
+    commands = compared(both(model, reference, MpcSettings()), iter(samples))
+    assert np.ptp([command.tensions for command in commands], axis=0).min() > 0.1
 
 
 def test_late_steps_go_on_with_the_last_plan(kang, quick, recorded):

@@ -102,7 +102,7 @@ class Mpc:
         self._noise = TrackerNoise(max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6))
         self._doubts = Doubts(model.layout.actuator_names, (self._pressure_max, self._tension_max))
         self._doubted: Mapping[str, str] = {}
-        self._markers = Markers(model.layout.point_names)
+        self._markers = Markers(model.layout.point_names, self.period)
         middle = settings.mid_range * float(self._tension_max[0])
         self._filter = settings.filter.knowing(model.tendon_friction, middle)
         self._estimator = Estimator(self._point(0), self._noise.declared, middle, self._filter)
@@ -183,7 +183,7 @@ class Mpc:
     def _look(self) -> None:
         """Look once whether a tracked point of the last sample has slipped."""
         if self._fresh is not None:
-            self._markers.look(self._fresh.points, self._compiled.noise if self._compiled else self._noise.measured)
+            self._markers.look(self._fresh, self._compiled.noise if self._compiled else self._noise.measured)
             self._fresh = None
 
     def _telemetry(self) -> Telemetry:

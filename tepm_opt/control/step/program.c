@@ -83,9 +83,10 @@ static void take(program *p, double hessian[NV][NV], const double *scale) {
   if (!isfinite(largest)) p->status = NOT_FINITE;
   if (p->status) return;
   p->scale = H[0][0] * H[0][0];
-  for (int i = NV - 1; i >= 0; i -= 2) { /* two rows at once, of which the upper one needs the lower one, too; 0 below the diagonal */
+  for (int i = NV - 1; i >= 0; i -= 2) { /* two rows at once, of which the upper one needs the lower one, too (a last one is alone); 0 below
+                                            the diagonal */
     int top = i > 0 ? i - 1 : i;
-    double *restrict low = V[i], *restrict high = V[top], inverse = 1 / H[i][i], above = 1 / H[top][top];
+    double *restrict low = V[i], *restrict high = i > 0 ? V[top] : by, inverse = 1 / H[i][i], above = 1 / H[top][top];
     memset(low + i, 0, (NV - i) * sizeof(double));
     memset(high + top, 0, (NV - top) * sizeof(double));
     int k = i + 1;
