@@ -171,6 +171,27 @@ def _pace(free: bool, sway: float | None) -> PaceSettings | None:
     return PaceSettings() if sway is None else PaceSettings(sway=sway / 1e3)
 
 
+def _check_together(asked: dict[str, bool]) -> None:
+    """Refuse options that do not go together; `asked` says which were given, by what they are about."""
+    refused = {
+        "--noises and --bound belong to --machines N; leave them out, or say how many machines": asked["of machines"]
+        and not asked["machines"],
+        "--machines simulates rigs of its own; leave --rig and --view out": asked["machines"] and asked["rig"],
+        "--learn and --learned are for one rig; leave them or --machines out": asked["machines"] and asked["learning"],
+        "--learn and --learned correct a path; leave --stay out": asked["stay"] and asked["learning"],
+        "--keep-out does not go with --learn and --learned, whose corrections know no obstacles; leave one out": (
+            asked["keep out"] and asked["learning"]
+        ),
+        f"--free-progress is for a path and --controller {CONTROLLER}; leave --learn, --learned and --stay out": (
+            asked["free"] and (asked["another controller"] or asked["learning"] or asked["stay"])
+        ),
+        "--sway belongs to --free-progress; leave it out, or free the progress": asked["sway"] and not asked["free"],
+    }
+    for text, wrong in refused.items():
+        if wrong:
+            raise tepm.InputError(text)
+
+
 def mpc(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
@@ -226,20 +247,12 @@ def mpc(
     from tepm_opt.jobs.closed_loop import LOG
     from tepm_opt.jobs.machines import BOUND, Family
 
-    if machines is None and (noises is not None or bound is not None):
-        raise tepm.InputError("--noises and --bound belong to --machines N; leave them out, or say how many machines")
-    if machines is not None and (rig != "sim" or view):
-        raise tepm.InputError("--machines simulates rigs of its own; leave --rig and --view out")
-    if machines is not None and (learn is not None or learned is not None):
-        raise tepm.InputError("--learn and --learned are for one rig; leave them or --machines out")
-    if stay is not None and (learn is not None or learned is not None):
-        raise tepm.InputError("--learn and --learned correct a path; leave --stay out")
-    if keep_out is not None and (learn is not None or learned is not None):
-        raise tepm.InputError("--keep-out does not go with --learn and --learned, whose corrections know no obstacles; leave one out")
-    if free and (controller != CONTROLLER or learn is not None or learned is not None or stay is not None):
-        raise tepm.InputError(f"--free-progress is for a path and --controller {CONTROLLER}; leave --learn, --learned and --stay out")
-    if sway is not None and not free:
-        raise tepm.InputError("--sway belongs to --free-progress; leave it out, or free the progress")
+    asked = {
+        "machines": machines is not None, "of machines": noises is not None or bound is not None, "rig": rig != "sim" or view,
+        "learning": learn is not None or learned is not None, "stay": stay is not None, "keep out": keep_out is not None,
+        "free": free, "sway": sway is not None, "another controller": controller != CONTROLLER,
+    }  # fmt: skip
+    _check_together(asked)
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
     setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
     targets, known = which.trajectory(path), None if learned is None else tepm.read_correction(learned)
