@@ -37,18 +37,17 @@ class Journal:
         self._synced = time.monotonic()
         self.append(names)
 
-    def append(self, fields: Sequence[str]) -> None:
-        """Write one row; line breaks in a field become spaces.
+    def append(self, *rows: Sequence[str]) -> None:
+        """Write rows of fields; line breaks in a field become spaces.
 
         Raises:
             InputError: the disk is full or gone.
         """
-        if len(",".join((*fields, "")).splitlines()) > 1:
-            fields = [" ".join(field.splitlines()) for field in fields]
-        line = csv_text([fields]).encode()
+        whole = [[" ".join(field.splitlines()) for field in row] if len(",".join((*row, "")).splitlines()) > 1 else row for row in rows]
+        text = csv_text(whole).encode()
         try:
-            while line:
-                line = line[os.write(self._file, line) :]
+            while text:
+                text = text[os.write(self._file, text) :]
             if time.monotonic() - self._synced > SYNC:
                 os.fsync(self._file)
                 self._synced = time.monotonic()

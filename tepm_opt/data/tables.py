@@ -145,6 +145,11 @@ def field_texts(values: Iterable[float]) -> list[str]:
     return ["" if text == "nan" else text for text in map(repr, values)]
 
 
+def column_texts(values: np.ndarray) -> list[str]:
+    """A column (rows,) of numbers or text as fields that read back equal."""
+    return list(values) if values.dtype.kind == "U" else field_texts(values.astype(float).tolist())
+
+
 def write_columns(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns (rows,) of numbers or text so that they read back equal (text where it is allowed).
 
@@ -155,7 +160,7 @@ def write_columns(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
     for name, values in columns.items():
         if values.dtype.kind == "U" and not _is_text(values):
             raise InputError(f"{path}: column {name!r} holds text that reads as numbers; write numbers or another text in its first row")
-        fields.append(list(values) if values.dtype.kind == "U" else field_texts(values.astype(float).tolist()))
+        fields.append(column_texts(values))
     write_atomically(path, csv_text([list(columns), *zip(*fields, strict=True)]))
 
 

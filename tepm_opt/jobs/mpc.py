@@ -5,7 +5,6 @@ A journal beside the log grows sample by sample, so that a program that dies lea
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from tepm_opt.control.loop import INTERRUPTED, Guard, LoopRecord, close_loop
 from tepm_opt.control.reference import Reference
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.journal import Journal
-from tepm_opt.data.tables import field_text
+from tepm_opt.data.tables import column_texts
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.jobs.closed_loop import LOG, ClosedLoop, LoopSetup
@@ -31,27 +30,33 @@ from tepm_opt.recording.measure import GOOD, STATUS, journal_path
 Observer = Callable[[Sample, Command], None]
 """Callback of a live view: takes every sample and what was commanded then."""
 
+GATHER = 0.05
+"""Seconds for which rows of the journal are gathered: that much is lost at most where the program is killed."""
+
 
 class _Keeper:
-    """A journal that a thread of its own writes, so that the loop never waits for the disk."""
+    """A journal that a thread of its own writes, so that the loop never waits for the disk; some rows at once, which costs a quarter."""
 
-    def __init__(self, path: Path, row: Callable[[int], ClosedLoop]) -> None:
-        self.path, self._row = path, row
-        self._waiting: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+    def __init__(self, path: Path, part: Callable[[slice], ClosedLoop]) -> None:
+        self.path, self._part, self._count = path, part, 0
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._write, name="log", daemon=True)
         self._thread.start()
 
     def add(self, row: int) -> None:
-        """Take a row, by its number."""
-        self._waiting.put(row)
+        """Take a row, by its number; they come in order."""
+        self._count = row + 1
 
     def _write(self) -> None:
         journal: Journal | None = None
+        written, over = 0, False
         try:
-            while (number := self._waiting.get()) is not None:
-                columns = self._row(number).columns()
-                journal = journal or Journal(self.path, list(columns))
-                journal.append([str(v[0]) if v.dtype.kind == "U" else field_text(float(v[0])) for v in columns.values()])
+            while not over:
+                over = self._closing.wait(GATHER)
+                if (count := self._count) > written:
+                    columns = self._part(slice(written, count)).columns()
+                    journal, written = journal or Journal(self.path, list(columns)), count
+                    journal.append(*zip(*map(column_texts, columns.values()), strict=True))
         except InputError:  # the log is written as a whole in the end and says then what is wrong with the disk
             pass
         finally:
@@ -60,17 +65,17 @@ class _Keeper:
 
     def close(self) -> None:
         """Wait until all is written."""
-        self._waiting.put(None)
+        self._closing.set()
         self._thread.join()
 
 
 @contextmanager
-def _kept(folder: Path | None, row: Callable[[int], ClosedLoop]) -> Iterator[Callable[[int], None]]:
+def _kept(folder: Path | None, part: Callable[[slice], ClosedLoop]) -> Iterator[Callable[[int], None]]:
     """Takes rows into a journal in the folder; it goes where `log.csv` has been written meanwhile."""
     if folder is None:
         yield lambda number: None
         return
-    keeper = _Keeper(journal_path(output_folder(folder), Path(LOG).name), row)
+    keeper = _Keeper(journal_path(output_folder(folder), Path(LOG).name), part)
     try:
         yield keeper.add
     except BaseException:
@@ -127,10 +132,10 @@ def run_closed_loop(
     done = LoopRecord(controller.reference)
     statuses: list[str] = []
 
-    def row(number: int) -> ClosedLoop:
-        return _said(ClosedLoop.of(done, model, setup, rows=slice(number, number + 1)), statuses[number : number + 1])
+    def part(rows: slice) -> ClosedLoop:
+        return _said(ClosedLoop.of(done, model, setup, rows), statuses[rows])
 
-    with _kept(None if folder is None else Path(folder), row) as keep:
+    with _kept(None if folder is None else Path(folder), part) as keep:
 
         def watched(sample: Sample, target: np.ndarray) -> None:
             statuses.append(sample.status)

@@ -69,11 +69,11 @@ def main(rate: float, seconds: float, journal: bool) -> None:
     done, shown = LoopRecord(reference), rig_of(rate)
     took: list[tuple[float, float, float]] = []
 
-    def row(number: int) -> ClosedLoop:
-        return ClosedLoop.of(done, model(), LoopSetup(), rows=slice(number, number + 1))
+    def part(rows: slice) -> ClosedLoop:
+        return ClosedLoop.of(done, model(), LoopSetup(), rows)
 
     controller.prepare()
-    with tempfile.TemporaryDirectory() as folder, undisturbed(), _kept(Path(folder) if journal else None, row) as keep:
+    with tempfile.TemporaryDirectory() as folder, undisturbed(), _kept(Path(folder) if journal else None, part) as keep:
         for k in range(samples):
             sample: Sample
             sample, sent = here.recv()
