@@ -117,6 +117,7 @@ def judged(
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
     one = {e: holds[e] * _same(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
     cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
+    cause |= {e: 1.0 for e in explanation.seen if e in cause}
     unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
     listed = []
     for effect in best.effects:

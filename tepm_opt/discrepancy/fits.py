@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -134,6 +134,7 @@ class Fits:
         store: a file, or None.
         key: what the file must have been made from.
         progress: told of every fit.
+        seen: effects that gauges have shown already, and `values` of their parameters by full name to fit from.
     """
 
     problem: Problem
@@ -141,6 +142,8 @@ class Fits:
     store: Path | None = None
     key: str = ""
     progress: Progress = silent
+    seen: Effects = ()
+    values: Mapping[str, float] = field(default_factory=dict)
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
     screened: dict[Effects, list[Score]] = field(default_factory=dict)
     linearised: dict[Effects, Linearised] = field(default_factory=dict)

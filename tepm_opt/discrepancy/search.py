@@ -8,20 +8,18 @@ from itertools import combinations
 
 import numpy as np
 
-from tepm_opt.discrepancy.fits import Fits, Hypothesis, labels
+from tepm_opt.discrepancy.fits import Effects, Fits, Hypothesis, labels
 from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rivals import replacements
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide, most_probable, plainest
 from tepm_opt.discrepancy.screen import Score, screen_pairs
+from tepm_opt.discrepancy.several import FORM_ERROR_RATIO, MANY, rivals, settled, several
 from tepm_opt.discrepancy.spans import longest, spans
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.text import shortened
 
-# part of the squared output of the other effects that their forms may be wrong by (5 % of the size); an effect that takes away less
-# beside them may only mend their forms
-FORM_ERROR_RATIO = 0.0025
 MENDS = 0.2  # part of what an effect takes away from which on, where so much is left, it may as well mend the others' forms
 MOVES = 2  # sets of effects fitted of each kind of move that is not one effect more
 WORTH_WIDE = 0.5  # part of what the best pair leaves that an effect as wide as several must promise to close
@@ -41,9 +39,10 @@ class Explanation:
         best: effects that stand out, all fitted together with the parameters; none where nothing does.
         widest: the most that was tried along.
         tried: every hypothesis fitted, in order.
-        scores: first-order gains of all candidates against `without`.
+        scores: first-order gains of all candidates against `without`, beside what gauges show.
         shares: for each effect of `best`: how many times the structure left only this effect takes away.
         groups: for each effect of `best`: hypotheses that have another one in its place, `best` first, and their probabilities.
+        seen: effects that gauges have shown.
     """
 
     without: Hypothesis
@@ -53,6 +52,7 @@ class Explanation:
     scores: list[Score]
     shares: Shares
     groups: Groups
+    seen: Effects = ()
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -64,7 +64,7 @@ class Explanation:
 
 
 def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
-    """Search the effects that explain what recalibration leaves.
+    """Search the effects that explain what recalibration leaves, beginning with those that gauges have shown.
 
     Raises:
         PredictionError: the model cannot do the runs even without an effect.
@@ -74,9 +74,12 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     if without is None:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
-    best = _forward(fits, without, missing, seed)
-    best = most_probable([best, *_at_once(fits, without, best, missing)], seed, 1)[0]
-    widest, seen = best, set()
+    base = (fits.fit(fits.seen, {**without.estimate.named, **fits.values}) if fits.seen else None) or without
+    together = several(fits, base, missing)
+    best = together or _forward(fits, base, missing, seed)
+    if together is None:
+        best = most_probable([best, *_at_once(fits, without, best, missing)], seed, 1)[0]
+    widest, visited = best, set[Effects]()
     while True:
         best, shares, groups = _settled(fits, best, missing, seed)
         for _ in range(settings.max_effects):
@@ -85,16 +88,16 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
             if better is best or weight < 0.5:
                 break
             best, shares, groups = _settled(fits, fits.finished(better), missing, seed)
-        if best.effects in seen or fits.problem.plant.quick:
+        if best.effects in visited or fits.problem.plant.quick or together is not None:
             break
-        seen.add(best.effects)
+        visited.add(best.effects)
         onward = _forward(fits, best, missing, seed)
         if onward is best:
             break
         best = widest = onward
     if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
-    return Explanation(without, best, widest, list(fits.done.values()), fits.screen(without, missing), shares, groups)
+    return Explanation(without, best, widest, list(fits.done.values()), fits.screen(base, missing), shares, groups, fits.seen)
 
 
 def _forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> Hypothesis:
@@ -123,9 +126,12 @@ def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: i
 
     Where that is nothing, because several stood in for one, the single effect that stands out and leaves least.
     """
-    several = len(best.effects) > 1
+    if len(best.effects) > MANY:
+        best, shares = settled(fits, best, missing)
+        return best, shares, {effect: rivals(fits, best, effect, missing, seed) for effect in best.effects}
+    more = len(best.effects) > 1
     best, shares = _backward(fits, best)
-    if several and not best.effects:
+    if more and not best.effects:
         alone = [_backward(fits, fits.finished(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
         best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
     return best, shares, {effect: replacements(fits, best, effect, missing, seed) for effect in best.effects}
@@ -227,8 +233,8 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
         rests = [tuple(c for c in best.effects if c != effect) for effect in best.effects]
         without = fits.fit_all([(rest, best.estimate.named) for rest in rests])
         for effect, rest, found in zip(best.effects, rests, without, strict=True):
-            shares[effect], lost[effect] = np.inf, np.inf  # where the model cannot do the runs without it
-            if found is not None:
+            shares[effect], lost[effect] = np.inf, np.inf  # where the model cannot do the runs without it, or gauges show it
+            if found is not None and effect not in fits.seen:
                 smaller[effect] = found
                 taken = lost[effect] = found.excess - best.excess
                 mended = sum(doubt[c] for c in rest)

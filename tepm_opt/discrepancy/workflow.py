@@ -18,11 +18,13 @@ from tepm_opt.discrepancy import clock, words
 from tepm_opt.discrepancy.belief import Judgement, doubts, judged
 from tepm_opt.discrepancy.black_box import black_box
 from tepm_opt.discrepancy.constancy import Sizes, onward, runs_of, sizes
+from tepm_opt.discrepancy.devices import devices_seen
 from tepm_opt.discrepancy.first_order import linearised
 from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.freeform.invent import Invention
 from tepm_opt.discrepancy.localise import TIMES_NOISE, Localisation, localise
 from tepm_opt.discrepancy.measured import behind, gauged, separated, with_measured_inputs
+from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.noise import fitted, told
 from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.search import Explanation, explain
@@ -98,6 +100,9 @@ def discover(
     remarks: list[str] = []
     if not plant.static:
         dataset, remarks = without_strays(dataset, nominal, noise)
+    seen = devices_seen(dataset, plant) if isinstance(plant, SearchableNetwork) and not plant.static else None
+    if seen is not None:
+        dataset, remarks = dataset.with_runs(seen.runs), [*remarks, f"{seen.note}."]
     step = _step(plant, dataset, nominal, noise, settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     try:
@@ -105,9 +110,11 @@ def discover(
         noise, scattering = _noise_seen(first, noise, plant.signals)
         remarks += scattering
         done = first.done if np.all(noise == problem.noise) else {}
-        fits = Fits(replace(first.problem, noise=noise), settings, store, key, progress, done)
+        shown, values = ((), {}) if seen is None else (seen.effects, seen.values)
+        fits = Fits(replace(first.problem, noise=noise), settings, store, key, progress, shown, values, done)
         del first  # its fits are as large as the data
-        explanation = explain(fits, _possible(fits, missing, plant.signals, seed), seed)
+        possible = _possible(fits, missing, plant.signals, seed) if seen is None else (*shown, *(c for c in missing if c not in shown))
+        explanation = explain(fits, possible, seed)
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
     progress("judging on validation runs", 0, 0)

@@ -192,7 +192,7 @@ def _edge_pull(writer: Writer, s: Segment, index: int, span: ca.SX, speed: ca.SX
     edge = writer.layout.edges[index]
     own = {name: s.column[writer.rows[name]][index] for name in ("stiffness", "damping", "rest")}
     if edge.kind == VERTICAL:
-        own["axial"] = s.column[writer.rows["axial"]][index]
+        own |= {name: s.column[writer.rows[name]][index] for name in ("axial", "tension") if name == "axial" or writer.strung}
     pull = writer.edge_law(index, edge, s.column)(span)[1] + own["damping"] * speed
     states, rates = [], []
     for kind, parameters, context in writer.effects:

@@ -115,6 +115,7 @@ class Effect:
         corners: whether what it does to the properties has corners along the inputs.
         delays_forces: whether its delay is one of known forces, too.
         further_probes: values by name, where its parameters' probes are not all that one would look for it at.
+        feels_tension: whether its edge memory asks for the tendons' tension.
         timed: whether it asks what time it is; `parameters` then has `CLOCK` and `BEGAN`, too.
         happens: the parameter that is the instant of the session at which it begins to act for good; empty where it has none.
     """
@@ -127,6 +128,7 @@ class Effect:
     smooth: ClassVar[bool] = True
     exact: ClassVar[bool] = False
     corners: ClassVar[bool] = False
+    feels_tension: ClassVar[bool] = False
     timed: ClassVar[bool] = False
     happens: ClassVar[str] = ""
     delays_forces: ClassVar[bool] = False
@@ -272,7 +274,8 @@ class Effect:
             edge: which one of a segment.
             length: its length in m.
             rate: of its length in m/s.
-            properties: the edge's own, SI: "stiffness", "damping", "rest" and, of a vertical edge, "axial".
+            properties: the edge's own, SI: "stiffness", "damping", "rest" and, of a vertical edge, "axial" and, where the effect feels
+                it, "tension", the effective one after the input maps.
             parameters: the effect's own by name, SI symbols.
             context: what else it may know.
         """

@@ -33,7 +33,7 @@ class Network:
         functions: by name, see `write_network`.
         driven: rows of P that inputs or external forces change.
         property_rows: rows of P by name.
-        strung: whether tendons have potentials of their own.
+        sprung: whether tendons have potentials of their own.
     """
 
     layout: Layout
@@ -41,7 +41,7 @@ class Network:
     functions: Mapping[str, ca.Function]
     driven: tuple[int, ...]
     property_rows: Mapping[str, slice]
-    strung: bool = False
+    sprung: bool = False
 
     def __repr__(self) -> str:
         return f"Network({self.layout.levels} levels, {len(self.parameter_names)} parameters, {len(self.functions)} functions)"
@@ -143,4 +143,4 @@ def write_network(model: Model) -> Network:
         "observe_adjoint": _adjoint("observe_adjoint", [x, theta], [x, theta], [points, lengths]),
         **_segment_functions(writer, driven),
     }
-    return Network(writer.layout, writer.names, functions, tuple(driven), writer.rows, writer.strung)
+    return Network(writer.layout, writer.names, functions, tuple(driven), writer.rows, writer.sprung)

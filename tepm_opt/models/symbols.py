@@ -16,7 +16,7 @@ from tepm_opt.models.model import Model
 RAIL = 100.0  # strength of a guide over that of a segment's muscles
 SOFT = 1.0  # N/m, of a muscle more, so that rails hold where the muscles have no stiffness
 PROPERTY_ROWS = ("stiffness", "damping", "rest", "axial", "tension", "load", "number", "mass")
-"""Rows of P: of every edge (three times), axial force of every vertical edge, tension in it where tendons have potentials of their own,
+"""Rows of P: of every edge (three times), axial force of every vertical edge, tension in it where an effect asks for it,
 force on a node of the upper level, number of the segment from 0 where forces on points depend on their motion, mass of a node of the
 upper level."""
 POINT_HOOKS = ("point_energy", "point_drag")
@@ -53,7 +53,8 @@ class Writer:
             self.effects.append(active(find_effect(effect.name), effect.label, effect.detail))
 
         self.numbered = any(kind.has(hook) for kind, _, _ in self.effects for hook in POINT_HOOKS)
-        self.strung = any(kind.has("tendon_energy") for kind, _, _ in self.effects)
+        self.sprung = any(kind.has("tendon_energy") for kind, _, _ in self.effects)
+        self.strung = self.sprung or any(kind.feels_tension for kind, _, _ in self.effects)
         self.rows = property_rows(layout, self.strung, self.numbered)
 
     def rest_ring(self) -> ca.SX:
@@ -135,7 +136,7 @@ class Writer:
         energy = stiffness / 2 * (length - rest) ** 2
         if edge.kind == VERTICAL:
             energy -= column[self.rows["axial"]][index] * length
-            for kind, own, context in self.effects if self.strung else ():
+            for kind, own, context in self.effects if self.sprung else ():
                 energy += kind.tendon_energy(length, rest, column[self.rows["tension"]][index], own, context)
         for kind, own, context in self.effects:
             energy += kind.edge_energy(edge, length, rest, own, context)

@@ -179,7 +179,7 @@ def _holding(problem: IkProblem, found: Configuration) -> Configuration:
     Newton on the forces asked of the set points, until these lead to the tip and length differences of the configuration.
     """
     model, at = problem.model, found.equilibrium
-    if not model.network.strung:
+    if not model.network.sprung:
         return found
     for _ in range(HOLDING_STEPS):
         effective = model.statics.actuation(found.allocation.inputs, model.theta)

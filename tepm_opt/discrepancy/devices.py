@@ -1,0 +1,187 @@
+"""What gauges say of the regulators before anything is asked of the body: the grid of their set points, lag and delay.
+
+A gauge's own reading is compared with what a device would make of the commands. Where that leaves nothing but the gauge's noise, the
+commands are taken as the device takes them, and its lag is known better than the robot's motion could tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from tepm_opt.data.run import Run, RunSet
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.measured import gauged, measured_column
+from tepm_opt.discrepancy.network import SearchableNetwork
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.models.effects import find_effect
+
+FINE = 4e-3  # s, of the simulated regulators
+FIRST, MOST = (0.01, 0.1, 0.1), (0.5, 10.0, 10.0)  # delay, filling and exhausting time in s: where the fit begins, and bounds
+CLEARER = 0.9  # part of the squares that a further property of a device must leave at most to be there
+ONLY_NOISE = 1.3  # times the gauge's noise, as differences from sample to sample show it, that may be left
+RANGE = 5.0  # standard deviations, and
+NEARLY = 0.02  # part of a time constant, within which it is sought on
+EVALUATIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class DevicesSeen:
+    """What gauges show.
+
+    Attributes:
+        runs: all runs, with pressures on the grid where gauges show one.
+        effects: the lag and the delay as candidates, the lag's values within the range that gauges leave.
+        values: of their parameters by full name.
+        note: in a sentence, what was seen.
+    """
+
+    runs: tuple[Run, ...]
+    effects: tuple[Candidate, ...]
+    values: dict[str, float]
+    note: str
+
+
+def devices_seen(dataset: RunSet, network: SearchableNetwork) -> DevicesSeen | None:
+    """Grid, lag and delay of the pressure regulators; None where no gauge shows them, or shows something else besides.
+
+    Args:
+        dataset: checked data.
+        network: the machine's, with lag and delay among its candidates.
+    """
+    lag, delay = (_declaring(network.candidates, hook) for hook in ("lag", "delay"))
+    columns = _pressures(dataset.fit, network.signals)
+    if lag is None or delay is None or not columns:
+        return None
+    step = network.known_model.robot.actuation.pressure_step
+    fits = [_Fit.of(dataset.fit, columns, network.signals, grid) for grid in ({0.0, step} if step else {0.0})]
+    best = min(fits, key=lambda fit: fit.squares)
+    plain = max(fits, key=lambda fit: fit.squares)
+    best = best if best.squares < CLEARER * plain.squares else next(fit for fit in fits if not fit.grid)
+    noise = _white(dataset.fit, columns, network.signals)
+    if best.squares > CLEARER * best.unlagged or not best.rms < ONLY_NOISE * noise:
+        return None
+    names = [f"{lag.label}.{name}" for name in ("filling_time", "exhausting_time")]
+    ranges = {
+        name: (max(time - max(RANGE * std, NEARLY * time), 0.0), time + max(RANGE * std, NEARLY * time))
+        for name, time, std in zip(names, best.times, best.stds, strict=True)
+    }
+    known = replace(
+        lag,
+        null={name: lag.null[name] for name in names},
+        probes=tuple({n: probe[n] for n in names} for probe in lag.probes[:1]),
+        ranges=ranges,
+    )
+    late = dict.fromkeys(delay.parameters, best.delay)
+    note = (
+        f"gauges show regulators that lag by {best.times[0]:.3g} s filling and {best.times[1]:.3g} s exhausting"
+        f"{f', on a grid of {best.grid:g} Pa' if best.grid else ''}; commands are taken as they take them"
+    )
+    runs = tuple(_on_grid(run, columns, best.grid) for run in dataset.runs) if best.grid else dataset.runs
+    return DevicesSeen(runs, (known, delay), dict(zip(names, best.times, strict=True)) | late, note)
+
+
+def _declaring(candidates: Sequence[Candidate], hook: str) -> Candidate | None:
+    """The candidate whose effect declares a lag or a delay that stays as it is."""
+    named = [(c, find_effect(c.name)) for c in candidates if c.stage == "input" and c.detail is None]
+    return next((c for c, effect in named if effect.has(hook) and not effect.timed), None)
+
+
+def _pressures(runs: Sequence[Run], signals: Signals) -> list[int]:
+    """Columns of the pressures, where gauges show all of them in all runs."""
+    seen = set(gauged(runs, signals))
+    columns = [k for k, name in enumerate(signals.inputs) if name.endswith("_Pa")]
+    return columns if columns and all(signals.inputs[k] in seen for k in columns) else []
+
+
+def _readings(run: Run, columns: Sequence[int], signals: Signals) -> np.ndarray:
+    return np.stack([run.extra[measured_column(signals.inputs[k])] for k in columns], axis=1)
+
+
+def _white(runs: Sequence[Run], columns: Sequence[int], signals: Signals) -> float:
+    """A gauge's noise, 1 sigma: the median second difference of its readings, which a slow pressure hardly has."""
+    second = [np.diff(_readings(run, columns, signals), 2, axis=0).ravel() for run in runs]
+    return float(1.4826 * np.nanmedian(np.abs(np.concatenate(second))) / np.sqrt(6))
+
+
+def _on_grid(run: Run, columns: Sequence[int], grid: float) -> Run:
+    inputs = run.inputs.copy()
+    inputs[:, columns] = grid * np.round(inputs[:, columns] / grid)
+    return replace(run, inputs=inputs)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A lag and a delay fitted to gauges.
+
+    Attributes:
+        grid: of the set points in Pa; 0 is none.
+        delay: in s.
+        times, stds: time constants filling and exhausting in s, and their standard deviations.
+        squares, unlagged: sum of squares left, and without lag and delay.
+        rms: root mean square left.
+    """
+
+    grid: float
+    delay: float
+    times: tuple[float, float]
+    stds: tuple[float, float]
+    squares: float
+    unlagged: float
+    rms: float
+
+    @staticmethod
+    def of(runs: Sequence[Run], columns: Sequence[int], signals: Signals, grid: float) -> _Fit:
+        """Least squares; every gauge may have an offset and a gain of its own."""
+        count = max(int((run.time[-1] - run.time[0]) / FINE) + 2 for run in runs)
+        readings = [_readings(run, columns, signals) for run in runs]
+
+        def left(values: np.ndarray) -> np.ndarray:
+            delay, filling, exhausting = values
+            fine = FINE * np.arange(count)
+            late = [[np.interp(run.time[0] + fine - delay, run.time, run.inputs[:, k]) for k in columns] for run in runs]
+            commands = np.concatenate(late)  # (runs · channels, fine samples)
+            followed = _followed(grid * np.round(commands / grid) if grid else commands, filling, exhausting)
+            modelled = [
+                np.stack(
+                    [np.interp(run.time - run.time[0], fine, row) for row in followed[k * len(columns) : (k + 1) * len(columns)]], axis=1
+                )
+                for k, run in enumerate(runs)
+            ]
+            return _without_affine(np.concatenate(readings), np.concatenate(modelled))
+
+        scale = np.array(FIRST)
+        found = least_squares(left, scale, bounds=(np.full(3, 1e-4), np.array(MOST)), x_scale=scale, diff_step=0.05, max_nfev=EVALUATIONS)
+        spread = float(np.mean(found.fun**2))
+        covariance = spread * np.linalg.pinv(found.jac.T @ found.jac)
+        stds = np.sqrt(np.diag(covariance))
+        delay, filling, exhausting = (float(value) for value in found.x)
+        unlagged = float(np.sum(left(np.full(3, 1e-4)) ** 2))
+        return _Fit(
+            grid, delay, (filling, exhausting), (float(stds[1]), float(stds[2])), float(2 * found.cost), unlagged, float(np.sqrt(spread))
+        )
+
+
+def _followed(commands: np.ndarray, filling: float, exhausting: float) -> np.ndarray:
+    """A first-order lag of set points held over every fine sample, (channels, samples)."""
+    up, down = (1 - np.exp(-FINE / max(time, 1e-6)) for time in (filling, exhausting))
+    found = np.empty_like(commands)
+    found[:, 0] = state = commands[:, 0]
+    for k in range(1, commands.shape[1]):
+        missing = commands[:, k] - state
+        state = state + np.where(missing > 0, up, down) * missing
+        found[:, k] = state
+    return found
+
+
+def _without_affine(readings: np.ndarray, modelled: np.ndarray) -> np.ndarray:
+    """What is left of readings (samples, channels) by the best line over what was modelled, a line each; 0 where a reading is missing."""
+    left = np.zeros_like(readings)
+    for k in range(readings.shape[1]):
+        seen = np.isfinite(readings[:, k])
+        line = np.stack([np.ones(seen.sum()), modelled[seen, k]], axis=1)
+        left[seen, k] = readings[seen, k] - line @ np.linalg.lstsq(line, readings[seen, k], rcond=None)[0]
+    return left.ravel()

@@ -1,0 +1,146 @@
+"""Many effects at once: where to first order several are needed, they are taken together, fitted, and looked at again from there.
+
+One by one, each of many effects has to beat what all the others leave, and stands in for them; together each has only its own to do.
+Sets are chosen by orthogonal matching pursuit on the linearised fit (Pati, Rezaiifar, Krishnaprasad, Asilomar 1993): the effect that
+takes away most beside those chosen, all of them and the parameters following, until the next takes away too little. The way back and
+rivals are looked at to first order, too; what that cannot tell is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tepm_opt.discrepancy.evidence import weights
+from tepm_opt.discrepancy.first_order import Linearised
+from tepm_opt.discrepancy.fits import Effects, Fits, Hypothesis, may
+from tepm_opt.discrepancy.network import PARAMETER
+from tepm_opt.discrepancy.plant import Candidate, acting, freed
+from tepm_opt.solvers.plant import PredictionError
+
+MANY = 4  # effects up to which the way back and rivals are fits of their own
+SEVERAL = 3  # effects that first order must ask for, each taking away `SHARE` of what the others leave
+SHARE = 0.1  # part of what is left that one more effect must promise to take away
+AT_MOST, AT_ONCE = 14, 5  # effects in all, and new ones at once
+FORM_ERROR_RATIO = 0.0025  # part of what the other effects take away that their forms may be wrong by (5 % of the size)
+AS_GOOD = 1.3  # times what is left that a rival in an effect's place may promise to leave, to be fitted
+
+
+def several(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> Hypothesis | None:
+    """The fit of as many effects as surely take away more and more; None where first order does not ask for several.
+
+    Args:
+        fits: all so far.
+        base: what they stand beside.
+        missing: the candidates.
+    """
+    settings, best = fits.settings, base
+    while not (fits.problem.plant.quick or best.only_noise(settings)):
+        effects, start = pursued(fits, best, missing)
+        if len(effects) - len(best.effects) < (SEVERAL if best is base else 1):
+            break
+        came = {name for c in effects if c not in best.effects for name in c.parameters}
+        careful = {name: value if name in came else best.estimate.named.get(name, value) for name, value in start.items()}
+        found = fits.fit(effects, min((start, careful), key=lambda values: _cost(fits, effects, values)))
+        found = None if found is None else fits.finished(found)
+        if found is None or found.excess > (1 - settings.min_share_closed) * best.excess:
+            break
+        best = found
+    return None if best is base else best
+
+
+def _cost(fits: Fits, effects: Effects, values: Mapping[str, float]) -> float:
+    """Squares that effects with some values leave."""
+    problem = fits.problem
+    free = freed(problem.free, problem.plant, effects)
+    at = np.array([np.clip(values.get(f.name, f.start), f.low, f.high) for f in free])
+    try:
+        found = replace(problem, plant=acting(problem.plant, effects), free=free).residuals(at, [])
+    except PredictionError:
+        return np.inf
+    return sum(r.squares for r in found)
+
+
+def pursued(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> tuple[Effects, dict[str, float]]:
+    """A hypothesis' effects and those that first order asks for beside them, with values to fit from.
+
+    Args:
+        fits: all so far.
+        base: the hypothesis.
+        missing: the candidates.
+    """
+    linear, chosen = fits.linear(base, missing), list(base.effects)
+    gain, start = linear.gain(chosen)
+    noise = fits.settings.max_noise_excess * float(linear.count.sum())
+    while len(chosen) < min(AT_MOST, len(base.effects) + AT_ONCE) and (1 - gain) * linear.excess > noise:
+        able = [c for c in linear.able if c not in chosen and c.name != PARAMETER and may(c, chosen)]
+        promised = [(*linear.gain((*chosen, c)), c) for c in able]
+        more, begin, first = max(promised, key=lambda each: each[0], default=(gain, start, None))
+        if first is None or more - gain < SHARE * (1 - gain):
+            break
+        chosen.append(first)
+        gain, start = more, begin
+    return tuple(chosen), {**base.estimate.named, **start}
+
+
+def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple[Hypothesis, dict[Candidate, float]]:
+    """What is left of a fit once effects that do not stand out from what is left are dropped, the least needed first, and shares.
+
+    An effect that takes away no more than the others' forms may be wrong by is no effect of its own. A loss is told to first order, and
+    by a fit where it is to be dropped.
+
+    Args:
+        fits: all so far.
+        best: the fit.
+        missing: the candidates.
+    """
+    settings = fits.settings
+    sure: dict[Candidate, float] = {}
+    while True:
+        linear, left = fits.linear(best, missing), best.excess + settings.max_noise_excess / 10
+        costs = {effect: sure.get(effect, lost(linear, effect)) for effect in best.effects}
+        shares = dict.fromkeys(fits.seen, np.inf)
+        for effect, cost in costs.items():
+            if effect in fits.seen:
+                continue
+            mended = FORM_ERROR_RATIO * sum(max(costs[other], 0.0) for other in costs if other != effect)
+            shares[effect] = cost / left if cost >= max(settings.min_excess_removed, mended) else 0.0
+        weakest = min(shares, key=lambda effect: (shares[effect], costs[effect]), default=None)
+        if weakest is None or shares[weakest] >= settings.least_share or weakest in sure:
+            return best, shares
+        rest = fits.fit(tuple(c for c in best.effects if c != weakest), best.estimate.named)
+        cost = np.inf if rest is None else fits.finished(rest).excess - best.excess
+        if rest is None or cost >= settings.least_share * left:
+            sure[weakest] = cost
+        else:
+            best, sure = fits.finished(rest), {}
+
+
+def rivals(fits: Fits, best: Hypothesis, effect: Candidate, missing: Sequence[Candidate], seed: int) -> list[tuple[Hypothesis, float]]:
+    """A hypothesis, and with the effect in the place of one of its own that promises most where that is nearly as good; probabilities.
+
+    Args:
+        fits: all so far.
+        best: the hypothesis.
+        effect: of it.
+        missing: the candidates.
+        seed: of random draws.
+    """
+    linear, rest = fits.linear(best, missing), tuple(c for c in best.effects if c != effect)
+    able = [c for c in linear.able if c not in best.effects and c.form_of != effect.form_of and may(c, rest)]
+    gain, start, other = max(((*linear.gain((*rest, c)), c) for c in able), key=lambda each: each[0], default=(-np.inf, {}, None))
+    if other is None or (1 - gain) * linear.excess > AS_GOOD * max(best.excess, fits.settings.max_noise_excess) * float(linear.count.sum()):
+        return [(best, 1.0)]
+    found = fits.fit((*rest, other), {**best.estimate.named, **start})
+    if found is None:
+        return [(best, 1.0)]
+    group = [best, fits.finished(found)]
+    return list(zip(group, weights([h.evidence for h in group], seed).tolist(), strict=True))
+
+
+def lost(linear: Linearised, effect: Candidate) -> float:
+    """Excess that a fit would have more without one of its effects, to first order, everything else following."""
+    rest = tuple(c for c in linear.effects if c != effect)
+    return (linear.gain(linear.effects)[0] - linear.gain(rest)[0]) * linear.excess / float(linear.count.sum())

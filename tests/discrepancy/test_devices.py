@@ -1,0 +1,100 @@
+"""What gauges say of the regulators: readings made here, by a lag integrated in another way than the package's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tepm_opt.data.run import Run, RunSet
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.devices import devices_seen
+from tepm_opt.discrepancy.network import SearchableNetwork, candidates
+from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.models.channels import channels_of
+from tepm_opt.models.model import Model
+from tests.discrepancy.small import planned
+
+KNOWN = Model.of("kang2017")
+CHANNELS = channels_of(KNOWN.robot)
+NOISE, GRID = 500.0, 4500.0
+DELAY, FILLING, EXHAUSTING = 0.02, 0.15, 0.3
+
+
+@dataclass(frozen=True)
+class Uncompiled:
+    """As much of a network as gauges are compared with."""
+
+    known_model: Model = KNOWN
+    candidates: tuple[Candidate, ...] = tuple(candidates(KNOWN))
+    signals: Signals = CHANNELS.signals
+
+
+def gauged(device: Callable[[np.ndarray], np.ndarray], delay: float = DELAY, lag: tuple[float, float] = (FILLING, EXHAUSTING)) -> RunSet:
+    """Runs with readings of a device's outputs behind a lag (Euler's method at 1 ms)."""
+    random, found = np.random.default_rng(3), []
+    for asked in planned(("single_pressure.csv", "elongation.csv")):
+        time, inputs = asked.setpoints.time, asked.setpoints.inputs
+        fine = np.arange(time[0], time[-1], 1e-3)
+        extra = {}
+        for k, name in enumerate(CHANNELS.signals.inputs):
+            followed = np.interp(fine - delay, time, inputs[:, k])
+            if name.endswith("_Pa"):
+                goal, state = device(followed), float(device(followed[:1])[0])
+                followed = np.empty_like(goal)
+                for row, value in enumerate(goal):
+                    state += 1e-3 / (lag[0] if value > state else lag[1]) * (value - state)
+                    followed[row] = state
+            noise = NOISE if name.endswith("_Pa") else 0.01
+            stem, unit = name.rsplit("_", 1)
+            extra[f"{stem}_measured_{unit}"] = np.interp(time, fine, followed) + noise * random.normal(size=len(time))
+        run = Run(asked.file, "fit", time, inputs, asked.setpoints.tip_force, np.zeros((len(time), 4, 3)), extra)
+        found.append(run)
+    return RunSet.of("gauged", found)
+
+
+def seen(data: RunSet) -> Any:
+    return devices_seen(data, cast("SearchableNetwork", Uncompiled()))
+
+
+def on_grid(values: np.ndarray) -> np.ndarray:
+    return GRID * np.round(values / GRID)
+
+
+def test_grid_lag_and_delay() -> None:
+    data = gauged(on_grid)
+    found = seen(data)
+    assert found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.02)
+    assert found.values["regulator_lag.exhausting_time"] == pytest.approx(EXHAUSTING, rel=0.02)
+    assert found.values["time_delay.delay"] == pytest.approx(DELAY, abs=3e-3)
+    assert "4500 Pa" in found.note
+    for run, before in zip(found.runs, data.runs, strict=True):
+        assert np.abs(run.inputs[:, :6] - on_grid(before.inputs[:, :6])).max() < 1e-6
+        assert (run.inputs[:, 6:] == before.inputs[:, 6:]).all()
+    for low, high in found.effects[0].ranges.values():
+        assert 0 < high - low < 0.1
+
+
+def test_without_a_grid_commands_stay_as_they_are() -> None:
+    data = gauged(lambda values: values)
+    found = seen(data)
+    assert found.runs is data.runs
+    assert found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.02)
+
+
+def test_a_gauge_with_a_gain_and_an_offset_of_its_own_shows_the_same_lag() -> None:
+    data = gauged(on_grid)
+    columns = {name: 1.02 * v + 3e3 if name.endswith("_Pa") else v for name, v in data.runs[0].extra.items()}
+    found = seen(data.with_runs([replace(data.runs[0], extra=columns), data.runs[1]]))
+    assert found is None or found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.03)
+
+
+def test_nothing_is_said_where_gauges_show_something_else_besides() -> None:
+    """No gauges; no lag; pressure that stops at half of what is asked."""
+    data = gauged(on_grid)
+    assert seen(data.with_runs([replace(run, extra={}) for run in data.runs])) is None
+    assert seen(gauged(lambda values: values, delay=0.0, lag=(1e-3, 1e-3))) is None
+    assert seen(gauged(lambda values: np.minimum(values, 6e4))) is None
