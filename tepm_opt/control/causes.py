@@ -1,0 +1,114 @@
+"""What may have changed in a machine: in words, and as directions of the regressions; which of them explains what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from tepm_opt.control.change import Left
+
+BODY, REGULATOR, MOTOR = "body", "regulator", "motor"
+FILLING, EMPTYING, ZERO, LEAK = range(4)  # columns of the regulators
+GAUGE = 0  # column of the motors
+TIME_CONSTANT = 0.18  # s, by which a regulator's zero is told in Pa: of filling and emptying in the mean
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One thing that may change.
+
+    Attributes:
+        about: name, unique.
+        says: sentence with `{size}`, in the unit that people use, and `{more}`, "more" or "less" by its sign.
+        regression: of which its columns are, and `machine`, which of those beside each other.
+        columns: along which it acts with `factors`; `free`: each of them has a size of its own.
+        spread: of its size before anything is seen.
+        prior: its probability beside the other causes.
+        one_sided: whether its size is above zero.
+        scale: of the size in the sentence.
+    """
+
+    about: str
+    says: str
+    regression: str
+    machine: int
+    columns: tuple[int, ...]
+    spread: float
+    prior: float
+    one_sided: bool = False
+    scale: float = 1.0
+    free: bool = False
+    factors: tuple[float, ...] = ()
+
+    def told(self, size: float) -> str:
+        """The sentence for a size."""
+        return self.says.format(
+            size=abs(self.scale * size), more="more" if size > 0 else "less", stiffer="stiffer" if size > 0 else "softer"
+        )
+
+    def evidence(self, left: Left) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the evidence over no change at each mark, with the prior, and sizes, (marks,) each.
+
+        The size is integrated over its normal prior, of which half is left where it is one-sided.
+        """
+        score = left.score[:, self.machine][:, self.columns]
+        information = left.information[:, self.machine][:, self.columns][:, :, self.columns]
+        if not self.free:
+            factors = np.array(self.factors or np.ones(len(self.columns)))
+            if (self.regression, self.columns) == (REGULATOR, (FILLING, EMPTYING)):
+                factors = -np.maximum(left.theta[self.machine, self.columns], 0.0)  # all its rates fall by a part
+            score, information = (score @ factors)[:, None], (factors @ information @ factors)[:, None, None]
+        scaled = np.eye(score.shape[1]) + self.spread**2 * information
+        sizes = np.linalg.solve(scaled, self.spread**2 * score[..., None])[..., 0]
+        found = np.log(self.prior) + 0.5 * (sizes * score).sum(axis=1) - 0.5 * np.linalg.slogdet(scaled)[1]
+        if self.free:
+            return found, np.linalg.norm(sizes, axis=1)
+        if self.one_sided:
+            found = found + np.log(2.0) + log_ndtr(sizes[:, 0] / (self.spread / np.sqrt(scaled[:, 0, 0])))
+        return found, sizes[:, 0]
+
+
+def causes(actuators: Sequence[str], points: Sequence[str], body: Mapping[str, slice]) -> list[Cause]:
+    """Everything that is looked for.
+
+    Args:
+        actuators, points: their names.
+        body: slices of the columns of the tracked points, as `Signatures.body`.
+    """
+    at = {name: part.start for name, part in body.items()}
+    kind = 1 / 12  # all kinds alike, and all muscles and points within one
+    each, count = kind / len(actuators), len(actuators)
+    found: list[Cause] = []
+    for k, name in enumerate(actuators):
+        of = f"muscle {name}"
+        found += [
+            Cause(f"strength {name}", f"{of} pulls {{size:.0f}} % {{more}}", BODY, 0, (at["strength"] + k,), 0.1, each, scale=100, factors=(-1.0,)),
+            Cause(f"stiffness {name}", f"{of} is {{size:.0f}} % {{stiffer}}", BODY, 0, (at["stiffness"] + k,), 0.08, each, scale=100),
+            Cause(f"tendon {name}", f"tendon {name} has lost {{size:.0f}} % of its tension", BODY, 0, (at["tension"] + k,), 0.3, each, True, 100),
+            Cause(f"pressure monitor {name}",
+                  f"regulator {name} gives {{size:.1f}} kPa {{more}} than it is told, or its monitor reads that much {{more}}", REGULATOR, k,
+                  (ZERO,), 5e4, each, scale=1e-3 * TIME_CONSTANT),
+            Cause(f"leak {name}", f"regulator {name} leaks: {{size:.0f}} % of the absolute pressure", REGULATOR, k, (LEAK,), 0.3, each, True,
+                  100 * TIME_CONSTANT),
+            Cause(f"lag {name}", f"regulator {name} has lost {{size:.0f}} % of its speed", REGULATOR, k, (FILLING, EMPTYING), 0.4, each, True, 100),
+            Cause(f"dynamometer {name}", f"dynamometer {name} reads {{size:.2f}} N {{more}}, or its motor gives that much {{more}}", MOTOR, k,
+                  (GAUGE,), 0.4, each),
+        ]  # fmt: skip
+    tip, friction = (at["payload"],), tuple(range(at["friction"], at["friction"] + count))
+    found += [
+        Cause("payload put on", "{size:.0f} g were put on the tip", BODY, 0, tip, 0.04, kind, True, 1e3),
+        Cause("payload taken off", "{size:.0f} g were taken off the tip", BODY, 0, tip, 0.04, kind, True, 1e3, factors=(-1.0,)),
+        Cause("tendon friction", "the tendons' friction has grown by {size:.2f} N each", BODY, 0, friction, 0.5, kind, True),
+        Cause("base tilt", "the base has tilted by {size:.1f}°", BODY, 0, (at["tilt"], at["tilt"] + 1), 0.015, kind, scale=180 / np.pi, free=True),
+    ]  # fmt: skip
+    for k, name in enumerate(points):
+        own = tuple(range(at["points"] + 3 * k, at["points"] + 3 * k + 3))
+        says = f"tracked point {name} has shifted by {{size:.1f}} mm"
+        found.append(Cause(f"marker {name}", says, BODY, 0, own, 6e-3, kind / len(points), scale=1e3, free=True))
+    forces = tuple(range(at["force"], at["force"] + count))
+    says = "none of these: forces that nobody commanded, {size:.1f} N in all"
+    found.append(Cause("something else", says, BODY, 0, forces, 0.3, 1e-3, free=True))
+    return found
