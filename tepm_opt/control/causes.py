@@ -49,26 +49,57 @@ class Cause:
             size=abs(self.scale * size), more="more" if size > 0 else "less", stiffer="stiffer" if size > 0 else "softer"
         )
 
-    def evidence(self, left: Left) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithm of the evidence over no change at each mark, with the prior, and sizes, (marks,) each.
 
-        The size is integrated over its normal prior, of which half is left where it is one-sided.
+class Weighed:
+    """Causes beside each other.
+
+    Args:
+        causes: all of them.
+        columns: how many each regression has.
+    """
+
+    def __init__(self, causes: Sequence[Cause], columns: Mapping[str, int]) -> None:
+        self._causes, self._groups = causes, []
+        for regression, count in columns.items():
+            which = [k for k, cause in enumerate(causes) if cause.regression == regression and not cause.free]
+            along = np.zeros((len(which), count))
+            for row, k in zip(along, which, strict=True):
+                row[list(causes[k].columns)] = causes[k].factors or 1.0
+            spreads, machines = np.array([causes[k].spread for k in which]), np.array([causes[k].machine for k in which])
+            sided = np.array([causes[k].one_sided for k in which])
+            self._groups.append((regression, which, along, machines, spreads, sided))
+        self._prior = np.log([cause.prior for cause in causes])
+        self._slower = [cause.columns == (FILLING, EMPTYING) and cause.regression == REGULATOR for cause in causes]
+
+    def evidence(self, left: Mapping[str, Left]) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the evidence over no change at each mark, with the prior, and sizes, (marks, causes) each.
+
+        Sizes are integrated over their normal prior, of which half is left where it is one-sided.
         """
-        score = left.score[:, self.machine][:, self.columns]
-        information = left.information[:, self.machine][:, self.columns][:, :, self.columns]
-        if not self.free:
-            factors = np.array(self.factors or np.ones(len(self.columns)))
-            if (self.regression, self.columns) == (REGULATOR, (FILLING, EMPTYING)):
-                factors = -np.maximum(left.theta[self.machine, self.columns], 0.0)  # all its rates fall by a part
-            score, information = (score @ factors)[:, None], (factors @ information @ factors)[:, None, None]
-        scaled = np.eye(score.shape[1]) + self.spread**2 * information
-        sizes = np.linalg.solve(scaled, self.spread**2 * score[..., None])[..., 0]
-        found = np.log(self.prior) + 0.5 * (sizes * score).sum(axis=1) - 0.5 * np.linalg.slogdet(scaled)[1]
-        if self.free:
-            return found, np.linalg.norm(sizes, axis=1)
-        if self.one_sided:
-            found = found + np.log(2.0) + log_ndtr(sizes[:, 0] / (self.spread / np.sqrt(scaled[:, 0, 0])))
-        return found, sizes[:, 0]
+        marks = len(left[BODY].score)
+        found, sizes = np.zeros((2, marks, len(self._causes)))
+        for regression, which, fixed, machines, spreads, sided in self._groups:
+            of, along = left[regression], fixed
+            if of.information.shape[1] == 1:
+                score, information = of.score[:, 0] @ along.T, ((along @ of.information[:, 0]) * along).sum(axis=-1)
+            else:
+                slower = np.array([self._slower[k] for k in which])[:, None]
+                along = np.where(slower, -fixed * np.maximum(of.theta[machines], 0.0), fixed)  # all rates fall by a part
+                score = (of.score[:, machines] * along).sum(axis=-1)
+                information = np.einsum("hi,shij,hj->sh", along, of.information[:, machines], along)
+            scaled = 1 + spreads**2 * np.maximum(information, 0.0)
+            size = spreads**2 * score / scaled
+            half = np.where(sided, np.log(2.0) + log_ndtr(size * np.sqrt(scaled) / spreads), 0.0)
+            found[:, which], sizes[:, which] = 0.5 * size * score - 0.5 * np.log(scaled) + half, size
+        for k, cause in enumerate(self._causes):
+            if cause.free:
+                own = list(cause.columns)
+                score, information = left[BODY].score[:, 0, own], left[BODY].information[:, 0][:, own][:, :, own]
+                scaled = np.eye(len(own)) + cause.spread**2 * information
+                size = np.linalg.solve(scaled, cause.spread**2 * score[..., None])[..., 0]
+                found[:, k] = 0.5 * (size * score).sum(axis=1) - 0.5 * np.linalg.slogdet(scaled)[1]
+                sizes[:, k] = np.linalg.norm(size, axis=1)
+        return found + self._prior, sizes
 
 
 def causes(actuators: Sequence[str], points: Sequence[str], body: Mapping[str, slice]) -> list[Cause]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.control.causes import BODY, MOTOR, REGULATOR, causes
+from tepm_opt.control.causes import BODY, MOTOR, REGULATOR, Weighed, causes
 from tepm_opt.control.change import Coloured, Left, Sums
 from tepm_opt.control.controllers.base import Controller, Prepares, Telemetry
 from tepm_opt.control.reference import Reference
@@ -32,7 +32,8 @@ class MonitorSettings:
     Attributes:
         begins: time in s of the run before which nothing counts.
         learns: time in s for which what sets machine and model apart is learned alone.
-        marks: latest times, a second apart, at which a change may have begun.
+        every: time in s between looks, and between times at which a change may have begun.
+        marks: how many of the latest of these times.
         evidence: logarithm of the odds from which a change is told, twice in a row.
         named: time in s for which its name may still change; then the next change is looked for, with what is learned anew.
         force_noise: white noise of the axial forces in N over a block.
@@ -46,17 +47,18 @@ class MonitorSettings:
     """
 
     begins: float = 0.5
-    learns: float = 8.0
-    marks: int = 20
-    evidence: float = 18.0
+    learns: float = 14.0
+    every: float = 1.5
+    marks: int = 14
+    evidence: float = 22.0
     named: float = 8.0
-    force_noise: float = 0.08
-    force_drift: float = 0.1
-    force_time: float = 1.0
-    point_drift: float = 1.2e-4
+    force_noise: float = 0.07
+    force_drift: float = 0.08
+    force_time: float = 0.6
+    point_drift: float = 0.8e-4
     point_time: float = 4.0
-    place_force: float = 0.12
-    place_points: float = 1.2e-4
+    place_force: float = 0.15
+    place_points: float = 0.6e-4
     place_size: float = 0.02
     place_time: float = 0.2
     pressure_noise: float = 300.0
@@ -113,6 +115,8 @@ class Monitor:
         self._signatures = Signatures(model, reference, first)
         layout, tracker = model.layout, model.robot.tracker
         self._causes = causes(layout.actuator_names, layout.point_names, self._signatures.body)
+        columns = {BODY: len(self._signatures.spreads), REGULATOR: len(REGULATORS), MOTOR: len(MOTORS)}
+        self._weighed = Weighed(self._causes, columns)
         self._count, self._coordinates = len(first.tensions), 3 * layout.points
         self._white = ((tracker.noise_rms_m if tracker else 1e-3) ** 2 / 3 / BLOCK) * np.eye(self._coordinates)
         self._places = np.zeros((0, 6))
@@ -133,7 +137,7 @@ class Monitor:
         kinds = ((BODY, spreads, 1), (REGULATOR, REGULATORS, count), (MOTOR, MOTORS, count))
         self._sums = {name: Sums(of, machines, settings.marks, settings.least_noise) for name, of, machines in kinds}
         self._times: list[float] = []
-        self._learned, self._next = now + settings.learns, np.ceil(now + settings.learns)
+        self._learned, self._next = now + settings.learns, now + settings.learns
         self._suspected, self._open, self.evidence = False, False, 0.0
 
     def add(self, sample: Sample, command: Command) -> None:
@@ -151,7 +155,7 @@ class Monitor:
                 self._times = [*self._times, now][-self.settings.marks :]
                 for sums in self._sums.values():
                     sums.mark()
-            self._next = max(self._next + 1.0, now)
+            self._next = max(self._next + self.settings.every, now)
 
     def told(self) -> dict[str, str]:
         """A sentence for every change, by what it is about."""
@@ -182,8 +186,8 @@ class Monitor:
     def _look(self, now: float) -> None:
         """Whether something changed, by a time in s of the run."""
         left: dict[str, Left] = {name: sums.left() for name, sums in self._sums.items()}
-        found, sizes = (np.array(each) for each in zip(*(cause.evidence(left[cause.regression]) for cause in self._causes), strict=True))
-        each = np.logaddexp.reduce(found, axis=1) - np.log(len(self._times))
+        found, sizes = self._weighed.evidence(left)
+        each = np.logaddexp.reduce(found, axis=0) - np.log(len(self._times))
         self.evidence = float(np.logaddexp.reduce(each))
         beyond = self.evidence > self.settings.evidence
         if beyond and (self._suspected or self._open):
@@ -200,9 +204,9 @@ class Monitor:
     def _changed(self, now: float, each: np.ndarray, found: np.ndarray, sizes: np.ndarray) -> Changed:
         parts = np.exp(each - np.logaddexp.reduce(each))
         order = [k for k in np.argsort(-parts)[:3] if parts[k] > 0.01]
-        since = found.argmax(axis=1)
+        since = found.argmax(axis=0)
         names = {self._causes[k].about: float(parts[k]) for k in order}
-        sentences = tuple(self._causes[k].told(float(sizes[k, since[k]])) for k in order)
+        sentences = tuple(self._causes[k].told(float(sizes[since[k], k])) for k in order)
         return Changed(now, self._times[since[order[0]]], self.evidence, names, sentences)
 
 

@@ -22,12 +22,12 @@ from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
 BLOCK = 10  # samples in a row of the regressions
 ATMOSPHERE = 101_325.0  # Pa
-PRESLIDING = 5e-4  # m over which dry friction turns over
-WIDTH = 1.0  # N of p A over which hysteresis turns over
+PRESLIDING = np.array([[5e-4], [5e-3]])  # m over which dry friction turns over: that of the tendons, and of what gives more
+WIDTH = np.array([[0.5], [2.5]])  # N of p A over which hysteresis turns over
 SHARE = 0.8  # of the friction that is in proportion to the tension
-SMALL = 1e-2  # singular values of the observed modes, over the largest, that are left out
+SMALL = 1e-5  # of the squares by which points tell modes, below which they do not
 DIFFERS = {
-    "strength": 0.08, "stiffness": 0.06, "tension": 0.1, "force": 0.3, "friction": 0.6, "hysteresis": 0.5,
+    "strength": 0.08, "stiffness": 0.06, "tension": 0.1, "force": 0.3, "friction": 0.6, "elastic": 0.4, "hysteresis": 0.4, "wide": 0.4,
     "payload": 0.01, "tilt": 0.005, "mass": 0.05, "points": 4e-3,
 }  # fmt: skip
 """Standard deviations by which machines differ from their model from the start, in the units of `Signatures.body`."""
@@ -90,16 +90,17 @@ class Signatures:
         self._devices, self._middle = Devices.of(model), robot.input_max[count:] / 2
         self._late = (robot.tracker.latency_s if robot.tracker else 0.0) + self._devices.delay
         self._turn, self._gravity = robot.mount.rotation, np.array(robot.mount.gravity_m_per_s2, dtype=float)
+        self._tilts = [self._turn.T @ -np.cross(axis, self._gravity) for axis in np.eye(3)[:2]]
         self._sent: deque[tuple[float, Command]] = deque([(-np.inf, first)])
         self._told = first.pressures.astype(float), first.tensions * first.enabled  # what devices do by their commands
         self._near: ModalModel | None = None
-        self._directions, self._turning = np.zeros(count), np.zeros(count)
+        self._directions, self._turning = np.zeros((2, count)), np.zeros((2, count))
         self._before: tuple[np.ndarray, np.ndarray] | None = None  # lengths and pressures a block ago
         self._time: float | None = None
         self._gathered: list[tuple[Sample, Command]] = []
         self._blocks: deque[_Block] = deque(maxlen=3)
         self._run, self._level = np.zeros((4, count)), np.zeros((0, count))
-        ends = np.cumsum([0, *([count] * 6), 1, 2, 1, 3 * model.layout.points])
+        ends = np.cumsum([0, *([count] * 8), 1, 2, 1, 3 * model.layout.points])
         self.body = {name: slice(ends[k], ends[k + 1]) for k, name in enumerate(DIFFERS)}
         self.spreads = np.repeat(list(DIFFERS.values()), np.diff(ends))
 
@@ -122,33 +123,32 @@ class Signatures:
     def _block(self, row: int) -> _Block | None:
         """Means over the samples gathered."""
         samples = [sample for sample, _ in self._gathered]
-        pressures, tensions = [], []
-        told, rates, levels = [], [], []
-        for sample, command in self._gathered:
-            duration = 0.0 if self._time is None else sample.time - self._time
-            self._time, before = sample.time, self._told[1]
-            acting = self._advance(sample.time, duration)
+        time = np.array([sample.time for sample in samples])
+        durations = np.diff(time, prepend=time[0] if self._time is None else self._time)
+        self._time, told = time[-1], [self._told]
+        acting = []
+        for (sample, command), duration in zip(self._gathered, durations.tolist(), strict=True):
+            acting.append(self._advance(sample.time, duration).pressures)
+            told.append(self._told)
             self._sent.append((sample.time + self._late, command))
-            pressure = self._told[0] if sample.pressures is None else sample.pressures
-            behind = acting.pressures - pressure
-            self._run = self._run + duration * np.array(
-                [np.maximum(behind, 0.0), np.minimum(behind, 0.0), np.ones(len(behind)), -np.maximum(pressure, 0.0) - ATMOSPHERE]
-            )
-            pressures.append(pressure)
-            tensions.append(self._told[1] if sample.tensions is None else sample.tensions)
-            told.append(self._told[1])
-            rates.append((self._told[1] - before) / duration if duration > 0 else np.zeros(len(before)))
-            levels.append(self._run)
+        expected, motors = (np.array(each) for each in zip(*told, strict=True))
+        monitored, weighed = (all(each is not None for each in gauge) for gauge in zip(*((s.pressures, s.tensions) for s in samples), strict=True))
+        pressures = np.array([sample.pressures for sample in samples]) if monitored else expected[1:]
+        tension = np.mean([sample.tensions for sample in samples], axis=0) if weighed else motors[1:].mean(axis=0)
+        behind = np.array(acting) - pressures
+        flows = np.array([np.maximum(behind, 0.0), np.minimum(behind, 0.0), np.ones_like(behind), -np.maximum(pressures, 0.0) - ATMOSPHERE])
+        runs = self._run[:, None] + np.cumsum(durations[:, None] * flows, axis=1)
         points = np.array([sample.points.ravel() for sample in samples])
-        pressure, tension = np.mean(pressures, axis=0), np.mean(tensions, axis=0)
-        level, self._level = self._level, np.vstack([pressure, np.mean(levels, axis=0)])
+        pressure, before = pressures.mean(axis=0), self._level
+        self._run, self._level = runs[:, -1], np.vstack([pressure, runs.mean(axis=1)])
         whole = np.isfinite(points).any(axis=0).all() and np.isfinite(pressure).all() and np.isfinite(tension).all()
-        if not whole or not len(level):
+        if not whole or not len(before):
             return None
-        rise = None if samples[-1].pressures is None else (self._level - level).T
-        beside = np.column_stack([tension - np.mean(told, axis=0), np.ones(len(tension)), -np.mean(rates, axis=0)])
-        time = float(np.mean([sample.time for sample in samples]))
-        return _Block(time, row, np.nanmean(points, axis=0), pressure, tension, rise, None if samples[-1].tensions is None else beside)
+        took = durations.sum()
+        rates = (motors[-1] - motors[0]) / took if took > 0 else np.zeros(len(tension))
+        beside = np.column_stack([tension - motors[1:].mean(axis=0), np.ones(len(tension)), -rates])
+        rise = (self._level - before).T if monitored else None
+        return _Block(float(time.mean()), row, np.nanmean(points, axis=0), pressure, tension, rise, beside if weighed else None)
 
     def _advance(self, time: float, duration: float) -> Command:
         """Let devices do what they are told for a duration until a time, in s; the command in force."""
@@ -165,7 +165,7 @@ class Signatures:
         reference, (earlier, block, later) = self._reference, self._blocks
         now, levels, span = block.row, reference.levels, BLOCK * reference.period
         self._near = near = modal_model(reference.equilibria[now], self._near)
-        gain, soft, inverse = near.gain, near.observe / near.stiffness, np.linalg.pinv(near.observe, rcond=SMALL)
+        gain, soft, inverse = near.gain, near.observe / near.stiffness, self._modes(near)
         modes = [inverse @ (each.points - reference.equilibria[each.row].points.ravel()) for each in self._blocks]
         start, end = (near.weights @ (levels[each.row] - levels[now]) + modes[k] for k, each in ((0, earlier), (2, later)))
         inertia, rubbed = (start - 2 * modes[1] + end) / span**2, near.damping @ (end - start) / (2 * span)
@@ -177,17 +177,24 @@ class Signatures:
             self._turning = turned(self._turning, self._area * (block.pressure - self._before[1]), WIDTH)
         self._before = lengths, block.pressure
         loaded = 1 - SHARE + SHARE * block.tension / self._middle
-        tilts = [self._fallen(near, soft, -np.cross(axis, self._gravity)) for axis in np.eye(3)[:2]]
+        tilts = [self._fallen(near, soft, tilt) for tilt in self._tilts]
         columns = [
             left[:, None], -gain * (self._area * block.pressure), -gain * (self._stiffness * (reference.lengths[now] - self._length)),
-            gain * block.tension, gain, -gain * (self._directions * loaded), -gain * self._turning,
-            (soft @ (near.observe[-3:].T @ self._gravity))[:, None], np.array(tilts).T, self._fallen(near, soft, self._gravity)[:, None],
+            gain * block.tension, gain, *(-gain * (each * loaded) for each in self._directions), *(-gain * each for each in self._turning),
+            (soft @ (near.observe[-3:].T @ self._gravity))[:, None], np.array(tilts).T, self._fallen(near, soft, self._turn.T @ self._gravity)[:, None],
             np.eye(len(left)),
         ]  # fmt: skip
         speed = (reference.tips[later.row] - reference.tips[earlier.row]) / (2 * span)
         place = np.concatenate([reference.tips[now], speed])
         return Rows(block.time, gain, np.hstack(columns), block.pressures, block.tensions, place)
 
-    def _fallen(self, near: ModalModel, soft: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-        """How far points move at rest if all masses are pulled by more gravity (3,) in m/s² in G, (3 · points,) in m."""
-        return soft @ (near.weights @ np.tile(self._turn.T @ gravity, near.weights.shape[1] // 3))
+    @staticmethod
+    def _modes(near: ModalModel) -> np.ndarray:
+        """Modal coordinates that points are seen with, the smallest that do it, (modes, 3 · points)."""
+        squares = near.observe @ near.observe.T
+        return np.linalg.solve(squares + SMALL * np.trace(squares) * np.eye(len(squares)), near.observe).T
+
+    @staticmethod
+    def _fallen(near: ModalModel, soft: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """How far points move at rest if all masses are pulled by more gravity, (3,) in m/s² in the base frame, (3 · points,) in m."""
+        return soft @ (near.weights.reshape(len(near.weights), -1, 3).sum(axis=1) @ gravity)
