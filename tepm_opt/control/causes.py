@@ -141,5 +141,5 @@ def causes(actuators: Sequence[str], points: Sequence[str], body: Mapping[str, s
         found.append(Cause(f"marker {name}", says, BODY, 0, own, 6e-3, kind / len(points), scale=1e3, free=True))
     forces = tuple(range(at["force"], at["force"] + count))
     says = "none of these: forces that nobody commanded, {size:.1f} N in all"
-    found.append(Cause("something else", says, BODY, 0, forces, 0.3, 1e-3, free=True))
+    found.append(Cause("something else", says, BODY, 0, forces, 0.3, 1e-4, free=True))
     return found

@@ -35,7 +35,9 @@ class Coloured:
         self._place, self._own = -1, slice(0, outputs)
         self._known: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def whitened(self, rows: np.ndarray, seen: np.ndarray, white: np.ndarray, place: int, prior: np.ndarray) -> np.ndarray:
+    def whitened(
+        self, rows: np.ndarray, seen: np.ndarray, white: np.ndarray, place: int, prior: np.ndarray, again: np.ndarray
+    ) -> np.ndarray:
         """Independent rows of unit variance, for rows of measurements and regressors.
 
         Args:
@@ -44,6 +46,7 @@ class Coloured:
             white: covariance of the white noise, (outputs, outputs).
             place: number of the place, 0 and above.
             prior: covariance of what belongs to it, before anything is known of it, (outputs, outputs).
+            again: covariance of what differs from visit to visit, (outputs, outputs).
         """
         state, covariance, own = (
             self._kept[:, None] * self._state,
@@ -54,7 +57,7 @@ class Coloured:
             self._known[self._place] = self._state[own], self._covariance[own, own]
             state[own], known = self._known.get(place, (0.0, prior))
             covariance[own], covariance[:, own] = 0.0, 0.0
-            covariance[own, own], self._place = known, place
+            covariance[own, own], self._place = known + again, place
         seen = np.hstack([np.eye(len(rows)), seen])
         crossed = seen @ covariance
         innovations = rows - seen @ state

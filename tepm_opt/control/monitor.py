@@ -40,7 +40,7 @@ class MonitorSettings:
         force_drift, force_time: slow forces in N, and the time in s over which they fade.
         point_drift, point_time: slow biases of the points in m, likewise.
         place_force, place_points: what comes back at a place, in N and in m; places are `place_size` in m apart, and a speed counts as the
-            way of `place_time` in s.
+            way of `place_time` in s; `again_force` differs from visit to visit in N.
         pressure_noise, pressure_late: of the rise of a pressure over a block in Pa, and a part of what it should be.
         tension_noise, tension_late: of a dynamometer over a block in N, and a time in s that motors may be early or late.
         least_noise: variance that is left at least, over what is assumed.
@@ -50,14 +50,15 @@ class MonitorSettings:
     learns: float = 14.0
     every: float = 1.5
     marks: int = 14
-    evidence: float = 22.0
+    evidence: float = 17.0
     named: float = 8.0
     force_noise: float = 0.07
-    force_drift: float = 0.08
+    force_drift: float = 0.1
     force_time: float = 0.6
     point_drift: float = 0.8e-4
     point_time: float = 4.0
-    place_force: float = 0.15
+    place_force: float = 0.2
+    again_force: float = 0.1
     place_points: float = 0.6e-4
     place_size: float = 0.02
     place_time: float = 0.2
@@ -167,7 +168,9 @@ class Monitor:
         white = self._white + settings.force_noise**2 * pulled
         own = settings.place_force**2 * pulled + settings.place_points**2 * np.eye(outputs)
         seen = np.hstack([rows.gain, np.eye(outputs)])
-        self._sums[BODY].add(self._coloured.whitened(rows.points, seen, white, self._place(rows.place), own)[None])
+        self._sums[BODY].add(
+            self._coloured.whitened(rows.points, seen, white, self._place(rows.place), own, settings.again_force**2 * pulled)[None]
+        )
         if (rise := rows.pressures) is not None:
             late = settings.pressure_late * np.abs(rise[:, 1] + rise[:, 2])
             self._sums[REGULATOR].add((rise / np.hypot(settings.pressure_noise, late)[:, None])[:, None])
@@ -255,8 +258,9 @@ class Watched:
             self._fresh = None
 
 
-def watched(controller: Controller, model: CompiledModel, settings: MonitorSettings = DEFAULT) -> Controller | Watched:
-    """A controller with a monitor beside it; the controller itself where its reference does not go by time alone or has one row a period
-    only by its own pace, which the monitor does not know."""
+def watched(controller: Controller, model: CompiledModel, settings: MonitorSettings = DEFAULT) -> Controller:
+    """A controller with a monitor beside it; the controller itself where its reference does not go by time alone or the arm is guided."""
     reference = controller.reference
-    return Watched(controller, Monitor(model, reference, controller.start(), settings)) if type(reference) is Reference else controller
+    if type(reference) is not Reference or model.layout.guided:
+        return controller
+    return Watched(controller, Monitor(model, reference, controller.start(), settings))

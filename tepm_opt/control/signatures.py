@@ -132,7 +132,9 @@ class Signatures:
             told.append(self._told)
             self._sent.append((sample.time + self._late, command))
         expected, motors = (np.array(each) for each in zip(*told, strict=True))
-        monitored, weighed = (all(each is not None for each in gauge) for gauge in zip(*((s.pressures, s.tensions) for s in samples), strict=True))
+        monitored, weighed = (
+            all(each is not None for each in gauge) for gauge in zip(*((s.pressures, s.tensions) for s in samples), strict=True)
+        )
         pressures = np.array([sample.pressures for sample in samples]) if monitored else expected[1:]
         tension = np.mean([sample.tensions for sample in samples], axis=0) if weighed else motors[1:].mean(axis=0)
         behind = np.array(acting) - pressures

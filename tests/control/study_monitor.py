@@ -1,7 +1,8 @@
 """Whether changes of the machine are told: `python -m tests.control.study_monitor SEED MACHINES [QUIET]` prints a table.
 
 Every kind of change hits each of some random machines once, in turns on the circle, the lissajous and from point to point, between 15 and
-20 s after the loop was closed; then the same machines and `QUIET` more are driven without a change, for false alarms.
+20 s after the loop was closed; `QUIET` machines are driven without a change besides, for false alarms. Time and evidence before a change count
+for these, too.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ import numpy as np
 from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.monitor import EVIDENCE, Watched, watched
+from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tests.control.changes import KINDS_OF_CHANGE, TASKS, Changing, change_of, path
 from tests.control.study import model
 
 EARLIEST, LATEST, SOON = 15.0, 20.0, 20.0  # s: when it happens, and for how long it may be told
+ENOUGH = 9.0  # s after a change was told, when its name stands
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,13 @@ def driven(seed: int, machine: int, k: int, kind: str) -> Found:
     change = change_of(kind, random) if kind else None
     controller = watched(Mpc(model(), path(task)), model())
     assert isinstance(controller, Watched)
-    done = close_loop(Changing(file, change, at, 1 + k), controller, model().robot)
+    changes = controller.monitor.changes
+
+    def enough(sample: Sample, target: np.ndarray) -> None:
+        if change and changes and changes[-1].told >= at and sample.time > changes[-1].told + ENOUGH:
+            raise EOFError("told and named")
+
+    done = close_loop(Changing(file, change, at, 1 + k), controller, model().robot, observer=enough)
     first: dict[str, float] = {}
     for now, row in zip(done.time, done.telemetry, strict=True):
         for about in row.doubts:
@@ -85,32 +94,25 @@ def line(found: Found) -> str:
     """A run in a line."""
     told = "; ".join(f"{at:.1f} s {name} {part:.2f}" for at, name, part in found.before + found.monitor)
     other = {about: round(at, 1) for about, at in found.doubts.items()}
-    return f"{found.machine} {found.kind or 'nothing'} {found.task} | {'yes' if found.named else 'no'} | {told} | {other} | {found.quiet:.1f} {found.after:.1f}"
+    named = "named" if found.named else "not named"
+    about = f"{found.machine} {found.kind or 'nothing'} {found.task}"
+    return f"{about} | {named} | {told} | {other} | {found.quiet:.1f} {found.after:.1f}"
 
 
-def table(seed: int, machines: int, quiet: int, kinds: tuple[str, ...] = KINDS_OF_CHANGE, show: bool = False) -> list[Found]:
-    """Print what was found of each kind, and false alarms."""
-    every: list[Found] = []
-    for k, kind in enumerate(kinds, 1):
-        runs = []
-        for machine in range(machines):
-            runs.append(driven(seed, machine, k, kind))
-            if show:
-                print(line(runs[-1]), flush=True)
-        delays, every = np.array([run.delay for run in runs]), every + runs
-        print(
-            f"{kind:18s} found {np.isfinite(delays).mean():4.0%} named {np.mean([run.named for run in runs]):4.0%} "
-            f"median {np.median(delays):5.1f} s",
-            flush=True,
-        )
-    for machine in range(quiet):
-        every.append(driven(seed, machine, 0, ""))
-        if show:
+def table(seed: int, machines: int, quiet: int, kinds: tuple[str, ...] = KINDS_OF_CHANGE) -> list[Found]:
+    """Drive all runs, with a line for each, and print what was found of each kind, and false alarms."""
+    every = []
+    for machine in range(max(machines, quiet)):
+        chosen = [(k, kind) for k, kind in enumerate(kinds, 1) if machine < machines] + [(0, "")] * (machine < quiet)
+        for k, kind in chosen:
+            every.append(driven(seed, machine, k, kind))
             print(line(every[-1]), flush=True)
-    changed = [run for run in every if run.kind]
-    if changed:
-        found, named = np.mean([np.isfinite(run.delay) for run in changed]), np.mean([run.named for run in changed])
-        print(f"{'all':18s} found {found:4.0%} named {named:4.0%} median {np.median([run.delay for run in changed]):5.1f} s")
+    for kind in (*kinds, ""):
+        runs = [run for run in every if run.kind and kind in ("", run.kind)]
+        if runs:
+            delays, named = np.array([run.delay for run in runs]), np.mean([run.named for run in runs])
+            found = np.isfinite(delays)
+            print(f"{kind or 'all':18s} found {found.mean():4.0%} named {named:4.0%} median {np.median(delays):5.1f} s")
     alarms, hours = sum(len(run.before) for run in every), sum(run.seconds for run in every) / 3600
     largest = sorted(run.quiet for run in every)[-5:]
     print(f"without a change: {alarms} false alarms in {hours:.2f} h; largest evidence of the runs {np.round(largest, 1).tolist()}")
@@ -119,5 +121,5 @@ def table(seed: int, machines: int, quiet: int, kinds: tuple[str, ...] = KINDS_O
 
 if __name__ == "__main__":
     began = time.time()
-    table(int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else int(sys.argv[2]), show="-v" in sys.argv)
+    table(int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else int(sys.argv[2]))
     print(f"{time.time() - began:.0f} s")
