@@ -114,27 +114,28 @@ def causes(actuators: Sequence[str], points: Sequence[str], body: Mapping[str, s
     each, count = kind / len(actuators), len(actuators)
     found: list[Cause] = []
     for k, name in enumerate(actuators):
-        of = f"muscle {name}"
+        of, regulator = f"muscle {name}", f"regulator {name}"
+        strength, stiffness, tension = ((at[part] + k,) for part in ("strength", "stiffness", "tension"))
+        pressed = f"{regulator} gives {{size:.1f}} kPa {{more}} than it is told, or its monitor reads that much {{more}}"
+        weighed = f"dynamometer {name} reads {{size:.2f}} N {{more}}, or its motor gives that much {{more}}"
+        leaks = f"{regulator} leaks: {{size:.0f}} % of the absolute pressure"
+        slipped, slower = f"tendon {name} has lost {{size:.0f}} % of its tension", f"{regulator} has lost {{size:.0f}} % of its speed"
         found += [
-            Cause(f"strength {name}", f"{of} pulls {{size:.0f}} % {{more}}", BODY, 0, (at["strength"] + k,), 0.1, each, scale=100, factors=(-1.0,)),
-            Cause(f"stiffness {name}", f"{of} is {{size:.0f}} % {{stiffer}}", BODY, 0, (at["stiffness"] + k,), 0.08, each, scale=100),
-            Cause(f"tendon {name}", f"tendon {name} has lost {{size:.0f}} % of its tension", BODY, 0, (at["tension"] + k,), 0.3, each, True, 100),
-            Cause(f"pressure monitor {name}",
-                  f"regulator {name} gives {{size:.1f}} kPa {{more}} than it is told, or its monitor reads that much {{more}}", REGULATOR, k,
-                  (ZERO,), 5e4, each, scale=1e-3 * TIME_CONSTANT),
-            Cause(f"leak {name}", f"regulator {name} leaks: {{size:.0f}} % of the absolute pressure", REGULATOR, k, (LEAK,), 0.3, each, True,
-                  100 * TIME_CONSTANT),
-            Cause(f"lag {name}", f"regulator {name} has lost {{size:.0f}} % of its speed", REGULATOR, k, (FILLING, EMPTYING), 0.4, each, True, 100),
-            Cause(f"dynamometer {name}", f"dynamometer {name} reads {{size:.2f}} N {{more}}, or its motor gives that much {{more}}", MOTOR, k,
-                  (GAUGE,), 0.4, each),
-        ]  # fmt: skip
-    tip, friction = (at["payload"],), tuple(range(at["friction"], at["friction"] + count))
+            Cause(f"strength {name}", f"{of} pulls {{size:.0f}} % {{more}}", BODY, 0, strength, 0.1, each, scale=100, factors=(-1.0,)),
+            Cause(f"stiffness {name}", f"{of} is {{size:.0f}} % {{stiffer}}", BODY, 0, stiffness, 0.08, each, scale=100),
+            Cause(f"tendon {name}", slipped, BODY, 0, tension, 0.3, each, True, 100),
+            Cause(f"pressure monitor {name}", pressed, REGULATOR, k, (ZERO,), 5e4, each, scale=1e-3 * TIME_CONSTANT),
+            Cause(f"leak {name}", leaks, REGULATOR, k, (LEAK,), 0.3, each, True, 100 * TIME_CONSTANT),
+            Cause(f"lag {name}", slower, REGULATOR, k, (FILLING, EMPTYING), 0.4, each, True, 100),
+            Cause(f"dynamometer {name}", weighed, MOTOR, k, (GAUGE,), 0.4, each),
+        ]
+    tip, tilt, friction = (at["payload"],), (at["tilt"], at["tilt"] + 1), tuple(range(at["friction"], at["friction"] + count))
     found += [
         Cause("payload put on", "{size:.0f} g were put on the tip", BODY, 0, tip, 0.04, kind, True, 1e3),
         Cause("payload taken off", "{size:.0f} g were taken off the tip", BODY, 0, tip, 0.04, kind, True, 1e3, factors=(-1.0,)),
         Cause("tendon friction", "the tendons' friction has grown by {size:.2f} N each", BODY, 0, friction, 0.5, kind, True),
-        Cause("base tilt", "the base has tilted by {size:.1f}°", BODY, 0, (at["tilt"], at["tilt"] + 1), 0.015, kind, scale=180 / np.pi, free=True),
-    ]  # fmt: skip
+        Cause("base tilt", "the base has tilted by {size:.1f}°", BODY, 0, tilt, 0.015, kind, scale=180 / np.pi, free=True),
+    ]
     for k, name in enumerate(points):
         own = tuple(range(at["points"] + 3 * k, at["points"] + 3 * k + 3))
         says = f"tracked point {name} has shifted by {{size:.1f}} mm"

@@ -79,8 +79,8 @@ class Signatures:
 
     Attributes:
         body: slices of the points' columns by what they are of, one a muscle: "strength" (part of p A that it pulls less), "stiffness"
-            (part by which it is stiffer), "tension" (part that is lost), "force" (N), "friction" (N at the tension's middle), "hysteresis"
-            (N); "payload" (kg), "tilt" (rad about x and y), "mass" (part of the arm's) and "points" (m, each coordinate).
+            (part by which it is stiffer), "tension" (part that is lost), "force" (N), "friction" (N at the tension's middle), "elastic"
+            (likewise, of what gives more before it slides), "hysteresis" and "wide" (N); "payload" (kg), "tilt" (rad about x and y), "mass" (part of the arm's) and "points" (m, each coordinate).
         spreads: of these columns from the start, (columns,).
     """
 
@@ -180,11 +180,12 @@ class Signatures:
         self._before = lengths, block.pressure
         loaded = 1 - SHARE + SHARE * block.tension / self._middle
         tilts = [self._fallen(near, soft, tilt) for tilt in self._tilts]
+        heavier = self._fallen(near, soft, self._turn.T @ self._gravity)
+        stretched = self._stiffness * (reference.lengths[now] - self._length)
         columns = [
-            left[:, None], -gain * (self._area * block.pressure), -gain * (self._stiffness * (reference.lengths[now] - self._length)),
-            gain * block.tension, gain, *(-gain * (each * loaded) for each in self._directions), *(-gain * each for each in self._turning),
-            (soft @ (near.observe[-3:].T @ self._gravity))[:, None], np.array(tilts).T, self._fallen(near, soft, self._turn.T @ self._gravity)[:, None],
-            np.eye(len(left)),
+            left[:, None], -gain * (self._area * block.pressure), -gain * stretched, gain * block.tension, gain,
+            *(-gain * (each * loaded) for each in self._directions), *(-gain * each for each in self._turning),
+            (soft @ (near.observe[-3:].T @ self._gravity))[:, None], np.array(tilts).T, heavier[:, None], np.eye(len(left)),
         ]  # fmt: skip
         speed = (reference.tips[later.row] - reference.tips[earlier.row]) / (2 * span)
         place = np.concatenate([reference.tips[now], speed])

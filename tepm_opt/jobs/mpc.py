@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tepm_opt.control import monitor
 from tepm_opt.control.controllers import DEFAULT
 from tepm_opt.control.loop import INTERRUPTED, Guard, LoopRecord, close_loop
-from tepm_opt.control.monitor import Watched, watched
 from tepm_opt.control.reference import Reference
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.journal import Journal
@@ -132,7 +132,7 @@ def run_closed_loop(
         settings = settings.in_real_time(reference.period)
     controller = kind.make(model, reference, settings)
     if kind.name == DEFAULT:
-        controller = watched(controller, model)
+        controller = monitor.watched(controller, model)
     done = LoopRecord(controller.reference)
     statuses: list[str] = []
 
@@ -156,7 +156,7 @@ def run_closed_loop(
                 raise
             done.outcome = Outcome(Ending.RIG_FAILED, " ".join(str(error).split()) or type(error).__name__)
         found = _said(ClosedLoop.of(done, model, setup), statuses)
-        if isinstance(controller, Watched):
+        if isinstance(controller, monitor.Watched):
             found = replace(found, changes=tuple(controller.monitor.changes))
         if folder is not None:
             found.save(folder)

@@ -148,8 +148,7 @@ def change_of(kind: str, random: np.random.Generator) -> Change:
         "muscle weaker": lambda: Change(*where, lambda name, _: (f"strength {name}",), act=_weaken),
         "muscle stiffer": lambda: Change(*where, lambda name, _: (f"stiffness {name}",), act=_stiffen),
         "regulator zero": lambda: Change(
-            *where, lambda name, _: (f"zero {name}", f"pressure monitor {name}"), lambda name, at: (ActuatorOffset(zero_Pa={name: NOTHING}),),
-            _shift_zero,
+            *where, lambda name, _: (f"pressure monitor {name}",), lambda name, at: (ActuatorOffset(zero_Pa={name: NOTHING}),), _shift_zero
         ),
         "regulator leaks": lambda: Change(*where, lambda name, _: (f"leak {name}",), _leaky, _let_leak),
         "regulator slower": lambda: Change(*where, lambda name, _: (f"lag {name}",), _leaky, _slow),

@@ -1,8 +1,8 @@
 """Whether changes of the machine are told: `python -m tests.control.study_monitor SEED MACHINES [QUIET]` prints a table.
 
 Every kind of change hits each of some random machines once, in turns on the circle, the lissajous and from point to point, between 15 and
-20 s after the loop was closed; `QUIET` machines are driven without a change besides, for false alarms. Time and evidence before a change count
-for these, too.
+20 s after the loop was closed; `QUIET` machines are driven without a change besides, for false alarms. Time and
+evidence before a change count for these, too.
 """
 
 from __future__ import annotations
