@@ -80,7 +80,8 @@ class Signatures:
     Attributes:
         body: slices of the points' columns by what they are of, one a muscle: "strength" (part of p A that it pulls less), "stiffness"
             (part by which it is stiffer), "tension" (part that is lost), "force" (N), "friction" (N at the tension's middle), "elastic"
-            (likewise, of what gives more before it slides), "hysteresis" and "wide" (N); "payload" (kg), "tilt" (rad about x and y), "mass" (part of the arm's) and "points" (m, each coordinate).
+            (likewise, of what gives more before it slides), "hysteresis" and "wide" (N); "payload" (kg), "tilt" (rad about x and y),
+            "mass" (part of the arm's) and "points" (m, each coordinate).
         spreads: of these columns from the start, (columns,).
     """
 
