@@ -129,7 +129,7 @@ def causes(actuators: Sequence[str], points: Sequence[str], body: Mapping[str, s
             Cause(f"lag {name}", slower, REGULATOR, k, (FILLING, EMPTYING), 0.4, each, True, 100),
             Cause(f"dynamometer {name}", weighed, MOTOR, k, (GAUGE,), 0.4, each),
         ]
-    tip, tilt, friction = (at["payload"],), (at["tilt"], at["tilt"] + 1), tuple(range(at["friction"], at["friction"] + count))
+    tip, tilt, friction = (at["load"],), (at["tilt"], at["tilt"] + 1), tuple(range(at["friction"], at["friction"] + count))
     found += [
         Cause("payload put on", "{size:.0f} g were put on the tip", BODY, 0, tip, 0.04, kind, True, 1e3),
         Cause("payload taken off", "{size:.0f} g were taken off the tip", BODY, 0, tip, 0.04, kind, True, 1e3, factors=(-1.0,)),

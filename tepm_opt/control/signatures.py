@@ -28,7 +28,7 @@ SHARE = 0.8  # of the friction that is in proportion to the tension
 SMALL = 1e-5  # of the squares by which points tell modes, below which they do not
 DIFFERS = {
     "strength": 0.08, "stiffness": 0.06, "tension": 0.1, "force": 0.3, "friction": 0.6, "elastic": 0.4, "hysteresis": 0.4, "wide": 0.4,
-    "payload": 0.01, "tilt": 0.005, "mass": 0.05, "points": 4e-3,
+    "load": 0.01, "tilt": 0.005, "mass": 0.05, "points": 4e-3,
 }  # fmt: skip
 """Standard deviations by which machines differ from their model from the start, in the units of `Signatures.body`."""
 
@@ -80,7 +80,7 @@ class Signatures:
     Attributes:
         body: slices of the points' columns by what they are of, one a muscle: "strength" (part of p A that it pulls less), "stiffness"
             (part by which it is stiffer), "tension" (part that is lost), "force" (N), "friction" (N at the tension's middle), "elastic"
-            (likewise, of what gives more before it slides), "hysteresis" and "wide" (N); "payload" (kg), "tilt" (rad about x and y),
+            (likewise, of what gives more before it slides), "hysteresis" and "wide" (N); "load" (kg on the tip), "tilt" (rad about x and y),
             "mass" (part of the arm's) and "points" (m, each coordinate).
         spreads: of these columns from the start, (columns,).
     """
