@@ -80,7 +80,7 @@ class Signatures:
     Attributes:
         body: slices of the points' columns by what they are of, one a muscle: "strength" (part of p A that it pulls less), "stiffness"
             (part by which it is stiffer), "tension" (part that is lost), "force" (N), "friction" (N at the tension's middle), "elastic"
-            (likewise, of what gives more before it slides), "hysteresis" and "wide" (N); "load" (kg on the tip), "tilt" (rad about x and y),
+            (likewise, of what gives more before it slides), "hysteresis" and "wide" (N); "load" (kg at the tip), "tilt" (rad, x and y),
             "mass" (part of the arm's) and "points" (m, each coordinate).
         spreads: of these columns from the start, (columns,).
     """
