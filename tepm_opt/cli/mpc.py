@@ -80,6 +80,8 @@ def clearance_lines(told: dict[str, Any]) -> list[str]:
 
 def lines(loop: ClosedLoop, out: Path) -> list[str]:
     """What a closed loop says to people."""
+    from tepm_opt.jobs.refit import CHANGED, refit_command
+
     told = loop.summary()
     where = f"files in {escape(str(out))}" if told["samples"] else "nothing to keep"
     text = [f"[bold]{told['controller']}[/]: {told['reached_s']:.2f} of {told['duration_s']:.2f} s, {told['samples']} samples, {where}"]
@@ -104,6 +106,8 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
         late = f"; {kept} steps went on with an older plan" if kept else ""
         text.append(f"control step: median {1e3 * times['median']:.2g} ms, 99 % within {1e3 * times['percentile_99']:.2g} ms{late}")
     text += [f"[yellow]from {doubt['from_s']:.1f} s: {escape(doubt['says'])}[/]" for doubt in told["doubts"].values()]
+    if told["changes"] and (out / CHANGED).is_dir():
+        text.append(f"which effect the model lacks since then: [bold]{escape(refit_command(out))}[/]")
     if told["interrupted"]:
         text.append("[yellow]interrupted: what was done is kept[/]")
     elif not loop.ok:

@@ -16,11 +16,13 @@ import numpy as np
 from tepm_opt.control.controllers import DEFAULT, find_controller, settings_of
 from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option, Telemetry
 from tepm_opt.control.loop import DONE, LoopRecord
+from tepm_opt.control.monitor import Changed
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.setpoints import FORCE_COLUMNS
 from tepm_opt.data.tables import write_columns
 from tepm_opt.jobs.clearance import clearance, contour, contour_columns, moved_most, touched, true_distance
 from tepm_opt.jobs.output import save_summary
+from tepm_opt.jobs.refit import changes_told, save_changed
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
@@ -105,6 +107,7 @@ class ClosedLoop:
         fallbacks: number of steps that went on with something older, by the reason.
         doubts: what did not make sense, by what it is about: when it was first told, in s, and the last sentence.
         moved: how far at most the path was led out of obstacles' way, in m; NaN where there are none.
+        changes: of the machine that were told.
     """
 
     model: Model
@@ -127,6 +130,7 @@ class ClosedLoop:
     fallbacks: Mapping[str, int] = field(default_factory=dict)
     doubts: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     moved: float = math.nan
+    changes: tuple[Changed, ...] = ()
 
     @staticmethod
     def of(done: LoopRecord, model: CompiledModel, setup: LoopSetup, rows: slice = slice(None)) -> ClosedLoop:
@@ -297,6 +301,7 @@ class ClosedLoop:
             "actuation": self.shares(),
             "fallbacks": dict(self.fallbacks),
             "doubts": {about: {"from_s": since, "says": text} for about, (since, text) in self.doubts.items()},
+            "changes": changes_told(self.changes),
             "contour": contour(self.steps, self.counted),
             "keep_out": clearance(self.steps, self.time, self.moved),
             "rig_complaints": int((self.steps[STATUS] != GOOD).sum()) if STATUS in self.steps else 0,
@@ -327,7 +332,7 @@ class ClosedLoop:
         }
 
     def save(self, folder: str | Path) -> None:
-        """Write log.csv and summary.json; nothing where there is no sample.
+        """Write log.csv and summary.json, and what was measured since the machine changed, if it did; nothing where there is no sample.
 
         Raises:
             InputError: the folder cannot be written to.
@@ -337,6 +342,8 @@ class ClosedLoop:
         folder = output_folder(folder)
         write_columns(folder / LOG, {name: values for name, values in self.columns().items() if _tells(values)})
         save_summary(folder, JOB, self.summary())
+        if self.changes:
+            save_changed(self, folder)
 
 
 def _stacked(telemetry: Sequence[Telemetry]) -> dict[str, np.ndarray]:

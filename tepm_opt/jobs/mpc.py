@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tepm_opt.control import monitor
+from tepm_opt.control.controllers import DEFAULT
 from tepm_opt.control.loop import INTERRUPTED, Guard, LoopRecord, close_loop
 from tepm_opt.control.reference import Reference
 from tepm_opt.data.files import output_folder
@@ -129,6 +131,8 @@ def run_closed_loop(
     if rig.simulated is None:
         settings = settings.in_real_time(reference.period)
     controller = kind.make(model, reference, settings)
+    if kind.name == DEFAULT:
+        controller = monitor.watched(controller, model)
     done = LoopRecord(controller.reference)
     statuses: list[str] = []
 
@@ -152,6 +156,8 @@ def run_closed_loop(
                 raise
             done.outcome = Outcome(Ending.RIG_FAILED, " ".join(str(error).split()) or type(error).__name__)
         found = _said(ClosedLoop.of(done, model, setup), statuses)
+        if isinstance(controller, monitor.Watched):
+            found = replace(found, changes=tuple(controller.monitor.changes))
         if folder is not None:
             found.save(folder)
     return found
