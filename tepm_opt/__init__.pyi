@@ -28,6 +28,9 @@ from .jobs.course import whole_reference as whole_reference
 from .jobs.demo import DemoRun as DemoRun
 from .jobs.demo import run_demo as run_demo
 from .jobs.discrepancy import run_discrepancy as run_discrepancy
+from .jobs.excite import ExciteRun as ExciteRun
+from .jobs.excite import run_excite as run_excite
+from .jobs.excite import standard as standard
 from .jobs.gain import GainRun as GainRun
 from .jobs.gain import run_gain as run_gain
 from .jobs.identify import IdentifyRun as IdentifyRun

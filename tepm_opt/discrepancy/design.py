@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.plant import Candidate, SearchablePlant
+from tepm_opt.discrepancy.plant import Candidate, SearchablePlant, ranged
 from tepm_opt.discrepancy.rounds import is_wide
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import Free, PredictionError
@@ -26,12 +26,14 @@ class Move:
         candidate: which effect.
         null, probe: values by full name before and after; the probe is what is counted in multiples.
         along: by column of the information, how much of it the whole probe is.
+        most: the largest multiple within the ranges of its values.
     """
 
     candidate: Candidate
     null: Mapping[str, float]
     probe: Mapping[str, float]
     along: Mapping[str, float]
+    most: float = np.inf
 
     def at(self, multiple: float) -> dict[str, float]:
         """Values by full name at a multiple of the probe."""
@@ -40,7 +42,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Separable:
-    """How well planned runs show a change of an effect; sizes are multiples of its probe, infinite where runs do not show it.
+    """How well planned runs show a change of an effect; sizes are multiples of its probe, infinite where it cannot be as large.
 
     Attributes:
         move: which.
@@ -112,13 +114,14 @@ class Information:
     def separable(self, move: Move, excess: float) -> Separable:
         """How well a move is shown; `excess` is what an effect must take away to be named, over the noise's squares."""
         alone = self.left(move)
-        others = [c for c in self._candidates if c.label != move.candidate.label and not is_wide(c)] if alone and not is_wide(move.candidate) else []
+        compared = alone > 0 and not is_wide(move.candidate)
+        others = [c for c in self._candidates if compared and c.label != move.candidate.label and not is_wide(c)]
         rests = [self.left(move, other) for other in others]
         nearest = int(np.argmin(rests)) if rests else -1
         rest = rests[nearest] if rests else alone
         return Separable(
-            move, _over(FOUND, alone), _over(np.sqrt(excess * self.count), alone), others[nearest] if rests else None,
-            float(np.sqrt(max(1 - (rest / alone) ** 2, 0.0))) if rests else 0.0, _over(APART, rest),
+            move, _over(FOUND, alone, move.most), _over(np.sqrt(excess * self.count), alone, move.most), others[nearest] if rests else None,
+            float(np.sqrt(max(1 - (rest / alone) ** 2, 0.0))) if rests else 0.0, _over(APART, rest, move.most),
         )  # fmt: skip
 
     @property
@@ -126,12 +129,15 @@ class Information:
         return tuple({move.candidate.label: move.candidate for move in self.moves}.values())
 
 
-def _over(wanted: float, size: float) -> float:
-    return float(wanted / size) if size > 0 else float("inf")
+def _over(wanted: float, size: float, most: float) -> float:
+    """Multiple at which a signature of a size is as large as wanted; infinite where that is more than the most."""
+    return float(wanted / size) if size * most >= wanted else float("inf")
 
 
 def information(plant: SearchablePlant, runs: Sequence[Run], noise: float, candidates: Iterable[Candidate]) -> Information:
-    """The information that runs will give about effects at their null values: derivatives of those that are smooth, finite probes of others.
+    """What runs will tell of effects at their null values: derivatives of those that are smooth, finite probes of others.
+
+    What happens at an instant does so half-way through the session.
 
     Args:
         plant: with the effects at their null values.
@@ -143,6 +149,8 @@ def information(plant: SearchablePlant, runs: Sequence[Run], noise: float, candi
         PredictionError: the model cannot do the runs as it is.
     """
     candidates = tuple(candidates)
+    halfway = max((run.began + run.duration for run in runs), default=0.0) / 2
+    plant = plant.with_values({c.happens: halfway for c in candidates if c.happens})
     known, smooth = plant.free(plant.known), [c for c in candidates if c.smooth]
     names = list(dict.fromkeys([*(f.name for f in known), *(name for c in smooth for name in c.parameters)]))
     bent = [c for c in candidates if not c.smooth]
@@ -158,7 +166,7 @@ def information(plant: SearchablePlant, runs: Sequence[Run], noise: float, candi
         count += base.size
     able = [c for c, good in zip(bent, taken, strict=True) if good]
     columns = {name: k for k, name in enumerate((*names, *(c.label for c in bent)))}
-    moves = [*(move for c in smooth for move in _smooth(c)), *(Move(c, c.null, _sized(c), {c.label: 1.0}) for c in able)]
+    moves = [*(move for c in smooth for move in _smooth(plant, c)), *(_move(plant, c, _sized(c), {c.label: 1.0}) for c in able)]
     own = {c.label: c.parameters for c in smooth} | {c.label: (c.label,) for c in able}
     return Information(known, tuple(moves), own, columns, square, count)
 
@@ -176,13 +184,19 @@ def _sized(candidate: Candidate) -> dict[str, float]:
     return {name: value for name, value in candidate.probes[0].items() if name not in candidate.shapes}
 
 
-def _smooth(candidate: Candidate) -> list[Move]:
+def _smooth(plant: SearchablePlant, candidate: Candidate) -> list[Move]:
     """A move for every parameter that says how strongly an effect acts; one for all of those that scatter."""
     probe = {name: value for name, value in _sized(candidate).items() if value != candidate.null[name]}
     parts = [probe] if is_wide(candidate) else [{name: value} for name, value in probe.items()]
-    return [Move(candidate, candidate.null, part, {n: v - candidate.null[n] for n, v in part.items()}) for part in parts]
+    return [_move(plant, candidate, part, {n: v - candidate.null[n] for n, v in part.items()}) for part in parts]
 
 
-def at_rest(runs: Sequence[Run], points: int) -> tuple[Run, ...]:
-    """Planned runs with as many reference points as the machine has, all at 0: what they will measure is not known yet."""
-    return tuple(replace(run, points=np.zeros((run.rows, points, 3))) for run in runs)
+def _move(plant: SearchablePlant, candidate: Candidate, probe: Mapping[str, float], along: Mapping[str, float]) -> Move:
+    """A move with the largest multiple that its parameters' ranges allow."""
+    ranges, most = {free.name: free for free in ranged(plant, candidate)}, np.inf
+    for name, value in probe.items():
+        change = value - candidate.null[name]
+        if change:
+            end = ranges[name].high if change > 0 else ranges[name].low
+            most = min(most, (end - candidate.null[name]) / change)
+    return Move(candidate, candidate.null, probe, along, most)

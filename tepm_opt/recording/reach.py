@@ -7,17 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import modes
+from tepm_opt.solvers.simulate import SimulationError, simulate
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 
 STRETCH, BEND, PULL, PUSH = 0.17, 0.4, 0.27, 0.25  # of the arm's length: how far the tip goes by pressures, one alone, a tension, a force
 MOST_COMMON, MOST_ALONE, MOST_TENSION = 0.7, 0.36, 0.72  # of the limits: beyond that nothing more is learnt
 FIRM, LIGHT = 0.43, 0.23  # of the common pressure: where tendons pull, where a force acts
 FORCE = 0.02  # of what a muscle pushes with at most: the largest force on the tip that is asked for
+COARSE = 0.02  # s: longest time step where it only counts whether there is a motion
 HALVINGS = 7  # of an interval in which a level is sought
+ROWS = 60  # most set points of a run whose equilibria are looked at
 SLOWEST = 0.5  # Hz that stand for the sway of a machine that does not swing
 
 
@@ -87,3 +91,23 @@ def _level(held: Callable[[float], Equilibrium], most: float, wanted: float) -> 
         middle = (low + high) / 2
         low, high = (middle, high) if near(middle) else (low, middle)
     return low
+
+
+def unbearable(model: CompiledModel, setpoints: SetPoints) -> str:
+    """Why a model does not bear set points: no stable equilibrium under one of them, or no motion; empty where it does."""
+    inside = model.allows(setpoints.inputs)
+    if not inside:
+        return "inputs outside the robot's limits"
+    rows = np.column_stack([setpoints.inputs, setpoints.tip_force])
+    firsts = np.sort(np.unique(rows, axis=0, return_index=True)[1])
+    last = None
+    for row in firsts[:: max(len(firsts) // ROWS, 1)]:
+        found = solve_statics(model, setpoints.inputs[row], setpoints.tip_force[row], start=last)
+        if not found.solved:
+            return f"{setpoints.time[row]:.3g} s: {found.outcome.message}"
+        last = found
+    try:
+        simulate(model, setpoints, step=COARSE).complete()
+    except SimulationError as error:
+        return str(error)
+    return ""

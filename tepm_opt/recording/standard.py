@@ -171,7 +171,9 @@ def _under_load(layout: Layout, alone: np.ndarray, common: float, module: int) -
 def _loads(robot: Robot, force: float) -> list[tuple[str, str, int, int, str]]:
     """Name of the run, axis and sign of the force, module that moves, purpose; nothing pulls a guided robot sideways."""
     down = "z" if not robot.geometry.guide else "xyz"[int(np.argmax(np.abs(robot.mount.rotation[:, 2])))]
-    found = [("weight", down, -1, 0, f"a weight on the tip ({force:g} N: {1e3 * force / 9.81:.0f} g), which a person hangs on a real robot")]
+    found = [
+        ("weight", down, -1, 0, f"a weight on the tip ({force:g} N: {1e3 * force / 9.81:.0f} g), which a person hangs on a real robot")
+    ]
     return found if robot.geometry.guide else [*found, ("side_load", "x", 1, robot.modules - 1, "pulled sideways, over a pulley")]
 
 
@@ -180,7 +182,9 @@ def _rounded(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def plan_text(name: str, robot: str, rate: float, runs: Sequence[PlannedPattern], head: Sequence[str] = (), noise: float | None = None) -> str:
+def plan_text(
+    name: str, robot: str, rate: float, runs: Sequence[PlannedPattern], head: Sequence[str] = (), noise: float | None = None
+) -> str:
     """The text of a plan file that `read_plan` reads.
 
     Args:
