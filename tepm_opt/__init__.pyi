@@ -44,6 +44,8 @@ from .jobs.machines import run_machines as run_machines
 from .jobs.modes import ModesRun as ModesRun
 from .jobs.modes import run_modes as run_modes
 from .jobs.mpc import run_closed_loop as run_closed_loop
+from .jobs.next_run import NextRun as NextRun
+from .jobs.next_run import run_next as run_next
 from .jobs.paper import run_study as run_study
 from .jobs.plan import PlanRun as PlanRun
 from .jobs.plan import run_plan as run_plan

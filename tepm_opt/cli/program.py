@@ -25,6 +25,7 @@ from tepm_opt.cli import (
     ik,
     modes,
     mpc,
+    next_run,
     paper,
     plan,
     play,
@@ -95,6 +96,7 @@ COMMANDS = {
     "play": play.play,
     "identify": identify.identify,
     "discrepancy": discrepancy.discrepancy,
+    "next": next_run.next_run,
     "blind": blind.blind,
 }
 for name, command in COMMANDS.items():
