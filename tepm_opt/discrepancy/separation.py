@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from tepm_opt.data.run import Run
+from tepm_opt.data.run import Run, spaced
 from tepm_opt.discrepancy.plant import everywhere
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.plant import Plant, PredictionError
@@ -40,7 +40,7 @@ class Foreseen:
 
 
 def foreseen(estimate: ParameterEstimate, run: Run, noise: float) -> Foreseen:
-    """What a fit says of a run; effects that act in some runs only are taken to act.
+    """What a fit says of a run, with the step at which derivatives are taken; effects that act in some runs only are taken to act.
 
     Args:
         estimate: the fit.
@@ -51,7 +51,9 @@ def foreseen(estimate: ParameterEstimate, run: Run, noise: float) -> Foreseen:
         PredictionError: the model cannot do the run.
     """
     plant: Plant = everywhere(estimate.plant)
-    found = plant.predict(run, [free.name for free in estimate.problem.free], estimate.problem.step)
+    found = plant.predict(
+        run, [free.name for free in estimate.problem.free], max(estimate.problem.step, estimate.problem.derivatives_apart)
+    )
     scale = estimate.problem.scale
     values, axes = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
     root = scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
@@ -62,15 +64,19 @@ def foreseen(estimate: ParameterEstimate, run: Run, noise: float) -> Foreseen:
 def separation(estimates: Sequence[ParameterEstimate], run: Run, noise: float) -> float:
     """Standard deviations by which a run will tell any two of some fitted hypotheses apart, whichever of them is true; the least of all.
 
-    Half its square is what the logarithm of their odds changes by on average. 0 where one of them cannot do the run.
+    Half its square is what the logarithm of their odds changes by on average. 0 where one of them cannot do the run. Motions are smooth:
+    where samples come faster than derivatives are taken, those between say as much as their neighbours.
 
     Args:
         estimates: of the hypotheses, two or more.
         run: what will be done.
         noise: of a coordinate, 1 sigma in m.
     """
+    apart = max(estimate.problem.derivatives_apart for estimate in estimates)
+    seen = spaced(run, apart) if apart and run.rows > 1 else run
     try:
-        said = [foreseen(estimate, run, noise) for estimate in estimates]
+        said = [foreseen(estimate, seen, noise) for estimate in estimates]
     except PredictionError:
         return 0.0
-    return min(min(one.misses(other.points), other.misses(one.points)) for one, other in combinations(said, 2))
+    more = np.sqrt(run.rows / seen.rows)
+    return float(more) * min(min(one.misses(other.points), other.misses(one.points)) for one, other in combinations(said, 2))

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings, labels
 from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.plant import everywhere
 from tepm_opt.discrepancy.separation import separation
+from tepm_opt.discrepancy.workflow import FINEST_STEP
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_setpoints
 from tepm_opt.jobs.discrepancy import MODEL, VERDICT, checked_datasets
@@ -35,11 +37,14 @@ from tepm_opt.recording.reach import Reach, reach_of, unbearable
 from tepm_opt.recording.standard import PlannedPattern, plan_text
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
 from tepm_opt.solvers.network_plant import NetworkPlant
+from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.predict import LONGEST_STEP
 
-DRAWS, ROUNDS, KEPT, NEAR = 30, 2, 3, 4
+DRAWS, ROUNDS, KEPT, NEAR = 20, 2, 2, 4
 """Runs that are drawn; rounds of variation after them, the best runs that are varied in each, and how often."""
 TRIES = 20  # draws until a robot bears a random run
+FARTHEST, ROUGH = 0.7, 0.25
+"""Of the arm's length: how far the tip may go from where a run begins; of the noise: how much the time step of fits may change a run."""
 SHORTEST, LONGEST = 5.0, 600.0  # s
 
 
@@ -106,9 +111,21 @@ class Rig:
         return Proposal(pattern, planned, separation(estimates, run, self.noise))
 
     def bears(self, proposal: Proposal, estimates: Sequence[ParameterEstimate]) -> bool:
-        """Whether the machine stands and moves under it, whichever of the hypotheses is true."""
-        plants = [everywhere(estimate.plant) for estimate in estimates]
-        return not any(isinstance(p, NetworkPlant) and unbearable(p.model, proposal.planned.setpoints) for p in plants)
+        """Whether the machine stands under all set points and swings no farther than models are trusted, whichever hypothesis is true."""
+        robot, run = self.model.robot, proposal.planned.sampled(self.rate, len(channels_of(self.model.robot).points))
+        farthest = FARTHEST * robot.modules * robot.parameters.L_0
+        for plant in (everywhere(estimate.plant) for estimate in estimates):
+            if isinstance(plant, NetworkPlant) and unbearable(plant.model, proposal.planned.setpoints, motion=False):
+                return False
+            try:
+                coarse, fine = (plant.predict(run, (), step).points for step in (LONGEST_STEP, FINEST_STEP))
+            except PredictionError:
+                return False
+            if np.linalg.norm(fine[:, -1] - fine[0, -1], axis=1).max() > farthest:
+                return False
+            if np.sqrt(np.mean((coarse - fine) ** 2)) > ROUGH * self.noise:
+                return False
+        return True
 
 
 def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progress: Progress = silent) -> Proposal:
@@ -124,7 +141,7 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
         InputError: the robot bears none of the runs.
     """
     random = np.random.default_rng([seed, 1])
-    total = DRAWS + ROUNDS * KEPT * NEAR
+    total = DRAWS + 1 + ROUNDS * KEPT * NEAR
     tried: list[Proposal] = []
 
     def look(make: Callable[[], Pattern | None], times: int) -> None:
@@ -133,10 +150,11 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
             found = rig.proposal(make(), estimates)
             tried.extend([found] if found else [])
 
+    look(lambda: random_run(random, rig.reach, rig.seconds), 1)
     look(lambda: drawn(random, rig.model.robot, rig.reach, rig.seconds, rig.loads), DRAWS)
     for _ in range(ROUNDS):
         tried.sort(key=lambda each: -each.sigmas)
-        for each in [each for each in tried[: 2 * KEPT] if rig.bears(each, estimates)][:KEPT]:
+        for each in list(islice((each for each in tried if rig.bears(each, estimates)), KEPT)):
             look(lambda each=each: varied(random, each.pattern), NEAR)
     for each in sorted(tried, key=lambda each: -each.sigmas):
         if each.sigmas > 0 and rig.bears(each, estimates):
@@ -243,6 +261,7 @@ def run_next(
     channels, noise = channels_of(known.robot), noise_of(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.of(known, channels)
+    _ = network.model.stepper  # made once, for all models with other values
     problem = Problem(
         network, dataset.fit, network.free(network.known), noise, step=LONGEST_STEP, derivatives_apart=network.derivatives_apart
     )

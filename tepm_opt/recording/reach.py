@@ -93,8 +93,8 @@ def _level(held: Callable[[float], Equilibrium], most: float, wanted: float) -> 
     return low
 
 
-def unbearable(model: CompiledModel, setpoints: SetPoints) -> str:
-    """Why a model does not bear set points: no stable equilibrium under one of them, or no motion; empty where it does."""
+def unbearable(model: CompiledModel, setpoints: SetPoints, motion: bool = True) -> str:
+    """Why a model does not bear set points: no stable equilibrium under one of them or, if asked for, no motion; else empty."""
     inside = model.allows(setpoints.inputs)
     if not inside:
         return "inputs outside the robot's limits"
@@ -106,6 +106,8 @@ def unbearable(model: CompiledModel, setpoints: SetPoints) -> str:
         if not found.solved:
             return f"{setpoints.time[row]:.3g} s: {found.outcome.message}"
         last = found
+    if not motion:
+        return ""
     try:
         simulate(model, setpoints, step=COARSE).complete()
     except SimulationError as error:
