@@ -45,6 +45,7 @@ DRAWS, ROUNDS, KEPT, NEAR = 20, 2, 2, 4
 TRIES = 20  # draws until a robot bears a random run
 FARTHEST, ROUGH = 0.7, 0.25
 """Of the arm's length: how far the tip may go from where a run begins; of the noise: how much the time step of fits may change a run."""
+LEAST = 0.1  # standard deviations below which nothing is told apart
 SHORTEST, LONGEST = 5.0, 600.0  # s
 
 
@@ -138,7 +139,7 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
         progress: told of every run tried.
 
     Raises:
-        InputError: the robot bears none of the runs.
+        InputError: no run that the robot bears separates the hypotheses.
     """
     random = np.random.default_rng([seed, 1])
     total = DRAWS + 1 + ROUNDS * KEPT * NEAR
@@ -157,9 +158,10 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
         for each in list(islice((each for each in tried if rig.bears(each, estimates)), KEPT)):
             look(lambda each=each: varied(random, each.pattern), NEAR)
     for each in sorted(tried, key=lambda each: -each.sigmas):
-        if each.sigmas > 0 and rig.bears(each, estimates):
+        if each.sigmas > LEAST and rig.bears(each, estimates):
             return each
-    raise InputError(f"robot {rig.model.robot.name}: it bears none of {len(tried)} runs of {rig.seconds:g} s; try other --seconds")
+    few = f"none of {len(tried)} runs of {rig.seconds:g} s"
+    raise InputError(f"robot {rig.model.robot.name}: {few} tells the hypotheses apart and is borne; try other --seconds or another --seed")
 
 
 def any_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int) -> Proposal | None:
@@ -173,7 +175,7 @@ def any_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int) -> Prop
     random = np.random.default_rng([seed, 2])
     for _ in range(TRIES):
         found = rig.proposal(random_run(random, rig.reach, rig.seconds), estimates)
-        if found and found.sigmas > 0 and rig.bears(found, estimates):
+        if found and found.sigmas > LEAST and rig.bears(found, estimates):
             return found
     return None
 
