@@ -40,8 +40,8 @@ class TestExcite:
 
     def test_for_people(self, tepm: Command, here: Path) -> None:
         done = tepm("excite", "--robot", DOCS / "one_axis.toml", "--out", "axis.toml")
-        assert "closest rival" in done.out
-        assert "in axis.toml; sway 5.46 Hz; all numbers in axis.json" in done.out.replace("5.462", "5.46")
+        assert "closest" in done.out
+        assert "in axis.toml; sway 5.462 Hz; all numbers in axis.json" in done.out
 
 
 @pytest.mark.parametrize(
