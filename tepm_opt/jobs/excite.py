@@ -115,7 +115,7 @@ class ExciteRun:
 
     @property
     def hardest(self) -> tuple[Separable, ...]:
-        """Of each effect, over its details and parameters, the change that is hardest to tell from its closest rival; hardest last."""
+        """The change of each effect, of its details and parameters, that is hardest to tell from its closest rival; hardest last."""
         worst: dict[str, Separable] = {}
         for each in self.separable:
             name = each.move.candidate.name if each.move.candidate.part != "parameter" else each.move.candidate.label

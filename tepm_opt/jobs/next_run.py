@@ -63,7 +63,7 @@ class Proposal:
 
     @property
     def log_odds(self) -> float:
-        """By how much the logarithm of the odds of two hypotheses changes on average."""
+        """The mean change of the logarithm of the odds of two hypotheses."""
         return self.sigmas**2 / 2
 
 
@@ -143,7 +143,8 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
     """
     random = np.random.default_rng([seed, 1])
     total = DRAWS + 1 + ROUNDS * KEPT * NEAR
-    tried: list[Proposal] = []
+    by_chance = any_run(rig, estimates, seed)
+    tried = [] if by_chance is None else [by_chance]
 
     def look(make: Callable[[], Pattern | None], times: int) -> None:
         for _ in range(times):
@@ -151,7 +152,6 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
             found = rig.proposal(make(), estimates)
             tried.extend([found] if found else [])
 
-    look(lambda: random_run(random, rig.reach, rig.seconds), 1)
     look(lambda: drawn(random, rig.model.robot, rig.reach, rig.seconds, rig.loads), DRAWS)
     for _ in range(ROUNDS):
         tried.sort(key=lambda each: -each.sigmas)

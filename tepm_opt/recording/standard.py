@@ -90,7 +90,7 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
             "all pressures, reversals inside reversals, twice: stiffness against stretch, hysteresis",
         ),
         (
-            Steps(file="creep.csv", role="fit", rise_s=times(0.4), hold_s=20.0, rest_s=10.0, levels=[level(pressure_Pa=0.86 * common)]),
+            Steps(file="long_rest.csv", role="fit", rise_s=times(0.4), hold_s=20.0, rest_s=10.0, levels=[level(pressure_Pa=0.86 * common)]),
             "long rest, stretched and back: creep, noise",
         ),
         (
