@@ -28,6 +28,9 @@ from .jobs.course import whole_reference as whole_reference
 from .jobs.demo import DemoRun as DemoRun
 from .jobs.demo import run_demo as run_demo
 from .jobs.discrepancy import run_discrepancy as run_discrepancy
+from .jobs.excite import ExciteRun as ExciteRun
+from .jobs.excite import run_excite as run_excite
+from .jobs.excite import standard as standard
 from .jobs.gain import GainRun as GainRun
 from .jobs.gain import run_gain as run_gain
 from .jobs.identify import IdentifyRun as IdentifyRun
@@ -41,6 +44,8 @@ from .jobs.machines import run_machines as run_machines
 from .jobs.modes import ModesRun as ModesRun
 from .jobs.modes import run_modes as run_modes
 from .jobs.mpc import run_closed_loop as run_closed_loop
+from .jobs.next_run import NextRun as NextRun
+from .jobs.next_run import run_next as run_next
 from .jobs.paper import run_study as run_study
 from .jobs.plan import PlanRun as PlanRun
 from .jobs.plan import run_plan as run_plan

@@ -31,6 +31,9 @@ def discrepancy(
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("discrepancy"),
     model: Annotated[Path | None, typer.Option("--model", help="Model file instead of the data set's robot as it is.")] = None,
     plant: Annotated[Path | None, typer.Option("--plant", help="Python file of another machine, which the data set is of.")] = None,
+    add: Annotated[
+        list[Path] | None, typer.Option("--add", metavar="DATASET", help="More data of the same machine, such as the run of tepm next.")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,
     invent: Annotated[bool, typer.Option("--invent", help="Seek a law where no known effect explains what is left.")] = False,
@@ -47,13 +50,13 @@ def discrepancy(
     try:
         with shown(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent)
+            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent, add or ())
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             if result.law is not None:
                 plots.draw(result.law, out / EFFECTS)
             provenance = {
-                "data set": f"{result.dataset.name} ({dataset})",
+                "data set": f"{result.dataset.name} ({', '.join(map(str, (dataset, *(add or ()))))})",
                 "machine": result.verdict.machine,
                 "model": str(plant or model or "the robot as it is"),
                 "tepm_opt": version("tepm-opt"),

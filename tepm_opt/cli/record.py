@@ -18,16 +18,21 @@ from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_
 if TYPE_CHECKING:
     from tepm_opt.recording.plan import RecordingPlan
 
+STANDARD = "standard"
+
 
 def record(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (.toml), see docs/recording.md.")],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (.toml), see docs/recording.md; or the word standard.")],
     out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the data set; runs it has are kept.")],
     rig: RigOption = "sim",
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> int:
-    """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted."""
-    planned = tepm.read_plan(plan)
+    """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted.
+
+    The plan `standard` is the one that `tepm excite` writes for the rig's robot.
+    """
+    planned = _standard(rig) if str(plan) == STANDARD else tepm.read_plan(plan)
     try:
         with stopped_by_signals(), shown(as_json) as bars:
             done = tepm.record(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
@@ -45,6 +50,13 @@ def record(
         for line in lines:
             stdout.print(f"[yellow]{file}: {escape(line)}[/]", soft_wrap=True, highlight=False)
     return 0
+
+
+def _standard(rig: str) -> RecordingPlan:
+    """The standard plan of a rig's robot."""
+    from tepm_opt.hw.registry import robot_of
+
+    return tepm.standard(tepm.Model.of(robot_of(rig))).plan
 
 
 def kept(plan: RecordingPlan, out: Path) -> str:

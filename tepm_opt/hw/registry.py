@@ -35,13 +35,35 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
     return _OPENERS[kind](target, robot)
 
 
+def robot_of(text: str) -> str:
+    """The robot of the rig that a text names, built in or the path of its file, without opening the rig.
+
+    Raises:
+        InputError: not a rig, or its file is wrong.
+    """
+    kind, _, target = text.partition(":")
+    if kind.partition("@")[0] not in _OPENERS:
+        raise unknown_name("rig", text, VALID.split(", "))
+    if kind == "replay" and target:
+        return _recorded_robot(Path(target).parent)
+    if kind.partition("@")[0] != "sim":
+        return "kang2017"
+    from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
+
+    return load_rig_file(_named(target)[0] or DEFAULT).robot
+
+
+def _named(target: str) -> tuple[str, str]:
+    """A simulated rig's file and the engine asked for."""
+    name, at, engine = target.rpartition("@")
+    return (target, "") if not at or Path(target).is_file() or "/" in engine else (name, engine)  # of a file's name
+
+
 def _simulated(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.rig import SimulatedRig
     from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
 
-    name, at, engine = target.rpartition("@")
-    if not at or Path(target).is_file() or "/" in engine:  # of a file's name
-        name, engine = target, ""
+    name, engine = _named(target)
     try:
         file = load_rig_file(name or DEFAULT)
         return SimulatedRig(file.with_engine(engine) if engine else file)

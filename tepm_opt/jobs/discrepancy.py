@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.joined import joined
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.effect_files import loaded_effects
@@ -59,7 +62,7 @@ def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet
 
 def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
-    progress: Progress = silent, plant: str | Path | None = None, invent: bool = False,
+    progress: Progress = silent, plant: str | Path | None = None, invent: bool = False, add: Sequence[str | Path] = (),
 ) -> Discovery:  # fmt: skip
     """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file gives the machine.
 
@@ -74,14 +77,17 @@ def run_discrepancy(
         progress: told of every piece of work.
         plant: Python file of another machine, which the data set is of.
         invent: whether to seek a law where no known effect explains what is left; its effect file, page and model go into `effects`.
+        add: data sets of the same machine that were recorded later, see `joined`.
 
     Raises:
         InputError: data or model cannot be used; the message says why.
     """
     folder, out = Path(folder), Path(out)
+    if plant is not None and add:
+        raise InputError("--add and --plant exclude each other; valid: data sets of a robot")
     if plant is not None:
         return _of_plant(folder, out, Path(plant), seed, progress)
-    dataset, warnings = checked_dataset(folder, despite_errors)
+    dataset, warnings = checked_datasets([folder, *map(Path, add)], despite_errors)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:
@@ -90,13 +96,29 @@ def run_discrepancy(
     noise = noise_of(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.of(known, channels, dataset.static)
-    key = _fingerprint(folder, known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
+    key = _fingerprint([folder, *map(Path, add)], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
     result = discover(dataset, network, noise, seed, out / FITS, key, None, progress)
     write_model(result.verdict.model, out / MODEL)
     if invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         result = replace(result, law=with_law(result, out / EFFECTS, progress))
-    _write(result, out, warnings)
+    _write(result, out, warnings, {"data": [_seen_from(out, each) for each in (folder, *add)], "model": _seen_from(out, model)})
     return result
+
+
+def _seen_from(out: Path, path: str | Path | None) -> str | None:
+    """A path as seen from the folder of the results."""
+    return None if path is None else Path(os.path.relpath(path, out)).as_posix()
+
+
+def checked_datasets(folders: Sequence[Path], despite_errors: bool = False) -> tuple[DataSet, list[str]]:
+    """Data sets of one machine as one, and the warnings of their checks; see `checked_dataset` and `joined`.
+
+    Raises:
+        InputError: one of them cannot be used, or they do not fit together.
+    """
+    (first, warnings), *others = (checked_dataset(folder, despite_errors) for folder in folders)
+    lines = [f"{folder.name}/{line}" for folder, (_, own) in zip(folders[1:], others, strict=True) for line in own]
+    return joined(first, [(folder, found) for folder, (found, _) in zip(folders[1:], others, strict=True)]), [*warnings, *lines]
 
 
 def with_law(result: Discovery, folder: Path, progress: Progress = silent) -> Invention | None:
@@ -139,7 +161,7 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
     texts = [
         path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))
     ]  # it may import those beside it
-    key = _fingerprint(folder, file.name, *texts, str(seed))
+    key = _fingerprint([folder], file.name, *texts, str(seed))
     noise = float(dataset.noise[0, 0]) if alike else dataset.noise
     result = discover(dataset, plant, noise, seed, out / FITS, key, None, progress)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
@@ -147,9 +169,9 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
     return result
 
 
-def _write(result: Discovery, out: Path, warnings: Sequence[str]) -> None:
-    """Write `verdict.json`; what was kept in case of an interruption goes."""
-    content = result.verdict.as_json()
+def _write(result: Discovery, out: Path, warnings: Sequence[str], origin: Mapping[str, Any] | None = None) -> None:
+    """Write `verdict.json`, with what it is about; what was kept in case of an interruption goes."""
+    content = result.verdict.as_json() | dict(origin or {})
     if result.law is not None:
         content["law"] = as_json(result.law)
     content["notes"] += [f"data: {line}" for line in warnings]
@@ -158,10 +180,10 @@ def _write(result: Discovery, out: Path, warnings: Sequence[str]) -> None:
         kept.unlink()
 
 
-def _fingerprint(folder: Path, *parts: str) -> str:
+def _fingerprint(folders: Sequence[Path], *parts: str) -> str:
     """Changes with the data, these parts and the version of this package."""
     digest = hashlib.sha256(repr((*parts, version("tepm-opt"))).encode())
-    for path in sorted(folder.glob("*")):
+    for path in (each for folder in folders for each in sorted(folder.glob("*"))):
         if path.is_file():
             digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()

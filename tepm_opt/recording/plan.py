@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field
 
 from tepm_opt.data.documents import Section, between, read_toml, validated
-from tepm_opt.data.run import Role
+from tepm_opt.data.run import Role, Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.robot import Robot, builtin_robots, load_robot
@@ -41,6 +42,13 @@ class PlannedRun:
 
     def __repr__(self) -> str:
         return f"PlannedRun({self.file!r}, {self.role}, {self.setpoints.time[-1]:.3g} s)"
+
+    def sampled(self, rate: float, points: int) -> Run:
+        """The run as it will be recorded at a rate in Hz, with so many reference points that are not known yet (NaN)."""
+        asked = self.setpoints
+        time = np.arange(int(np.floor(asked.time[-1] * rate + 1e-6)) + 1) / rate
+        inputs, force = (np.stack([np.interp(time, asked.time, c) for c in part.T], axis=1) for part in (asked.inputs, asked.tip_force))
+        return Run(self.file, self.role, time, inputs, force, np.full((len(time), points, 3), np.nan))
 
     def fingerprint(self, robot: Robot, rate: float) -> str:
         """Changes with anything that changes what would be recorded, but for the rig."""
