@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def turned(direction: np.ndarray, change: np.ndarray, distance: float) -> np.ndarray:
+def turned(direction: np.ndarray, change: np.ndarray, distance: float | np.ndarray) -> np.ndarray:
     """Direction −1 … 1 after a change of length, (…,) each; change and distance in m.
 
     ds = dx / distance · (1 − s sgn dx), exactly for a motion one way. Dahl, A solid friction model, Aerospace Corp. TOR-158, 1968.

@@ -137,7 +137,7 @@ class Signatures:
             all(each is not None for each in gauge) for gauge in zip(*((s.pressures, s.tensions) for s in samples), strict=True)
         )
         pressures = np.array([sample.pressures for sample in samples]) if monitored else expected[1:]
-        tension = np.mean([sample.tensions for sample in samples], axis=0) if weighed else motors[1:].mean(axis=0)
+        tension = np.array([sample.tensions for sample in samples], dtype=float).mean(axis=0) if weighed else motors[1:].mean(axis=0)
         behind = np.array(acting) - pressures
         flows = np.array([np.maximum(behind, 0.0), np.minimum(behind, 0.0), np.ones_like(behind), -np.maximum(pressures, 0.0) - ATMOSPHERE])
         runs = self._run[:, None] + np.cumsum(durations[:, None] * flows, axis=1)
