@@ -21,6 +21,8 @@ from .jobs.blind import BlindRun as BlindRun
 from .jobs.blind import run_blind as run_blind
 from .jobs.check import CheckRun as CheckRun
 from .jobs.check import run_check as run_check
+from .jobs.close import Closing as Closing
+from .jobs.close import run_close as run_close
 from .jobs.closed_loop import ClosedLoop as ClosedLoop
 from .jobs.closed_loop import LoopSetup as LoopSetup
 from .jobs.course import Course as Course
@@ -74,6 +76,7 @@ from .outcome import Outcome as Outcome
 from .progress import Progress as Progress
 from .recording.plan import RecordingPlan as RecordingPlan
 from .recording.plan import read_plan as read_plan
+from .report.closing import write_closing_page as write_closing_page
 from .report.pages import write_discrepancy_page as write_discrepancy_page
 from .report.pages import write_page as write_page
 from .report.paper import write_paper_page as write_paper_page

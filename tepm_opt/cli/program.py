@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 from tepm_opt.cli import (
     INTERRUPTED,
     blind,
+    close,
     data,
     demo,
     discrepancy,
@@ -97,6 +98,7 @@ COMMANDS = {
     "identify": identify.identify,
     "discrepancy": discrepancy.discrepancy,
     "next": next_run.next_run,
+    "close": close.close,
     "blind": blind.blind,
 }
 for name, command in COMMANDS.items():

@@ -16,6 +16,7 @@ from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate, everywhere
 from tepm_opt.discrepancy.rivals import SOME_RUNS
 from tepm_opt.discrepancy.search import Explanation
+from tepm_opt.discrepancy.several import MANY
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks, widens
 from tepm_opt.solvers.hierarchy import clustering, off_centre
 from tepm_opt.solvers.identify import ParameterEstimate
@@ -28,6 +29,8 @@ UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 NOISE_KNOWN = 0.015  # excess that noise which is a little more than was assumed may seem to be
+EXPLAINED = 0.05  # part of the structure that many effects may leave from which on what is left weighs less against each
+LEAST_EVEN = 1 / 6  # of its weight
 LISTED = 0.3  # probability from which what explains a part is told as such
 
 
@@ -117,7 +120,7 @@ def judged(
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
     one = {e: holds[e] * _same(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
     cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
-    cause |= {e: 1.0 for e in explanation.seen if e in cause}
+    cause |= {e: 1.0 for e in (explanation.begun.effects if explanation.begun else ()) if e in cause}
     unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
     listed = []
     for effect in best.effects:
@@ -179,8 +182,9 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
     """Probability that an effect is a cause: even odds where what only it takes away is so many times what is left.
 
     Effects whose forms all are known leave nothing, so that what is left weighs more against them, the more the farther it is from what
-    chance and a noise known to half a percent leave; of others hardly, where that counts as noise. What may act in any of the runs has as
-    many chances to fit.
+    chance and a noise known to half a percent leave; of others hardly, where that counts as noise. Of many effects that leave next to
+    nothing of what there was, each is the likelier: what is left is what all their forms are wrong by together. What may act in any of
+    the runs has as many chances to fit.
     """
     best, exact = explanation.best, all(other.exact for other in explanation.best.effects)
     even = settings.even_odds_exact if exact else settings.even_odds_ratio
@@ -188,6 +192,9 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         least = max(NOISE_KNOWN, best.by_chance)
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
+    elif len(best.effects) > MANY:
+        there_was = (explanation.begun or explanation.without).excess
+        even *= float(np.clip(best.excess / max(there_was, 1e-12) / EXPLAINED, LEAST_EVEN, 1))
     even *= SOME_RUNS if effect.runs else 1
     return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))
 

@@ -42,7 +42,7 @@ class Explanation:
         scores: first-order gains of all candidates against `without`, beside what gauges show.
         shares: for each effect of `best`: how many times the structure left only this effect takes away.
         groups: for each effect of `best`: hypotheses that have another one in its place, `best` first, and their probabilities.
-        seen: effects that gauges have shown.
+        begun: effects that gauges have shown, with which the search began; None where there are none.
     """
 
     without: Hypothesis
@@ -52,7 +52,7 @@ class Explanation:
     scores: list[Score]
     shares: Shares
     groups: Groups
-    seen: Effects = ()
+    begun: Hypothesis | None = None
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -97,7 +97,9 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         best = widest = onward
     if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
-    return Explanation(without, best, widest, list(fits.done.values()), fits.screen(base, missing), shares, groups, fits.seen)
+    return Explanation(
+        without, best, widest, list(fits.done.values()), fits.screen(base, missing), shares, groups, base if fits.seen else None
+    )
 
 
 def _forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> Hypothesis:

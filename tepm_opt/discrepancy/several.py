@@ -25,6 +25,7 @@ SEVERAL = 3  # effects that first order must ask for, each taking away `SHARE` o
 SHARE = 0.1  # part of what is left that one more effect must promise to take away
 AT_MOST, AT_ONCE = 14, 5  # effects in all, and new ones at once
 FORM_ERROR_RATIO = 0.0025  # part of what the other effects take away that their forms may be wrong by (5 % of the size)
+STAYS = 0.25  # times what is left that an effect must take away to stay
 AS_GOOD = 1.3  # times what is left that a rival in an effect's place may promise to leave, to be fitted
 
 
@@ -108,11 +109,11 @@ def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple
             mended = FORM_ERROR_RATIO * sum(max(costs[other], 0.0) for other in costs if other != effect)
             shares[effect] = cost / left if cost >= max(settings.min_excess_removed, mended) else 0.0
         weakest = min(shares, key=lambda effect: (shares[effect], costs[effect]), default=None)
-        if weakest is None or shares[weakest] >= settings.least_share or weakest in sure:
+        if weakest is None or shares[weakest] >= STAYS or weakest in sure:
             return best, shares
         rest = fits.fit(tuple(c for c in best.effects if c != weakest), best.estimate.named)
         cost = np.inf if rest is None else fits.finished(rest).excess - best.excess
-        if rest is None or cost >= settings.least_share * left:
+        if rest is None or cost >= STAYS * left:
             sure[weakest] = cost
         else:
             best, sure = fits.finished(rest), {}

@@ -282,8 +282,11 @@ def _verdict(
 def _only(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:
     """Part of the structure left by recalibration that is gone with the effect and there without it."""
     rest = tuple(c for c in explanation.best.effects if c != effect)
-    without = next((h for h in explanation.tried if h.effects == rest), explanation.without)
-    return (without.excess - hypothesis.excess) / max(explanation.without.excess, 1e-12)
+    there = max(explanation.without.excess, 1e-12)
+    fitted = next((h.excess for h in explanation.tried if h.effects == rest), None)
+    if fitted is None and effect in explanation.shares and np.isfinite(explanation.shares[effect]):
+        return min(explanation.shares[effect] * hypothesis.excess / there, 1.0)  # to first order
+    return ((explanation.without.excess if fitted is None else fitted) - hypothesis.excess) / there
 
 
 def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nominal: float) -> Value:

@@ -40,7 +40,7 @@ def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> N
     if run.hybrid is None or run.gains is None:
         raise ValueError(f"no page of {run!r}")
     page = (
-        _environment()
+        environment()
         .get_template("demo.html")
         .render(
             robot=run.pressure.model.robot,
@@ -73,7 +73,7 @@ def write_discrepancy_page(
         InputError: the folder cannot be written to.
     """
     page = (
-        _environment()
+        environment()
         .get_template("discrepancy.html")
         .render(
             verdict=verdict,
@@ -90,7 +90,8 @@ def write_discrepancy_page(
     write_atomically(path, page)
 
 
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
+    """Templates of all pages, with their filters."""
     environment = jinja2.Environment(loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined)
     environment.filters |= {"mm": _mm, "sized": _sized, "percent": _percent, "spread": _spread}
     return environment
