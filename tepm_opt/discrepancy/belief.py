@@ -118,9 +118,10 @@ def judged(
         only_noise = explanation.without.only_noise(settings)
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
-    one = {e: holds[e] * _same(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
+    shown = explanation.begun.effects if explanation.begun else ()  # by gauges
+    one = {e: 1.0 if e in shown else holds[e] * _same(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
     cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
-    cause |= {e: 1.0 for e in (explanation.begun.effects if explanation.begun else ()) if e in cause}
+    cause |= {e: 1.0 for e in shown if e in cause}
     unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
     listed = []
     for effect in best.effects:

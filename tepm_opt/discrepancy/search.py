@@ -130,13 +130,14 @@ def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: i
     """
     if len(best.effects) > MANY:
         best, shares = settled(fits, best, missing)
-        return best, shares, {effect: rivals(fits, best, effect, missing, seed) for effect in best.effects}
+        others = {e: [(best, 1.0)] if e in fits.seen else rivals(fits, best, e, missing, seed) for e in best.effects}
+        return best, shares, others
     more = len(best.effects) > 1
     best, shares = _backward(fits, best)
     if more and not best.effects:
         alone = [_backward(fits, fits.finished(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
         best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
-    return best, shares, {effect: replacements(fits, best, effect, missing, seed) for effect in best.effects}
+    return best, shares, {e: [(best, 1.0)] if e in fits.seen else replacements(fits, best, e, missing, seed) for e in best.effects}
 
 
 def _motion(problem: Problem) -> float:
