@@ -26,7 +26,7 @@ class PressureHysteresis(Effect):
     reference = "Bouc-Wen; Ikhouane and Rodellar, Systems with Hysteresis, 2007, ch. 2; play: Brokate and Sprekels, 1996, ch. 2"
     parameters = (
         Parameter("width", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),
-        Parameter("distance", "Pa", null=2e4, probe=2e4, low=300.0, high=1e6),
+        Parameter("distance", "Pa", null=2e4, probe=2e4, low=50.0, high=1e6),
         Parameter("falling_ratio", "1", null=1.0, probe=1.0, low=0.0, high=10.0),
         Parameter("filled", "1", null=0.0, probe=0.0, low=-1.0, high=1.0, change=0.3),
         Parameter("sticking", "1", null=0.0, probe=0.0, low=0.0, high=4.0, change=0.3),
