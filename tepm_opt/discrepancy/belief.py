@@ -31,6 +31,7 @@ GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a
 NOISE_KNOWN = 0.015  # excess that noise which is a little more than was assumed may seem to be
 EXPLAINED = 0.05  # part of the structure that many effects may leave from which on what is left weighs less against each
 LEAST_EVEN = 1 / 6  # of its weight
+UNSURE_PART = 0.1  # part of what many effects take away that those may which are not sure enough to be named
 LISTED = 0.3  # probability from which what explains a part is told as such
 
 
@@ -138,12 +139,20 @@ def judged(
         status = VerdictStatus.PARTIAL
     elif unclear and all(cause[effect] >= LISTED for effect in best.effects):
         status = VerdictStatus.INDISTINGUISHABLE
-    elif min(most.values()) >= CLEAR:
+    elif min(most.values()) >= CLEAR or _nearly_all(explanation, most):
         status = VerdictStatus.NAMED
     else:
         status = VerdictStatus.PARTIAL if max(most.values()) >= LISTED else VerdictStatus.UNEXPLAINED
     remarks = (*_remarks(explanation, doubted, constancy), *(_refuted(effect) for effect in refuted))
     return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)
+
+
+def _nearly_all(explanation: Explanation, probability: Mapping[Candidate, float]) -> bool:
+    """Whether of many effects those that are named take away nearly all that all of them do, and the others may well act."""
+    unsure = [effect for effect, most in probability.items() if most < CLEAR]
+    best, there_was = explanation.best, (explanation.begun or explanation.without).excess
+    little = sum(explanation.shares[effect] for effect in unsure) * best.excess <= UNSURE_PART * (there_was - best.excess)
+    return len(best.effects) > MANY and little and min(probability.values()) >= LISTED
 
 
 def _remarks(

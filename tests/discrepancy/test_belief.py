@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from tepm_opt.discrepancy import belief
-from tepm_opt.discrepancy.belief import Doubt, doubts, judged
+from tepm_opt.discrepancy.belief import Doubt, Judgement, doubts, judged
 from tepm_opt.discrepancy.constancy import Sizes
 from tepm_opt.discrepancy.evidence import Evidence
 from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
 from tepm_opt.discrepancy.network import candidate
+from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus
 
@@ -164,3 +165,21 @@ def test_what_is_of_another_size_in_every_run_is_no_cause() -> None:
     found = answer(LAG, 1000.0, spread=1.0)
     assert found.status is VerdictStatus.UNEXPLAINED
     assert found.remarks == ("regulator_lag is not of one size: it is 0.2 in a.csv, 1.8 in b.csv of what it is over all.",)
+
+
+def test_of_many_effects_those_that_take_little_may_be_less_sure() -> None:
+    """Five that leave next to nothing: what gauges show is sure; the smallest is told with its probability, and does not spoil the rest."""
+    five = tuple(Candidate(name, None, {f"{name}.size": 0.0}) for name in "abcde")
+    best, without, begun = hypothesis(five, 1.0), hypothesis((), 500.0), hypothesis(five[:1], 100.0)
+    groups = {effect: [(best, 1.0)] for effect in five}
+    shares = dict(zip(five, (float("inf"), 30.0, 30.0, 30.0, 1.0), strict=True))
+
+    def answered(shares: dict[Candidate, float], begun: Any = begun) -> Judgement:
+        found = Explanation(without, best, best, [without, best], [], shares, groups, begun)
+        return judged(found, SHRUNK, SETTINGS, True, {}, {})
+
+    found = answered(shares)
+    assert found.status is VerdictStatus.NAMED
+    assert found.cause[five[0]] == 1.0
+    assert 0.5 < found.cause[five[4]] < 0.8
+    assert answered({**shares, five[1]: 1.0, five[2]: 1.0, five[3]: 1.0}, hypothesis(five[:1], 10.0)).status is VerdictStatus.PARTIAL

@@ -20,8 +20,9 @@ class TendonFriction(Effect):
     `distance` is the commanded tension over which sticking turns into following. What friction holds when the motor lets go
     stays in the tendon, but for the part `released` of the constant one; it never pushes.
 
-    That is friction where the motor pulls the tendon through. The part `by_motion` of it turns over where the muscle draws the tendon
-    out or lets it in instead, whatever the motor does: bristles along every segment, elastic over a `travel` of the whole actuator.
+    That is friction where the motor pulls the tendon through. The part `by_motion` of the guides' turns over where the muscle draws the
+    tendon out or lets it in instead, whatever the motor does: bristles along every segment, elastic over a `travel` of the whole
+    actuator. (A constant force that does so is dry friction of the body.)
     """
 
     name = "tendon_friction"
@@ -42,9 +43,8 @@ class TendonFriction(Effect):
         return parameters["constant"], parameters["share"]
 
     def tension_memory(self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
-        friction = parameters["constant"] + parameters["share"] * tension
-        friction *= 1 - parameters["by_motion"]
-        let_go = (1 - parameters["by_motion"]) * parameters["released"] * ca.fmax(parameters["constant"] - tension, 0)
+        friction = parameters["constant"] + (1 - parameters["by_motion"]) * parameters["share"] * tension
+        let_go = parameters["released"] * ca.fmax(parameters["constant"] - tension, 0)
         limit = ca.if_else(rate > 0, -ca.fmin(friction, tension), friction - let_go)
         held = ca.fmax(tension + state, 0)  # in the tendon's end; with none left it follows at once
         return Play(limit, rate > 0, ca.fabs(rate), ca.fmin(parameters["distance"], held) + SMALLEST_DISTANCE)
@@ -54,6 +54,6 @@ class TendonFriction(Effect):
     ) -> Memory | None:
         if edge.kind != VERTICAL:
             return None
-        friction = parameters["by_motion"] * (parameters["constant"] + parameters["share"] * properties["tension"])
+        friction = parameters["by_motion"] * parameters["share"] * properties["tension"]
         travel = parameters["travel"] / context.layout.segments
         return Memory(friction / travel * rate, ca.fabs(rate), travel)
