@@ -16,7 +16,7 @@ from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate, everywhere
 from tepm_opt.discrepancy.rivals import SOME_RUNS
 from tepm_opt.discrepancy.search import Explanation
-from tepm_opt.discrepancy.several import MANY
+from tepm_opt.discrepancy.several import EXPLAINED, MANY
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks, widens
 from tepm_opt.solvers.hierarchy import clustering, off_centre
 from tepm_opt.solvers.identify import ParameterEstimate
@@ -29,7 +29,6 @@ UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 NOISE_KNOWN = 0.015  # excess that noise which is a little more than was assumed may seem to be
-EXPLAINED = 0.05  # part of the structure that many effects may leave from which on what is left weighs less against each
 LEAST_EVEN = 1 / 6  # of its weight
 UNSURE_PART = 0.1  # part of what many effects take away that those may which are not sure enough to be named
 LISTED = 0.3  # probability from which what explains a part is told as such

@@ -23,6 +23,7 @@ from tepm_opt.solvers.plant import PredictionError
 MANY = 4  # effects up to which the way back and rivals are fits of their own
 SEVERAL = 3  # effects that first order must ask for, each taking away `SHARE` of what the others leave
 SHARE = 0.1  # part of what is left that one more effect must promise to take away
+EXPLAINED = 0.05  # part of the structure that many effects may leave to be looked at together: else something else acts
 AT_MOST, AT_ONCE = 14, 5  # effects in all, and new ones at once
 FORM_ERROR_RATIO = 0.0025  # part of what the other effects take away that their forms may be wrong by (5 % of the size)
 STAYS = 0.25  # times what is left that an effect must take away to stay
@@ -30,7 +31,7 @@ AS_GOOD = 1.3  # times what is left that a rival in an effect's place may promis
 
 
 def several(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> Hypothesis | None:
-    """The fit of as many effects as surely take away more and more; None where first order does not ask for several.
+    """The fit of as many effects as surely take away more and more; None where first order does not ask for several, or much is left.
 
     Args:
         fits: all so far.
@@ -49,7 +50,7 @@ def several(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> Hypot
         if found is None or found.excess > (1 - settings.min_share_closed) * best.excess:
             break
         best = found
-    return None if best is base else best
+    return None if best is base or best.excess > EXPLAINED * base.excess else best
 
 
 def _cost(fits: Fits, effects: Effects, values: Mapping[str, float]) -> float:
