@@ -118,7 +118,7 @@ def judged(
         only_noise = explanation.without.only_noise(settings)
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
-    shown = explanation.begun.effects if explanation.begun else ()  # by gauges
+    shown = explanation.shown
     one = {e: 1.0 if e in shown else holds[e] * _same(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
     cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
     cause |= {e: 1.0 for e in shown if e in cause}
@@ -138,7 +138,7 @@ def judged(
         status = VerdictStatus.PARTIAL
     elif unclear and all(cause[effect] >= LISTED for effect in best.effects):
         status = VerdictStatus.INDISTINGUISHABLE
-    elif min(most.values()) >= CLEAR or _nearly_all(explanation, most):
+    elif (min(most.values()) >= CLEAR or _nearly_all(explanation, most)) and _more_than_shown(explanation, settings):
         status = VerdictStatus.NAMED
     else:
         status = VerdictStatus.PARTIAL if max(most.values()) >= LISTED else VerdictStatus.UNEXPLAINED
@@ -146,11 +146,18 @@ def judged(
     return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)
 
 
+def _more_than_shown(explanation: Explanation, settings: SearchSettings) -> bool:
+    """Whether something was found besides what gauges show, or that is all: sure as it is, it does not explain what it leaves."""
+    best, taken = explanation.best, explanation.without.excess - explanation.best.excess
+    clear = CLEAR * settings.even_odds_ratio * best.excess <= (1 - CLEAR) * taken
+    return best.only_noise(settings) or clear or set(best.effects) != set(explanation.shown)
+
+
 def _nearly_all(explanation: Explanation, probability: Mapping[Candidate, float]) -> bool:
     """Whether of many effects those that are named take away nearly all that all of them do, and the others may well act."""
     unsure = [effect for effect, most in probability.items() if most < CLEAR]
-    best, there_was = explanation.best, (explanation.begun or explanation.without).excess
-    little = sum(explanation.shares[effect] for effect in unsure) * best.excess <= UNSURE_PART * (there_was - best.excess)
+    best = explanation.best
+    little = sum(explanation.shares[effect] for effect in unsure) * best.excess <= UNSURE_PART * (explanation.there_was - best.excess)
     return len(best.effects) > MANY and little and min(probability.values()) >= LISTED
 
 
@@ -202,8 +209,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
     elif len(best.effects) > MANY:
-        there_was = (explanation.begun or explanation.without).excess
-        even *= float(np.clip(best.excess / max(there_was, 1e-12) / EXPLAINED, LEAST_EVEN, 1))
+        even *= float(np.clip(best.excess / max(explanation.there_was, 1e-12) / EXPLAINED, LEAST_EVEN, 1))
     even *= SOME_RUNS if effect.runs else 1
     return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))
 

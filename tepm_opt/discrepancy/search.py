@@ -58,6 +58,16 @@ class Explanation:
         """The main numbers, in a line."""
         return f"Explanation({shortened(labels(self.best), 60)}, closes {self.closes(self.best):.0%}, {len(self.tried)} fits)"
 
+    @property
+    def shown(self) -> Effects:
+        """Effects that gauges have shown."""
+        return self.begun.effects if self.begun else ()
+
+    @property
+    def there_was(self) -> float:
+        """Excess before anything was looked for: beside what gauges have shown."""
+        return (self.begun or self.without).excess
+
     def closes(self, hypothesis: Hypothesis) -> float:
         """Part of the structure left by recalibration that a hypothesis takes away."""
         return 1 - hypothesis.excess / max(self.without.excess, 1e-12)
@@ -88,7 +98,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
             if better is best or weight < 0.5:
                 break
             best, shares, groups = _settled(fits, fits.finished(better), missing, seed)
-        if best.effects in visited or fits.problem.plant.quick or together is not None:
+        if best.effects in visited or fits.problem.plant.quick or len(best.effects) > MANY:
             break
         visited.add(best.effects)
         onward = _forward(fits, best, missing, seed)

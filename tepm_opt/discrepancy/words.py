@@ -119,7 +119,9 @@ def notes(
     bound = [free.name for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and not free.name.count(".")]
     if bound:
         found.append(f"At the limit of the prior: {', '.join(bound)}. The prior may be too narrow, or an effect takes its place.")
-    own = [free for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and free.name.count(".")]
+    narrowed = {name for effect in explanation.shown for name in effect.ranges}  # to what gauges show
+    own = [free for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and "." in free.name and not free.refines]
+    own = [free for free in own if free.name not in narrowed]
     far = [free.name for free in own if abs(best.named[free.name] - free.high) < abs(best.named[free.name] - free.low)]
     if far:
         found.append(f"At the largest value that makes sense: {', '.join(far)}. The effect takes the place of something else.")

@@ -122,7 +122,7 @@ def discover(
     recalibrated = predictions["recalibrated"]
     shift = "" if plant.static else clock.doubt(dataset.runs, recalibrated, predictions["corrected"], noise)
     errors = _errors(dataset, noise, predictions, bound)
-    constancy = _constancy(fits.problem, explanation.best)
+    constancy = _constancy(fits.problem, explanation)
     judgement = judged(explanation, errors, settings, bool(dataset.validation), doubts(explanation, settings, seed), constancy)
     if explanation.best.effects and (shift or judgement.status is VerdictStatus.UNEXPLAINED):
         # they take the place of a clock, which is no effect, or of what nobody knows
@@ -130,7 +130,8 @@ def discover(
         predictions["corrected"], best = recalibrated, explanation.without.estimate
         errors = _errors(dataset, noise, predictions, bound)
         judgement = Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks)
-    acts = {effect: runs_of(effect, best, dataset, noise) for effect in explanation.best.effects}
+    looked_for = [effect for effect in explanation.best.effects if effect not in explanation.shown]
+    acts = dict.fromkeys(explanation.shown, ()) | {effect: runs_of(effect, best, dataset, noise) for effect in looked_for}
     verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, judgement, acts, shift)
     notes = (*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)
     verdict = replace(verdict, notes=notes, seconds=time.monotonic() - began)
@@ -192,12 +193,13 @@ def _compared(
     return {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}, bound, place, best
 
 
-def _constancy(problem: Problem, best: Hypothesis) -> dict[Candidate, dict[str, Sizes]]:
-    """Sizes of every effect in parts of the data."""
+def _constancy(problem: Problem, explanation: Explanation) -> dict[Candidate, dict[str, Sizes]]:
+    """Sizes of every effect in parts of the data, but for those that gauges have shown."""
+    best = explanation.best
     if problem.plant.quick or not best.effects:
         return {}
     linear = linearised(best.estimate, problem.free, best.effects, ())
-    return {effect: sizes(linear, effect) for effect in best.effects}
+    return {effect: sizes(linear, effect) for effect in best.effects if effect not in explanation.shown}
 
 
 def _recalibrated(problem: Problem) -> Problem:

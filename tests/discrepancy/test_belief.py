@@ -183,3 +183,16 @@ def test_of_many_effects_those_that_take_little_may_be_less_sure() -> None:
     assert found.cause[five[0]] == 1.0
     assert 0.5 < found.cause[five[4]] < 0.8
     assert answered({**shares, five[1]: 1.0, five[2]: 1.0, five[3]: 1.0}, hypothesis(five[:1], 10.0)).status is VerdictStatus.PARTIAL
+
+
+def test_what_gauges_show_does_not_explain_what_it_leaves() -> None:
+    """A lag that is sure, and something foreign beside it that nothing explains: that is a part."""
+    begun = hypothesis((LAG,), 100.0)
+
+    def status(left: float) -> VerdictStatus:
+        best, without = hypothesis((LAG,), left), hypothesis((), 500.0)
+        found = Explanation(without, best, best, [without, best], [], {LAG: float("inf")}, {LAG: [(best, 1.0)]}, begun)
+        return judged(found, SHRUNK, SETTINGS, True, {}, {}).status
+
+    assert status(100.0) is VerdictStatus.PARTIAL
+    assert status(1.0) is VerdictStatus.NAMED

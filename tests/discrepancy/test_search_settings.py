@@ -41,6 +41,7 @@ class Table:
     gains: dict[str, float]
     uneven: dict[str, float] = field(default_factory=dict)
     again: tuple[Effects, ...] = ()
+    seen: Effects = ()
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
 
     @property
