@@ -25,7 +25,7 @@ CLEARER = 0.9  # part of the squares that a further property of a device must le
 ONLY_NOISE = 1.3  # times the gauge's noise, as differences from sample to sample show it, that may be left
 RANGE = 5.0  # standard deviations, and
 NEARLY = 0.02  # part of a time constant, within which it is sought on
-AT_ONCE = 2e-3  # s, within which a delay that gauges show is sought on: the body's own sluggishness looks like one
+AT_ONCE = 2e-3  # s, by which a delay may be longer than gauges show: the body's own sluggishness looks like one
 EVALUATIONS = 12
 
 
@@ -35,15 +35,22 @@ class DevicesSeen:
 
     Attributes:
         runs: all runs, with pressures on the grid where gauges show one.
-        effects: the lag and the delay as candidates, their values within the range that gauges leave.
-        values: of their parameters by full name.
+        lag: as a candidate, its values within the range that gauges leave; it is there.
+        values: of its parameters by full name.
+        delay: as a candidate that is no longer than gauges show. It may be shorter, or none: a gauge may be late itself.
         note: in a sentence, what was seen.
     """
 
     runs: tuple[Run, ...]
-    effects: tuple[Candidate, ...]
+    lag: Candidate
     values: dict[str, float]
+    delay: Candidate
     note: str
+
+    def among(self, missing: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """Candidates, those of the devices within the ranges that gauges leave."""
+        narrowed = {known: known for known in (self.lag, self.delay)}
+        return tuple(narrowed.get(candidate, candidate) for candidate in missing)
 
 
 def devices_seen(dataset: RunSet, network: SearchableNetwork) -> DevicesSeen | None:
@@ -76,14 +83,13 @@ def devices_seen(dataset: RunSet, network: SearchableNetwork) -> DevicesSeen | N
         probes=tuple({n: probe[n] for n in names} for probe in lag.probes[:1]),
         ranges=ranges,
     )
-    late = dict.fromkeys(delay.parameters, best.delay)
-    known_delay = replace(delay, ranges=dict.fromkeys(late, (max(best.delay - AT_ONCE, 0.0), best.delay + AT_ONCE)))
+    longest = dict.fromkeys(delay.parameters, (0.0, best.delay + AT_ONCE))
     note = (
         f"gauges show regulators that lag by {best.times[0]:.3g} s filling and {best.times[1]:.3g} s exhausting"
         f"{f', on a grid of {best.grid:g} Pa' if best.grid else ''}; commands are taken as they take them"
     )
     runs = tuple(_on_grid(run, columns, best.grid) for run in dataset.runs) if best.grid else dataset.runs
-    return DevicesSeen(runs, (known, known_delay), dict(zip(names, best.times, strict=True)) | late, note)
+    return DevicesSeen(runs, known, dict(zip(names, best.times, strict=True)), replace(delay, ranges=longest), note)
 
 
 def _declaring(candidates: Sequence[Candidate], hook: str) -> Candidate | None:

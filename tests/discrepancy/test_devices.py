@@ -69,14 +69,15 @@ def test_grid_lag_and_delay() -> None:
     found = seen(data)
     assert found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.02)
     assert found.values["regulator_lag.exhausting_time"] == pytest.approx(EXHAUSTING, rel=0.02)
-    assert found.values["time_delay.delay"] == pytest.approx(DELAY, abs=3e-3)
+    assert found.delay.ranges == {"time_delay.delay": (0.0, pytest.approx(DELAY, abs=5e-3))}
     assert "4500 Pa" in found.note
     for run, before in zip(found.runs, data.runs, strict=True):
         assert np.abs(run.inputs[:, :6] - on_grid(before.inputs[:, :6])).max() < 1e-6
         assert (run.inputs[:, 6:] == before.inputs[:, 6:]).all()
-    for effect in found.effects:
-        for name, (low, high) in effect.ranges.items():
-            assert low < found.values[name] < high < low + 0.1
+    for name, (low, high) in found.lag.ranges.items():
+        assert low < found.values[name] < high < low + 0.1
+    both = next(c for c in found.among(Uncompiled().candidates) if c == found.lag), next(c for c in found.among([found.delay]))
+    assert [set(c.parameters) for c in both] == [set(found.values), {"time_delay.delay"}]
 
 
 def test_without_a_grid_commands_stay_as_they_are() -> None:
