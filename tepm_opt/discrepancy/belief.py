@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tepm_opt.discrepancy.constancy import Sizes
+from tepm_opt.discrepancy.constancy import Sizes, steadiness
 from tepm_opt.discrepancy.evidence import weights
 from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
 from tepm_opt.discrepancy.freeform.places import ALL, Place
@@ -16,7 +16,7 @@ from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate, everywhere
 from tepm_opt.discrepancy.rivals import SOME_RUNS
 from tepm_opt.discrepancy.search import Explanation
-from tepm_opt.discrepancy.several import EXPLAINED, MANY
+from tepm_opt.discrepancy.several import EXPLAINED, LITTLE, MANY
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks, widens
 from tepm_opt.solvers.hierarchy import clustering, off_centre
 from tepm_opt.solvers.identify import ParameterEstimate
@@ -24,13 +24,11 @@ from tepm_opt.solvers.network_plant import NetworkPlant
 
 CLEAR = 0.8  # probability from which an effect is named: that it is a cause, and it rather than its rivals
 POSSIBLE = 0.1  # probability from which a rival counts
-EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as likely as not a cause
 UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 NOISE_KNOWN = 0.015  # excess that noise which is a little more than was assumed may seem to be
 LEAST_EVEN = 1 / 6  # of its weight
-UNSURE_PART = 0.1  # part of what many effects take away that those may which are not sure enough to be named
 LISTED = 0.3  # probability from which what explains a part is told as such
 
 
@@ -119,7 +117,7 @@ def judged(
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
     holds = {effect: doubted[effect].holds if effect in doubted else 1.0 for effect in best.effects}
     shown = explanation.shown
-    one = {e: 1.0 if e in shown else holds[e] * _same(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
+    one = {e: 1.0 if e in shown else holds[e] * steadiness(constancy.get(e, {})) * _scatters(best.estimate, e) for e in best.effects}
     cause = {e: _cause(e, explanation, settings) * one[e] * _beside(e, one, explanation) for e in best.effects}
     cause |= {e: 1.0 for e in shown if e in cause}
     unclear = [group for group in explanation.groups.values() if group[0][1] < CLEAR]
@@ -157,7 +155,7 @@ def _nearly_all(explanation: Explanation, probability: Mapping[Candidate, float]
     """Whether of many effects those that are named take away nearly all that all of them do, and the others may well act."""
     unsure = [effect for effect, most in probability.items() if most < CLEAR]
     best = explanation.best
-    little = sum(explanation.shares[effect] for effect in unsure) * best.excess <= UNSURE_PART * (explanation.there_was - best.excess)
+    little = sum(explanation.shares[effect] for effect in unsure) * best.excess <= LITTLE * (explanation.there_was - best.excess)
     return len(best.effects) > MANY and little and min(probability.values()) >= LISTED
 
 
@@ -235,9 +233,3 @@ def _scatters(estimate: ParameterEstimate, effect: Candidate) -> float:
     names = list(effect.parameters)
     chances = [*clustering(estimate, plant.model.layout.modules, names), *off_centre(estimate, names)]
     return float(np.prod([1 / (1 + (UNLIKELY / max(chance, 1e-12)) ** 2) for chance in chances]))
-
-
-def _same(sizes: Mapping[str, Sizes]) -> float:
-    """Probability that what has these sizes in parts of the data is one cause: even odds where they spread by `EVEN_SPREAD`."""
-    most = max((each.spread for each in sizes.values()), default=0.0)
-    return 1 / (1 + (most / EVEN_SPREAD) ** 2)

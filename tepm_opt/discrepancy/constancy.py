@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.residuals import independent_after
 
+EVEN_SPREAD = 0.5  # spread of an effect's sizes over its size at which it is as likely as not a cause
 VISIBLE = 0.05  # mean square over the noise's that an effect must change a part of the data by to be sized there
 
 PARTITIONS: dict[str, Callable[[Cell], Hashable]] = {
@@ -47,6 +48,12 @@ def sizes(linear: Linearised, effect: Candidate) -> dict[str, Sizes]:
     """
     memory = _memory(linear)
     return {name: found for name, key in PARTITIONS.items() if (found := _by_part(linear, effect, key, memory)) is not None}
+
+
+def steadiness(found: Mapping[str, Sizes]) -> float:
+    """Probability that what has these sizes in parts of the data is one cause: even odds where they spread by `EVEN_SPREAD`."""
+    most = max((each.spread for each in found.values()), default=0.0)
+    return 1 / (1 + (most / EVEN_SPREAD) ** 2)
 
 
 def _by_part(linear: Linearised, effect: Candidate, key: Callable[[Cell], Hashable], memory: float) -> Sizes | None:

@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rivals import replacements
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide, most_probable, plainest
 from tepm_opt.discrepancy.screen import Score, screen_pairs
-from tepm_opt.discrepancy.several import FORM_ERROR_RATIO, MANY, rivals, settled, several
+from tepm_opt.discrepancy.several import FORM_ERROR_RATIO, MANY, grown, rivals, settled, several
 from tepm_opt.discrepancy.spans import longest, spans
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
@@ -89,19 +89,22 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     best = together or _forward(fits, base, missing, seed)
     if together is None:
         best = most_probable([best, *_at_once(fits, without, best, missing)], seed, 1)[0]
-    widest, visited = best, set[Effects]()
+    widest, visited, dropped = best, set[Effects](), set[Candidate]()
     while True:
+        dropped |= {*best.effects}
         best, shares, groups = _settled(fits, best, missing, seed)
+        dropped -= {*best.effects}
         for _ in range(settings.max_effects):
             weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
             better, weight = max(weakest, key=lambda pair: pair[1])
             if better is best or weight < 0.5:
                 break
             best, shares, groups = _settled(fits, fits.finished(better), missing, seed)
-        if best.effects in visited or fits.problem.plant.quick or len(best.effects) > MANY:
+        if best.effects in visited or fits.problem.plant.quick:
             break
         visited.add(best.effects)
-        onward = _forward(fits, best, missing, seed)
+        many = len(best.effects) > MANY
+        onward = grown(fits, best, [c for c in missing if c not in dropped]) if many else _forward(fits, best, missing, seed)
         if onward is best:
             break
         best = widest = onward

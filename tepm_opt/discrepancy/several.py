@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tepm_opt.discrepancy.constancy import sizes, steadiness
 from tepm_opt.discrepancy.evidence import weights
 from tepm_opt.discrepancy.first_order import Linearised
 from tepm_opt.discrepancy.fits import Effects, Fits, Hypothesis, may
@@ -27,6 +28,8 @@ EXPLAINED = 0.05  # part of the structure that many effects may leave to be look
 AT_MOST, AT_ONCE = 14, 5  # effects in all, and new ones at once
 FORM_ERROR_RATIO = 0.0025  # part of what the other effects take away that their forms may be wrong by (5 % of the size)
 STAYS = 0.25  # times what is left that an effect must take away to stay
+LITTLE = 0.1  # part of what many effects take away that those may which are not sure, or are dropped where they are fickle
+FICKLE = 0.3  # probability that an effect is of one size below which it is dropped where it takes away little
 AS_GOOD = 1.3  # times what is left that a rival in an effect's place may promise to leave, to be fitted
 
 
@@ -38,19 +41,32 @@ def several(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> Hypot
         base: what they stand beside.
         missing: the candidates.
     """
-    settings, best = fits.settings, base
-    while not (fits.problem.plant.quick or best.only_noise(settings)):
-        effects, start = pursued(fits, best, missing)
-        if len(effects) - len(best.effects) < (SEVERAL if best is base else 1):
-            break
-        came = {name for c in effects if c not in best.effects for name in c.parameters}
-        careful = {name: value if name in came else best.estimate.named.get(name, value) for name, value in start.items()}
-        found = fits.fit(effects, min((start, careful), key=lambda values: _cost(fits, effects, values)))
-        found = None if found is None else fits.finished(found)
-        if found is None or found.excess > (1 - settings.min_share_closed) * best.excess:
-            break
-        best = found
+    best = grown(fits, base, missing, SEVERAL)
+    while best is not base and (more := grown(fits, best, missing)) is not best:
+        best = more
     return None if best is base or best.excess > EXPLAINED * base.excess else best
+
+
+def grown(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], least: int = 1) -> Hypothesis:
+    """The fit with the effects that first order asks for beside a hypothesis; the hypothesis where they are too few, or help too little.
+
+    Args:
+        fits: all so far.
+        best: the hypothesis.
+        missing: the candidates.
+        least: number of effects that must be asked for.
+    """
+    settings = fits.settings
+    if fits.problem.plant.quick or best.only_noise(settings):
+        return best
+    effects, start = pursued(fits, best, missing)
+    if len(effects) - len(best.effects) < least:
+        return best
+    came = {name for c in effects if c not in best.effects for name in c.parameters}
+    careful = {name: value if name in came else best.estimate.named.get(name, value) for name, value in start.items()}
+    found = fits.fit(effects, min((start, careful), key=lambda values: _cost(fits, effects, values)))
+    found = None if found is None else fits.finished(found)
+    return best if found is None or found.excess > (1 - settings.min_share_closed) * best.excess else found
 
 
 def _cost(fits: Fits, effects: Effects, values: Mapping[str, float]) -> float:
@@ -77,7 +93,7 @@ def pursued(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> tuple
     gain, start = linear.gain(chosen)
     noise = fits.settings.max_noise_excess * float(linear.count.sum())
     while len(chosen) < min(AT_MOST, len(base.effects) + AT_ONCE) and (1 - gain) * linear.excess > noise:
-        able = [c for c in linear.able if c not in chosen and c.name != PARAMETER and may(c, chosen)]
+        able = [c for c in linear.able if c in missing and c not in chosen and c.name != PARAMETER and may(c, chosen)]
         promised = [(*linear.gain((*chosen, c)), c) for c in able]
         more, begin, first = max(promised, key=lambda each: each[0], default=(gain, start, None))
         if first is None or more - gain < SHARE * (1 - gain):
@@ -90,8 +106,9 @@ def pursued(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> tuple
 def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple[Hypothesis, dict[Candidate, float]]:
     """What is left of a fit once effects that do not stand out from what is left are dropped, the least needed first, and shares.
 
-    An effect that takes away no more than the others' forms may be wrong by is no effect of its own. A loss is told to first order, and
-    by a fit where it is to be dropped.
+    An effect that takes away no more than the others' forms may be wrong by is no effect of its own, nor one that takes away little and
+    is of another size in every run: it mends what the others' forms leave. A loss is told to first order, and by a fit where it is to be
+    dropped, or where first order asks for more than there was.
 
     Args:
         fits: all so far.
@@ -99,22 +116,28 @@ def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple
         missing: the candidates.
     """
     settings = fits.settings
+    without = fits.fit((), {})
+    most = without.excess if without else np.inf
     sure: dict[Candidate, float] = {}
     while True:
         linear, left = fits.linear(best, missing), best.excess + settings.max_noise_excess / 10
         costs = {effect: sure.get(effect, lost(linear, effect)) for effect in best.effects}
-        shares = dict.fromkeys(fits.seen, np.inf)
-        for effect, cost in costs.items():
-            if effect in fits.seen:
-                continue
-            mended = FORM_ERROR_RATIO * sum(max(costs[other], 0.0) for other in costs if other != effect)
-            shares[effect] = cost / left if cost >= max(settings.min_excess_removed, mended) else 0.0
+        for effect in (effect for effect, cost in costs.items() if cost > most and effect not in {*sure, *fits.seen}):
+            rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
+            costs[effect] = sure[effect] = most if rest is None else fits.finished(rest).excess - best.excess
+        whole = sum(max(cost, 0.0) for cost in costs.values())
+        shares, may_cost = dict.fromkeys(fits.seen, np.inf), {}
+        for effect in (effect for effect in best.effects if effect not in fits.seen):
+            cost, mended = costs[effect], FORM_ERROR_RATIO * (whole - max(costs[effect], 0.0))
+            fickle = cost <= LITTLE * whole and steadiness(sizes(linear, effect)) < FICKLE
+            may_cost[effect] = LITTLE * whole if fickle else STAYS * left
+            shares[effect] = cost / left if cost >= max(settings.min_excess_removed, mended) and not fickle else 0.0
         weakest = min(shares, key=lambda effect: (shares[effect], costs[effect]), default=None)
         if weakest is None or shares[weakest] >= STAYS or weakest in sure:
             return best, shares
         rest = fits.fit(tuple(c for c in best.effects if c != weakest), best.estimate.named)
         cost = np.inf if rest is None else fits.finished(rest).excess - best.excess
-        if rest is None or cost >= STAYS * left:
+        if rest is None or cost >= may_cost[weakest]:
             sure[weakest] = cost
         else:
             best, sure = fits.finished(rest), {}

@@ -22,6 +22,7 @@ from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
 LONG = 1e4  # of a small unit, from which on the SI unit is shown
+MOST_SIZES = 3  # effects whose sizes are said in the paragraph
 EVEN = 0.5  # probability from which an effect is said to be missing, not perhaps
 UNCLEAR = 2.0  # standard deviations within which a shape is not told from its usual one
 BEYOND = 1.2  # times the range fitted to, from which a run is said to leave it
@@ -57,12 +58,7 @@ def paragraph(
             f"On validation runs the error falls from {size(errors.nominal)} to {size(errors.recalibrated)} ({floor})."
         )
     if status in (VerdictStatus.NAMED, VerdictStatus.PARTIAL):
-        told = [
-            (f"{each.candidate.label} ({_values(each)}; probability {each.probability:.2f}{_in_runs(each)})", each.probability)
-            for each in named
-        ]
-        sure, unsure = " and ".join(text for text, p in told if p >= EVEN), " and ".join(text for text, p in told if p < EVEN)
-        names = "; perhaps also ".join(part for part in (sure, unsure) if part)
+        names = _names(named)
         head = "Missing" if status is VerdictStatus.NAMED else "Partly explained"
         return (
             f"{head}: {names}. {where} {shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
@@ -196,6 +192,16 @@ def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
 def unfitted(score: Score) -> str:
     """Why an effect was not fitted."""
     return f"to first order it could close {_percent(min(max(score.gain, 0.0), 1.0))} of the gap"
+
+
+def _names(named: Sequence[Named]) -> str:
+    """The effects with their sizes, or without where there are so many that nobody would read on; the table of effects has them."""
+    few, texts = len(named) <= MOST_SIZES, {True: list[str](), False: list[str]()}
+    for each in named:
+        sizes = f"{_values(each)}; probability " if few else ""
+        texts[each.probability >= EVEN].append(f"{each.candidate.label} ({sizes}{each.probability:.2f}{_in_runs(each)})")
+    names = "; perhaps also ".join((" and " if few else ", ").join(part) for part in texts.values() if part)
+    return names if few else f"{len(named)} effects, with their probabilities: {names}"
 
 
 def _in_runs(named: Named) -> str:

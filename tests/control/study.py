@@ -39,23 +39,24 @@ def model() -> CompiledModel:
 
 
 @lru_cache(maxsize=4)
-def reference(task: str, points: int = 32, move: float = 1.0) -> Reference:
-    """From rest: "points" (from each to the next in `move` s), "circle", "lissajous" or "hold"."""
+def reference(task: str, points: int = 32, move: float = 1.0, known: CompiledModel | None = None) -> Reference:
+    """From a model's rest: "points" (from each to the next in `move` s), "circle", "lissajous" or "hold"; the nominal model's if absent."""
+    known = known or model()
     if task == "points":
         tips, counted, number = point_by_point(circle().positions[:points], move, stay=3.0, taken=1.0)
-        lead = approach(model(), tips[0], APPROACH)
+        lead = approach(known, tips[0], APPROACH)
     else:
         if task == "hold":
             tips = np.repeat(circle().positions[:1], round((HOLD_AT + HOLD) / 0.01), axis=0)
             counted = np.ones(len(tips), dtype=bool)
         else:
             tips, counted = along(circle(400) if task == "circle" else lissajous(400))
-        lead = approach(model(), tips[0], APPROACH)
+        lead = approach(known, tips[0], APPROACH)
         lead = np.vstack([lead, np.repeat(tips[:1], round(PAUSE / 0.01), axis=0)])
         number = np.zeros(len(tips), dtype=int)
     before = len(lead)
     return reference_of(
-        model(), np.vstack([lead, tips]), np.concatenate([np.zeros(before, dtype=bool), counted]),
+        known, np.vstack([lead, tips]), np.concatenate([np.zeros(before, dtype=bool), counted]),
         np.concatenate([np.zeros(before, dtype=int), number]),
     )  # fmt: skip
 

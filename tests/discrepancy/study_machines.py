@@ -18,7 +18,6 @@ import numpy as np
 
 from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.reference import reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.imperfections import Imperfections
@@ -94,8 +93,8 @@ def shares(file: RigFile, folder: Path) -> dict[str, float]:
 
 def steered(file: RigFile, model: Model, task: str) -> float:
     """The true tip's error in mm rms, mean over noises."""
-    compiled, asked = compile_model(model), reference(task)
-    path, found = reference_of(compiled, asked.tips, asked.counted, asked.point), []
+    compiled, found = compile_model(model), []
+    path = reference(task, known=compiled)
     for noise in NOISES:
         rig = SimulatedRig(file)
         rig.reseed(noise)
