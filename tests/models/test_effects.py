@@ -170,6 +170,18 @@ def test_a_regulator_gives_no_less_than_nothing(kang):
         assert abs(solve_statics(model, u).points - solve_statics(kang, expected).points).max() < 1e-12
 
 
+@pytest.mark.parametrize("pressure", [-4e3, 4e3])
+def test_regulators_whose_zero_is_off_leave_the_robot_within_its_reach(pressure):
+    """Where tendons hold a tip by less force than none, regulators are far from their zeros; set points make up for them."""
+    values = {f"offset_{name}": pressure for name in Layout.of(NOMINAL.robot).actuator_names}
+    model = compile_model(NOMINAL.with_effect("actuator_scatter", one_sided=1.0, **values))
+    target = np.array([5e-3, 0.0, 0.345])
+    found = solve_ik(model, target)
+    assert found.solved
+    assert found.forces.min() < 0
+    assert abs(solve_statics(model, found.allocation.inputs).tip - target).max() < 1e-3  # set points are on a grid
+
+
 def test_scatter_is_gains_and_offsets_of_all_at_once():
     gains, offsets = 0.01 * np.arange(-3, 3), 1e3 * np.arange(6)
     names = Layout.of(NOMINAL.robot).actuator_names

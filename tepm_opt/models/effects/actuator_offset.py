@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from tepm_opt.models.effect import Context, Effect, Parameter, Properties
-from tepm_opt.models.effects.corners import offset
+from tepm_opt.models.effects.corners import regulated
 
 
 class ActuatorOffset(Effect):
@@ -16,7 +16,8 @@ class ActuatorOffset(Effect):
     A muscle whose rest length is off by d pushes by K_a d more, a regulator whose zero is off by p by A p. Positions cannot tell the
     two: for `kang2017` 1 kPa is 0.050 N or 0.14 mm, and 1 mm is 0.359 N or 7.1 kPa. A tendon's dynamometer with a wrong zero is a
     third form, with the sign turned round: 1 N of tension is -19.9 kPa. Where a regulator gives too little it still gives no less than
-    nothing: `one_sided` 1, which tells it from a rest length (0).
+    nothing: `one_sided` 1, which tells it from a rest length (0). That is a map of what is commanded; a rest length is a force that is
+    there beside it, which no threshold or slack cuts off.
     """
 
     name = "actuator_offset"
@@ -30,7 +31,12 @@ class ActuatorOffset(Effect):
         Parameter("one_sided", "1", null=0.0, probe=0.0, low=0.0, high=1.0, change=0.2),
     )
 
-    def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
-        # Not an input map: a threshold or a slack further down would cut off what is there without a command.
+    def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
         at = divmod(context.detail or 0, context.layout.actuators)
-        properties.pressure[at] = offset(properties.pressure[at], parameters["pressure"], parameters["one_sided"])
+        given = ca.SX(pressure)
+        given[at] = regulated(pressure[at], parameters["pressure"], parameters["one_sided"])
+        return given, tension
+
+    def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
+        at = divmod(context.detail or 0, context.layout.actuators)
+        properties.pressure[at] += (1 - parameters["one_sided"]) * parameters["pressure"]

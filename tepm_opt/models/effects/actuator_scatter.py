@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from tepm_opt.models.effect import Context, Effect, Parameter, Properties
-from tepm_opt.models.effects.corners import offset
+from tepm_opt.models.effects.corners import regulated
 from tepm_opt.models.layout import Layout
 
 
@@ -31,10 +31,11 @@ class ActuatorScatter(Effect):
         return (*gains, *offsets, Parameter("one_sided", "1", null=0.0, probe=0.0, low=0.0, high=1.0, change=0.2))
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
-        return pressure * (1 + _each(parameters, "gain", context.layout)), tension
+        given = pressure * (1 + _each(parameters, "gain", context.layout))
+        return regulated(given, _each(parameters, "offset", context.layout), parameters["one_sided"]), tension
 
     def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
-        properties.pressure = offset(properties.pressure, _each(parameters, "offset", context.layout), parameters["one_sided"])
+        properties.pressure = properties.pressure + (1 - parameters["one_sided"]) * _each(parameters, "offset", context.layout)
 
 
 def _each(parameters: Mapping[str, ca.SX], kind: str, layout: Layout) -> ca.SX:

@@ -36,7 +36,6 @@ def mean_ramp(signal: ca.SX, further: ca.SX, width: ca.SX) -> ca.SX:
     return ca.if_else(straight, ramp(signal + further / 2, width)[0], mean)
 
 
-def offset(pressure: ca.SX, by: ca.SX, one_sided: ca.SX) -> ca.SX:
-    """Pressures with a constant more; where `one_sided` is 1 they do not fall below 0, where it is 0 they do, without a corner."""
-    shifted = pressure + by
-    return shifted - one_sided * ca.fmin(shifted, 0)
+def regulated(pressure: ca.SX, by: ca.SX, one_sided: ca.SX) -> ca.SX:
+    """Pressures from regulators whose zeros are off: by a constant, but no less than nothing where `one_sided` is 1; not at all where 0."""
+    return pressure + one_sided * (ca.fmax(pressure + by, 0) - pressure)
