@@ -16,7 +16,7 @@ from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate, everywhere
 from tepm_opt.discrepancy.rivals import SOME_RUNS
 from tepm_opt.discrepancy.search import Explanation
-from tepm_opt.discrepancy.several import EXPLAINED, LITTLE, MANY
+from tepm_opt.discrepancy.several import LISTED, LITTLE, MANY, odds
 from tepm_opt.discrepancy.verdict import Errors, VerdictStatus, shrinks, widens
 from tepm_opt.solvers.hierarchy import clustering, off_centre
 from tepm_opt.solvers.identify import ParameterEstimate
@@ -28,8 +28,6 @@ UNEVEN = 0.3  # spread of sizes that is worth a remark
 UNLIKELY = 0.002  # chance of a pattern at which it is as likely as not that what scatters is something else
 GIVES_WAY = 0.7  # part of what is left that a force by place may leave beside a force of known form for that to be doubted
 NOISE_KNOWN = 0.015  # excess that noise which is a little more than was assumed may seem to be
-LEAST_EVEN = 1 / 6  # of its weight
-LISTED = 0.3  # probability from which what explains a part is told as such
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +205,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
     elif len(best.effects) > MANY:
-        even *= float(np.clip(best.excess / max(explanation.there_was, 1e-12) / EXPLAINED, LEAST_EVEN, 1))
+        even *= odds(best.excess, explanation.there_was)
     even *= SOME_RUNS if effect.runs else 1
     return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))
 

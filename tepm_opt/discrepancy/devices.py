@@ -19,13 +19,14 @@ from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.models.effects import find_effect
 
+PARTS = 8  # of the time between rows, or fine samples, in which stairs are looked at
 FINE = 4e-3  # s, of the simulated regulators
 FIRST, MOST = (0.01, 0.1, 0.1), (0.5, 10.0, 10.0)  # delay, filling and exhausting time in s: where the fit begins, and bounds
 CLEARER = 0.9  # part of the squares that a further property of a device must leave at most to be there
 ONLY_NOISE = 1.3  # times the gauge's noise, as differences from sample to sample show it, that may be left
 RANGE = 5.0  # standard deviations, and
 NEARLY = 0.02  # part of a time constant, within which it is sought on
-AT_ONCE = 2e-3  # s, by which a delay may be longer than gauges show: the body's own sluggishness looks like one
+AT_ONCE = 1e-3  # s, below which a delay is none, and by which it may be longer than gauges show: the body's sluggishness looks like one
 EVALUATIONS = 12
 
 
@@ -35,21 +36,22 @@ class DevicesSeen:
 
     Attributes:
         runs: all runs, with pressures on the grid where gauges show one.
-        lag: as a candidate, its values within the range that gauges leave; it is there.
-        values: of its parameters by full name.
-        delay: as a candidate that is no longer than gauges show. It may be shorter, or none: a gauge may be late itself.
+        shown: candidates that are there: a lag, its values within the range that gauges leave, and, where gauges show one, a delay that is
+            no longer than they do. It may be shorter: a gauge may be late itself.
+        values: of their parameters by full name.
+        delay: as a candidate of that range, shown or not.
         note: in a sentence, what was seen.
     """
 
     runs: tuple[Run, ...]
-    lag: Candidate
+    shown: tuple[Candidate, ...]
     values: dict[str, float]
     delay: Candidate
     note: str
 
     def among(self, missing: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Candidates, those of the devices within the ranges that gauges leave."""
-        narrowed = {known: known for known in (self.lag, self.delay)}
+        narrowed = {known: known for known in (*self.shown, self.delay)}
         return tuple(narrowed.get(candidate, candidate) for candidate in missing)
 
 
@@ -83,13 +85,18 @@ def devices_seen(dataset: RunSet, network: SearchableNetwork) -> DevicesSeen | N
         probes=tuple({n: probe[n] for n in names} for probe in lag.probes[:1]),
         ranges=ranges,
     )
-    longest = dict.fromkeys(delay.parameters, (0.0, best.delay + AT_ONCE))
+    late = replace(delay, ranges=dict.fromkeys(delay.parameters, (0.0, best.delay + AT_ONCE)))
+    shown, values = (known,), dict(zip(names, best.times, strict=True))
+    if best.delay > AT_ONCE:
+        shown, values = (known, late), values | dict.fromkeys(delay.parameters, best.delay)
+    after = f" after {best.delay:.3f} s" if late in shown else ""
+    stairs = f", on a grid of {best.grid:g} Pa" if best.grid else ""
     note = (
-        f"gauges show regulators that lag by {best.times[0]:.3g} s filling and {best.times[1]:.3g} s exhausting"
-        f"{f', on a grid of {best.grid:g} Pa' if best.grid else ''}; commands are taken as they take them"
+        f"gauges show regulators that lag by {best.times[0]:.3g} s filling and {best.times[1]:.3g} s exhausting{after}{stairs}; "
+        "commands are taken as they take them"
     )
     runs = tuple(_on_grid(run, columns, best.grid) for run in dataset.runs) if best.grid else dataset.runs
-    return DevicesSeen(runs, known, dict(zip(names, best.times, strict=True)), replace(delay, ranges=longest), note)
+    return DevicesSeen(runs, shown, values, late, note)
 
 
 def _declaring(candidates: Sequence[Candidate], hook: str) -> Candidate | None:
@@ -116,8 +123,21 @@ def _white(runs: Sequence[Run], columns: Sequence[int], signals: Signals) -> flo
 
 
 def _on_grid(run: Run, columns: Sequence[int], grid: float) -> Run:
+    """A run whose pressures are those of regulators that take set points on a grid.
+
+    Between rows these are stairs, whose steps may come at any time. A row has the mean of what stairs differ by about it, by the weights
+    with which what is linear between rows depends on it: what follows slowly then gets as much as from the stairs.
+    """
+    fine = (np.arange(PARTS) + 0.5) / PARTS
+    asked, lasts = run.inputs[:, columns], np.diff(run.time)
+    between = asked[:-1, None] + fine[:, None] * np.diff(asked, axis=0)[:, None]  # (rows - 1, parts, columns)
+    stairs = grid * np.round(between / grid)
+    means, weights = np.zeros_like(asked), np.zeros((run.rows, 1))
+    for rows, part in ((slice(0, -1), 1 - fine), (slice(1, None), fine)):
+        means[rows] += lasts[:, None] * np.einsum("kpc,p->kc", stairs - between, part) / PARTS
+        weights[rows] += lasts[:, None] / 2
     inputs = run.inputs.copy()
-    inputs[:, columns] = grid * np.round(inputs[:, columns] / grid)
+    inputs[:, columns] = np.clip(asked + means / np.maximum(weights, 1e-9), stairs.min(axis=(0, 1)), stairs.max(axis=(0, 1)))
     return replace(run, inputs=inputs)
 
 
@@ -145,14 +165,14 @@ class _Fit:
     def of(runs: Sequence[Run], columns: Sequence[int], signals: Signals, grid: float) -> _Fit:
         """Least squares; every gauge may have an offset and a gain of its own."""
         count = max(int((run.time[-1] - run.time[0]) / FINE) + 2 for run in runs)
-        readings = [_readings(run, columns, signals) for run in runs]
+        readings, fine = [_readings(run, columns, signals) for run in runs], FINE * np.arange(count)
+        within = (fine[:, None] + FINE * ((np.arange(PARTS) + 0.5) / PARTS - 1)).ravel()  # of the time before each sample
 
         def left(values: np.ndarray) -> np.ndarray:
             delay, filling, exhausting = values
-            fine = FINE * np.arange(count)
-            late = [[np.interp(run.time[0] + fine - delay, run.time, run.inputs[:, k]) for k in columns] for run in runs]
-            commands = np.concatenate(late)  # (runs · channels, fine samples)
-            followed = _followed(grid * np.round(commands / grid) if grid else commands, filling, exhausting)
+            asked = [np.interp(run.time[0] - delay + within, run.time, run.inputs[:, k]) for run in runs for k in columns]
+            stairs = grid * np.round(np.array(asked) / grid) if grid else np.array(asked)
+            followed = _followed(stairs.reshape(len(asked), count, PARTS).mean(axis=2), filling, exhausting)
             modelled = [
                 np.stack(
                     [np.interp(run.time - run.time[0], fine, row) for row in followed[k * len(columns) : (k + 1) * len(columns)]], axis=1
@@ -174,7 +194,7 @@ class _Fit:
 
 
 def _followed(commands: np.ndarray, filling: float, exhausting: float) -> np.ndarray:
-    """A first-order lag of set points held over every fine sample, (channels, samples)."""
+    """A first-order lag of set points held over the time before every fine sample, (channels, samples)."""
     up, down = (1 - np.exp(-FINE / max(time, 1e-6)) for time in (filling, exhausting))
     found = np.empty_like(commands)
     found[:, 0] = state = commands[:, 0]

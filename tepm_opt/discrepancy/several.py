@@ -27,9 +27,9 @@ SHARE = 0.1  # part of what is left that one more effect must promise to take aw
 EXPLAINED = 0.05  # part of the structure that many effects may leave to be looked at together: else something else acts
 AT_MOST, AT_ONCE = 14, 5  # effects in all, and new ones at once
 FORM_ERROR_RATIO = 0.0025  # part of what the other effects take away that their forms may be wrong by (5 % of the size)
-STAYS = 0.25  # times what is left that an effect must take away to stay
-LITTLE = 0.1  # part of what many effects take away that those may which are not sure, or are dropped where they are fickle
-FICKLE = 0.3  # probability that an effect is of one size below which it is dropped where it takes away little
+LEAST_ODDS = 1 / 6  # to which odds fall
+LISTED = 0.3  # probability from which an effect is told
+LITTLE = 0.1  # part of what many effects take away that those may which are not sure, or which are dropped
 AS_GOOD = 1.3  # times what is left that a rival in an effect's place may promise to leave, to be fitted
 
 
@@ -103,12 +103,20 @@ def pursued(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> tuple
     return tuple(chosen), {**base.estimate.named, **start}
 
 
+def odds(left: float, there_was: float) -> float:
+    """Part to which the odds against each of many effects fall that leave next to nothing of what there was.
+
+    What is left is what all their forms are wrong by together, so that each is the likelier.
+    """
+    return float(np.clip(left / max(there_was, 1e-12) / EXPLAINED, LEAST_ODDS, 1))
+
+
 def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple[Hypothesis, dict[Candidate, float]]:
     """What is left of a fit once effects that do not stand out from what is left are dropped, the least needed first, and shares.
 
-    An effect that takes away no more than the others' forms may be wrong by is no effect of its own, nor one that takes away little and
-    is of another size in every run: it mends what the others' forms leave. A loss is told to first order, and by a fit where it is to be
-    dropped, or where first order asks for more than there was.
+    What stays is likelier than `LISTED` to act, as far as it takes away more than is left, and more than the others' forms may be wrong by,
+    and is of one size in all runs: else it mends what the others leave. What takes away much stays in any case. A loss is told to first
+    order, and by a fit where the effect is to be dropped, or where first order asks for more than there was.
 
     Args:
         fits: all so far.
@@ -117,27 +125,29 @@ def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple
     """
     settings = fits.settings
     without = fits.fit((), {})
-    most = without.excess if without else np.inf
+    begun = fits.fit(fits.seen, {}) or without
+    most, there_was = (found.excess if found else np.inf for found in (without, begun))
     sure: dict[Candidate, float] = {}
     while True:
         linear, left = fits.linear(best, missing), best.excess + settings.max_noise_excess / 10
+        even = settings.even_odds_ratio * odds(best.excess, there_was)
         costs = {effect: sure.get(effect, lost(linear, effect)) for effect in best.effects}
         for effect in (effect for effect, cost in costs.items() if cost > most and effect not in {*sure, *fits.seen}):
             rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
             costs[effect] = sure[effect] = most if rest is None else fits.finished(rest).excess - best.excess
         whole = sum(max(cost, 0.0) for cost in costs.values())
-        shares, may_cost = dict.fromkeys(fits.seen, np.inf), {}
+        shares, steady, acts = dict.fromkeys(fits.seen, np.inf), {}, {}
         for effect in (effect for effect in best.effects if effect not in fits.seen):
             cost, mended = costs[effect], FORM_ERROR_RATIO * (whole - max(costs[effect], 0.0))
-            fickle = cost <= LITTLE * whole and steadiness(sizes(linear, effect)) < FICKLE
-            may_cost[effect] = LITTLE * whole if fickle else STAYS * left
-            shares[effect] = cost / left if cost >= max(settings.min_excess_removed, mended) and not fickle else 0.0
-        weakest = min(shares, key=lambda effect: (shares[effect], costs[effect]), default=None)
-        if weakest is None or shares[weakest] >= STAYS or weakest in sure:
+            shares[effect] = cost / left if cost >= max(settings.min_excess_removed, mended) else 0.0
+            steady[effect] = steadiness(sizes(linear, effect))
+            acts[effect] = steady[effect] * shares[effect] / (shares[effect] + even)
+        weakest = min(acts, key=lambda effect: (acts[effect], costs[effect]), default=None)
+        if weakest is None or acts[weakest] >= LISTED or weakest in sure:
             return best, shares
         rest = fits.fit(tuple(c for c in best.effects if c != weakest), best.estimate.named)
         cost = np.inf if rest is None else fits.finished(rest).excess - best.excess
-        if rest is None or cost >= may_cost[weakest]:
+        if rest is None or cost >= LITTLE * whole or steady[weakest] * cost >= LISTED * (cost + even * left):
             sure[weakest] = cost
         else:
             best, sure = fits.finished(rest), {}

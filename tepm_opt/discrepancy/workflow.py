@@ -110,7 +110,7 @@ def discover(
         noise, scattering = _noise_seen(first, noise, plant.signals)
         remarks += scattering
         done = first.done if np.all(noise == problem.noise) else {}
-        shown, values = ((), {}) if seen is None else ((seen.lag,), seen.values)
+        shown, values = ((), {}) if seen is None else (seen.shown, seen.values)
         fits = Fits(replace(first.problem, noise=noise), settings, store, key, progress, shown, values, done)
         del first  # its fits are as large as the data
         possible = _possible(fits, missing, plant.signals, seed) if seen is None else seen.among(missing)

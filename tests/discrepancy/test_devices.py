@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
@@ -69,15 +70,37 @@ def test_grid_lag_and_delay() -> None:
     found = seen(data)
     assert found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.02)
     assert found.values["regulator_lag.exhausting_time"] == pytest.approx(EXHAUSTING, rel=0.02)
-    assert found.delay.ranges == {"time_delay.delay": (0.0, pytest.approx(DELAY, abs=5e-3))}
+    assert found.values["time_delay.delay"] == pytest.approx(DELAY, abs=1e-3)
+    assert found.delay.ranges == {"time_delay.delay": (0.0, pytest.approx(DELAY, abs=2e-3))}
     assert "4500 Pa" in found.note
-    for run, before in zip(found.runs, data.runs, strict=True):
-        assert np.abs(run.inputs[:, :6] - on_grid(before.inputs[:, :6])).max() < 1e-6
-        assert (run.inputs[:, 6:] == before.inputs[:, 6:]).all()
-    for name, (low, high) in found.lag.ranges.items():
+    lag, late = found.shown
+    assert late is found.delay
+    assert set(found.values) == {*lag.parameters, *late.parameters}
+    for name, (low, high) in lag.ranges.items():
         assert low < found.values[name] < high < low + 0.1
-    both = next(c for c in found.among(Uncompiled().candidates) if c == found.lag), next(c for c in found.among([found.delay]))
-    assert [set(c.parameters) for c in both] == [set(found.values), {"time_delay.delay"}]
+    assert {c for c in found.among(Uncompiled().candidates) if c.ranges} >= {lag, late}
+
+
+def test_without_a_delay_none_is_there() -> None:
+    found = seen(gauged(on_grid, delay=0.0))
+    assert len(found.shown) == 1
+    assert found.delay.ranges == {"time_delay.delay": (0.0, pytest.approx(1e-3, abs=1e-3))}
+
+
+def test_what_follows_slowly_gets_as_much_as_from_stairs() -> None:
+    """Stairs behind a lag against the rows that stand for them, linear between, behind the same; rounded rows are at least twice as far off."""
+    data = gauged(on_grid)
+    for run, before in zip(seen(data).runs, data.runs, strict=True):
+        assert (run.inputs[:, 6:] == before.inputs[:, 6:]).all()
+        fine = np.arange(run.time[0], run.time[-1], 1e-3)
+
+        def behind(values: np.ndarray) -> np.ndarray:
+            return lfilter([0.01], [1, -0.99], values - values[0])  # 0.1 s
+
+        for k in range(6):
+            stairs = behind(on_grid(np.interp(fine, run.time, before.inputs[:, k])))
+            found, rounded = (behind(np.interp(fine, run.time, rows)) for rows in (run.inputs[:, k], on_grid(before.inputs[:, k])))
+            assert np.std(found - stairs) < np.std(rounded - stairs) / 2
 
 
 def test_without_a_grid_commands_stay_as_they_are() -> None:
