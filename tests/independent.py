@@ -127,7 +127,8 @@ def solve_with_effect(effect: Effect, parameters, detail, inputs, tip_force, sta
     own = {name: ca.SX(float(value)) for name, value in {**parameters, CLOCK: time, BEGAN: time}.items()}
     pressure, tension = (ca.SX(ca.DM(part)) for part in np.reshape(inputs, (2, network.modules, network.actuators)))
     pressure, tension = effect.inputs(pressure, tension, own, context)
-    pressure = pressure + effect.pressure_begun(pressure, own, context)
+    begun = effect.pressure_begun(ca.repmat(pressure, effect.branches, 1), own, context)
+    pressure = pressure + sum(ca.vertsplit(begun, network.modules))
     damping = np.full(network.rest.T.shape, 15.50)
     arrays = (ca.SX(ca.DM(array)) for array in (network.stiffness.T, damping, network.rest.T, network.mass))
     properties = Properties(*arrays, pressure, tension)

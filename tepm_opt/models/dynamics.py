@@ -15,7 +15,7 @@ import casadi as ca
 from tepm_opt.models.effect import CLOCK, Effect
 from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.model import Model
-from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread
+from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread, summed
 
 PRESSURE = 0  # of [pressures, tensions]
 
@@ -96,15 +96,18 @@ def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
         for which, remembers in enumerate((kind.pressure_memory, kind.tension_memory)):
             if not kind.has(remembers.__name__):
                 continue
-            state = ca.SX.sym("y", half)
-            y = writer.actuators(state)
+            count = kind.branches if which == PRESSURE else 1
+            state = ca.SX.sym("y", count * half)
+            y = ca.vertcat(*(writer.actuators(each) for each in ca.vertsplit(state, half)))
+            at, passing = (ca.repmat(part[which], count, 1) for part in (signal, speed))
             begun, last = ca.SX.zeros(*y.shape), ca.SX.zeros(*y.shape)  # what y is counted from, now and when `time` began
             if which == PRESSURE and kind.has("pressure_begun"):
-                begun, last = (kind.pressure_begun(at, own, context) for at in (signal[0], signal[0] - time * speed[0]))
-            memory = remembers(signal[which], speed[which], last + y, own, context)
+                begun, last = (kind.pressure_begun(there, own, context) for there in (at, at - time * passing))
+            memory = remembers(at, passing, last + y, own, context)
             if memory is not None:
                 reached = memory.after(last + y, time)
-                signal[which], speed[which] = signal[which] + reached, speed[which] + (reached - last - y) / time
+                signal[which] = signal[which] + summed(reached, count)
+                speed[which] = speed[which] + summed(reached - last - y, count) / time
                 before.append(state)
                 after.append(ca.vec((reached - begun).T))
     a = ca.vertcat(*(ca.vec(part.T) for part in signal))

@@ -115,6 +115,9 @@ class Effect:
         corners: whether what it does to the properties has corners along the inputs.
         delays_forces: whether its delay is one of known forces, too.
         further_probes: values by name, where its parameters' probes are not all that one would look for it at.
+        branches: states of each pressure, whose sum acts; `pressure_memory` and `pressure_begun` are given, and give, blocks of modules
+            below each other, (branches · modules, actuators).
+        of_device: whether a device does it, so that it acts on commands before anything else does, however effects are listed.
         feels_tension: whether its edge memory asks for the tendons' tension.
         timed: whether it asks what time it is; `parameters` then has `CLOCK` and `BEGAN`, too.
         happens: the parameter that is the instant of the session at which it begins to act for good; empty where it has none.
@@ -128,6 +131,8 @@ class Effect:
     smooth: ClassVar[bool] = True
     exact: ClassVar[bool] = False
     corners: ClassVar[bool] = False
+    branches: ClassVar[int] = 1
+    of_device: ClassVar[bool] = False
     feels_tension: ClassVar[bool] = False
     timed: ClassVar[bool] = False
     happens: ClassVar[str] = ""
@@ -230,22 +235,22 @@ class Effect:
     def pressure_memory(
         self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context
     ) -> Memory | Play | None:
-        """Internal state y of every pressure, (modules, actuators) in Pa; the effective pressure is pressure + y.
+        """Internal states y of every pressure, (branches · modules, actuators) in Pa; the effective pressure is pressure + their sum.
 
         Args:
-            pressure: what this effect's input map has left, (modules, actuators) in Pa.
-            rate: of this pressure, (modules, actuators) in Pa/s.
-            state: y before these act, (modules, actuators) in Pa.
+            pressure: what this effect's input map has left, (branches · modules, actuators) in Pa.
+            rate: of this pressure, (branches · modules, actuators) in Pa/s.
+            state: y before these act, (branches · modules, actuators) in Pa.
             parameters: the effect's own by name, SI symbols.
             context: what else it may know.
         """
         return None
 
     def pressure_begun(self, pressure: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
-        """State of the pressure memory in statics and where a run begins, (modules, actuators) in Pa.
+        """States of the pressure memory in statics and where a run begins, (branches · modules, actuators) in Pa.
 
         Args:
-            pressure: what this effect's input map has left, (modules, actuators) in Pa.
+            pressure: what this effect's input map has left, (branches · modules, actuators) in Pa.
             parameters: the effect's own by name, SI symbols.
             context: what else it may know.
         """

@@ -28,7 +28,7 @@ class Model:
     Attributes:
         robot: from the robot file.
         parameters: what differs from the robot file, by name, SI.
-        effects: additional effects, in the order they act.
+        effects: additional effects, in the order they act; those of devices act before the others.
         source: name or path by which a model file refers to the robot; models that differ only in it are equal.
     """
 

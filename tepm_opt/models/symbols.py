@@ -49,7 +49,7 @@ class Writer:
             return kind, own, Context(layout, index, self.rotation, self.position, gravity)
 
         self.effects = [active(kind, kind.name, None) for kind in STANDARD]
-        for effect in model.effects:
+        for effect in sorted(model.effects, key=lambda each: not find_effect(each.name).of_device):
             self.effects.append(active(find_effect(effect.name), effect.label, effect.detail))
 
         self.numbered = any(kind.has(hook) for kind, _, _ in self.effects for hook in POINT_HOOKS)
@@ -74,7 +74,7 @@ class Writer:
         pressure, tension = self.actuators(u[:half]), self.actuators(u[half:])
         for kind, own, context in self.effects:
             pressure, tension = kind.inputs(pressure, tension, own, context)
-            pressure = pressure + kind.pressure_begun(pressure, own, context)
+            pressure = pressure + summed(kind.pressure_begun(ca.repmat(pressure, kind.branches, 1), own, context), kind.branches)
         return u, ca.vertcat(ca.vec(pressure.T), ca.vec(tension.T))
 
     def properties(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -226,6 +226,11 @@ class PointForce:
     force: ca.SX
     stiffness: ca.SX
     damping: ca.SX
+
+
+def summed(blocks: ca.SX, count: int) -> ca.SX:
+    """Sum of as many blocks of rows, which are below each other."""
+    return sum(ca.vertsplit(blocks, blocks.shape[0] // count), start=ca.SX(0))
 
 
 def norm(vector: ca.SX) -> ca.SX:

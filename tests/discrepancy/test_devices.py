@@ -88,7 +88,7 @@ def test_without_a_delay_none_is_there() -> None:
 
 
 def test_what_follows_slowly_gets_as_much_as_from_stairs() -> None:
-    """Stairs behind a lag against the rows that stand for them, linear between, behind the same; rounded rows are at least twice as far off."""
+    """Stairs behind a lag against the rows that stand for them, linear between, behind the same; rounded rows are twice as far off."""
     data = gauged(on_grid)
     for run, before in zip(seen(data).runs, data.runs, strict=True):
         assert (run.inputs[:, 6:] == before.inputs[:, 6:]).all()

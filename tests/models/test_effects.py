@@ -222,7 +222,7 @@ def test_a_tendons_gain_leaves_its_muscle_alone():
 
 def muscle_pressures(model, path, duration=0.02):
     """Effective pressure of muscle 11 along commanded pressures, (rows,), each reached linearly after a duration in s."""
-    y, found = np.zeros(6), [path[0]]
+    y, found = np.zeros(model.reference_stepper.dynamics.input_states), [path[0]]
     for before, now in pairwise(path):
         inputs, rate = np.zeros(12), np.zeros(12)
         inputs[0], rate[0] = now, (now - before) / duration
@@ -275,17 +275,48 @@ def test_a_hysteresis_may_be_uneven():
 
 
 def test_a_hysteresis_that_sticks_leaves_the_force_where_it_is():
-    """On a reversal, over most of the loop's width, as many plays do; without sticking it comes back at once."""
+    """On a reversal, over most of the loop's width; without sticking it comes back at once. One play is all three of no spread."""
     path = np.concatenate([np.linspace(0, 2e5, 201), np.linspace(2e5, 1e5, 101)[1:]])
     held = {}
     for sticking, distance in ((0.0, 4e3), (1.0, 1e3)):
-        model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=distance, sticking=sticking))
+        model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=distance, sticking=sticking, spread=0.0))
         found = muscle_pressures(model, path)
         assert found[200] == pytest.approx(1.96e5, rel=1e-4)
         assert found[-1] == pytest.approx(1.04e5, rel=1e-4)
         held[sticking] = found[200] - found[204]  # after half of the width
     assert held[1.0] == pytest.approx(0, abs=100)
     assert held[0.0] < -1000, "two widths over the distance is more than the command itself goes back"
+
+
+def test_plays_remember_reversals_within_reversals() -> None:
+    """Against the mean of three play operators that are narrower and wider by half of the width, round and round within a loop."""
+    path = np.concatenate([np.linspace(0, 2e5, 401), np.linspace(2e5, 1.9e5, 41)[1:], np.linspace(1.9e5, 1.96e5, 25)[1:]])
+    path = np.concatenate([path, np.linspace(1.96e5, 1.8e5, 65)[1:], np.linspace(1.8e5, 2.1e5, 121)[1:]])
+    model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=6e3, distance=50.0, sticking=1.0, spread=0.5))
+    found = muscle_pressures(model, path)
+    plays, expected = np.zeros(3), []
+    for value in path:
+        plays = np.clip(plays, value - 6e3 * np.array([0.5, 1.0, 1.5]), value + 6e3 * np.array([0.5, 1.0, 1.5]))
+        expected.append(plays.mean())
+    late = np.arange(len(path)) > 100  # begun in the middle of the loop, not as if filled
+    np.testing.assert_allclose(found[late], np.array(expected)[late], atol=100)
+
+
+def test_devices_act_before_the_muscle_however_effects_are_listed() -> None:
+    """A play follows what the regulator has let in, not what was commanded."""
+    lag, hysteresis = {"filling_time": 0.2, "exhausting_time": 0.2}, {"width": 6e3, "distance": 50.0, "sticking": 1.0, "spread": 0.0}
+    path = np.concatenate([[0.0], np.full(200, 1e5), np.full(60, 8e4)])
+    found = [
+        muscle_pressures(in_python(model), path)
+        for model in (
+            NOMINAL.with_effect("regulator_lag", **lag).with_effect("pressure_hysteresis", **hysteresis),
+            NOMINAL.with_effect("pressure_hysteresis", **hysteresis).with_effect("regulator_lag", **lag),
+        )
+    ]
+    np.testing.assert_array_equal(*found)
+    inside = 8e4 + 2e4 * np.exp(-0.02 * np.arange(60) / 0.2)
+    stays = np.minimum(1e5 - 6e3, inside + 6e3)  # until the pressure has fallen by twice the width
+    np.testing.assert_allclose(found[0][-59:], stays[1:], atol=400)
 
 
 def test_what_is_far_behind_a_limit_comes_back():
@@ -435,11 +466,11 @@ def test_slack_that_is_hardly_taken_up_is_as_good_as_constant():
 
 def test_a_muscle_filled_from_zero_begins_below_its_middle():
     """Statics and the first sample of a run alike; from there a run goes on as if it had come from zero."""
-    model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=1e4, filled=1.0))
+    model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=1e4, filled=1.0, spread=0.0))
     u, still = np.append(np.array([0, 1e4, 3e4, 2e5, 0, 5e4]), np.zeros(6)), np.zeros(12)
     below = -4e3 * (1 - np.exp(-u[:6] / 1e4))
     np.testing.assert_allclose(model.statics.actuation(u, model.theta)[:6], u[:6] + below, rtol=1e-6)
-    a, y = (part.ravel() for part in model.reference_stepper.values("input_motion", u, still, np.zeros(6), 0.1, model.theta))
+    a, y = (part.ravel() for part in model.reference_stepper.values("input_motion", u, still, np.zeros(18), 0.1, model.theta))
     np.testing.assert_allclose(a[:6], u[:6] + below, rtol=1e-6)
     np.testing.assert_allclose(y, 0, atol=1e-9)
     rate = np.append(np.full(6, 1e4), np.zeros(6))

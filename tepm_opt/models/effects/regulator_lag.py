@@ -24,6 +24,7 @@ class RegulatorLag(Effect):
     """
 
     name = "regulator_lag"
+    of_device = True
     explains = "the regulators fill and empty with a time constant"
     reference = "Richer and Hurmuzlu, A high performance pneumatic force actuator system, ASME JDSMC 122 (2000), small signals"
     parameters = (

@@ -21,6 +21,7 @@ class RegulatorLeak(Effect):
     """
 
     name = "regulator_leak"
+    of_device = True
     explains = "one valve or muscle leaks"
     reference = "orifice of ISO 6358-1:2013, with a laminar beginning"
     detail = "actuator"
