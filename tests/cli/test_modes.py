@@ -41,7 +41,7 @@ def test_files(tepm: Command, here: Path) -> None:
     write_model(sticky, here / "m.toml")
     done = tepm("modes", *BENT, "--model", "m.toml", "--from", "pressure_11,force_s4_x", "--to", "s4,length_11", "--out", "out")
     assert (done.status, done.err) == (0, "")
-    assert "42 eigenvalues are 0" in done.out
+    assert "54 eigenvalues are 0" in done.out
     assert "36 modes, memory of the muscles" in done.out
     assert "5 ms late" in done.out
     files = names_in(here / "out")

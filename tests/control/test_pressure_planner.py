@@ -201,7 +201,7 @@ def test_hysteresis_trails_by_its_width():
     effects = InputEffects(model, np.concatenate([actuators.pressure, actuators.tension]))
     assert effects.forces == pytest.approx(np.zeros(6))
     for change, sign in ((1e3, -1), (-1e3, 1)):
-        for _ in range(100):
+        for _ in range(150):  # ten times the distance of the widest play
             actuators.pressure = actuators.pressure + change
             effects.advance(actuators, 0.01)
         assert effects.forces == pytest.approx(sign * AREA * width, rel=1e-3)

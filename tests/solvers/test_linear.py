@@ -90,10 +90,10 @@ def test_small_motion_is_that_of_the_simulation(name, rising):
 def test_sticking_friction_is_a_spring():
     linear = linearise(held("friction"))
     kinds = linear.kinds[linear.held].tolist()
-    assert (kinds.count("edge"), kinds.count("input")) == (36, 6)  # friction, and the hysteresis that has no width here
-    assert (abs(np.linalg.eigvals(linear.A)) < 1e-6).sum() == 42
+    assert (kinds.count("edge"), kinds.count("input")) == (36, 18)  # friction, and the hysteresis that has no width here
+    assert (abs(np.linalg.eigvals(linear.A)) < 1e-6).sum() == 54
     moving = linear.moving()
-    assert len(moving.A) == len(linear.A) - 42
+    assert len(moving.A) == len(linear.A) - 54
     assert np.linalg.eigvals(moving.A).real.max() < -0.1
     assert not moving.held.any()
     slack, stuck = (of.select("pressure", "s4").gain(scaled=True) for of in (linearise(held("lag")), linear))
