@@ -48,7 +48,7 @@ def test_files(tepm: Command, here: Path) -> None:
     assert files == {"modes.csv", "state_space.mat", "summary.json", "modes.png", "bode.png", "step.png"}
     assert all((here / "out" / name).read_bytes().startswith(PNG) for name in files if name.endswith(".png"))
     told = summary(here / "out", "modes")
-    assert told["states_with_eigenvalue_0"] == 42
+    assert told["states_with_eigenvalue_0"] == 54
     assert told["reduced"]["outputs"] == ["s4_x", "s4_y", "s4_z", "length_11"]
     assert told["reduced"]["error_bound_m_per_range"] <= 1e-3
     with (here / "out" / "modes.csv").open(newline="", encoding="utf-8") as file:
