@@ -58,7 +58,7 @@ def test_files(tepm: Command, here: Path) -> None:
     assert float(sway["damping"]) == pytest.approx(0.03, abs=0.02)
     assert "s4_z" in sway
     space = loadmat(here / "out" / "state_space.mat", squeeze_me=True)
-    assert space["A"].shape == (258, 258)  # 300 less 42 that stick
+    assert space["A"].shape == (258, 258)  # 312 less 54 that stick
     assert list(space["input_names"][[0, 11, -1]]) == ["pressure_11", "tension_23", "force_s4_z"]
     assert space["output_names"][-1] == "length_23"
     assert float(space["delay_s"]) == pytest.approx(0.005)
