@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from tepm_opt.models.effect import Context, Effect, Parameter, Properties
-from tepm_opt.models.effects.corners import regulated
+from tepm_opt.models.effects.corners import no_less_than_nothing
 from tepm_opt.models.layout import Layout
 
 
@@ -32,10 +32,10 @@ class ActuatorScatter(Effect):
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
         given = pressure * (1 + _each(parameters, "gain", context.layout))
-        return regulated(given, _each(parameters, "offset", context.layout), parameters["one_sided"]), tension
+        return no_less_than_nothing(given, _each(parameters, "offset", context.layout), parameters["one_sided"]), tension
 
     def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
-        properties.pressure = properties.pressure + (1 - parameters["one_sided"]) * _each(parameters, "offset", context.layout)
+        properties.pressure = properties.pressure + _each(parameters, "offset", context.layout)
 
 
 def _each(parameters: Mapping[str, ca.SX], kind: str, layout: Layout) -> ca.SX:

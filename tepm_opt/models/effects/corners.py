@@ -36,6 +36,6 @@ def mean_ramp(signal: ca.SX, further: ca.SX, width: ca.SX) -> ca.SX:
     return ca.if_else(straight, ramp(signal + further / 2, width)[0], mean)
 
 
-def regulated(pressure: ca.SX, by: ca.SX, one_sided: ca.SX) -> ca.SX:
-    """Pressures from regulators whose zeros are off: by a constant, but no less than nothing where `one_sided` is 1; not at all where 0."""
-    return pressure + one_sided * (ca.fmax(pressure + by, 0) - pressure)
+def no_less_than_nothing(pressure: ca.SX, by: ca.SX, one_sided: ca.SX) -> ca.SX:
+    """Pressures to which a constant is added later: as much more as the sum, where `one_sided` is 1, does not fall below 0."""
+    return pressure + one_sided * ca.fmax(-(pressure + by), 0)

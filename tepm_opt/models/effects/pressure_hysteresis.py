@@ -10,7 +10,7 @@ from tepm_opt.models.effect import Context, Effect, Parameter
 from tepm_opt.models.memories import Play
 
 NO_STICKING = 1e-6  # keeps quotients finite; Dahl's form to a millionth
-NARROWER = (-1, 0, 1)  # by how many times `spread` the plays are wider
+WIDER = (-1, 0, 1)  # times `spread`, by which each of the plays is wider
 
 
 class PressureHysteresis(Effect):
@@ -26,14 +26,14 @@ class PressureHysteresis(Effect):
     name = "pressure_hysteresis"
     explains = "the muscles' force lags pressure reversals, independent of rate"
     reference = "Bouc-Wen; Ikhouane and Rodellar, Systems with Hysteresis, 2007, ch. 2; plays: Brokate and Sprekels, 1996, ch. 2"
-    branches = len(NARROWER)
+    branches = len(WIDER)
     parameters = (
         Parameter("width", "Pa", null=0.0, probe=5e3, low=0.0, high=1e6),
         Parameter("distance", "Pa", null=2e4, probe=2e4, low=50.0, high=1e6),
         Parameter("falling_ratio", "1", null=1.0, probe=1.0, low=0.0, high=10.0),
         Parameter("filled", "1", null=0.0, probe=0.0, low=-1.0, high=1.0, change=0.3),
         Parameter("sticking", "1", null=0.0, probe=0.0, low=0.0, high=4.0, change=0.3),
-        Parameter("spread", "1", null=0.5, probe=0.5, low=0.0, high=0.95, change=0.3),
+        Parameter("spread", "1", null=0.5, probe=0.5, low=0.0, high=0.95, change=0.3, finer=True),
     )
     further_probes = ({"distance": 5e3},)
 
@@ -45,7 +45,7 @@ class PressureHysteresis(Effect):
         return self._play(rate, rate > 0, parameters, context)
 
     def _play(self, rate: ca.SX, rising: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
-        scales = ca.vertcat(*(ca.repmat(1 + by * parameters["spread"], context.layout.modules, rate.shape[1]) for by in NARROWER))
-        limit = parameters["width"] * scales / len(NARROWER) * ca.if_else(rising, -1, parameters["falling_ratio"])
-        quicker = 1 / (parameters["sticking"] + NO_STICKING) / len(NARROWER)
+        scales = ca.vertcat(*(ca.repmat(1 + by * parameters["spread"], context.layout.modules, rate.shape[1]) for by in WIDER))
+        limit = parameters["width"] * scales / len(WIDER) * ca.if_else(rising, -1, parameters["falling_ratio"])
+        quicker = 1 / (parameters["sticking"] + NO_STICKING) / len(WIDER)
         return Play(limit, rising, quicker * ca.if_else(rising, rate, -rate), quicker * parameters["distance"] * scales)
