@@ -68,32 +68,42 @@ class Saturating(Memory):
 class Play:
     """An internal state of an input that goes against the input's changes until it reaches a limit, where it stays, elementwise.
 
-    The play or backlash operator, its corner rounded: with the part e that is left to the limit,
-    de/ds = -(1 - exp(-e / corner)) over the path s of the input.
+    Of the part e that is left to the limit, de/ds = -(1 - exp(-sticking e / distance)) / sticking over the path s of the input: an
+    exponential for no sticking, the play or backlash operator with a round corner for 1.
 
     Attributes:
         limit: for the way the input goes now.
         rising: whether the input rises, so that the state falls.
         pace: the input's absolute rate.
-        corner: over which sticking turns into following, above 0, in the input's unit.
+        distance: over which the state comes to its limit, above 0, in the input's unit.
+        sticking: 0 and above.
     """
 
     limit: ca.SX
     rising: ca.SX
     pace: ca.SX
-    corner: ca.SX
+    distance: ca.SX
+    sticking: ca.SX
 
     def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
-        """y after a time at whose end the limit is this one: exact for a limit that stays."""
+        """y after a time at whose end the limit is this one: exact for a limit that stays.
+
+        Where sticking hardly matters it is a series in it, which no quotient by it spoils.
+        """
         sense = ca.if_else(self.rising, 1.0, -1.0)
-        left, path = sense * (state - self.limit) / self.corner, time * self.pace / self.corner
-        near = ca.exp(-path) * ca.expm1(ca.fmax(ca.fmin(left, 1), -BEYOND))
-        far = ca.exp(ca.fmin(left - path, STRAIGHT)) - ca.exp(-path)
+        e, path = sense * (state - self.limit), time * self.pace / self.distance
+        left, kept = self.sticking * e / self.distance, ca.exp(-path)
+        matters = ca.fabs(left) > HARDLY
+        near = kept * ca.expm1(ca.fmax(ca.fmin(left, 1), -BEYOND))
+        far = ca.exp(ca.fmin(left - path, STRAIGHT)) - kept
         rounded = ca.log1p(ca.if_else(left < 1, near, far))
-        return self.limit + sense * self.corner * ca.if_else(left - path > STRAIGHT, left - path, rounded)
+        bent = self.distance / ca.if_else(matters, self.sticking, 1) * ca.if_else(left - path > STRAIGHT, left - path, rounded)
+        series = kept * e * (1 + (1 - kept) * left / 2 * (1 + (1 - 2 * kept) * left / 3))
+        return self.limit + sense * ca.if_else(matters, bent, series)
 
 
 SHORTEST = 1e-12  # keeps quotients finite where a scale vanishes
 TINY = 1e-30
+HARDLY = 1e-4  # e sticking / distance up to which a series to the third order is as good
 BEYOND = 20.0  # corners behind a limit from where a state comes back at once
 STRAIGHT = 40.0  # corners before a limit beyond which nothing is felt of it

@@ -9,7 +9,6 @@ import casadi as ca
 from tepm_opt.models.effect import Context, Effect, Parameter
 from tepm_opt.models.memories import Play
 
-NO_STICKING = 1e-6  # keeps quotients finite; Dahl's form to a millionth
 WIDER = (-1, 0, 1)  # times `spread`, by which each of the plays is wider
 
 
@@ -17,10 +16,10 @@ class PressureHysteresis(Effect):
     """Effective pressure trails by `width` after travelling some `distance` since the last reversal.
 
     Three plays beside each other share it (Prandtl-Ishlinskii), one narrower and one wider by a part `spread`, in width and distance:
-    reversals within reversals are then remembered. What is left to where a play trails falls by
-    de/ds = -(1 - exp(-sticking e / distance)) / sticking over the path: without sticking that is Bouc-Wen with exponent 1, with 1 a play
-    with a round corner, the force at first staying where it is. On the way down it is above by `falling_ratio` times the width that it is
-    below on the way up. A run begins on the curve of a muscle filled from zero where `filled` is 1, as far above the middle where it is -1.
+    reversals within reversals are then remembered. Without `sticking` what is left to where they trail fades exponentially (Bouc-Wen with
+    exponent 1), with 1 it is a play with a round corner, the force at first staying where it is (see `memories.Play`). On the way down it
+    is above by `falling_ratio` times the width that it is below on the way up. A run begins on the curve of a muscle filled from zero
+    where `filled` is 1, as far above the middle where it is -1.
     """
 
     name = "pressure_hysteresis"
@@ -47,5 +46,5 @@ class PressureHysteresis(Effect):
     def _play(self, rate: ca.SX, rising: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         scales = ca.vertcat(*(ca.repmat(1 + by * parameters["spread"], context.layout.modules, rate.shape[1]) for by in WIDER))
         limit = parameters["width"] * scales / len(WIDER) * ca.if_else(rising, -1, parameters["falling_ratio"])
-        quicker = 1 / (parameters["sticking"] + NO_STICKING) / len(WIDER)
-        return Play(limit, rising, quicker * ca.if_else(rising, rate, -rate), quicker * parameters["distance"] * scales)
+        pace, distance = ca.if_else(rising, rate, -rate) / len(WIDER), parameters["distance"] * scales / len(WIDER)
+        return Play(limit, rising, pace, distance, parameters["sticking"])

@@ -47,7 +47,7 @@ class TendonFriction(Effect):
         let_go = parameters["released"] * ca.fmax(parameters["constant"] - tension, 0)
         limit = ca.if_else(rate > 0, -ca.fmin(friction, tension), friction - let_go)
         held = ca.fmax(tension + state, 0)  # in the tendon's end; with none left it follows at once
-        return Play(limit, rate > 0, ca.fabs(rate), ca.fmin(parameters["distance"], held) + SMALLEST_DISTANCE)
+        return Play(limit, rate > 0, ca.fabs(rate), ca.fmin(parameters["distance"], held) + SMALLEST_DISTANCE, ca.SX(1))
 
     def edge_memory(
         self, edge: Edge, length: ca.SX, rate: ca.SX, properties: Mapping[str, ca.SX], parameters: Mapping[str, ca.SX], context: Context
