@@ -25,6 +25,7 @@ MANY = 4  # effects up to which the way back and rivals are fits of their own
 SEVERAL = 3  # effects that first order must ask for, each taking away `SHARE` of what the others leave
 SHARE = 0.1  # part of what is left that one more effect must promise to take away
 EXPLAINED = 0.05  # part of the structure that many effects may leave to be looked at together: else something else acts
+HOLDS = 0.5  # part of the squares that several effects may leave with the values that first order gives them: else it does not hold
 AT_MOST, AT_ONCE = 14, 5  # effects in all, and new ones at once
 FORM_ERROR_RATIO = 0.0025  # part of what the other effects take away that their forms may be wrong by (5 % of the size)
 LEAST_ODDS = 1 / 6  # to which odds fall
@@ -34,7 +35,9 @@ AS_GOOD = 1.3  # times what is left that a rival in an effect's place may promis
 
 
 def several(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> Hypothesis | None:
-    """The fit of as many effects as surely take away more and more; None where first order does not ask for several, or much is left.
+    """The fit of as many effects as surely take away more and more.
+
+    None where first order does not ask for several, or does not hold, or much is left.
 
     Args:
         fits: all so far.
@@ -54,7 +57,7 @@ def grown(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], least: int
         fits: all so far.
         best: the hypothesis.
         missing: the candidates.
-        least: number of effects that must be asked for.
+        least: number of effects that must be asked for; where it is several, first order must hold for what it asks for.
     """
     settings = fits.settings
     if fits.problem.plant.quick or best.only_noise(settings):
@@ -64,7 +67,10 @@ def grown(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], least: int
         return best
     came = {name for c in effects if c not in best.effects for name in c.parameters}
     careful = {name: value if name in came else best.estimate.named.get(name, value) for name, value in start.items()}
-    found = fits.fit(effects, min((start, careful), key=lambda values: _cost(fits, effects, values)))
+    begin, left = min(((values, _cost(fits, effects, values)) for values in (start, careful)), key=lambda each: each[1])
+    if least > 1 and left > HOLDS * best.estimate.cost:
+        return best
+    found = fits.fit(effects, begin)
     found = None if found is None else fits.finished(found)
     return best if found is None or found.excess > (1 - settings.min_share_closed) * best.excess else found
 

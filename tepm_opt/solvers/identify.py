@@ -23,6 +23,7 @@ ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation
 HOPE = 2.0  # how many times what a step promises to first order a fit may still gain
 OUT_OF_REACH = "a rival cannot be reached any more"
+FACTOR = 4.0  # by which what is above 0 changes at most in a step: a time or a distance does not leap past its best
 SHORTEST = 2.0**-12  # part of a step that is tried where the model cannot do the runs at its end
 
 
@@ -316,7 +317,9 @@ def _step(
     square, slope = normal_equations(residuals, weights)
     mean, precision = problem.prior
     square, slope = square + np.diag(precision), slope + precision * (values - mean)
-    return bounded_step(square, slope, problem.low - values, problem.high - values, problem.scale, damping)
+    low, high = problem.low, problem.high
+    nearest, farthest = np.where(low > 0, np.maximum(low, values / FACTOR), low), np.where(low > 0, np.minimum(high, values * FACTOR), high)
+    return bounded_step(square, slope, nearest - values, farthest - values, problem.scale, damping)
 
 
 def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.ndarray | None]) -> np.ndarray:
