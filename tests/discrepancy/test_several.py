@@ -10,7 +10,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.network import candidates, wide
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.several import lost, pursued, rivals, settled, several
+from tepm_opt.discrepancy.several import SEVERAL, lost, pursued, rivals, settled, several
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
@@ -107,3 +107,14 @@ def test_one_effect_does_not_ask_for_several(library: CompiledModel, kang: Compi
     assert base is not None
     assert len(pursued(one, base, missing)[0]) == 1, "a weight or a force that pulls down"
     assert several(one, base, missing) is None
+
+
+def test_several_are_not_taken_together_where_first_order_does_not_hold(library: CompiledModel, kang: CompiledModel) -> None:
+    """A robot file with another radius: what first order asks for leaves more than there was."""
+    one = fits_of(library, kang, {"r": 1.33 * kang.values["r"]})
+    base = one.fit((), {})
+    assert base is not None
+    every = candidates(NOMINAL)
+    assert len(pursued(one, base, every)[0]) >= SEVERAL
+    assert several(one, base, every) is None
+    assert not [effects for effects in one.done if len(effects) > 1], "nothing is fitted for that"

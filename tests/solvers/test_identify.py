@@ -351,6 +351,29 @@ def test_a_fit_whose_best_values_nearly_buckle_comes_close_to_them() -> None:
     assert 0.999 < value < 1.0
 
 
+@dataclass(frozen=True)
+class Filling(Column):
+    """What comes to 1 after a time constant."""
+
+    def free(self, names: Sequence[str]) -> tuple[Free, ...]:
+        return tuple(Free(name, "s", self.values[name], 0.01, 1e3, 0.1) for name in names)
+
+    def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
+        left = np.exp(-run.time / self.values["T"])[:, None, None]
+        return Prediction(1 - left, (-run.time[:, None, None] / self.values["T"] ** 2 * left)[None].repeat(len(by), axis=0))
+
+
+@pytest.mark.parametrize("begin", [0.2, 20.0, 200.0])
+def test_a_time_constant_does_not_leap_past_its_best(begin: float) -> None:
+    """From far above the first step to first order goes below 0: at the bound all is there at once, and nothing changes any more."""
+    run = column(0.9)
+    made = Filling({"T": 1.0}).predict(run).points
+    task = Problem(Filling({"T": begin}), (replace(run, points=made),), Filling({"T": begin}).free(["T"]), 0.01)
+    found = identify(task)
+    assert found.solved, found.outcome
+    assert found.values == pytest.approx([1.0], rel=1e-3)
+
+
 @pytest.mark.parametrize("seed", range(25))
 def test_bounded_steps_are_least_squares(seed: int) -> None:
     random = np.random.default_rng(seed)
