@@ -143,9 +143,9 @@ def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: i
     """
     if len(best.effects) > MANY:
         best, shares = settled(fits, best, missing)
-    if len(best.effects) > MANY:
-        others = {e: [(best, 1.0)] if e in fits.seen else rivals(fits, best, e, missing, seed) for e in best.effects}
-        return best, shares, others
+        if len(best.effects) > MANY:
+            others = {e: [(best, 1.0)] if e in fits.seen else rivals(fits, best, e, missing, seed) for e in best.effects}
+            return best, shares, others
     more = len(best.effects) > 1
     best, shares = _backward(fits, best)
     if more and not best.effects:
