@@ -133,30 +133,41 @@ def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple
     without = fits.fit((), {})
     begun = fits.fit(fits.seen, {}) or without
     most, there_was = (found.excess if found else np.inf for found in (without, begun))
-    sure: dict[Candidate, float] = {}
+    fitted: dict[Candidate, float] = {}
+    stay: set[Candidate] = set()
     while True:
         linear, left = fits.linear(best, missing), best.excess + settings.max_noise_excess / 10
         even = settings.even_odds_ratio * odds(best.excess, there_was)
-        costs = {effect: sure.get(effect, lost(linear, effect)) for effect in best.effects}
-        for effect in (effect for effect, cost in costs.items() if cost > most and effect not in {*sure, *fits.seen}):
-            rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
-            costs[effect] = sure[effect] = most if rest is None else fits.finished(rest).excess - best.excess
+        costs = {effect: fitted.get(effect, lost(linear, effect)) for effect in best.effects}
+        for effect in (effect for effect, cost in costs.items() if cost > most and effect not in {*fitted, *fits.seen}):
+            costs[effect] = fitted[effect] = min(_less(fits, best, effect)[1], most)
         whole = sum(max(cost, 0.0) for cost in costs.values())
+        least = {e: max(settings.min_excess_removed, FORM_ERROR_RATIO * (whole - max(costs[e], 0.0))) for e in best.effects}
         shares, steady, acts = dict.fromkeys(fits.seen, np.inf), {}, {}
         for effect in (effect for effect in best.effects if effect not in fits.seen):
-            cost, mended = costs[effect], FORM_ERROR_RATIO * (whole - max(costs[effect], 0.0))
-            shares[effect] = cost / left if cost >= max(settings.min_excess_removed, mended) else 0.0
+            shares[effect] = costs[effect] / left if costs[effect] >= least[effect] else 0.0
             steady[effect] = steadiness(sizes(linear, effect))
             acts[effect] = steady[effect] * shares[effect] / (shares[effect] + even)
-        weakest = min(acts, key=lambda effect: (acts[effect], costs[effect]), default=None)
-        if weakest is None or acts[weakest] >= LISTED or weakest in sure:
+        unsure = [effect for effect in acts if acts[effect] < LISTED and effect not in stay]
+        if not unsure:
             return best, shares
-        rest = fits.fit(tuple(c for c in best.effects if c != weakest), best.estimate.named)
-        cost = np.inf if rest is None else fits.finished(rest).excess - best.excess
-        if rest is None or cost >= LITTLE * whole or steady[weakest] * cost >= LISTED * (cost + even * left):
-            sure[weakest] = cost
+        weakest = min(unsure, key=lambda effect: (acts[effect], costs[effect]))
+        rest, cost = _less(fits, best, weakest)
+        stands_out = cost >= least[weakest] and steady[weakest] * cost >= LISTED * (cost + even * left)
+        if rest is None or cost >= LITTLE * whole or stands_out:
+            fitted[weakest] = cost
+            stay.add(weakest)
         else:
-            best, sure = fits.finished(rest), {}
+            best, fitted, stay = rest, {}, set()
+
+
+def _less(fits: Fits, best: Hypothesis, effect: Candidate) -> tuple[Hypothesis | None, float]:
+    """A hypothesis without one of its effects, fitted, and the excess that it leaves more; infinite where the model cannot do the runs."""
+    rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
+    if rest is None:
+        return None, np.inf
+    rest = fits.finished(rest)
+    return rest, rest.excess - best.excess
 
 
 def rivals(fits: Fits, best: Hypothesis, effect: Candidate, missing: Sequence[Candidate], seed: int) -> list[tuple[Hypothesis, float]]:
