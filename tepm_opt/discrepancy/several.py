@@ -155,7 +155,7 @@ def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple
         rest, cost = _less(fits, best, weakest)
         stands_out = cost >= least[weakest] and steady[weakest] * cost >= LISTED * (cost + even * left)
         if rest is None or cost >= LITTLE * whole or stands_out:
-            fitted[weakest] = cost
+            fitted[weakest] = cost if np.isfinite(cost) else most
             stay.add(weakest)
         else:
             best, fitted, stay = rest, {}, set()

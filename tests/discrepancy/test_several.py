@@ -110,7 +110,7 @@ def test_one_effect_does_not_ask_for_several(library: CompiledModel, kang: Compi
 
 
 def test_several_are_not_taken_together_where_first_order_does_not_hold(
-    fits: Fits, found: Hypothesis, missing: tuple[Candidate, ...], monkeypatch: pytest.MonkeyPatch
+    fits: Fits, missing: tuple[Candidate, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As where the robot file is of another robot: with the values that first order asks for more is left than there was."""
     base = fits.fit((), {})
@@ -120,4 +120,15 @@ def test_several_are_not_taken_together_where_first_order_does_not_hold(
     far = {name: 3 * value if "." in name else value for name, value in start.items()}
     monkeypatch.setattr("tepm_opt.discrepancy.several.pursued", lambda *_: (effects, far))
     assert several(fits, base, missing) is None
-    assert found.effects
+
+
+def test_what_the_model_cannot_do_without_leaves_the_others_their_shares(
+    fits: Fits, found: Hypothesis, missing: tuple[Candidate, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    idle = next(c for c in missing if c.label == "time_delay")
+    with_idle = fits.fit((*found.effects, idle), found.estimate.named)
+    assert with_idle is not None
+    monkeypatch.setattr("tepm_opt.discrepancy.several._less", lambda *_: (None, float("inf")))
+    kept, shares = settled(fits, with_idle, missing)
+    assert set(kept.effects) == set(with_idle.effects)
+    assert all(0 < shares[effect] < float("inf") for effect in found.effects), shares
