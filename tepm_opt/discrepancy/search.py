@@ -9,18 +9,16 @@ from itertools import combinations
 import numpy as np
 
 from tepm_opt.discrepancy.fits import Effects, Fits, Hypothesis, labels
-from tepm_opt.discrepancy.network import PARAMETER
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.discrepancy.rivals import replacements
 from tepm_opt.discrepancy.rounds import beats, fitted, is_wide, most_probable, plainest
 from tepm_opt.discrepancy.screen import Score, screen_pairs
-from tepm_opt.discrepancy.several import FORM_ERROR_RATIO, MANY, grown, rivals, settled, several
+from tepm_opt.discrepancy.several import FORM_ERROR_RATIO, MANY, grown, mended, rivals, settled, several
 from tepm_opt.discrepancy.spans import longest, spans
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.text import shortened
 
-MENDS = 0.2  # part of what an effect takes away from which on, where so much is left, it may as well mend the others' forms
 MOVES = 2  # sets of effects fitted of each kind of move that is not one effect more
 WORTH_WIDE = 0.5  # part of what the best pair leaves that an effect as wide as several must promise to close
 WORTH = 0.2  # part of what the best single effect leaves that a pair, or one in some runs, must promise to close besides
@@ -238,8 +236,7 @@ def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[H
 def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
-    What takes away no more than the errors that the others' forms may have is no effect of its own, unless it leaves next to nothing of
-    them: what only mends forms does not mend them to the noise, but for one more value of the robot file. All that is left counts
+    What takes away no more than the errors that the others' forms may have is no effect of its own (see `mended`). All that is left counts
     against each.
     """
     settings = fits.settings
@@ -254,10 +251,8 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
             if found is not None and effect not in fits.seen:
                 smaller[effect] = found
                 taken = lost[effect] = found.excess - best.excess
-                mended = sum(doubt[c] for c in rest)
-                if effect.name != PARAMETER:
-                    mended *= min(left / max(MENDS * taken, 1e-12), 1.0)
-                shares[effect] = taken / left if taken >= max(settings.min_excess_removed, mended) else 0.0
+                least = max(settings.min_excess_removed, mended(effect, sum(doubt[c] for c in rest), taken, left))
+                shares[effect] = taken / left if taken >= least else 0.0
         weakest = min(shares, key=lambda effect: (shares[effect], lost[effect]), default=None)
         if weakest is None or shares[weakest] >= settings.least_share:
             return best, shares

@@ -28,6 +28,7 @@ EXPLAINED = 0.05  # part of the structure that many effects may leave to be look
 HOLDS = 0.5  # part of the squares that several effects may leave with the values that first order gives them: else it does not hold
 AT_MOST, AT_ONCE = 14, 5  # effects in all, and new ones at once
 FORM_ERROR_RATIO = 0.0025  # part of what the other effects take away that their forms may be wrong by (5 % of the size)
+MENDS = 0.2  # part of what an effect takes away from which on, where so much is left, it may as well mend the others' forms
 LEAST_ODDS = 1 / 6  # to which odds fall
 LISTED = 0.3  # probability from which an effect is told
 LITTLE = 0.1  # part of what many effects take away that those may which are not sure, or which are dropped
@@ -142,7 +143,8 @@ def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple
         for effect in (effect for effect, cost in costs.items() if cost > most and effect not in {*fitted, *fits.seen}):
             costs[effect] = fitted[effect] = min(_less(fits, best, effect)[1], most)
         whole = sum(max(cost, 0.0) for cost in costs.values())
-        least = {e: max(settings.min_excess_removed, FORM_ERROR_RATIO * (whole - max(costs[e], 0.0))) for e in best.effects}
+        wrong = {effect: FORM_ERROR_RATIO * (whole - max(cost, 0.0)) for effect, cost in costs.items()}
+        least = {effect: max(settings.min_excess_removed, mended(effect, wrong[effect], cost, left)) for effect, cost in costs.items()}
         shares, steady, acts = dict.fromkeys(fits.seen, np.inf), {}, {}
         for effect in (effect for effect in best.effects if effect not in fits.seen):
             shares[effect] = costs[effect] / left if costs[effect] >= least[effect] else 0.0
@@ -153,12 +155,27 @@ def settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple
             return best, shares
         weakest = min(unsure, key=lambda effect: (acts[effect], costs[effect]))
         rest, cost = _less(fits, best, weakest)
-        stands_out = cost >= least[weakest] and steady[weakest] * cost >= LISTED * (cost + even * left)
+        taken = max(settings.min_excess_removed, mended(weakest, wrong[weakest], cost, left))
+        stands_out = cost >= taken and steady[weakest] * cost >= LISTED * (cost + even * left)
         if rest is None or cost >= LITTLE * whole or stands_out:
             fitted[weakest] = cost if np.isfinite(cost) else most
             stay.add(weakest)
         else:
             best, fitted, stay = rest, {}, set()
+
+
+def mended(effect: Candidate, wrong: float, taken: float, left: float) -> float:
+    """What an effect may take away by mending the forms of others: all that those are wrong by, unless it leaves next to nothing of it.
+
+    What only mends forms does not mend them to the noise, but for one more value of the robot file.
+
+    Args:
+        effect: which.
+        wrong: what the others' forms may leave.
+        taken: what it takes away.
+        left: with it.
+    """
+    return wrong if effect.name == PARAMETER else wrong * min(left / max(MENDS * taken, 1e-12), 1.0)
 
 
 def _less(fits: Fits, best: Hypothesis, effect: Candidate) -> tuple[Hypothesis | None, float]:

@@ -62,8 +62,9 @@ def found(fits: Fits, missing: tuple[Candidate, ...]) -> Hypothesis:
     return settled(fits, best, missing)[0]
 
 
-def test_all_are_found_and_nothing_else(found: Hypothesis) -> None:
+def test_all_are_found_and_nothing_else(fits: Fits, found: Hypothesis, missing: tuple[Candidate, ...]) -> None:
     assert {effect.label for effect in found.effects} == LABELS
+    assert min(settled(fits, found, missing)[1].values()) > 1, "none stays without a share, the tilt that takes away least of all neither"
     assert found.excess < 0.1
     assert found.estimate.named["payload.mass"] == pytest.approx(0.03, rel=0.2)
     assert found.estimate.named["actuator_gain[13].loss"] == pytest.approx(0.06, rel=0.2)
