@@ -182,7 +182,7 @@ def read_model(path: str | Path) -> Model:
 
 
 def _beside(robot: Path, path: Path) -> str:
-    """The name of a robot file in the folder of a model file: its own where it is there, else that of a copy, such as `model.robot.toml`."""
+    """The name of a robot file as seen from a model file: its own where both are in one folder, else that of a copy, `model.robot.toml`."""
     if robot.resolve().parent == path.resolve().parent:
         return robot.name
     copy = path.with_suffix(".robot.toml")

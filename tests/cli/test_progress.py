@@ -75,7 +75,7 @@ def test_what_is_short_says_nothing_without_a_terminal(log: io.StringIO) -> None
 
 
 def test_lines_without_a_terminal(log: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:
-    """How much of how much, and the time left at the pace so far, also after work that was done before; stages that are over are not told."""
+    """How much of how much, and the time left at the pace so far, without what was done before; stages that are over are not told."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     with progress.shown(quiet=False) as bars:
