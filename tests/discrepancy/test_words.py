@@ -65,11 +65,15 @@ def test_sizes_that_are_not_told_from_null_are_not_given() -> None:
     assert _values(bend) == "bend -0.06 ± 0.001 %/kPa"
 
 
-def considered(effects: tuple[Any, ...], excess: float, free: Sequence[Free] = (), values: Sequence[float] = (), bound: bool = False) -> Any:
+def considered(
+    effects: tuple[Any, ...], excess: float, free: Sequence[Free] = (), values: Sequence[float] = (), bound: bool = False
+) -> Any:
     counts = np.full(10, 100)
     named = {each.name: value for each, value in zip(free, values, strict=True)}
     problem = SimpleNamespace(free=tuple(free))
-    estimate = SimpleNamespace(problem=problem, values=np.array(values), named=named, at_bound=np.full(len(free), bound), out_of_reach=False)
+    estimate = SimpleNamespace(
+        problem=problem, values=np.array(values), named=named, at_bound=np.full(len(free), bound), out_of_reach=False
+    )
     return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1 + len(free), np.zeros(1)))  # type: ignore[arg-type]
 
 
@@ -84,7 +88,10 @@ def test_a_rival_that_closes_nearly_all_has_a_reason() -> None:
         found = considered(*given, **more)
         return alone(Explanation(without, best, best, [without, best, found], [], {}, {}), found)
 
-    assert against((tilt,), 4.0) == "alone it closes 99.6 % of the gap on held-out data; what it leaves is 2 times the noise, the answer 0.1 times"
+    assert (
+        against((tilt,), 4.0)
+        == "alone it closes 99.6 % of the gap on held-out data; what it leaves is 2 times the noise, the answer 0.1 times"
+    )
     assert against((tilt,), 500.0) == "alone it closes 50 % of the gap on held-out data"
     mass = Free("payload.mass", "kg", 0.0, 0.0, 0.5, 0.01)
     heavy = against((payload,), 0.01, [mass], [0.5], bound=True)

@@ -75,7 +75,9 @@ def test_a_law_is_sought_once(bench: Path) -> None:
     assert command == shlex.split("tepm discrepancy bench --despite-errors --effects mine.py --out found")
     assert step.endswith("ask again")
     law = SimpleNamespace(file=Path("found/effects/law.py"))
-    assert "--effects found/effects/law.py" in " ".join(told(VerdictStatus.PARTIAL, Asked(bench, Path("found"), invent=True), law=law)[1][0])
+    assert "--effects found/effects/law.py" in " ".join(
+        told(VerdictStatus.PARTIAL, Asked(bench, Path("found"), invent=True), law=law)[1][0]
+    )
 
 
 def test_a_clock_comes_first(bench: Path) -> None:
