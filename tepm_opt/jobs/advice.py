@@ -87,7 +87,8 @@ def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
     if status is VerdictStatus.INDISTINGUISHABLE:
         if asked.plant or getattr(result.dataset, "static", False):
             return OTHERS, asked.again()
-        run, extra = asked.out / "run.toml", asked.out / "extra"
+        number = str(len(asked.add) + 1) if asked.add else ""  # what was recorded before stays
+        run, extra = asked.out / f"run{number}.toml", asked.out / f"extra{number}"
         commands = _command("next", asked.out, "--out", run), _command("record", run, "--rig", asked.rig, "--out", extra)
         return step, " && ".join((*commands, asked.again("--add", extra)))
     if result.law is not None:
