@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from threading import Event, Thread
+from threading import Event, RLock, Thread
 
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -54,34 +54,35 @@ class Bars:
 
         Args:
             display: where they are drawn.
-            told: whether every new stage is told in a line, too.
+            told: whether every stage is told in a line when it is heard of first, too.
         """
         self._display, self._told = display, told
-        self._began, self._last = time.monotonic(), ""
+        self._began, self._heard, self._lock = time.monotonic(), set[str](), RLock()  # several threads may tell at once
         self._stages: dict[str, _Stage] = {}
         self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, stage: str, done: float, of: float) -> None:
         """Show how far a stage is; a new stage takes the place of those that are over."""
-        now = time.monotonic()
-        if self._told and stage != self._last:
-            self._last = stage
-            self._line(escape(stage), now)
-        if stage not in self._stages:
-            self._forget(now)
-            self._stages[stage] = _Stage(now, done, now)
+        with self._lock:
+            now = time.monotonic()
+            if self._told and stage not in self._heard:
+                self._heard.add(stage)
+                self._line(escape(stage), now)
+            if stage not in self._stages:
+                self._forget(now)
+                self._stages[stage] = _Stage(now, done, now)
+                if not self._display.disable:
+                    self._tasks[stage] = self._display.add_task(escape(stage), total=None, passed="")
+            at = self._stages[stage]
+            at.seen, at.done, at.of = now, done, of
             if not self._display.disable:
-                self._tasks[stage] = self._display.add_task(escape(stage), total=None, passed="")
-        at = self._stages[stage]
-        at.seen, at.done, at.of = now, done, of
-        if not self._display.disable:
-            self._display.update(self._tasks[stage], completed=done, total=of or None, passed=_passed(done, of))
+                self._display.update(self._tasks[stage], completed=done, total=of or None, passed=_passed(done, of))
 
     def tell(self) -> None:
         """Say in a line how far all stages are that go on."""
-        now = time.monotonic()
-        stages = list(self._stages.items())
-        self._line(escape("; ".join(at.told(name, now) for name, at in stages if at is stages[-1][1] or not at.over) or "working"), now)
+        with self._lock:
+            now, stages = time.monotonic(), list(self._stages.items())
+            self._line(escape("; ".join(at.told(name, now) for name, at in stages if at is stages[-1][1] or not at.over) or "working"), now)
 
     def _line(self, text: str, now: float) -> None:
         stderr.print(f"[dim]{now - self._began:6.1f} s[/]  {text}", highlight=False, soft_wrap=True)

@@ -107,6 +107,15 @@ def test_lines_without_a_terminal(log: io.StringIO, monkeypatch: pytest.MonkeyPa
     assert log.getvalue().splitlines()[2].lstrip().startswith("30.0 s  ")
 
 
+def test_a_stage_is_announced_once(log: io.StringIO) -> None:
+    """Also where stages that run beside each other are heard of in turn."""
+    with progress.shown(quiet=False, told=True) as bars:
+        for done in range(3):
+            bars("fitting creep", done, 7)
+            bars("fitting payload", done, 7)
+    assert [line.split(" s  ", 1)[1] for line in log.getvalue().splitlines()] == ["fitting creep", "fitting payload"]
+
+
 def test_lines_come_by_themselves(log: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work that says nothing for long is told of all the same; when it is over, so are the lines."""
     monkeypatch.setattr(progress, "EVERY", 0.001)
