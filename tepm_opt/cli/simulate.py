@@ -140,6 +140,7 @@ def simulate(
             took = time.perf_counter() - began
             run.save(folder)
             kept = f"the tables are in {out}"
+            progress("drawing", 0, 0)
             plots.draw(run, folder)
             made, whole = _film(run, folder, kind, progress)
     except KeyboardInterrupt:

@@ -231,7 +231,7 @@ class Fits:
         problem = replace(self.problem, plant=acting(self.problem.plant, effects))
         steps, fits = 0 if kept else self.settings.max_iterations, []
 
-        def tell(_: str, done: float, of: float) -> None:
+        def tell(stage: str, done: float, of: float) -> None:
             self.progress(_stage(effects), done, of)
 
         for start in [kept] if kept else begun:

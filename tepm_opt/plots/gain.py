@@ -26,8 +26,9 @@ def gain_figure(run: GainRun) -> Figure:
     _matrix_axes(figure, figure.add_subplot(grid[0, 1]), run)
     for column, interval in enumerate(dict.fromkeys(label for _, label in curves)):
         _curve_axes(figure.add_subplot(grid[1, column]), interval, curves)
-    for column, (kind, moves) in enumerate(MOVES if workspace is not None else ()):
-        _map_axes(figure, figure.add_subplot(grid[2, column]), workspace, kind, moves)
+    if workspace is not None:
+        for column, (kind, moves) in enumerate(MOVES):
+            _map_axes(figure, figure.add_subplot(grid[2, column]), workspace, kind, moves)
     layout = run.statics.model.layout
     point = next((gain.point for gain in run.gains if gain), layout.points - 1)
     figure.suptitle(f"{run.statics.model.robot.name}: open-loop gain G of {layout.point_names[point]}, normalised by the inputs' ranges")
