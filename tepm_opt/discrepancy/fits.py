@@ -238,6 +238,7 @@ class Fits:
             begin = tuple(_starting(f, start.get(f.name, f.start)) for f in free)
             with suppress(PredictionError):
                 fits.append(identify(replace(problem, free=begin), steps, tell, tolerance=self.settings.tolerance, reached=reached))
+        self.progress(_stage(effects), self.settings.max_iterations, self.settings.max_iterations)
         if not fits:
             return None
         found = min(fits, key=lambda fit: fit.cost)

@@ -214,8 +214,10 @@ def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
 def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
     """What speaks against a hypothesis that closes nearly all of the gap: more causes, the values it would need, what it leaves."""
     best, effects = explanation.best, hypothesis.effects
-    if explanation.closes(hypothesis) < NEARLY_ALL or hypothesis.estimate.out_of_reach or hypothesis is best:
+    if explanation.closes(hypothesis) < NEARLY_ALL or hypothesis is best:
         return ""
+    if hypothesis.estimate.out_of_reach:
+        return "; its fit was ended early, as what it promised would still leave far more than the answer does"
     reasons = []
     if len(effects) > len(best.effects):
         reasons.append(
@@ -256,7 +258,7 @@ def _with_unit(value: float, unit: str) -> str:
 
 def unfitted(score: Score) -> str:
     """Why an effect was not fitted."""
-    return f"to first order it could close {_percent(min(max(score.gain, 0.0), 1.0))} of the gap"
+    return f"to first order it could close {_percent(min(max(score.gain, 0.0) + 0.0, 1.0))} of the gap"
 
 
 def _names(named: Sequence[Named]) -> str:

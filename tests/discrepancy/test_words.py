@@ -13,9 +13,10 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.evidence import Evidence
 from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.network import candidate
+from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Named, Value, VerdictStatus
-from tepm_opt.discrepancy.words import _names, _values, alone, next_step, repeats
+from tepm_opt.discrepancy.words import _names, _values, alone, next_step, repeats, unfitted
 from tepm_opt.solvers.plant import Free
 
 
@@ -66,15 +67,24 @@ def test_sizes_that_are_not_told_from_null_are_not_given() -> None:
 
 
 def considered(
-    effects: tuple[Any, ...], excess: float, free: Sequence[Free] = (), values: Sequence[float] = (), bound: bool = False
+    effects: tuple[Any, ...],
+    excess: float,
+    free: Sequence[Free] = (),
+    values: Sequence[float] = (),
+    bound: bool = False,
+    early: bool = False,
 ) -> Any:
+    """A hypothesis with some parameters, all at their bounds or none, whose fit may have been ended early."""
     counts = np.full(10, 100)
     named = {each.name: value for each, value in zip(free, values, strict=True)}
-    problem = SimpleNamespace(free=tuple(free))
-    estimate = SimpleNamespace(
-        problem=problem, values=np.array(values), named=named, at_bound=np.full(len(free), bound), out_of_reach=False
-    )
-    return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1 + len(free), np.zeros(1)))  # type: ignore[arg-type]
+    problem = SimpleNamespace(free=tuple(free), plant=SimpleNamespace(quick=False))
+    at_bound = np.full(len(free), bound)
+    estimate: Any = SimpleNamespace(problem=problem, values=np.array(values), named=named, at_bound=at_bound, out_of_reach=early)
+    return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1 + len(free), np.zeros(1)))
+
+
+def test_nothing_is_not_less_than_nothing() -> None:
+    assert unfitted(Score(candidate("creep"), -0.0, {})) == "to first order it could close 0 % of the gap"
 
 
 def test_a_rival_that_closes_nearly_all_has_a_reason() -> None:
@@ -93,6 +103,7 @@ def test_a_rival_that_closes_nearly_all_has_a_reason() -> None:
         == "alone it closes 99.6 % of the gap on held-out data; what it leaves is 2 times the noise, the answer 0.1 times"
     )
     assert against((tilt,), 500.0) == "alone it closes 50 % of the gap on held-out data"
+    assert "leave far more than the answer does" in against((tilt,), 4.0, early=True)
     mass = Free("payload.mass", "kg", 0.0, 0.0, 0.5, 0.01)
     heavy = against((payload,), 0.01, [mass], [0.5], bound=True)
     assert heavy.endswith("; it would need payload.mass at the end of its range (500 g)")
