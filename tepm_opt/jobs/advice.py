@@ -11,8 +11,9 @@ from pathlib import Path
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.discrepancy.words import ONE_CLOCK
 from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.jobs.record import LOG
 
-CORRECTED, LOG = "model.toml", "recording.json"
+MODEL, VALUES = "model.toml", "values.json"
 LAW = "seek a law where the library has no effect"
 USE = "see the model with the law that was found beside a run"
 OTHERS = "record runs in which they would differ, then ask again"
@@ -83,7 +84,9 @@ def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
     verdict = result.verdict
     step, status = verdict.next, verdict.status
     if status in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY):
-        return step, "" if asked.plant else asked.beside(result, asked.out / CORRECTED)
+        if asked.plant:
+            return f"take the values of {(asked.out / VALUES).as_posix()} over into {asked.plant.as_posix()}, then ask again", asked.again()
+        return step, asked.beside(result, asked.out / MODEL)
     if status is VerdictStatus.INDISTINGUISHABLE:
         if asked.plant or getattr(result.dataset, "static", False):
             return OTHERS, asked.again()

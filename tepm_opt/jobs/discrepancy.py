@@ -25,7 +25,7 @@ from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.advice import Asked, advised
+from tepm_opt.jobs.advice import MODEL, VALUES, Asked, advised
 from tepm_opt.jobs.joined import joined
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
@@ -34,7 +34,7 @@ from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.plant import PredictionError
 
-VERDICT, MODEL, VALUES, FITS, EFFECTS = "verdict.json", "model.toml", "values.json", ".fits.json", "effects"
+VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet, list[str]]:
