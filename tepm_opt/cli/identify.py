@@ -13,7 +13,7 @@ from rich.table import Table
 
 import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
-from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, ModelOption, RobotOption, load, stderr, stdout, warn
+from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, ModelOption, RobotOption, load, stderr, stdout
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
@@ -58,7 +58,8 @@ def identify(
     else:
         _tell(run.summary(), folder)
         if run.doubts:
-            warn(f"Next: find out what the model lacks: {_next(datasets, model, despite_errors)}")
+            step = f"Next: find out what the model lacks: {_next(datasets, model, despite_errors)}"
+            stdout.print(step, soft_wrap=True, highlight=False, markup=False)
     return SOLVED if run.ok else UNSOLVED
 
 

@@ -147,19 +147,8 @@ def _save_mp4(pictures: Iterable[np.ndarray], path: Path) -> None:
     """Feed ffmpeg, which runs in a session of its own, so that Ctrl-C reaches this program alone and the film is ended properly."""
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(FPS), "-i", "-"]
     same_bytes = ["-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"]
-    command = [
-        find_ffmpeg() or "ffmpeg",
-        "-loglevel",
-        "error",
-        "-nostdin",
-        "-y",
-        *source,
-        "-an",
-        "-pix_fmt",
-        "yuv420p",
-        *same_bytes,
-        str(path),
-    ]
+    program = find_ffmpeg() or "ffmpeg"
+    command = [program, "-loglevel", "error", "-nostdin", "-y", *source, "-an", "-pix_fmt", "yuv420p", *same_bytes, str(path)]
     try:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
     except OSError as error:

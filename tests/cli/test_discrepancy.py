@@ -87,7 +87,7 @@ class TestIdentify:
             == f"residuals are {found['residual_over_noise']:.3g} times the noise: these parameters do not explain the runs"
         )
         assert found["doubts"][0] in done.out
-        assert done.err == "Next: find out what the model lacks: tepm discrepancy data --out found\n"
+        assert done.out.endswith("\nNext: find out what the model lacks: tepm discrepancy data --out found\n")
         assert read_model(here / "out" / "model.toml").parameters
 
     def test_a_parameter_at_its_bound(self, tepm: Command, here: Path, data: Path) -> None:
@@ -96,7 +96,7 @@ class TestIdentify:
         done = tepm("identify", "data", "--free", "m_d", "--model", "stiff.toml")
         assert done.status == 1
         assert "at the end of what is thought possible: m_d: they may stand in for something else" in done.out.replace("\n", " ")
-        assert "tepm discrepancy data --model stiff.toml --out found" in done.err
+        assert "tepm discrepancy data --model stiff.toml --out found" in done.out
 
     @pytest.mark.slow
     def test_a_model_with_an_effect(self, tepm: Command, here: Path, data: Path) -> None:
