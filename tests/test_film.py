@@ -7,6 +7,7 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -109,6 +110,10 @@ def test_choice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda name: f"/bin/{name}")
     assert [films.choose(kind) for kind in (None, "gif", "none", "mp4")] == ["mp4", "gif", "none", "mp4"]
     monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setattr(films.util, "find_spec", lambda name: object())
+    monkeypatch.setattr(films, "import_module", lambda name: SimpleNamespace(get_ffmpeg_exe=lambda: f"/of/{name}"))
+    assert (films.find_ffmpeg(), films.choose(None)) == ("/of/imageio_ffmpeg", "mp4")
+    monkeypatch.setattr(films.util, "find_spec", lambda name: None)
     assert films.choose(None) == "gif"
     for kind, says in (("mp4", "ffmpeg"), ("webm", "'webm'")):
         with pytest.raises(InputError, match=says):
@@ -116,7 +121,7 @@ def test_choice(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_mp4(short: Simulation, tmp_path: Path) -> None:
-    if shutil.which("ffmpeg") is None:
+    if films.find_ffmpeg() is None:
         pytest.skip("no ffmpeg on this machine")
     for name in ("one", "two"):
         (tmp_path / name).mkdir()

@@ -7,6 +7,8 @@ Here nothing is imported but what starts at once: what takes longer can be inter
 
 from __future__ import annotations
 
+import codecs
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -25,8 +27,31 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(run(list(sys.argv[1:] if arguments is None else arguments)))
 
 
+SPELT = {
+    "°": " deg", "±": "+-", "…": "...", "–": "-", "—": "-", "−": "-", "·": "*", "×": "x", "²": "^2", "³": "^3", "→": "->", "≤": "<=",
+    "≥": ">=", "≈": "~", "µ": "u", "μ": "u", "λ": "lambda", "σ": "sigma", "Δ": "Delta", "θ": "theta", "Ω": "Ohm", "½": "1/2", "√": "sqrt",
+    "✓": "ok", "✗": "x", "’": "'",
+}  # fmt: skip
+"""Characters that not every terminal knows, in those that all do."""
+
+
+def spelt(error: UnicodeError) -> tuple[str | bytes, int]:
+    """What a stream writes in the place of characters that it does not know; a handler of encoding errors.
+
+    Raises:
+        UnicodeError: of decoding.
+    """
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(SPELT.get(character, "?") for character in error.object[error.start : error.end]), error.end
+
+
 def run(arguments: list[str]) -> int:
-    """Exit status of the command line with these arguments."""
+    """Exit status of the command line with these arguments; what a terminal cannot show is spelt."""
+    codecs.register_error("spelt", spelt)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="spelt")
     try:
         from tepm_opt.cli.program import execute
 

@@ -75,6 +75,7 @@ def discrepancy(
         for line in (
             verdict.paragraph,
             *verdict.notes,
+            verdict.step,
             *([paragraph(result.law), f"{result.law.file}"] if result.law is not None else []),
             f"{verdict.seconds:.0f} s, {verdict.fits} fits; {out / PAGE}, {out / (VALUES if plant else MODEL)}, {out / VERDICT}",
         ):

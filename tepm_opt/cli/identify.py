@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +34,10 @@ def identify(
     model: ModelOption = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Fit parameters to measured runs (role fit) within their priors, judge them on the others, say what the runs cannot tell."""
+    """Fit parameters to measured runs (role fit) within their priors, judge them on the others, say what the runs cannot tell.
+
+    Exit status: 1 where the fit does not converge, leaves far more than noise, or has parameters at their bounds: something is missing.
+    """
     if starts < 1:
         raise InputError(f"--starts {starts}; valid: at least 1")
     sets = tepm.open_datasets(datasets, despite_errors)
@@ -53,7 +57,17 @@ def identify(
         print(json.dumps(run.summary(), indent=2))
     else:
         _tell(run.summary(), folder)
+        if run.doubts:
+            step = f"Next: find out what the model lacks: {_next(datasets, model, despite_errors)}"
+            stdout.print(step, soft_wrap=True, highlight=False, markup=False)
     return SOLVED if run.ok else UNSOLVED
+
+
+def _next(datasets: Sequence[Path], model: Path | None, despite_errors: bool) -> str:
+    """The command that finds out what the model lacks."""
+    from tepm_opt.jobs.advice import Asked
+
+    return Asked(datasets[0], Path("found"), model, None, datasets[1:], False, despite_errors).again()
 
 
 def _tell(summary: dict[str, Any], folder: Path) -> None:
@@ -71,6 +85,6 @@ def _tell(summary: dict[str, Any], folder: Path) -> None:
     lines = [f"residuals {summary['residual_over_noise']:.3g} times the noise after {summary['iterations']} steps ({summary['message']})"]
     if errors["after"] is not None:
         lines.append(f"validation runs, Eq. (5): {1e3 * errors['before']:.3g} mm before, [bold]{1e3 * errors['after']:.3g} mm[/] after")
-    lines += [f"[yellow]{escape(text)}[/]" for text in summary["cannot_tell"]]
+    lines += [f"[yellow]{escape(text)}[/]" for text in (*summary["doubts"], *summary["cannot_tell"])]
     for line in (*lines, f"{folder / MODEL}, {folder / SUMMARY}"):
         stdout.print(line, soft_wrap=True, highlight=False)

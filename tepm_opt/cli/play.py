@@ -11,16 +11,18 @@ from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
-from tepm_opt.cli.common import JsonOption, RobotOption, stdout, warn
+from tepm_opt.cli.common import JsonOption, RobotOption, folder_for, stdout, warn
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
 from tepm_opt.progress import named
+
+MEASURED = "measured.csv"
 
 
 def play(
     inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Set-point file, such as the inputs.csv of tepm ik.")],
     rig: RigOption = "sim",
-    out: Annotated[Path, typer.Option("--out", help="CSV file for what is measured; never overwritten.")] = Path("measured.csv"),
+    out: Annotated[Path, typer.Option("--out", help="Folder for measured.csv, or a CSV file; never overwritten.")] = Path("played"),
     rate: Annotated[float, typer.Option("--rate", min=0.1, max=10000, help="Samples kept a second, Hz.")] = 50.0,
     seed: SeedOption = 0,
     robot: RobotOption = None,
@@ -34,10 +36,11 @@ def play(
     found = tepm.load_robot(robot or "kang2017")
     setpoints = tepm.read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
     refuse_unplayable(setpoints, str(inputs))
-    left = f"what was measured is in {out.parent / out.stem}-….{UNFINISHED}.csv"
+    file = out if out.suffix == ".csv" else out / MEASURED
+    left = f"what was measured is in {file.with_suffix('')}-….{UNFINISHED}.csv"
     try:
-        with stopped_by_signals(), shown(as_json) as progress:
-            measured = tepm.play(opener(rig, found, seed)(seed), setpoints, found, out, rate, named(progress, inputs.name))
+        with folder_for(file.parent), stopped_by_signals(), shown(as_json) as progress:
+            measured = tepm.play(opener(rig, found, seed)(seed), setpoints, found, file, rate, named(progress, inputs.name))
     except KeyboardInterrupt:
         warn(f"interrupted: the rig is stopped; {left}")
         return INTERRUPTED
@@ -45,8 +48,8 @@ def play(
         return failed(error, left)
     run, notes = measured.run, list(measured.notes)
     if as_json:
-        print(json.dumps({"file": str(out), "rows": run.rows, "duration_s": run.duration, "notes": notes}, indent=2))
+        print(json.dumps({"file": str(file), "rows": run.rows, "duration_s": run.duration, "notes": notes}, indent=2))
         return 0
-    for line in (f"[bold]{run.rows} samples[/] in {out}", *(f"[yellow]{escape(note)}[/]" for note in notes)):
+    for line in (f"[bold]{run.rows} samples[/] in {escape(str(file))}", *(f"[yellow]{escape(note)}[/]" for note in notes)):
         stdout.print(line, soft_wrap=True, highlight=False)
     return 0

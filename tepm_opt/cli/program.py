@@ -5,6 +5,7 @@ Command modules import nothing heavy at the top: the help and a typing error are
 
 from __future__ import annotations
 
+import warnings
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -35,7 +36,7 @@ from tepm_opt.cli import (
     simulate,
     statics,
 )
-from tepm_opt.cli.common import WRONG_INPUT, stderr
+from tepm_opt.cli.common import WRONG_INPUT, stderr, warn
 from tepm_opt.cli.groups import spread
 from tepm_opt.cli.hw import commands as hw
 from tepm_opt.errors import InputError
@@ -109,9 +110,10 @@ app.add_typer(hw.app, name="hw")
 
 
 def execute(arguments: list[str]) -> int:
-    """Exit status of the program with these arguments; linear algebra that is loaded already runs on one thread."""
+    """Exit status of the program with these arguments; linear algebra that is loaded already runs on one thread; a warning is one line."""
     try:
-        with threadpool_limits(1, "blas"):
+        with threadpool_limits(1, "blas"), warnings.catch_warnings():
+            warnings.showwarning = _warn
             return int(app(arguments, prog_name="tepm", standalone_mode=False) or 0)
     except InputError as error:
         return _explain(str(error))
@@ -124,6 +126,11 @@ def execute(arguments: list[str]) -> int:
             raise
         message = error.format_message().replace("Value error, ", "")  # type: ignore[attr-defined]
         return _explain(f"{message} (see tepm --help)") if message else WRONG_INPUT
+
+
+def _warn(message: Warning | str, *where: object) -> None:
+    """Show a warning to a person: what it says, not where in the program."""
+    warn(f"warning: {' '.join(str(message).split())}")
 
 
 def _explain(message: str) -> int:

@@ -1,4 +1,4 @@
-"""Progress of long work on a terminal: the one renderer behind `tepm_opt.progress.Progress`."""
+"""Progress of long work: the one renderer behind `tepm_opt.progress.Progress`. Bars on a terminal, now and then a line elsewhere."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Event, RLock, Thread
 
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -13,44 +15,85 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from tepm_opt.cli.common import stderr
 
 FORGOTTEN = 2.0  # s without news after which a stage gives way to the next one
+EVERY = 10.0  # s between lines where there is no terminal
+
+
+@dataclass
+class _Stage:
+    """How far a stage is.
+
+    Attributes:
+        began, first: when it was heard of in s of the clock, and how much was done then.
+        seen: when it was heard of last.
+        done, of: how much is done of how much; 0 of 0 where nobody knows.
+    """
+
+    began: float
+    first: float
+    seen: float
+    done: float = 0.0
+    of: float = 0.0
+
+    @property
+    def over(self) -> bool:
+        """Whether it may give way to the next one: done, or of unknown length."""
+        return not self.of or self.done >= self.of
+
+    def told(self, name: str, now: float) -> str:
+        """How far it is, and about how long the rest takes at the pace so far."""
+        gone, passed = self.done - self.first, now - self.began
+        left = f", about {_long(passed * (self.of - self.done) / gone)} left" if self.of > self.done and gone > 0 and passed > 0 else ""
+        return f"{name}: {_passed(self.done, self.of)}{left}" if self.of else name
 
 
 class Bars:
-    """A bar a stage on the error stream; what jobs take as `progress`."""
+    """A bar a stage on the error stream, or a line every ten seconds where that is no terminal; what jobs take as `progress`."""
 
     def __init__(self, display: Progress, told: bool = False) -> None:
-        """Bars of a display of rich; one that is disabled shows nothing.
+        """Bars of a display of rich; one that is disabled draws none.
 
         Args:
             display: where they are drawn.
-            told: whether every new stage is told in a line, too.
+            told: whether every stage is told in a line when it is heard of first, too.
         """
         self._display, self._told = display, told
-        self._began, self._last = time.monotonic(), ""
-        self._stages: dict[str, tuple[TaskID, float]] = {}
+        self._began, self._heard, self._lock = time.monotonic(), set[str](), RLock()  # several threads may tell at once
+        self._stages: dict[str, _Stage] = {}
+        self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, stage: str, done: float, of: float) -> None:
         """Show how far a stage is; a new stage takes the place of those that are over."""
-        now = time.monotonic()
-        if self._told and stage != self._last:
-            self._last = stage
-            stderr.print(f"[dim]{now - self._began:6.1f} s[/]  {escape(stage)}", highlight=False)
-        if self._display.disable:
-            return
-        if stage not in self._stages:
-            self._forget(now)
-            self._stages[stage] = self._display.add_task(escape(stage), total=None, passed=""), now
-        task, _ = self._stages[stage]
-        self._display.update(task, completed=done, total=of or None, passed=_passed(done, of))
-        self._stages[stage] = task, now
+        with self._lock:
+            now = time.monotonic()
+            if self._told and stage not in self._heard:
+                self._heard.add(stage)
+                self._line(escape(stage), now)
+            if stage not in self._stages:
+                self._forget(now)
+                self._stages[stage] = _Stage(now, done, now)
+                if not self._display.disable:
+                    self._tasks[stage] = self._display.add_task(escape(stage), total=None, passed="")
+            at = self._stages[stage]
+            at.seen, at.done, at.of = now, done, of
+            if not self._display.disable:
+                self._display.update(self._tasks[stage], completed=done, total=of or None, passed=_passed(done, of))
+
+    def tell(self) -> None:
+        """Say in a line how far all stages are that go on."""
+        with self._lock:
+            now, stages = time.monotonic(), list(self._stages.items())
+            self._line(escape("; ".join(at.told(name, now) for name, at in stages if at is stages[-1][1] or not at.over) or "working"), now)
+
+    def _line(self, text: str, now: float) -> None:
+        stderr.print(f"[dim]{now - self._began:6.1f} s[/]  {text}", highlight=False, soft_wrap=True)
 
     def _forget(self, now: float) -> None:
         """Remove the bars of stages that are done, of unknown length, or without news: what is left runs beside the next one."""
-        for name, (task, seen) in list(self._stages.items()):
-            bar = next(one for one in self._display.tasks if one.id == task)
-            if bar.total is None or bar.completed >= bar.total or now > seen + FORGOTTEN:
-                self._display.remove_task(task)
+        for name, at in list(self._stages.items()):
+            if at.over or now > at.seen + FORGOTTEN:
                 del self._stages[name]
+                if name in self._tasks:
+                    self._display.remove_task(self._tasks.pop(name))
 
     def ask(self, request: str) -> None:
         """Ask a person to do something; on a terminal wait until it is done."""
@@ -63,7 +106,7 @@ class Bars:
 
 @contextmanager
 def shown(quiet: bool, told: bool = False) -> Iterator[Bars]:
-    """Bars with the time left, which vanish in the end; nothing where the error stream is no terminal.
+    """Bars with the time left, which vanish in the end; where the error stream is no terminal, a line every ten seconds.
 
     Args:
         quiet: whether to show nothing, as with --json.
@@ -71,7 +114,24 @@ def shown(quiet: bool, told: bool = False) -> Iterator[Bars]:
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[passed]}"), TimeRemainingColumn())
     with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as display:
-        yield Bars(display, told and not quiet)
+        bars = Bars(display, told and not quiet)
+        if quiet or stderr.is_terminal:
+            yield bars
+            return
+        over = Event()
+        clock = Thread(target=_tell_now_and_then, args=(bars, over), daemon=True)
+        clock.start()
+        try:
+            yield bars
+        finally:
+            over.set()
+            clock.join()
+
+
+def _tell_now_and_then(bars: Bars, over: Event) -> None:
+    """Let bars say how far they are until work is over, whether anything was heard of it or not."""
+    while not over.wait(EVERY):
+        bars.tell()
 
 
 def _passed(done: float, of: float) -> str:
@@ -80,3 +140,10 @@ def _passed(done: float, of: float) -> str:
         return ""
     whole = float(done).is_integer() and float(of).is_integer()
     return f"{done:.0f} of {of:.0f}" if whole else f"{done:.1f} of {of:.1f}"
+
+
+def _long(seconds: float) -> str:
+    """A time to wait, to what is worth knowing of it."""
+    if seconds < 60:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"

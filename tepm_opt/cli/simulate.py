@@ -73,8 +73,17 @@ def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[s
 
         text.append(f"in {TRAJECTORY} inputs hold until the next row; read as a run of a data set they would change linearly")
     if film is not None:
-        text.append(f"film: {escape(str(film))}")
+        text.append(f"film: {escape(str(film))}, {film.stat().st_size / 1e6:.1f} MB{_smaller(film)}")
     return text + (["[yellow]interrupted: what was finished is kept[/]"] if run.interrupted else [])
+
+
+def _smaller(film: Path) -> str:
+    """How a large film could be had small."""
+    from tepm_opt.plots.film import INSTALL, find_ffmpeg
+
+    if film.suffix != ".gif":
+        return ""
+    return "; --animation mp4 makes a smaller one" if find_ffmpeg() else f"; with ffmpeg it is a far smaller MP4: {escape(INSTALL)}"
 
 
 def simulate(
@@ -131,6 +140,7 @@ def simulate(
             took = time.perf_counter() - began
             run.save(folder)
             kept = f"the tables are in {out}"
+            progress("drawing", 0, 0)
             plots.draw(run, folder)
             made, whole = _film(run, folder, kind, progress)
     except KeyboardInterrupt:

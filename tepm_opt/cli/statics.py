@@ -31,6 +31,8 @@ def lines(run: StaticsRun, out: Path | None) -> list[str]:
             tip = ", ".join(f"{1e3 * value + 0.0:.3f}" for value in at.tip.round(9))
             tilt = math.degrees(at.tip_tilt)
             text.append(f"row {k + 1}: tip ({tip}) mm, tilt {tilt:.2f}°, stiffness at least {at.smallest_eigenvalue:.4f} N/m")
+    if more := sum(at.solved for at in run.equilibria[ROWS:]):
+        text.append(f"… and {more} more rows: " + ("all are in shape.csv there" if out else "--out FOLDER writes all into files"))
     return text + unsolved_lines(summary)
 
 

@@ -183,7 +183,7 @@ class Fits:
             if not self._has(effects, rival is not None or np.isfinite(bound)):
                 missing.setdefault(effects, []).append(start)
         for effects in missing:
-            self.progress(f"fitting {', '.join(c.told for c in effects) or 'the known parameters'}", 0, 0)
+            self.progress(_stage(effects), 0, 0)
         reached = bound if rival is None else min(bound, LOST * max(rival.estimate.cost, rival.estimate.count))
         found = in_parallel(lambda item: self._fitted(*item, reached), list(missing.items()), threads=self._at_once(missing))
         self.done |= {effects: hypothesis for effects, hypothesis in zip(missing, found, strict=True) if hypothesis is not None}
@@ -230,10 +230,15 @@ class Fits:
         free = freed(self.problem.free, self.problem.plant, effects)
         problem = replace(self.problem, plant=acting(self.problem.plant, effects))
         steps, fits = 0 if kept else self.settings.max_iterations, []
+
+        def tell(stage: str, done: float, of: float) -> None:
+            self.progress(_stage(effects), done, of)
+
         for start in [kept] if kept else begun:
             begin = tuple(_starting(f, start.get(f.name, f.start)) for f in free)
             with suppress(PredictionError):
-                fits.append(identify(replace(problem, free=begin), steps, tolerance=self.settings.tolerance, reached=reached))
+                fits.append(identify(replace(problem, free=begin), steps, tell, tolerance=self.settings.tolerance, reached=reached))
+        self.progress(_stage(effects), self.settings.max_iterations, self.settings.max_iterations)
         if not fits:
             return None
         found = min(fits, key=lambda fit: fit.cost)
@@ -270,6 +275,11 @@ class Fits:
             if self.store is not None and name not in self._kept:
                 self._kept[name] = value
                 write_atomically(self.store, json.dumps({**self._kept, "key": self.key}))
+
+
+def _stage(effects: Effects) -> str:
+    """What is being fitted; of its steps the most that it may take are told."""
+    return f"fitting {', '.join(c.told for c in effects) or 'the known parameters'}"
 
 
 def _sure(estimate: ParameterEstimate, evidence: Evidence) -> int:

@@ -31,6 +31,8 @@ LEAST_MOMENT_SHARE, LEAST_MOMENT_RATIO = 0.2, 10.0  # what is less may be chance
 MOMENTS = (1, 2, 4, 8, 16)  # blocks of time
 
 
+STANDS_OUT = 0.7  # part of what one actuator tells up to which others may tell for it to be named
+
 LEAST_OF = {"band": (LEAST_RATIO, LEAST_BAND_SHARE), "moment": (LEAST_MOMENT_RATIO, LEAST_MOMENT_SHARE)}
 """Ratio and share below which a place of this kind says little."""
 
@@ -319,15 +321,26 @@ def _sentence(rms: float, telling: Sequence[Place], found: Sequence[Place], unit
     spots += [f"at {best['point'].name}" + ("" if spots else f" ({quantity(best['point'].rms, unit)})")] if "point" in best else []
     parts = [f"The model misses by {quantity(rms, unit)} beyond the noise" + (f", most {' and '.join(spots)}" if spots else "")]
     parts += [f"along {best['axis'].name}"] if "axis" in best else []
-    if "actuator" in best:
-        name, _, kind = best["actuator"].name.removesuffix(ALONE).partition(" ")
-        alone = " and no other" if best["actuator"].name.endswith(ALONE) else ""
-        parts.append(f"while {name}'s {kind}{alone} is in use")
-    elif used := best.get("module") or best.get("input"):
-        parts.append(f"while {used.name} is in use")
+    parts += _used(best, telling, found)
     parts += [*_regimes(telling, found, unit, signals), *_times(best)]
     parts += [f"{100 * best['band'].share:.0f} % of it {best['band'].name}"] if "band" in best else []
     return "; ".join(parts if len(parts) > 1 or spots else [parts[0] + ", everywhere alike"]) + "."
+
+
+def _used(best: dict[str, Place], telling: Sequence[Place], found: Sequence[Place]) -> list[str]:
+    """What is in use where the model misses more, as far as it stands out against what is like it; all of a kind where all tell alike."""
+    for by in ("actuator", "module", "input"):
+        if by not in best:
+            continue
+        name, _, kind = best[by].name.removesuffix(ALONE).partition(" ")
+        alike = [place for place in found if place.by == by and (by != "actuator" or place.name.removesuffix(ALONE).endswith(f" {kind}"))]
+        others = [place for place in alike if place.name.removesuffix(ALONE) != best[by].name.removesuffix(ALONE)]
+        if all(_weight(place) <= STANDS_OUT * _weight(best[by]) for place in others):
+            alone = " and no other" if best[by].name.endswith(ALONE) else ""
+            return [f"while {name}'s {kind}{alone} is in use" if by == "actuator" else f"while {best[by].name} is in use"]
+        if by == "actuator" and {place.name for place in alike if not place.name.endswith(ALONE)} <= {place.name for place in telling}:
+            return [f"while {kind}s are in use"]
+    return []
 
 
 def _weight(place: Place) -> float:

@@ -13,6 +13,7 @@ from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.solvers.text import html_table, listed, shortened
 
 SHRINKS = 0.1  # part of the squared gap on runs not used that must close
+UNCLEAR = 2.0  # standard deviations within which a value is not told from what it was before
 
 
 class VerdictStatus(Enum):
@@ -33,6 +34,11 @@ class Value:
     std: float
     unit: str
     nominal: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether it differs significantly from what it was before."""
+        return abs(self.value - self.nominal) > UNCLEAR * self.std
 
 
 @dataclass(frozen=True)
@@ -132,6 +138,7 @@ class Verdict:
     Attributes:
         status: what became of the question.
         paragraph: the answer in words.
+        next: what to do now, in words, and `command`, which does it, where it is known what was asked.
         effects: named ones; with `INDISTINGUISHABLE` the rivals; with `UNEXPLAINED` those that are sure nevertheless.
         rivals: considered and rejected, most probable first.
         where: where the recalibrated model misses (the nominal one where nothing is missing), largest first.
@@ -158,6 +165,13 @@ class Verdict:
     machine: str = ""
     unit: str = "m"
     fits: int = 0
+    next: str = ""
+    command: str = ""
+
+    @property
+    def step(self) -> str:
+        """What to do now, in words and with the command."""
+        return f"Next: {self.next}{': ' if self.command else '.'}{self.command}" if self.next else ""
 
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
@@ -172,7 +186,11 @@ class Verdict:
             for name, value in named.parameters.items()
         ]
         head = ("effect", "probability", "parameter", "value", "standard deviation", "unit")
-        return f"<p>{escape(self.paragraph)}</p>" + (html_table(head, rows) if rows else "")
+        return (
+            f"<p>{escape(self.paragraph)}</p>"
+            + (f"<p>{escape(self.step)}</p>" if self.next else "")
+            + (html_table(head, rows) if rows else "")
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Content of verdict.json."""
@@ -202,6 +220,8 @@ class Verdict:
             "rmse_m" if self.unit == "m" else "rmse": {name: _rounded(value) for name, value in vars(self.errors).items()},
             "recalibrated": {name: _value(value) for name, value in self.recalibrated.items()},
             "paragraph": self.paragraph,
+            "next": self.next,
+            "command": self.command,
             "notes": list(self.notes),
             "fits": self.fits,
             "seconds": round(self.seconds, 1),

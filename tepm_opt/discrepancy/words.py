@@ -13,26 +13,47 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.localise import TIMES_NOISE
 from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.rivals import COINCIDE, coincidence
+from tepm_opt.discrepancy.rivals import COINCIDE, ONE_CAUSE, SOME_RUNS, coincidence
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus, shrinks
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
-SHOWN = {"Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%")}
+SHOWN = {
+    "Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%"),
+    "1/Pa": (1e5, "%/kPa"), "1/N": (100.0, "%/N"), "s/Pa": (1e6, "ms/kPa"),
+}  # fmt: skip
 LONG = 1e4  # of a small unit, from which on the SI unit is shown
 MOST_SIZES = 3  # effects whose sizes are said in the paragraph
 EVEN = 0.5  # probability from which an effect is said to be missing, not perhaps
-UNCLEAR = 2.0  # standard deviations within which a shape is not told from its usual one
+NEARLY_ALL = 0.9  # part of the gap that a rival closes from which it is said what else speaks against it
+AS_MUCH = 1.2  # times the excess of the answer up to which a rival leaves as much
+ANOTHER = 0.25  # of the width of its range by which a known parameter must differ from the answer's for a rival to need another one
 BEYOND = 1.2  # times the range fitted to, from which a run is said to leave it
-LOOK = "see what acts on the machine there and then, or give the library an effect that does"
+NEXT = {
+    VerdictStatus.NAMED: "see the corrected model beside a run",
+    VerdictStatus.NO_DISCREPANCY: "see the recalibrated model beside a run",
+    VerdictStatus.PARTIAL: "seek what else is missing",
+    VerdictStatus.INDISTINGUISHABLE: "record a run in which they would differ",
+    VerdictStatus.UNEXPLAINED: "see what acts on the machine there and then, or give the library an effect that does",
+}
 ONE_CLOCK = "put inputs and positions on one clock"
+
+
+def next_step(status: VerdictStatus, shift: str = "") -> str:
+    """What to do now, in words.
+
+    Args:
+        status: kind of answer.
+        shift: why inputs and positions seem to tell different times.
+    """
+    return ONE_CLOCK if shift else NEXT[status]
 
 
 def paragraph(
     status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation,
-    unit: str, shift: str = "",
+    unit: str,
 ) -> str:  # fmt: skip
     """The answer in one paragraph.
 
@@ -44,7 +65,6 @@ def paragraph(
         known: recalibrated parameters by full name.
         explanation: what the search found.
         unit: of the errors.
-        shift: why inputs and positions seem to tell different times.
     """
 
     def size(error: float) -> str:
@@ -66,8 +86,7 @@ def paragraph(
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
         return (
-            f"{_groups(named, explanation)}. {where} {shrinks} to {size(errors.corrected)} with the most probable in the model ({floor}). "
-            "Next: record a run in which they would differ."
+            f"{_groups(named, explanation)}. {where} {shrinks} to {size(errors.corrected)} with the most probable in the model ({floor})."
         )
     alone = [h for h in explanation.tried if len(h.effects) == 1]
     best = max([h for h in alone if not h.estimate.out_of_reach] or alone, key=explanation.closes, default=None)
@@ -75,7 +94,7 @@ def paragraph(
     return (
         f"Unexplained: structure above the noise remains that no known effect explains{nearest}. {where} On validation runs the error is "
         f"{size(errors.nominal)} (nominal) and {size(errors.recalibrated)} (recalibrated); a black box without physics reaches "
-        f"{size(errors.black_box)} ({floor}). Next: {ONE_CLOCK if shift else LOOK}."
+        f"{size(errors.black_box)} ({floor})."
     )
 
 
@@ -178,7 +197,8 @@ def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) 
         f"in the place of {effect.label} it leaves {most}{_percent(1 - closes)} of the gap on held-out data, "
         f"{effect.label} {_percent(1 - best)}"
     )
-    return text + (f"; their outputs nearly coincide in these runs (cosine {same:.3f})" if same > COINCIDE else "")
+    text += f"; their outputs nearly coincide in these runs (cosine {same:.3f})" if same > COINCIDE else ""
+    return text + _against(explanation, hypothesis)
 
 
 def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
@@ -186,12 +206,59 @@ def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
     if hypothesis.estimate.out_of_reach and hypothesis.estimate.problem.plant.quick:  # data were not left out
         return "alone it closes too little to be fitted to the end"
     least = "at least " if hypothesis.estimate.out_of_reach else ""
-    return f"alone it closes {least}{_percent(explanation.closes(hypothesis))} of the gap on held-out data"
+    return f"alone it closes {least}{_percent(explanation.closes(hypothesis))} of the gap on held-out data" + _against(
+        explanation, hypothesis
+    )
+
+
+def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
+    """What speaks against a hypothesis that closes nearly all of the gap: more causes, the values it would need, what it leaves."""
+    best, effects = explanation.best, hypothesis.effects
+    if explanation.closes(hypothesis) < NEARLY_ALL or hypothesis is best:
+        return ""
+    if hypothesis.estimate.out_of_reach:
+        return "; its fit was ended early, as what it promised would still leave far more than the answer does"
+    reasons = []
+    if len(effects) > len(best.effects):
+        reasons.append(
+            f"it takes {len(effects)} causes in the place of {len(best.effects)}, each {ONE_CAUSE:g} times less probable beforehand"
+        )
+    if sum(bool(c.runs) for c in effects) > sum(bool(c.runs) for c in best.effects):
+        reasons.append(f"it would act in some runs only, {SOME_RUNS:g} times less probable beforehand")
+    reasons += _needs(best, hypothesis)
+    left, there = hypothesis.excess, best.excess
+    if left > AS_MUCH * there:
+        reasons.append(f"what it leaves is {np.sqrt(left):.2g} times the noise, the answer {np.sqrt(there):.2g} times")
+    elif hypothesis.evidence.parameters > best.evidence.parameters:
+        reasons.append(f"it needs {hypothesis.evidence.parameters - best.evidence.parameters} parameters more to leave as little")
+    return "".join(f"; {reason}" for reason in reasons)
+
+
+def _needs(best: Hypothesis, hypothesis: Hypothesis) -> list[str]:
+    """The values at the ends of their ranges, or far from the answer's, that a hypothesis would need."""
+    others, estimate = {name for effect in best.effects for name in effect.parameters}, hypothesis.estimate
+    bound, apart = [], []
+    for free, value, at in zip(estimate.problem.free, estimate.values, estimate.at_bound, strict=True):
+        there, width = best.estimate.named.get(free.name, free.start), free.high - free.low
+        if free.refines or free.name in others:
+            continue
+        if at and abs(value - there) > ANOTHER * min(width, abs(value)):
+            bound.append(f"{free.name} at the end of its range ({_with_unit(value, free.unit)})")
+        elif "." not in free.name and abs(value - there) > ANOTHER * width:
+            apart.append(f"{free.name} {_with_unit(value, free.unit)} instead of {_with_unit(there, free.unit)}")
+    found = [*bound, *apart][:MOST_SIZES]
+    return [f"it would need {', '.join(found)}"] if found else []
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """A value as people say it."""
+    factor, shown = SHOWN.get(unit, (1.0, unit))
+    return f"{factor * value:.3g} {shown}".strip()
 
 
 def unfitted(score: Score) -> str:
     """Why an effect was not fitted."""
-    return f"to first order it could close {_percent(min(max(score.gain, 0.0), 1.0))} of the gap"
+    return f"to first order it could close {_percent(min(max(score.gain, 0.0) + 0.0, 1.0))} of the gap"
 
 
 def _names(named: Sequence[Named]) -> str:
@@ -227,15 +294,18 @@ def _moved(known: Mapping[str, Value]) -> str:
 
 
 def _values(named: Named) -> str:
-    """Values of an effect's parameters, without those of its shape that these runs cannot tell from the usual ones."""
-    parts = []
+    """Values of an effect's parameters, and which are not told from null; not those of its shape that are not told from the usual ones."""
+    parts, null = [], dict[str, list[str]]()
     for name, value in named.parameters.items():
-        if f"{named.candidate.label}.{name}" in named.candidate.shapes and abs(value.value - value.nominal) <= UNCLEAR * value.std:
+        if not value.clear:
+            if f"{named.candidate.label}.{name}" not in named.candidate.shapes:
+                null.setdefault(_with_unit(value.nominal, value.unit) if value.nominal else "0", []).append(name.replace("_", " "))
             continue
         factor, unit = SHOWN.get(value.unit, (1.0, value.unit))
         if factor * abs(value.value) >= LONG:
             factor, unit = 1.0, value.unit
         parts.append(f"{name.replace('_', ' ')} {factor * value.value:.3g} ± {factor * value.std:.2g} {unit}")
+    parts += [f"{' and '.join(names)} not significantly different from {nominal}" for nominal, names in null.items()]
     return ", ".join(parts)
 
 

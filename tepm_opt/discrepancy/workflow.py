@@ -133,7 +133,7 @@ def discover(
     looked_for = [effect for effect in explanation.best.effects if effect not in explanation.shown]
     acts = dict.fromkeys(explanation.shown, ()) | {effect: runs_of(effect, best, dataset, noise) for effect in looked_for}
     verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, judgement, acts, shift)
-    notes = (*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)
+    notes = tuple(dict.fromkeys((*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)))
     verdict = replace(verdict, notes=notes, seconds=time.monotonic() - began)
     return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
 
@@ -263,7 +263,7 @@ def _verdict(
     notes = words.notes(dataset, plant.signals, explanation, best, noise, errors)
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
-    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation, unit, shift)
+    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation, unit)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
     return Verdict(
         status,
@@ -278,6 +278,7 @@ def _verdict(
         machine=plant.name,
         unit=unit,
         fits=len(explanation.tried),
+        next=words.next_step(status, shift),
     )
 
 

@@ -25,15 +25,16 @@ from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.discrepancy.workflow import Discovery, discover
 from tepm_opt.errors import InputError
+from tepm_opt.jobs.advice import MODEL, VALUES, Asked, advised
 from tepm_opt.jobs.joined import joined
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
-from tepm_opt.models.effect_files import loaded_effects
+from tepm_opt.models.effect_files import loaded_effects, loaded_files
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.plant import PredictionError
 
-VERDICT, MODEL, VALUES, FITS, EFFECTS = "verdict.json", "model.toml", "values.json", ".fits.json", "effects"
+VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet, list[str]]:
@@ -87,6 +88,7 @@ def run_discrepancy(
         raise InputError("--add and --plant exclude each other; valid: data sets of a robot")
     if plant is not None:
         return _of_plant(folder, out, Path(plant), seed, progress)
+    asked = Asked(folder, out, None if model is None else Path(model), None, tuple(map(Path, add)), invent, despite_errors, loaded_files())
     dataset, warnings = checked_datasets([folder, *map(Path, add)], despite_errors)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
@@ -101,6 +103,7 @@ def run_discrepancy(
     write_model(result.verdict.model, out / MODEL)
     if invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         result = replace(result, law=with_law(result, out / EFFECTS, progress))
+    result = advised(result, asked)
     _write(result, out, warnings, {"data": [_seen_from(out, each) for each in (folder, *add)], "model": _seen_from(out, model)})
     return result
 
@@ -165,6 +168,7 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
     noise = float(dataset.noise[0, 0]) if alike else dataset.noise
     result = discover(dataset, plant, noise, seed, out / FITS, key, None, progress)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
+    result = advised(result, Asked(folder, out, plant=file))
     _write(result, out, [])
     return result
 

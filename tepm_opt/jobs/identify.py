@@ -30,6 +30,7 @@ from tepm_opt.solvers.start import predictions
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 
 SUMMARY = "identified.json"
+FAR = 1.5  # times the noise from which on residuals hold what no parameter explains
 STEP = 0.005  # s; longer ones damp a little by themselves, which biases the damping found
 
 
@@ -86,8 +87,24 @@ class IdentifyRun:
 
     @property
     def ok(self) -> bool:
-        """Whether the fit converged."""
-        return self.outcome.solved
+        """Whether the fit converged and nothing speaks against the model."""
+        return self.outcome.solved and not self.doubts
+
+    @property
+    def over_noise(self) -> float:
+        """What is left, root mean square over the noise's."""
+        return float(np.sqrt(self.estimate.cost / max(self.estimate.count, 1)))
+
+    @property
+    def doubts(self) -> list[str]:
+        """What says that the parameters stand in for something that the model lacks, a line each."""
+        found = []
+        if self.over_noise > FAR:
+            found.append(f"residuals are {self.over_noise:.3g} times the noise: these parameters do not explain the runs")
+        free = zip(self.estimate.problem.free, self.estimate.at_bound, strict=True)
+        if bound := [each.name for each, at in free if at and not each.refines]:
+            found.append(f"at the end of what is thought possible: {', '.join(bound)}: they may stand in for something else")
+        return found
 
     def summary(self) -> dict[str, Any]:
         """Numbers of the fit."""
@@ -102,11 +119,12 @@ class IdentifyRun:
         return {
             "parameters": values,
             "correlation": correlation.round(4).tolist(),
-            "residual_over_noise": float(np.sqrt(estimate.cost / max(estimate.count, 1))),
+            "residual_over_noise": self.over_noise,
             "validation_rmse_m": self.validation,
             "cannot_tell": self.cannot_tell,
             "iterations": estimate.iterations,
-            "converged": self.ok,
+            "converged": self.outcome.solved,
+            "doubts": self.doubts,
             "message": self.outcome.message,
         }
 

@@ -81,7 +81,7 @@ def record(
         rigs: opens the rig.
         rig_name: stands in `recording.json`; runs of different rigs are not mixed.
         seed: of everything random on the rig.
-        progress: told of every stage in s; stages begin with the run's file.
+        progress: told of every stage in s; stages begin with the run's file and its number.
         ask: is asked for another tip force where the rig cannot push; at first there is none.
 
     Raises:
@@ -94,7 +94,7 @@ def record(
     _tidy(folder, log)
     finished = {entry.file for entry in read_description(folder).runs}
     done, kept, notes, hanging = [], [], {}, np.zeros(3)
-    for planned in plan.runs:
+    for number, planned in enumerate(plan.runs, start=1):
         file, setpoints = planned.file, planned.setpoints
         if file in finished:
             kept.append(file)
@@ -104,9 +104,8 @@ def record(
         if rig.simulated is None and np.any(force != hanging):
             ask(f"{file}: make the force on the tip x, y, z = {', '.join(f'{value:g}' for value in force)} N")
             hanging = force
-        measured = measure(
-            rig, setpoints, plan.robot, journal, folder / file, planned.role, plan.sample_rate, named(progress, file), at_once=True
-        )
+        told = named(progress, f"{file} ({number} of {len(plan.runs)})")
+        measured = measure(rig, setpoints, plan.robot, journal, folder / file, planned.role, plan.sample_rate, told, at_once=True)
         finished.add(file)
         log["runs"][file] = {
             "fingerprint": planned.fingerprint(plan.robot, plan.sample_rate),

@@ -14,6 +14,7 @@ from tepm_opt.models.effects import effects, register, unregister
 
 VALID = "a file with a subclass of tepm_opt.models.effect.Effect"
 _loaded: dict[str, str] = {}
+_files: dict[str, Path] = {}
 
 
 def load_effects(files: Iterable[str | Path]) -> tuple[Effect, ...]:
@@ -27,6 +28,7 @@ def load_effects(files: Iterable[str | Path]) -> tuple[Effect, ...]:
 
 def unload_effect(name: str) -> None:
     """Take an effect of a file away."""
+    _files.pop(name, None)
     if _loaded.pop(name, None) is not None:
         unregister(name)
 
@@ -34,6 +36,11 @@ def unload_effect(name: str) -> None:
 def loaded_effects() -> str:
     """What was loaded, in a word that changes with the files' contents."""
     return hashlib.sha256(repr(sorted(_loaded.items())).encode()).hexdigest() if _loaded else ""
+
+
+def loaded_files() -> tuple[Path, ...]:
+    """The files whose effects are registered."""
+    return tuple(dict.fromkeys(_files.values()))
 
 
 def _of_file(path: Path) -> list[Effect]:
@@ -45,6 +52,7 @@ def _of_file(path: Path) -> list[Effect]:
             raise InputError(f"{path}: effect {effect.name!r} exists already; valid: a name of its own")
         register(effect)
         _loaded[effect.name] = path.read_text(encoding="utf-8")
+        _files[effect.name] = path
     return found
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, read_toml, toml_string, validated
+from tepm_opt.data.documents import Section, read_text, read_toml, toml_string, validated
 from tepm_opt.data.files import write_atomically
 from tepm_opt.data.markup import html_table
 from tepm_opt.errors import InputError, unknown_name
@@ -182,8 +181,17 @@ def read_model(path: str | Path) -> Model:
     return Model(robot, {name: float(value) for name, value in table.parameters.items()}, effects, source)
 
 
+def _beside(robot: Path, path: Path) -> str:
+    """The name of a robot file as seen from a model file: its own where both are in one folder, else that of a copy, `model.robot.toml`."""
+    if robot.resolve().parent == path.resolve().parent:
+        return robot.name
+    copy = path.with_suffix(".robot.toml")
+    write_atomically(copy, read_text(robot))
+    return copy.name
+
+
 def write_model(model: Model, path: str | Path) -> None:
-    """Write a model file that reads back equal.
+    """Write a model file that reads back equal, also where its folder is moved: a robot file from elsewhere is copied beside it.
 
     Raises:
         InputError: the model's robot is not what its `source` names, or the file cannot be written.
@@ -191,7 +199,7 @@ def write_model(model: Model, path: str | Path) -> None:
     path = Path(path)
     if load_robot(model.source) != model.robot:
         raise InputError(f"{path}: the model's robot differs from {model.source!r}; save the robot as a file and set `source` to it")
-    source = model.source if model.source in builtin_robots() else os.path.relpath(model.source, path.parent or ".")
+    source = model.source if model.source in builtin_robots() else _beside(Path(model.source), path)
     lines = [f"robot = {toml_string(source)}"]
     if model.parameters:
         lines += ["", "[parameters]", *(f"{name} = {float(value)!r}  # {UNITS[name]}" for name, value in model.parameters.items())]

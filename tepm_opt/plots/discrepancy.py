@@ -25,6 +25,7 @@ Predictions = Mapping[str, Sequence[np.ndarray]]
 MODELS = ("nominal", "recalibrated", "corrected")
 SPREAD = 8.0  # largest over smallest value from which an axis is logarithmic
 WINDOW = 8.0  # s shown of the tip
+MOST_LABELS = 3  # effects at once that are named in a figure
 FEW, MANY = 60, 3000  # samples, at least and at most, where a machine is slow or quick
 SMALLEST_SPAN = 2.0  # mm, so that noise is not drawn as motion
 ENOUGH_ROOM = 14  # columns of the heat map that fit in its usual width
@@ -91,7 +92,8 @@ def _error(unit: str) -> str:
 
 
 def _label(hypothesis: Hypothesis) -> str:
-    return " + ".join(effect.label for effect in hypothesis.effects)
+    few = len(hypothesis.effects) <= MOST_LABELS
+    return " + ".join(effect.label for effect in hypothesis.effects) if few else f"{len(hypothesis.effects)} effects together"
 
 
 def _rms_by_point(measured: list[np.ndarray], modelled: list[np.ndarray]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A simulated motion as a film: MP4 where ffmpeg is found, else GIF; what was drawn before an interruption is kept.
+"""A simulated motion as a film: MP4 where ffmpeg is found, else GIF, ten times as large; what was drawn before an interruption is kept.
 
 Frames come in real time, 25 a second; very long motions are shown faster. GIF frames share one palette, made for what a scene shows:
 nothing flickers, quantising is quick and two films of one motion are the same bytes.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator
+from importlib import import_module, util
 from pathlib import Path
 from typing import IO, Literal, cast
 
@@ -26,10 +27,23 @@ from tepm_opt.solvers.simulate import Simulation
 Kind = Literal["mp4", "gif", "none"]
 KINDS: tuple[Kind, ...] = ("mp4", "gif", "none")
 NAMES = {"mp4": "animation.mp4", "gif": "animation.gif"}
+INSTALL = "install it, or pip install 'tepm-opt[film]'"
 FPS = 25
 MOST_FRAMES = 1000  # 40 s
 BLENDS = (0.25, 0.5, 0.75)  # how much white smooth edges are mixed with
 GREYS = 33  # no more: Pillow rounds colours to steps of 4 before it looks for the nearest, and white must stay white
+
+
+def find_ffmpeg() -> str | None:
+    """The program ffmpeg: the system's, or that of the PyPI package imageio-ffmpeg where it is installed; None without one."""
+    if found := shutil.which("ffmpeg"):
+        return found
+    if util.find_spec("imageio_ffmpeg") is None:
+        return None
+    try:
+        return import_module("imageio_ffmpeg").get_ffmpeg_exe()
+    except RuntimeError:  # the package is there, its program is not
+        return None
 
 
 def choose(kind: str | None) -> Kind:
@@ -39,9 +53,9 @@ def choose(kind: str | None) -> Kind:
         InputError: no such kind, or "mp4" without ffmpeg.
     """
     if kind is None:
-        return "mp4" if shutil.which("ffmpeg") else "gif"
-    if kind == "mp4" and shutil.which("ffmpeg") is None:
-        raise InputError("--animation mp4: ffmpeg is not found; valid: gif, none")
+        return "mp4" if find_ffmpeg() else "gif"
+    if kind == "mp4" and find_ffmpeg() is None:
+        raise InputError(f"--animation mp4: ffmpeg is not found ({INSTALL}); valid: gif, none")
     for valid in KINDS:
         if kind == valid:
             return valid
@@ -133,7 +147,8 @@ def _save_mp4(pictures: Iterable[np.ndarray], path: Path) -> None:
     """Feed ffmpeg, which runs in a session of its own, so that Ctrl-C reaches this program alone and the film is ended properly."""
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(FPS), "-i", "-"]
     same_bytes = ["-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"]
-    command = ["ffmpeg", "-loglevel", "error", "-nostdin", "-y", *source, "-an", "-pix_fmt", "yuv420p", *same_bytes, str(path)]
+    program = find_ffmpeg() or "ffmpeg"
+    command = [program, "-loglevel", "error", "-nostdin", "-y", *source, "-an", "-pix_fmt", "yuv420p", *same_bytes, str(path)]
     try:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
     except OSError as error:

@@ -11,7 +11,10 @@ from matplotlib.ticker import MaxNLocator
 
 from tepm_opt.jobs.gain import GainRun
 from tepm_opt.plots.figure import PRESSURE, STYLE, TENSION
-from tepm_opt.solvers.gain import Curve, WorkspaceMap
+from tepm_opt.solvers.gain import Actuation, Curve, WorkspaceMap
+
+MOVES: tuple[tuple[Actuation, str], ...] = (("pressure", "pressures"), ("tension", "tensions"))
+"""Kinds of maps, and what moves the tip in them."""
 
 
 def gain_figure(run: GainRun) -> Figure:
@@ -24,7 +27,8 @@ def gain_figure(run: GainRun) -> Figure:
     for column, interval in enumerate(dict.fromkeys(label for _, label in curves)):
         _curve_axes(figure.add_subplot(grid[1, column]), interval, curves)
     if workspace is not None:
-        _map_axes(figure, figure.add_subplot(grid[2, :]), workspace)
+        for column, (kind, moves) in enumerate(MOVES):
+            _map_axes(figure, figure.add_subplot(grid[2, column]), workspace, kind, moves)
     layout = run.statics.model.layout
     point = next((gain.point for gain in run.gains if gain), layout.points - 1)
     figure.suptitle(f"{run.statics.model.robot.name}: open-loop gain G of {layout.point_names[point]}, normalised by the inputs' ranges")
@@ -76,16 +80,16 @@ def _curve_axes(axes: Axes, interval: str, curves: Mapping[tuple[str, str], Curv
             axes.plot(100 * curve.part, 1e3 * curve.tip[:, 2], color=color, label=kind)
     axes.set_xlabel("input, % of its range")
     axes.set_ylabel("tip z in mm")
-    axes.set_title("third actuator of module 1 alone, as Fig. 11")
+    axes.set_title(f"third actuator of module 1 alone, {interval.replace('–', ' to ')}, as Fig. 11")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8, loc="best")
 
 
-def _map_axes(figure: Figure, axes: Axes, workspace: WorkspaceMap) -> None:
-    values = workspace.values(lambda gain: 1e3 * float(gain.singular_values("tension")[-1]))
+def _map_axes(figure: Figure, axes: Axes, workspace: WorkspaceMap, kind: Actuation, moves: str) -> None:
+    values = workspace.values(lambda gain: 1e3 * float(gain.singular_values(kind)[-1]))
     image = axes.pcolormesh(1e3 * workspace.across, 1e3 * workspace.height, values, shading="nearest", cmap="viridis")
     axes.set_xlabel("across the base's axis in mm")
     axes.set_ylabel("along it in mm")
-    axes.set_title("where the tip can be, and how far tension moves it in its weakest direction")
+    axes.set_title(f"where the tip can be, and how far {moves}\nmove it in their weakest direction")
     axes.set_aspect("equal", anchor="C")
     figure.colorbar(image, ax=axes, shrink=0.9, pad=0.02, label="mm per full range")

@@ -24,6 +24,7 @@ def ik_figure(run: IkRun) -> Figure:
     pressure, tension = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     _input_axes(pressure, setpoints.time, setpoints.inputs[:, :half] / 1e3, run, joined=True)
     pressure.set_ylabel("pressure in kPa")
+    pressure.set_title("pressures of the muscles")
     tension.set_ylabel("tension in N")
     if run.mode is ActuationMode.HYBRID:
         _input_axes(tension, setpoints.time, setpoints.inputs[:, half:], run, joined=False)

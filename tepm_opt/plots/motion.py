@@ -14,6 +14,7 @@ from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TENSION
 AXES = (("x", PRESSURE), ("y", TENSION), ("z", REACHED))
 NOTHING = 0.3  # height of the panel of inputs that are zero throughout
 LEAST_SPAN = 2.0  # mm, so that a robot at rest is not drawn as rounding errors
+FROM_NULL, STEADY = 0.5, 0.02  # of the largest input: smallest one from which null is not shown, and least span then
 MODULES = ("-", "--", ":", "-.")
 
 
@@ -85,7 +86,7 @@ def _driven_axes(axes: Axes, run: SimulateRun, label: str, values: np.ndarray) -
     for k, name in enumerate(layout.actuator_names):
         _inputs(axes, run, values[:, k], *_style(layout, k), f"A{name}")
     _finish(axes, label, None, ncols=layout.modules)
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(*_input_limits(values))
 
 
 def _inputs(axes: Axes, run: SimulateRun, values: np.ndarray, style: str, color: str, label: str) -> None:
@@ -116,6 +117,15 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
     """Limits that hold all values, never narrower than what can be told from rounding."""
     middle, half = (values.max() + values.min()) / 2, max(float(np.ptp(values)) / 2, LEAST_SPAN / 2)
     return float(middle - 1.08 * half), float(middle + 1.08 * half)
+
+
+def _input_limits(values: np.ndarray) -> tuple[float | None, float | None]:
+    """Limits of inputs from 0, but where that would squeeze them all into a stripe."""
+    low, high = float(values.min()), float(values.max())
+    if low < FROM_NULL * high:
+        return 0.0, None
+    middle, half = (low + high) / 2, max(high - low, STEADY * high) / 2
+    return middle - 1.08 * half, middle + 1.08 * half
 
 
 def _finish(axes: Axes, label: str, values: np.ndarray | None, ncols: int = 1, legend: bool = True) -> None:

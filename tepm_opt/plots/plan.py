@@ -23,7 +23,10 @@ def plan_figure(run: PlanRun) -> Figure:
     figure = Figure(figsize=(11.5, 8.2), **STYLE)  # type: ignore[arg-type]
     grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.2))
     for k, view in enumerate(VIEWS):
-        _way(figure.add_subplot(grid[:2, 0] if k == 0 else grid[2, 0]), plan, run.obstacles, view)
+        axes = figure.add_subplot(grid[:2, 0] if k == 0 else grid[2, 0])
+        _way(axes, plan, run.obstacles, view)
+        if k == 0:
+            axes.legend(fontsize=8, loc="best")
     speed, pressure, tension = (figure.add_subplot(grid[k, 1]) for k in range(3))
     speed.plot(plan.time, 1e3 * np.linalg.norm(np.gradient(plan.tips, plan.time, axis=0), axis=1), color=REACHED)
     speed.set_ylabel("tip speed in mm/s")
@@ -58,10 +61,11 @@ def _way(axes: Axes, plan: MotionPlan, obstacles: Sequence[Obstacle], view: tupl
     points = 1e3 * plan.points[:, :, list(view)]
     for k, name in enumerate(plan.model.layout.point_names):
         last = k == points.shape[1] - 1
-        axes.plot(*points[:, k].T, color=REACHED if last else TARGET, linewidth=1.8 if last else 1.0)
+        label = "way of the tip" if last else "ways of the other points" if k == 0 else None
+        axes.plot(*points[:, k].T, color=REACHED if last else TARGET, linewidth=1.8 if last else 1.0, label=label)
         axes.annotate(name, points[-1, k], fontsize=8, xytext=(3, 3), textcoords="offset points")
-    for row in {0, len(points) - 1}:
-        axes.plot(*points[row].T, ".-", color=PRESSURE, linewidth=0.8, alpha=0.6)
+    for row, label, style in ((0, "start", "o-"), (len(points) - 1, "end", "s--")):
+        axes.plot(*points[row].T, style, color=PRESSURE, markersize=3.5, linewidth=0.9, alpha=0.8, label=label)
     for obstacle in obstacles:
         axes.fill(*(1e3 * _outline(obstacle, view)).T, color=MISSED, alpha=0.3, linewidth=0)
     axes.set_aspect("equal", adjustable="datalim")

@@ -93,7 +93,7 @@ def write_discrepancy_page(
 def environment() -> jinja2.Environment:
     """Templates of all pages, with their filters."""
     environment = jinja2.Environment(loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters |= {"mm": _mm, "sized": _sized, "percent": _percent, "spread": _spread}
+    environment.filters |= {"mm": _mm, "sized": _sized, "percent": _percent, "spread": _spread, "size": _size}
     return environment
 
 
@@ -122,6 +122,12 @@ def _percent(part: float | None) -> str:
     if 0 < part < 0.01 or 0.99 < part < 1:
         return "< 1 %" if part < 0.5 else "> 99 %"
     return f"{100 * part:.0f} %"
+
+
+def _size(value: Value) -> str:
+    """Value and standard deviation of an effect's parameter, and whether that differs from null."""
+    null = "0" if value.nominal == 0 else f"{value.nominal:.4g}{f' {value.unit}' if value.unit not in ('', '1') else ''}"
+    return _spread(value) + ("" if value.clear else f" (not significantly different from {null})")
 
 
 def _spread(value: Value) -> str:

@@ -74,6 +74,30 @@ class TestIdentify:
         assert done.json() == json.loads((here / "identified" / "identified.json").read_text())
         assert list(done.json()["parameters"]) == ["K_a", "m_d"]
 
+    def test_what_parameters_do_not_explain(self, tepm: Command, here: Path, data: Path) -> None:
+        """A holder that is off: status 1, why, and the command that finds out; the model is written all the same."""
+        spoilt(data)
+        done = tepm("identify", "data", "--out", "out")
+        assert done.status == 1
+        found = json.loads((here / "out" / "identified.json").read_text())
+        assert found["converged"]
+        assert found["residual_over_noise"] > 3
+        assert (
+            found["doubts"][0]
+            == f"residuals are {found['residual_over_noise']:.3g} times the noise: these parameters do not explain the runs"
+        )
+        assert found["doubts"][0] in done.out
+        assert done.out.endswith("\nNext: find out what the model lacks: tepm discrepancy data --out found\n")
+        assert read_model(here / "out" / "model.toml").parameters
+
+    def test_a_parameter_at_its_bound(self, tepm: Command, here: Path, data: Path) -> None:
+        """Mass that is not there: the fit is not asked for stiffness, so that the mass goes as far as its prior lets it."""
+        write_model(NOMINAL.with_parameters(K_a=345.0), here / "stiff.toml")
+        done = tepm("identify", "data", "--free", "m_d", "--model", "stiff.toml")
+        assert done.status == 1
+        assert "at the end of what is thought possible: m_d: they may stand in for something else" in done.out.replace("\n", " ")
+        assert "tepm discrepancy data --model stiff.toml --out found" in done.out
+
     @pytest.mark.slow
     def test_a_model_with_an_effect(self, tepm: Command, here: Path, data: Path) -> None:
         spoilt(data)
@@ -116,6 +140,9 @@ class TestDiscrepancy:
         assert "fitting the known parameters" in done.err
         verdict = json.loads((here / "out" / "verdict.json").read_text())
         assert verdict["status"] == "no_discrepancy"
+        assert verdict["command"].startswith("tepm simulate data/")
+        assert f"Next: {verdict['next']}: {verdict['command']}\n" in done.out
+        assert len(set(verdict["notes"])) == len(verdict["notes"])
         assert verdict["effects"] == []
         assert read_model(here / "out" / "model.toml").parameters
 

@@ -8,6 +8,8 @@ import json
 import re
 import shlex
 import shutil
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
@@ -21,6 +23,7 @@ import pytest
 from tepm_opt import load_robot
 from tepm_opt.cli import run
 from tepm_opt.jobs import ik as job
+from tepm_opt.models.backends import compiler, store
 from tepm_opt.outcome import Ending
 from tepm_opt.outcome import Outcome as Ended
 from tests.cli.conftest import Command, Outcome, script, small_demo
@@ -209,3 +212,28 @@ class TestHelp:
         done = tepm(*command.split())
         assert "Usage" in done.out + done.err
         assert "error: (see" not in done.err
+
+
+class TestTerminals:
+    def test_one_that_knows_ascii_only(self, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """What it cannot show is spelt; a name of a file that nothing stands for becomes a question mark."""
+        streams = {name: io.TextIOWrapper(io.BytesIO(), encoding="ascii") for name in ("stdout", "stderr")}
+        for name, stream in streams.items():
+            monkeypatch.setattr(sys, name, stream)
+        assert run(["statics", "--tip-force", "2.5,0,0"]) == 0
+        assert run(["statics", "größe.csv"]) == 2
+        out, err = ((stream.flush(), stream.buffer.getvalue().decode("ascii"))[1] for stream in streams.values())  # type: ignore[attr-defined]
+        assert "tilt 63.21 deg, stiffness" in out
+        assert "gr??e.csv" in err
+
+    def test_without_a_compiler_one_line_says_so(
+        self, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        store.warn_once.cache_clear()
+        monkeypatch.setattr(compiler, "find_compiler", lambda: None)
+        capsys.readouterr()
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            assert run(["statics"]) == 0
+        said = capsys.readouterr().err
+        assert said == f"warning: {compiler.NONE}\n"

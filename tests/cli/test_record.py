@@ -16,6 +16,7 @@ from tepm_opt.cli import rigs
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.run import read_run
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
+from tepm_opt.errors import InputError
 from tests.cli.conftest import Command, hear_ctrl_c
 from tests.data.made import ACTUATORS
 from tests.recording.fake_rig import FakeRig, FakeSimulation, write_plan
@@ -119,16 +120,28 @@ class TestRecord:
 
 class TestPlay:
     def test_for_people(self, tepm: Command, here: Path, fake: list[FakeRig], inputs: Path) -> None:
-        done = tepm("play", inputs, "--rig", "fake", "--out", "m.csv")
-        assert (done.status, done.out, done.err) == (0, "51 samples in m.csv\n", "")
-        assert read_run(here / "m.csv").rows == 51
+        done = tepm("play", inputs, "--rig", "fake", "--out", "played")
+        assert (done.status, done.out, done.err) == (0, "51 samples in played/measured.csv\n", "")
+        assert read_run(here / "played" / "measured.csv").rows == 51
         assert fake[0].stops >= 1
-        again = tepm("play", inputs, "--rig", "fake", "--out", "m.csv")
-        assert (again.status, "m.csv exists; name another file" in again.err) == (2, True)
+        again = tepm("play", inputs, "--rig", "fake", "--out", "played")
+        assert (again.status, "played/measured.csv exists; name another file" in again.err) == (2, True)
+
+    def test_into_a_file(self, tepm: Command, here: Path, fake: list[FakeRig], inputs: Path) -> None:
+        assert tepm("play", inputs, "--rig", "fake", "--out", "m.csv").out == "51 samples in m.csv\n"
+        assert read_run(here / "m.csv").rows == 51
+
+    def test_no_empty_folder_is_left(self, tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch, inputs: Path) -> None:
+        def failing(text: str, robot: object) -> FakeRig:
+            raise InputError("no rig there")
+
+        monkeypatch.setattr(rigs, "open_rig", failing)
+        assert tepm("play", inputs, "--rig", "fake", "--out", "played").status == 2
+        assert not (here / "played").exists()
 
     def test_json(self, tepm: Command, fake: list[FakeRig], inputs: Path) -> None:
         done = tepm("play", inputs, "--rig", "fake", "--rate", 100, "--json")
-        assert done.json() == {"file": "measured.csv", "rows": 101, "duration_s": 1.0, "notes": []}
+        assert done.json() == {"file": "played/measured.csv", "rows": 101, "duration_s": 1.0, "notes": []}
 
     def test_on_the_simulated_rig(self, tepm: Command, here: Path, inputs: Path) -> None:
         pytest.importorskip("mujoco")
@@ -171,10 +184,10 @@ class TestSignals:
         np.testing.assert_array_equal(read_dataset(here / "set").runs[0].points[: journal.rows], journal.points)
 
     def test_play(self, here: Path, inputs: Path) -> None:
-        process = self.begin(here, "play", "inputs.csv", "--rig", "fake", "--out", "m.csv")
-        self.wait_for(here, "m-1.unfinished.csv", process)
+        process = self.begin(here, "play", "inputs.csv", "--rig", "fake", "--out", "played")
+        self.wait_for(here, "played/measured-1.unfinished.csv", process)
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
         assert process.returncode == 130
-        assert "the rig is stopped; what was measured is in m-….unfinished.csv" in err
-        assert not (here / "m.csv").exists()
+        assert "the rig is stopped; what was measured is in played/measured-….unfinished.csv" in err
+        assert not (here / "played" / "measured.csv").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -304,8 +305,17 @@ def test_hold_does_not_fit_a_recorded_run_nor_overwrites_it(tepm: Command, here:
 
 
 @pytest.mark.usefixtures("in_csv")
+def test_a_gif_says_how_to_have_it_smaller(tepm: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(film, "find_ffmpeg", lambda: None)
+    done = tepm("simulate", "in.csv", "--out", "out", "--animation", "gif")
+    assert re.search(
+        r"film: out/animation\.gif, \d+\.\d MB; with ffmpeg it is a far smaller MP4: .*pip install 'tepm-opt\[film\]'", done.out
+    )
+
+
+@pytest.mark.usefixtures("in_csv")
 def test_film_without_ffmpeg(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(film.shutil, "which", lambda name: None)
+    monkeypatch.setattr(film, "find_ffmpeg", lambda: None)
     done = tepm("simulate", "in.csv", "--out", "out", "--animation", "mp4")
     assert (done.status, names_in(here)) == (2, {"in.csv"})
     assert "ffmpeg" in done.err

@@ -36,6 +36,13 @@ def test_smallest_eigenvalue(tepm: Command) -> None:
     assert value == pytest.approx(0.38980, abs=5e-6)
 
 
+def test_rows_that_are_not_printed_are_counted(tepm: Command, here: Path, solved_circle: Path) -> None:
+    told = tepm("statics", solved_circle / "inputs.csv").out
+    assert told.count("\nrow ") == 8
+    assert told.endswith("… and 24 more rows: --out FOLDER writes all into files\n")
+    assert "… and 24 more rows: all are in shape.csv there" in tepm("statics", solved_circle / "inputs.csv", "--out", "out").out
+
+
 def test_without_out_nothing_is_written(tepm: Command, here: Path) -> None:
     assert tepm("statics").status == 0
     assert names_in(here) == set()

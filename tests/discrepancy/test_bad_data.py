@@ -386,7 +386,7 @@ def test_a_clock_that_leads_names_nothing(machine: Machine, tmp_path: Path) -> N
     verdict = run_discrepancy(tmp_path / "data", tmp_path / "out", despite_errors=True).verdict
     assert re.match("all runs: shifted clock: positions lead the inputs by 0.[23]", verdict.notes[0])
     assert verdict.status is VerdictStatus.UNEXPLAINED
-    assert "Next: put inputs and positions on one clock" in verdict.paragraph
+    assert verdict.next.startswith("put inputs and positions on one clock")
 
 
 def test_no_case_twice() -> None:

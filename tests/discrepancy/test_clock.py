@@ -136,4 +136,4 @@ def test_a_plant_file_s_clock_is_warned_of(tmp_path: Path) -> None:
     verdict = run_discrepancy(data, tmp_path / "out", plant=file).verdict
     assert re.search(r"shifted clock: positions lead the inputs by 0\.(48|50) s", verdict.notes[0])
     assert verdict.status is VerdictStatus.UNEXPLAINED
-    assert verdict.paragraph.endswith("Next: put inputs and positions on one clock.")
+    assert verdict.step.startswith("Next: put inputs and positions on one clock, then ask again: tepm discrepancy ")

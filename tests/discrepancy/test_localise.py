@@ -75,6 +75,18 @@ def test_finds_run_point_axis_and_actuator(more: tuple[Change, ...]) -> None:
     assert all(word in localisation.sentence for word in ("run_1.csv", "s3", "along y", "13's pressure"))
 
 
+def test_an_actuator_is_named_only_where_it_stands_out() -> None:
+    """With an error under all tensions alike it is tensions that are in use, not one of them."""
+
+    def under_tension(run: Run) -> None:
+        run.points[run.inputs[:, 6:].max(axis=1) > 0.5, 2, 1] += 3e-3
+
+    localisation = found(under_tension)
+    assert {("actuator", f"{name} tension") for name in ("11", "12", "13")} <= telling(localisation)
+    assert "while tensions are in use" in localisation.sentence
+    assert "'s tension" not in localisation.sentence
+
+
 def test_sizes_have_the_noise_taken_off() -> None:
     localisation = found(while_13)
     run = modelled_runs()[1]

@@ -76,8 +76,8 @@ def problem(library: CompiledModel, runs: list[Run]) -> Problem:
 
 
 def contents(folder: Path) -> tuple[dict[str, Any], str]:
-    """verdict.json but for the time it took, and model.toml."""
-    verdict = json.loads((folder / VERDICT).read_text())
+    """verdict.json but for the time it took and where it is, and model.toml."""
+    verdict = json.loads((folder / VERDICT).read_text().replace(str(folder), "OUT"))
     assert verdict.pop("seconds") > 0
     return verdict, (folder / MODEL).read_text()
 
@@ -199,8 +199,10 @@ class TestFits:
         )
         first = fits.fit((), {})
         assert first is not None
+        assert set(said) == {"fitting the known parameters"}
+        count = len(said)
         assert fits.fit((), {}) is first
-        assert len(said) == 1
+        assert len(said) == count
         again = Fits(problem(library, runs), SearchSettings(max_iterations=2), tmp_path / "fits.json", "key").fit((), {})
         assert again is not None
         np.testing.assert_array_equal(again.estimate.values, first.estimate.values)
@@ -319,7 +321,7 @@ class TestAnswer:
     ) -> None:
         monkeypatch.setattr(parallel, "cores", lambda: cores)
         again = run_discrepancy(folder, tmp_path)
-        texts = [(each / VERDICT).read_text().rsplit('"seconds"', 1)[0] for each in (out, tmp_path)]
+        texts = [(each / VERDICT).read_text().rsplit('"seconds"', 1)[0].replace(str(each), "OUT") for each in (out, tmp_path)]
         assert texts[0] == texts[1]
         assert (out / MODEL).read_bytes() == (tmp_path / MODEL).read_bytes()
         for one, other in zip(result.explanation.tried, again.explanation.tried, strict=True):

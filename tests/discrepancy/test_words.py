@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
+import pytest
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.evidence import Evidence
+from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.network import candidate
-from tepm_opt.discrepancy.verdict import Named, Value
-from tepm_opt.discrepancy.words import _names, _values, repeats
+from tepm_opt.discrepancy.screen import Score
+from tepm_opt.discrepancy.search import Explanation
+from tepm_opt.discrepancy.verdict import Named, Value, VerdictStatus
+from tepm_opt.discrepancy.words import _names, _values, alone, next_step, repeats, unfitted
+from tepm_opt.solvers.plant import Free
 
 
 def run(file: str, seed: int, pressure: float) -> Run:
@@ -39,3 +49,70 @@ def test_many_effects_are_listed_without_their_sizes() -> None:
     assert _names(named[:2]) == "time_delay (size 100 ± 10 %; probability 1.00) and payload (size 100 ± 10 %; probability 0.90)"
     listed = "time_delay (1.00), payload (0.90), base_tilt (0.80); perhaps also tendon_friction (0.40)"
     assert _names(named) == f"4 effects, with their probabilities: {listed}"
+
+
+def test_sizes_that_are_not_told_from_null_are_not_given() -> None:
+    """Neither by a number that reads as a finding; those of a shape are left out as before."""
+    holders = Named(
+        candidate("mass_distribution"),
+        1.0,
+        {"holders": Value(0.00204, 0.023, "1", 0.0), "plates": Value(0.24, 0.065, "1", 0.0)},
+        1.0,
+    )
+    assert _values(holders) == "plates 24 ± 6.5 %, holders not significantly different from 0"
+    delay = Named(candidate("time_delay"), 1.0, {"delay": Value(0.031, 0.002, "s", 0.03)}, 1.0)
+    assert _values(delay) == "delay not significantly different from 30 ms"
+    bend = Named(candidate("pressure_crosstalk"), 1.0, {"bend": Value(-6e-7, 1e-8, "1/Pa", 0.0)}, 1.0)
+    assert _values(bend) == "bend -0.06 ± 0.001 %/kPa"
+
+
+def considered(
+    effects: tuple[Any, ...],
+    excess: float,
+    free: Sequence[Free] = (),
+    values: Sequence[float] = (),
+    bound: bool = False,
+    early: bool = False,
+) -> Any:
+    """A hypothesis with some parameters, all at their bounds or none, whose fit may have been ended early."""
+    counts = np.full(10, 100)
+    named = {each.name: value for each, value in zip(free, values, strict=True)}
+    problem = SimpleNamespace(free=tuple(free), plant=SimpleNamespace(quick=False))
+    at_bound = np.full(len(free), bound)
+    estimate: Any = SimpleNamespace(problem=problem, values=np.array(values), named=named, at_bound=at_bound, out_of_reach=early)
+    return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1 + len(free), np.zeros(1)))
+
+
+def test_nothing_is_not_less_than_nothing() -> None:
+    assert unfitted(Score(candidate("creep"), -0.0, {})) == "to first order it could close 0 % of the gap"
+
+
+def test_a_rival_that_closes_nearly_all_has_a_reason() -> None:
+    """What it leaves beside the noise, the values that it would need, how many causes it takes; one that closes less needs none."""
+    payload, lag, tilt = candidate("payload"), candidate("regulator_lag"), candidate("base_tilt")
+    stiffness = Free("K_a", "N/m", 358.0, 340.0, 380.0, 1.0)
+    best = considered((lag,), 0.01, [stiffness], [360.0])
+    without = considered((), 1000.0)
+
+    def against(*given: Any, **more: Any) -> str:
+        found = considered(*given, **more)
+        return alone(Explanation(without, best, best, [without, best, found], [], {}, {}), found)
+
+    assert (
+        against((tilt,), 4.0)
+        == "alone it closes 99.6 % of the gap on held-out data; what it leaves is 2 times the noise, the answer 0.1 times"
+    )
+    assert against((tilt,), 500.0) == "alone it closes 50 % of the gap on held-out data"
+    assert "leave far more than the answer does" in against((tilt,), 4.0, early=True)
+    mass = Free("payload.mass", "kg", 0.0, 0.0, 0.5, 0.01)
+    heavy = against((payload,), 0.01, [mass], [0.5], bound=True)
+    assert heavy.endswith("; it would need payload.mass at the end of its range (500 g)")
+    soft = against((tilt,), 0.01, [stiffness], [375.0])
+    assert soft.endswith("; it would need K_a 375 N/m instead of 360 N/m")
+    assert "; it takes 2 causes in the place of 1, each 20 times less probable beforehand" in against((tilt, payload), 0.01)
+
+
+@pytest.mark.parametrize("status", list(VerdictStatus))
+def test_every_status_has_a_next_step(status: VerdictStatus) -> None:
+    assert next_step(status)
+    assert next_step(status, "all runs: shifted clock") == "put inputs and positions on one clock"

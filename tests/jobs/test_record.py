@@ -74,6 +74,13 @@ def test_what_is_recorded(tmp_path: Path, bench: Bench) -> None:
     assert not any(rig.commanded.any() for rig in bench.rigs)
 
 
+def test_progress_says_which_run_of_how_many(tmp_path: Path, bench: Bench) -> None:
+    told: dict[str, None] = {}
+    record(read_plan(write_plan(tmp_path, STEPS, RAMP)), tmp_path / "set", bench, "fake", 0, lambda stage, done, of: told.setdefault(stage))
+    assert "steps.csv (1 of 2): recording" in told
+    assert "ramp.csv (2 of 2): recording" in told
+
+
 def test_the_seed_makes_the_noise(tmp_path: Path, bench: Bench) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         (tmp_path / name).mkdir()

@@ -91,11 +91,27 @@ def test_a_models_robot_file_is_found_relative_to_the_model_file(tmp_path, monke
     (tmp_path / "robots" / "mine.toml").write_text(robot_text("kang2017").replace("m_d = 0.22 ", "m_d = 0.25 "), encoding="utf-8")
     model = Model.of(tmp_path / "robots" / "mine.toml").with_effect("payload")
     write_model(model, tmp_path / "models" / "model.toml")
-    assert 'robot = "../robots/mine.toml"' in (tmp_path / "models" / "model.toml").read_text()
+    assert 'robot = "model.robot.toml"' in (tmp_path / "models" / "model.toml").read_text()
     monkeypatch.chdir(tmp_path / "models")  # where the reader stands does not matter
     for path in ("model.toml", tmp_path / "models" / "model.toml"):
         back = read_model(path)
         assert (back.robot, back.parameters, back.effects) == (model.robot, model.parameters, model.effects)
+
+
+def test_a_model_file_can_be_moved_with_its_folder(tmp_path):
+    """What the robot file was copied from may be gone; one that lies in the folder is not copied."""
+    (tmp_path / "mine.toml").write_text(robot_text("kang2017").replace("m_d = 0.22 ", "m_d = 0.25 "), encoding="utf-8")
+    model = Model.of(tmp_path / "mine.toml").with_parameters(K_a=350.0)
+    (tmp_path / "found").mkdir()
+    write_model(model, tmp_path / "found" / "model.toml")
+    write_model(model, tmp_path / "beside.toml")
+    (tmp_path / "found").rename(tmp_path / "elsewhere")
+    (tmp_path / "mine.toml").rename(tmp_path / "robot.toml")
+    back = read_model(tmp_path / "elsewhere" / "model.toml")
+    assert back == model
+    write_model(back.with_parameters(K_a=351.0), tmp_path / "elsewhere" / "model.toml")
+    assert sorted(path.name for path in (tmp_path / "elsewhere").iterdir()) == ["model.robot.toml", "model.toml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["beside.toml", "elsewhere", "robot.toml"]
 
 
 def test_a_model_whose_robot_is_in_no_file_is_not_written(tmp_path):

@@ -17,6 +17,11 @@ from pathlib import Path
 
 from tepm_opt.models.backends import store
 
+NONE = (
+    "no C compiler found: everything works, with the same results, but some 10 to 70 times slower; "
+    "valid: gcc or clang from your system's packages, or pip install ziglang"
+)
+
 
 @cache
 def find_compiler() -> tuple[str, ...] | None:
@@ -45,11 +50,11 @@ def build(text: str, stem: str, symbols: Sequence[str], flags: Sequence[str], in
         stem: with which the names of its files begin.
         symbols: functions that are called from outside.
         flags: of the compiler.
-        instead: what is used without it, for the warning.
+        instead: what is used without it, for the warning where compiling fails.
     """
     compiler = find_compiler()
     if compiler is None:
-        store.warn_once(f"no C compiler found: {instead}")
+        store.warn_once(NONE)
         return None
     key = hashlib.sha256("\n".join((text, *flags, _machine(compiler))).encode()).hexdigest()[:24]
     name = f"{stem}-{key}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import multiprocessing
 import os
 import stat
 import tempfile
@@ -166,5 +167,6 @@ def turn(folder: Path, name: str) -> Iterator[None]:
 
 @cache
 def warn_once(message: str) -> None:
-    """Warn, once a process."""
-    warnings.warn(message, RuntimeWarning, stacklevel=4)
+    """Warn, once a process; not in processes that help another, which has said it."""
+    if multiprocessing.parent_process() is None:
+        warnings.warn(message, RuntimeWarning, stacklevel=4)
