@@ -10,6 +10,7 @@ from typing import Any
 from tepm_opt.control.controllers import DEFAULT, find_controller
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
+from tepm_opt.hw.simulation.scaling import fitted
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.compare import LoopTask, compare
 from tepm_opt.jobs.course import Course
@@ -133,7 +134,7 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
         progress: told of every controller how many s are done.
 
     Raises:
-        InputError: the robot's file cannot be found again, or the loops do not fit it.
+        InputError: the loops do not fit the robot.
         RuntimeError: the simulated rig failed.
         KeyboardInterrupt: one was interrupted.
     """
@@ -147,14 +148,5 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
 
 
 def rig_of(model: CompiledModel) -> RigFile:
-    """The virtual prototype; for other robots than its own one with its devices, built exactly as the robot file says.
-
-    Raises:
-        InputError: the robot's file cannot be found again.
-    """
-    prototype = load_rig_file()
-    if model.robot.model_copy(update={"name": prototype.nominal.name}) == prototype.nominal:
-        return prototype
-    described = prototype.model_dump(exclude={"parameter_factors", "imperfections"})
-    kept = prototype.imperfections.only(lambda imperfection: imperfection.of_devices).model_dump()
-    return RigFile.model_validate({**described, "name": model.robot.name, "robot": model.model.source, "imperfections": kept})
+    """The virtual prototype, scaled to the model's robot."""
+    return fitted(load_rig_file(), model.robot)
