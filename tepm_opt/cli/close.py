@@ -49,8 +49,10 @@ def close(
     """
     chosen = paths or list(PATHS)
     with folder_for(out) as folder:
+        for path in chosen:
+            TrajectoryOptions({}).trajectory(path)  # a wrong one is told before anything is compiled
         known = load(robot_there(robot, model, rig), model)
-        targets = {Path(path).stem: TrajectoryOptions({}).trajectory(path) for path in chosen}
+        targets = {Path(path).stem: TrajectoryOptions({}).trajectory(path, known) for path in chosen}
         planned = None if plan is None else tepm.read_plan(plan)
         opened = opener(rig, known.robot, seed)
         opened(seed)  # a rig that is not there is told before anything is computed

@@ -72,8 +72,8 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
         file = fitted(file, robot)
     elif robot is not None and channels_of(robot) != channels_of(file.nominal):
         raise InputError(
-            f"rig {name}: simulates the robot {file.nominal.name!r}, the model's is {robot.name!r}; take --rig sim, which simulates any robot, "
-            f"name the rig's (--robot {file.robot}), or write a rig file for yours: tepm rig new FILE --robot ROBOT"
+            f"rig {name}: simulates the robot {file.nominal.name!r}, the model's is {robot.name!r}; name the rig's (--robot {file.robot}), "
+            f"take --rig sim, which simulates any robot, or write a rig file for yours: tepm rig new FILE --robot ROBOT"
         )
     try:
         return SimulatedRig(file.with_engine(engine) if engine else file)

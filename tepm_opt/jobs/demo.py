@@ -21,7 +21,8 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.trajectories import Trajectory, circle
+from tepm_opt.solvers.sized import path_for
+from tepm_opt.solvers.trajectories import Trajectory
 
 CONTROLLERS = (DEFAULT, "mode2", "mode1")  # the one that takes longest first
 NAMES = {name: find_controller(name).title for name in reversed(CONTROLLERS)}
@@ -99,10 +100,10 @@ def run_demo(model: CompiledModel, trajectory: Trajectory | None = None, progres
 
     Args:
         model: compiled model.
-        trajectory: targets; the paper's circle where absent.
+        trajectory: targets; the paper's circle in the robot's size where absent.
         progress: told of every point, and of the time of the closed loops.
     """
-    path = circle() if trajectory is None else trajectory
+    path = path_for(model, "circle") if trajectory is None else trajectory
     pressure = run_ik(model, path, ActuationMode.PRESSURE, progress=progress)
     if pressure.interrupted:
         return DemoRun(pressure, interrupted=True)

@@ -33,7 +33,7 @@ def channels_of(robot: Robot) -> Channels:
 
 
 def _sway(robot: Robot) -> float:
-    """Rough frequency of a robot's sway in Hz: a beam of its muscles without weight, clamped at its base; 3 EI / h³ over 0.24 of its mass."""
+    """Rough frequency of a robot's sway in Hz: a beam of muscles without weight, clamped below; 3 EI / h³ over 0.24 of its mass."""
     value, height = robot.parameters, robot.modules * robot.parameters.L_0
     bending = robot.actuators / 2 * value.K_a * value.L_0 * value.r**2
     return float(np.sqrt(3 * bending / height**3 / (0.24 * robot.modules * value.m_d)) / (2 * np.pi))

@@ -160,8 +160,9 @@ class Machine(ABC):
 
     def diverged(self, at: int) -> Diverged:
         """The error that says that the positions left all bounds before a step, and what can be done."""
-        told = f"the simulation diverged before {at * self.step:.3f} s in steps of {self.step:.3g} s (at rest the robot bears {self.limit:.3g} s)"
-        return Diverged(f"{told}: inputs or loads are more than it bears, or simulation.step_s is too long: try {self.step / 2:.2g} in a rig file")
+        told = f"the simulation diverged before {at * self.step:.3f} s in steps of {self.step:.3g} s (at rest it bears {self.limit:.3g} s)"
+        shorter = f"simulation.step_s is too long (try {self.step / 2:.2g} in a rig file)"
+        return Diverged(f"{told}: inputs or loads are more than the robot bears, or {shorter}")
 
 
 def _step(file: RigFile, longest: float) -> float:

@@ -107,17 +107,6 @@ def load_rig_file(rig: str | Path = DEFAULT) -> RigFile:
     return _read(Path(rig))
 
 
-def rig_text(rig: str) -> str:
-    """The text of a rig file that comes with the package, with its comments.
-
-    Raises:
-        InputError: no built-in rig has this name.
-    """
-    if rig not in builtin_rigs():
-        raise unknown_name("rig", rig, builtin_rigs())
-    return (resources.files("tepm_opt.hw.simulation") / "rigs" / f"{rig}.toml").read_text(encoding="utf-8")
-
-
 def _read(path: Path) -> RigFile:
     file = validated(RigFile, read_toml(path), str(path))
     if isinstance(file.robot, str) and file.robot not in builtin_robots():

@@ -21,6 +21,7 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
 MOST_CLAMPED = 0.3  # of a segment's height: more of it would leave nothing that is elastic
+DIGITS = 6  # of scaled values, which people read
 Ratios = Mapping[str, float]
 """Another robot's magnitudes over the rig's, by the end of a key's name."""
 
@@ -113,7 +114,7 @@ def _times(section: Section, **factors: float) -> Any:
             return {name: product(each, factor) for name, each in value.items()}
         if isinstance(value, tuple):
             return tuple(product(each, factor) for each in value)
-        return factor * value if isinstance(value, float) else value
+        return float(f"{factor * value:.{DIGITS}g}") if isinstance(value, float) and factor != 1.0 else value
 
     return section.model_copy(update={name: product(getattr(section, name), factor) for name, factor in factors.items()})
 
