@@ -1,9 +1,9 @@
 """The gallery's robots through the whole chain: `python -m tests.study_gallery FOLDER [ROBOT …] [--quick]`.
 
-For each robot: inverse kinematics of the circle in its size, G along it, the motion under these set points, the fastest way across half
-the circle, the predictive controller round it on the simulated rig; then the standard plan recorded on a machine that is the robot but for the
-tracker's noise and a payload of a twentieth of its mass, parameters identified from it, and what is missing named. A table comes at the
-end. Everything is kept in FOLDER: the same command goes on. `--quick` leaves out what needs data.
+For each robot: inverse kinematics of the circle in its size, G along it, the motion under these set points, the fastest way over half the
+circle's width, the predictive controller round it on the simulated rig; then the standard plan recorded on a machine that is the robot but
+for the tracker's noise and a payload of a twentieth of its mass, parameters identified from it, and what is missing named. A table comes at
+the end. Everything is kept in FOLDER: the same command goes on. `--quick` leaves out what needs data.
 """
 
 from __future__ import annotations
@@ -131,7 +131,9 @@ def rows(name: str, told: Told) -> dict[str, str]:
         "`ik`: points solved; tip error on the actuators' grids, largest (mm)": f"{part['solved']}; {part['rounded']:.3f}",
         "`gain`: singular values, full range (mm)": gains,
         "`simulate`: the tip off the circle under these set points in 8 s, rms (mm)": f"{part['open loop']:.1f}",
-        "`plan`: fastest way over half the circle's width, from rest to rest (s)": f"{part['plan']:.2f}" if isinstance(part["plan"], float) else part["plan"],
+        "`plan`: fastest way over half the circle's width, from rest to rest (s)": f"{part['plan']:.2f}"
+        if isinstance(part["plan"], float)
+        else part["plan"],
         "`mpc --rig sim`: true tip, rms (mm), two seeds": ", ".join(f"{value:.2f}" for value in part["mpc"].values()),
     }
     if "recorded" in told:

@@ -12,7 +12,7 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import Robot
-from tepm_opt.solvers.kinematics import solve_trajectory
+from tepm_opt.solvers.kinematics import each_configuration
 from tepm_opt.solvers.trajectories import END, HEIGHT, RADIUS, SHAPES, START, Shape, Trajectory
 
 PAPER = 0.400  # m, length of the arm that the shapes' own sizes are for; they lie as high above its base
@@ -51,7 +51,7 @@ def path_for(model: CompiledModel, name: str, **given: Any) -> Trajectory:
         path = next((each for share in SHARES if _in_reach(nominal, each := _placed(robot, shape, share * whole, given))), path)
     if np.array_equal(path.positions, shape.make(**given).positions):
         return path
-    middle = ", ".join(f"{value:.3g}" for value in path.positions.mean(axis=0) + 0.0)
+    middle = ", ".join(f"{value:.3g}" for value in np.round(path.positions.mean(axis=0), 6) + 0.0)
     wide = np.linalg.norm(path.positions - path.positions.mean(axis=0), axis=1).max()
     return replace(path, says=f"{name} in the size of robot {robot.name}: within {wide:.3g} m of ({middle}) m, across the arm")
 
@@ -94,4 +94,4 @@ def _about(robot: Robot, across: np.ndarray, height: float | None = None) -> np.
 
 def _in_reach(model: CompiledModel, path: Trajectory) -> bool:
     some = path.positions[:: max(len(path.positions) // LOOKED_AT, 1)]
-    return all(found.outcome.solved for found in solve_trajectory(model, some))
+    return all(found.solved for found in each_configuration(model, some))
