@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ import tepm_opt as tepm
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile
-from tepm_opt.jobs.discrepancy import run_discrepancy
+from tepm_opt.jobs.discrepancy import VERDICT, run_discrepancy
 from tepm_opt.jobs.identify import open_datasets, run_identify
 from tepm_opt.jobs.record import record
 
@@ -84,8 +83,8 @@ def recorded(name: str, folder: Path) -> Told:
         found.reseed(seed)
         return found
 
-    record(plan, folder / "data", rig, "hidden payload", SEED)
-    findings = [f.level for f in tepm.run_check(folder / "data").findings]
+    record(plan, folder / "data", rig, "payload")
+    findings = [f.severity for f in tepm.run_check(folder / "data").findings]
     seconds = sum(float(run.setpoints.time[-1]) for run in plan.runs)
     return {"runs": len(plan.runs), "seconds": seconds, "errors": findings.count("error"), "warnings": findings.count("warning")}
 
@@ -99,11 +98,11 @@ def identified(name: str, folder: Path) -> Told:
 
 def explained(name: str, folder: Path) -> Told:
     """What the model lacks."""
-    began = time.process_time()
-    verdict = run_discrepancy(folder / "data", folder / "found", seed=SEED).verdict
-    return {"seconds": time.process_time() - began} | {
-        key: value for key, value in verdict.as_json().items() if key in ("status", "effects", "rmse_m")
-    }
+    path = folder / "found" / VERDICT
+    if not path.is_file():
+        run_discrepancy(folder / "data", folder / "found")
+    verdict = json.loads(path.read_text(encoding="utf-8"))
+    return {key: verdict[key] for key in ("status", "effects", "rmse_m")}
 
 
 QUICK: dict[str, Callable[[str, Path], Told]] = {"steered": steered}
