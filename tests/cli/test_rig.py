@@ -8,6 +8,8 @@ from pathlib import Path
 from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tests.cli.conftest import Command
 
+CLAMPED = "[imperfections.rigid_plates]\n# clamped_length_m"
+
 
 def test_new_check_and_show(tepm: Command, here: Path) -> None:
     """A rig file for a robot of one's own, in another folder: its robot is named as seen from there."""
@@ -31,7 +33,7 @@ def test_what_is_wrong_is_one_line(tepm: Command, here: Path) -> None:
     text = (here / "rig.toml").read_text(encoding="utf-8")
     for old, new, says in (
         ("latency_s = 0.0 ", "latency_s = 15.0", "tracker: latency_s = 15.0: input should be less than or equal to 1; valid: 0 … 1 s"),
-        ("# [imperfections.payload]\n# mass_kg = 0.0", "[imperfections.payload]\nmass_kg = 9.0", "rig rig.toml: without inputs"),
+        (f"# {CLAMPED} = 0.0", f"{CLAMPED.replace('# ', '')} = 0.1", "leaves nothing of a segment"),
         ('robot = "kang2017"', 'robot = "kang"', "robot 'kang' is neither a file nor built in"),
         ("[simulation]", "[simulations]", "unknown key 'simulations': did you mean 'simulation'?"),
     ):
