@@ -108,6 +108,7 @@ from .solvers.reduction import modal as modal
 from .solvers.simulate import Directions as Directions
 from .solvers.simulate import Simulation as Simulation
 from .solvers.simulate import simulate as simulate
+from .solvers.sized import path_for as path_for
 from .solvers.statics import Equilibrium as Equilibrium
 from .solvers.statics import solve_statics as solve_statics
 from .solvers.trajectories import Trajectory as Trajectory

@@ -14,7 +14,7 @@ from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report, warn
 from tepm_opt.cli.groups import TRAJECTORY_HELP, TrajectoryOptions
 from tepm_opt.cli.progress import shown
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 
 PAGE = "closed.html"
 PATHS = ("circle", "lissajous")
@@ -49,8 +49,10 @@ def close(
     """
     chosen = paths or list(PATHS)
     with folder_for(out) as folder:
-        known = load(robot, model)
-        targets = {Path(path).stem: TrajectoryOptions({}).trajectory(path) for path in chosen}
+        for path in chosen:
+            TrajectoryOptions({}).trajectory(path)  # a wrong one is told before anything is compiled
+        known = load(robot_there(robot, model, rig), model)
+        targets = {Path(path).stem: TrajectoryOptions({}).trajectory(path, known) for path in chosen}
         planned = None if plan is None else tepm.read_plan(plan)
         opened = opener(rig, known.robot, seed)
         opened(seed)  # a rig that is not there is told before anything is computed

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
 import typer
+from rich.markup import escape
 
-from tepm_opt.cli.common import vector
+from tepm_opt.cli.common import stderr, vector
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.trajectories import DURATION, END, SHAPES, START, ShapeParameter, Trajectory, read_trajectory, shape_parameters
 
 if TYPE_CHECKING:
+    from tepm_opt.models.compile import CompiledModel
     from tepm_opt.solvers.kinematics import IkSettings
 
 Command = Callable[..., int]
@@ -138,8 +140,12 @@ class ShapeOptions(OptionGroup):
                 values[name] = vector(value, f"--{parameter.option}", parameter.count) if parameter.count > 1 else value
         return cls({**values, **({"points": given["points"]} if given.get("points") is not None else {})})
 
-    def trajectory(self, name: str) -> Trajectory:
+    def trajectory(self, name: str, model: CompiledModel | None = None) -> Trajectory:
         """The shape of this name, or the file's trajectory, with the options given; the others keep their defaults.
+
+        Args:
+            name: of a shape, or of a file.
+            model: in whose robot's size a shape is, which a person is told; where absent it is the paper's.
 
         Raises:
             InputError: an option out of range or that does not fit the trajectory, an unknown shape, or as for `read_trajectory`.
@@ -151,8 +157,15 @@ class ShapeOptions(OptionGroup):
         fits = {"points", "duration", *(parameter.name for parameter in shape.parameters)} if shape else {"points", "duration"}
         if misfits := sorted(self.given.keys() - fits):
             raise InputError(f"option --{_known()[misfits[0]][0].option} does not fit trajectory {name!r}")
-        if shape is not None:
+        if shape is not None and model is None:
             return shape.make(**self.given)
+        if shape is not None and model is not None:
+            from tepm_opt.solvers.sized import path_for
+
+            made = path_for(model, name, **self.given)
+            if made.says:
+                stderr.print(escape(made.says), style="dim", soft_wrap=True, highlight=False)
+            return made
         if not name.endswith(".csv"):
             raise InputError(f"unknown trajectory {name!r}: valid: {', '.join(SHAPES)} or a .csv file")
         path = read_trajectory(name, self.given.get("duration"))

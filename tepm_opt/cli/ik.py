@@ -48,13 +48,14 @@ def ik(
     as_json: JsonOption = False,
 ) -> int:
     """Solve the equal-curvature inverse kinematics of a trajectory: set points, shapes, lengths, figure."""
-    targets = which.trajectory(path)
+    which.trajectory(path)  # a wrong one is told before anything is compiled
     force = vector(tip_force, "--tip-force")
     folder = output_folder(out)
     compiled = load(robot, model)
     highest = compiled.robot.actuation.tension_max_N
     if mid_tension is not None and not 0 <= mid_tension <= highest:
         raise InputError(f"--mid-tension {mid_tension:g}; valid: 0 … {highest:g} N")
+    targets = which.trajectory(path, compiled)
     with shown(as_json) as progress:
         run = tepm.run_ik(compiled, targets, mode, force, mid_tension, kinematics.settings(), progress)
     run.save(folder)

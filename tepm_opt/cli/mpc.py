@@ -17,7 +17,7 @@ from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, folder_for, load, report, warn
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions
 from tepm_opt.cli.progress import shown
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 
 if TYPE_CHECKING:
     from tepm_opt.control.timing import PaceSettings
@@ -259,9 +259,11 @@ def mpc(
     _check_together(asked)
     given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
     setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
-    targets, known = which.trajectory(path), None if learned is None else tepm.read_correction(learned)
+    which.trajectory(path)  # a wrong one is told before anything is compiled
+    known = None if learned is None else tepm.read_correction(learned)
     with folder_for(out) as folder:
-        compiled = load(robot, model)
+        compiled = load(robot_there(robot, model, rig), model)
+        targets = which.trajectory(path, compiled)
         driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
         driven = replace(driven, keep_out=None if keep_out is None else tepm.read_obstacles(keep_out), pace=_pace(free, sway))
         if machines is not None:

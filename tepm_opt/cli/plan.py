@@ -20,6 +20,7 @@ from tepm_opt.solvers.trajectories import SHAPES, Trajectory
 
 if TYPE_CHECKING:
     from tepm_opt.jobs.plan import PlanRun
+    from tepm_opt.models.compile import CompiledModel
     from tepm_opt.solvers.planning.program import Obstacle
 
 OBSTACLES = "sphere:x,y,z,radius or box:x0,y0,z0,x1,y1,z1"
@@ -103,9 +104,10 @@ def plan(
         min_stiffness=margin, mid_tension=mid_tension, frequency_uncertainty=doubt, max_sway=max_sway, friction_doubt=friction,
         effort_weight=FOR_LOOPS if loop else FASTEST,
     )  # fmt: skip
-    way = _way(path, which, *ends)
+    _way(path, which, *ends)  # a wrong one is told before anything is compiled
     folder = output_folder(out)
     compiled = load(robot, model)
+    way = _way(path, which, *ends, compiled)
     with shown(as_json) as progress:
         run = tepm.run_plan(compiled, way, objective, duration, kept, settings, progress)
     run.save(folder)
@@ -113,14 +115,22 @@ def plan(
     return report(run.summary(), lines(run, out), as_json, run.ok)
 
 
-def _way(path: str | None, which: PathOptions, start: list[float] | None, end: list[float] | None) -> Trajectory | Ends:
+def _way(
+    path: str | None, which: PathOptions, start: list[float] | None, end: list[float] | None, model: CompiledModel | None = None
+) -> Trajectory | Ends:
     """The path to keep to, or start and end.
+
+    Args:
+        path: its name or file.
+        which: its shape.
+        start, end: of the tip.
+        model: in whose robot's size a shape is; the paper's where absent.
 
     Raises:
         InputError: neither is given, or an option that does not fit the path.
     """
     if path is not None:
-        return which.with_ends(start, end).trajectory(path)
+        return which.with_ends(start, end).trajectory(path, model)
     if start is None or end is None:
         raise InputError("a plan needs --from and --to, or --path")
     if which.given:

@@ -13,7 +13,7 @@ import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, RobotOption, folder_for, stdout, warn
 from tepm_opt.cli.progress import shown
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 from tepm_opt.progress import named
 
 MEASURED = "measured.csv"
@@ -33,7 +33,7 @@ def play(
     from tepm_opt.recording.drive import refuse_unplayable
     from tepm_opt.recording.measure import UNFINISHED
 
-    found = tepm.load_robot(robot or "kang2017")
+    found = tepm.load_robot(robot_there(robot, None, rig) or "kang2017")
     setpoints = tepm.read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
     refuse_unplayable(setpoints, str(inputs))
     file = out if out.suffix == ".csv" else out / MEASURED

@@ -32,6 +32,7 @@ from tepm_opt.cli import (
     plan,
     play,
     record,
+    rig,
     robot,
     simulate,
     statics,
@@ -105,6 +106,7 @@ COMMANDS = {
 for name, command in COMMANDS.items():
     app.command(name)(spread(command))
 app.add_typer(robot.app, name="robot")
+app.add_typer(rig.app, name="rig")
 app.add_typer(data.app, name="data")
 app.add_typer(hw.app, name="hw")
 

@@ -11,14 +11,15 @@ from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
-from tepm_opt.cli.common import JsonOption, stdout, warn
+from tepm_opt.cli.common import JsonOption, RobotOption, stdout, warn
 from tepm_opt.cli.progress import shown
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, stopped_by_signals
+from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
+from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
     from tepm_opt.recording.plan import RecordingPlan
 
-STANDARD = "standard"
+STANDARD, DEFAULT = "standard", "kang2017"
 
 
 def record(
@@ -26,13 +27,16 @@ def record(
     out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the data set; runs it has are kept.")],
     rig: RigOption = "sim",
     seed: SeedOption = 0,
+    robot: RobotOption = None,
     as_json: JsonOption = False,
 ) -> int:
     """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted.
 
-    The plan `standard` is the one that `tepm excite` writes for the rig's robot.
+    The plan `standard` is the one that `tepm excite` writes for the robot, --robot or the rig's; a plan file names its robot itself.
     """
-    planned = _standard(rig) if str(plan) == STANDARD else tepm.read_plan(plan)
+    if robot and str(plan) != STANDARD:
+        raise InputError(f"--robot {robot}: {plan} names its robot itself; leave the option out, or record the plan {STANDARD!r}")
+    planned = _standard(robot_there(robot, None, rig) or DEFAULT) if str(plan) == STANDARD else tepm.read_plan(plan)
     try:
         with stopped_by_signals(), shown(as_json) as bars:
             done = tepm.record(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
@@ -52,11 +56,9 @@ def record(
     return 0
 
 
-def _standard(rig: str) -> RecordingPlan:
-    """The standard plan of a rig's robot."""
-    from tepm_opt.hw.registry import robot_of
-
-    return tepm.standard(tepm.Model.of(robot_of(rig))).plan
+def _standard(robot: str) -> RecordingPlan:
+    """The standard plan of a robot."""
+    return tepm.standard(tepm.Model.of(robot)).plan
 
 
 def kept(plan: RecordingPlan, out: Path) -> str:

@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from tepm_opt.models.robot import Robot
 
 RigOption = Annotated[
-    str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the default simulated rig, another one, a recording.")
+    str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the robot simulated, a rig file's (tepm rig new), a recording.")
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, help="Of the noise on a simulated rig.")]
 
@@ -34,6 +35,17 @@ def open_rig(text: str, robot: Robot) -> Rig:
     from tepm_opt.hw import registry
 
     return registry.open_rig(text, robot)
+
+
+def robot_there(robot: str | None, model: Path | None, rig: str) -> str | None:
+    """The robot that --robot names, or that of the rig where neither --robot nor --model is given.
+
+    Raises:
+        InputError: no such rig.
+    """
+    from tepm_opt.hw.registry import robot_of
+
+    return robot if robot or model else robot_of(rig)
 
 
 def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 
@@ -31,6 +31,7 @@ class Channels:
         height: of the last reference point above the base at rest in m; None where unknown.
         base: of the robot in G in m.
         axis: unit vector in G along the robot at rest.
+        quickness: how much faster it sways than the paper's robot, roughly; 1 where unknown. Two robots of one kind may differ in it.
     """
 
     actuators: tuple[str, ...]
@@ -40,6 +41,7 @@ class Channels:
     height: float | None = None
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    quickness: float = field(default=1.0, compare=False)
 
     @staticmethod
     def from_header(names: Iterable[str]) -> Channels:

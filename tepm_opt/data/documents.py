@@ -141,10 +141,10 @@ class _Place:
             named.append(part)
             if isinstance(at, type) and issubclass(at, BaseModel):
                 section, field = at, at.model_fields.get(str(part))
-                at, valid = (None, None) if field is None else (field.annotation, field.description or _described(field.annotation))
+                at, valid = (None, None) if field is None else (field.annotation, field.description or described(field.annotation))
             else:
                 at = _within(at, part)
-                valid = valid or _described(at)
+                valid = valid or described(at)
         return _Place(tuple(named), section, _without_none(at), valid)
 
     @property
@@ -203,10 +203,10 @@ def _literals(annotation: Any) -> list[str]:
     return [value for inner in get_args(annotation) for value in _literals(inner)]
 
 
-def _described(annotation: Any) -> str | None:
-    """The description within an annotation such as `Annotated[float, Field(description=…)] | None`."""
+def described(annotation: Any) -> str | None:
+    """Description within an annotation, such as `Annotated[float, Field(description=…)] | None`."""
     for inner in get_args(annotation):
-        found = inner.description if isinstance(inner, FieldInfo) else _described(inner)
+        found = inner.description if isinstance(inner, FieldInfo) else described(inner)
         if found:
             return found
     return None

@@ -20,10 +20,11 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
         text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), either with `@compiled` or `@mujoco`
             after it for that engine whatever the file says, `bench` or `bench:FILE` (the single-actuator bench of such a rig),
             `replay:FILE` (a run of a data set), `serial:PORT` or `serial:PORT@BAUD` (the real robot).
-        robot: for recordings and the real robot; the default is what `dataset.toml` beside a recording says, or kang2017.
+        robot: that shall be there: built-in rigs are scaled to it, a rig file must have one of its kind. The default is the rig's own, what
+            `dataset.toml` beside a recording says, or kang2017.
 
     Raises:
-        InputError: not one of these; or the file is wrong, or the rig's package is not installed.
+        InputError: not one of these; the file is wrong or simulates a robot of another kind; or the rig's package is not installed.
     """
     kind, colon, target = text.partition(":")
     if kind.startswith("sim@") and not colon:
@@ -50,7 +51,7 @@ def robot_of(text: str) -> str:
         return "kang2017"
     from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
 
-    return load_rig_file(_named(target)[0] or DEFAULT).robot
+    return str(load_rig_file(_named(target)[0] or DEFAULT).robot)
 
 
 def _named(target: str) -> tuple[str, str]:
@@ -61,11 +62,20 @@ def _named(target: str) -> tuple[str, str]:
 
 def _simulated(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.rig import SimulatedRig
-    from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
+    from tepm_opt.hw.simulation.rigfile import DEFAULT, builtin_rigs, load_rig_file
+    from tepm_opt.hw.simulation.scaling import fitted
+    from tepm_opt.models.channels import channels_of
 
     name, engine = _named(target)
+    file = load_rig_file(name or DEFAULT)
+    if robot is not None and (name or DEFAULT) in builtin_rigs():
+        file = fitted(file, robot)
+    elif robot is not None and channels_of(robot) != channels_of(file.nominal):
+        raise InputError(
+            f"rig {name}: simulates the robot {file.nominal.name!r}, the model's is {robot.name!r}; name the rig's (--robot {file.robot}), "
+            f"take --rig sim, which simulates any robot, or write a rig file for yours: tepm rig new FILE --robot ROBOT"
+        )
     try:
-        file = load_rig_file(name or DEFAULT)
         return SimulatedRig(file.with_engine(engine) if engine else file)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "mujoco":

@@ -10,6 +10,7 @@ from typing import Any
 from tepm_opt.control.controllers import DEFAULT, find_controller
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
+from tepm_opt.hw.simulation.scaling import fitted
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.compare import LoopTask, compare
 from tepm_opt.jobs.course import Course
@@ -20,7 +21,8 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.trajectories import Trajectory, circle
+from tepm_opt.solvers.sized import path_for
+from tepm_opt.solvers.trajectories import Trajectory
 
 CONTROLLERS = (DEFAULT, "mode2", "mode1")  # the one that takes longest first
 NAMES = {name: find_controller(name).title for name in reversed(CONTROLLERS)}
@@ -98,10 +100,10 @@ def run_demo(model: CompiledModel, trajectory: Trajectory | None = None, progres
 
     Args:
         model: compiled model.
-        trajectory: targets; the paper's circle where absent.
+        trajectory: targets; the paper's circle in the robot's size where absent.
         progress: told of every point, and of the time of the closed loops.
     """
-    path = circle() if trajectory is None else trajectory
+    path = path_for(model, "circle") if trajectory is None else trajectory
     pressure = run_ik(model, path, ActuationMode.PRESSURE, progress=progress)
     if pressure.interrupted:
         return DemoRun(pressure, interrupted=True)
@@ -133,7 +135,7 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
         progress: told of every controller how many s are done.
 
     Raises:
-        InputError: the robot's file cannot be found again, or the loops do not fit it.
+        InputError: the loops do not fit the robot.
         RuntimeError: the simulated rig failed.
         KeyboardInterrupt: one was interrupted.
     """
@@ -147,14 +149,5 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
 
 
 def rig_of(model: CompiledModel) -> RigFile:
-    """The virtual prototype; for other robots than its own one with its devices, built exactly as the robot file says.
-
-    Raises:
-        InputError: the robot's file cannot be found again.
-    """
-    prototype = load_rig_file()
-    if model.robot.model_copy(update={"name": prototype.nominal.name}) == prototype.nominal:
-        return prototype
-    described = prototype.model_dump(exclude={"parameter_factors", "imperfections"})
-    kept = prototype.imperfections.only(lambda imperfection: imperfection.of_devices).model_dump()
-    return RigFile.model_validate({**described, "name": model.robot.name, "robot": model.model.source, "imperfections": kept})
+    """The virtual prototype, scaled to the model's robot."""
+    return fitted(load_rig_file(), model.robot)

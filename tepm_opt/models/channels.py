@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.checks.findings import Finding
 from tepm_opt.data.datasets import DataSet, FolderReading, read_folder
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
+
+PAPER = 1.392  # Hz, `_sway` of the paper's robot, on which limits of speed are founded
 
 
 def channels_of(robot: Robot) -> Channels:
@@ -24,7 +28,15 @@ def channels_of(robot: Robot) -> Channels:
         robot.modules * robot.parameters.L_0,
         robot.mount.base_position_m,
         (x, y, z),
+        _sway(robot) / PAPER,
     )
+
+
+def _sway(robot: Robot) -> float:
+    """Rough frequency of a robot's sway in Hz: a beam of muscles without weight, clamped below; 3 EI / h³ over 0.24 of its mass."""
+    value, height = robot.parameters, robot.modules * robot.parameters.L_0
+    bending = robot.actuators / 2 * value.K_a * value.L_0 * value.r**2
+    return float(np.sqrt(3 * bending / height**3 / (0.24 * robot.modules * value.m_d)) / (2 * np.pi))
 
 
 def read(folder: str | Path) -> FolderReading:

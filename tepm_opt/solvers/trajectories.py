@@ -29,11 +29,13 @@ class Trajectory:
         time: (points,) in s, increasing.
         positions: (points, 3) in m in G.
         closed: whether the last point leads back to the first.
+        says: what a person should know of it, where it is not what the name says by itself.
     """
 
     time: np.ndarray
     positions: np.ndarray
     closed: bool = False
+    says: str = ""
 
     def resampled(self, points: int) -> Trajectory:
         """The same path at `points` equally spaced times, by monotone cubic interpolation (PCHIP, Fritsch and Carlson 1980).
@@ -50,7 +52,7 @@ class Trajectory:
         from scipy.interpolate import PchipInterpolator  # here, because commands that only name shapes start at once
 
         at = np.linspace(time[0], time[-1], points + 1 if self.closed else points)[:points]
-        return Trajectory(at, PchipInterpolator(time, positions)(at), self.closed)
+        return Trajectory(at, PchipInterpolator(time, positions)(at), self.closed, self.says)
 
 
 def check_count(points: int) -> None:

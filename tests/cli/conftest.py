@@ -105,7 +105,7 @@ def thin_map(patch: pytest.MonkeyPatch) -> None:
 def small_demo(patch: pytest.MonkeyPatch) -> None:
     """Four points, six of the map, and closed loops over a small part of the circle, in this process."""
     thin_map(patch)
-    patch.setattr(demo, "circle", lambda: circle(4))
+    patch.setattr(demo, "path_for", lambda model, name: circle(4))
     patch.setattr(demo, "COURSE", Course(approach=0.3, pause=0.02, laps=0.02, start_up=0.05))
     patch.setattr(demo, "compare", lambda tasks, workers, progress: compare(tasks, 1, progress))
 

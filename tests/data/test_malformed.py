@@ -138,7 +138,9 @@ CASES = {
     "file listed twice": Case(text(TOML, "other.csv", STEPS), TOML, "runs: 'steps.csv' is listed twice", refused=True),
     "file outside": Case(text(TOML, "other.csv", "../other.csv"), TOML, "'../other.csv' is not in the folder", refused=True),
     "unknown robot": Case(
-        text(TOML, '"kang2017"', '"kong2017"'), TOML, "robot 'kong2017' is neither a file nor built in; built in: kang2017"
+        text(TOML, '"kang2017"', '"kong2017"'),
+        TOML,
+        "robot 'kong2017' is neither a file nor built in; built in: four_muscles, hanging, kang2017, one_module, slim",
     ),
     "no role validation": Case(
         text(TOML, '"fit"', '"Fit"'), TOML, "unknown role 'Fit': did you mean 'fit'? valid: fit, validation", refused=True

@@ -193,7 +193,7 @@ BAD_FILES = {
     "step too long": ("[simulation]\nstep_s = 0.002\n", "valid: 1e-06 … 0.001 s"),
     "unknown parameter": ("[parameter_factors]\nK = 1.1\n", "unknown parameter 'K'"),
     "too small growth": ("[imperfections.stiffness_hardening]\ngrowth = 1e-9\n", "growth is too small to matter"),
-    "no robot": ('robot = "kong"\n', "is neither a file nor built in; built in: kang2017"),
+    "no robot": ('robot = "kong"\n', "is neither a file nor built in; built in: four_muscles, hanging, kang2017, one_module, slim"),
 }
 
 

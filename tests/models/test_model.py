@@ -160,7 +160,10 @@ def test_malformed_model_files(tmp_path, text, message):
 
 def test_a_model_file_needs_a_robot(tmp_path):
     path = tmp_path / "model.toml"
-    for text, message in {"": "missing key 'robot'", 'robot = "kang"': "neither a file nor built in; built in: kang2017"}.items():
+    for text, message in {
+        "": "missing key 'robot'",
+        'robot = "kang"': "neither a file nor built in; built in: four_muscles, hanging, kang2017, one_module, slim",
+    }.items():
         path.write_text(text)
         with pytest.raises(InputError, match=message) as error:
             read_model(path)

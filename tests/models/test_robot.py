@@ -14,7 +14,7 @@ TRACKER = TEXT[TEXT.index("[tracker]") : TEXT.index("[hardware.pressure]")]
 def test_the_built_in_robot_is_the_papers():
     """SPEC section 1."""
     robot = load_robot("kang2017")
-    assert builtin_robots() == ["kang2017"]
+    assert builtin_robots() == ["four_muscles", "hanging", "kang2017", "one_module", "slim"]
     assert (robot.modules, robot.actuators, robot.levels) == (2, 3, 12)
     value = robot.parameters
     assert (value.L_0, value.r, value.A, value.m_d, value.K_a) == (0.2, 0.04, 50.27e-6, 0.22, 358.86)
@@ -133,7 +133,9 @@ def test_files_that_cannot_be_read(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="is not a text file"):
         load_robot(tmp_path / "binary.toml")
-    with pytest.raises(InputError, match="robot 'kang' is neither a file nor built in; built in: kang2017"):
+    with pytest.raises(
+        InputError, match="robot 'kang' is neither a file nor built in; built in: four_muscles, hanging, kang2017, one_module, slim"
+    ):
         load_robot("kang")
     with pytest.raises(InputError, match="unknown robot 'kang2018': did you mean 'kang2017'"):
         robot_text("kang2018")

@@ -11,7 +11,8 @@ from tepm_opt.data.checks.findings import Finding, Subject, intervals, spread
 from tepm_opt.data.outliers import FEW, far
 
 SPEED, ACCELERATION = 5.0, 50.0
-"""Beyond what a robot does, in heights a second (squared): free sway from 2.5 N at the tip reaches 3.5 and 20."""
+"""Beyond what the paper's robot does, in heights a second (squared): free sway from 2.5 N at the tip reaches 3.5 and 20. Robots that sway
+more quickly are allowed more."""
 SWAY = 0.01
 """Of its height, gone under steady inputs: a robot that does so is not at rest; below, what it stands on may vibrate."""
 SHORT = 0.2
@@ -157,7 +158,8 @@ def _median(blocks: np.ndarray) -> np.ndarray:
 
 def _spikes(subject: Subject) -> Iterator[Finding]:
     """Samples off their neighbours, and jumps, beyond what the robot's speed and acceleration allow."""
-    step, height = subject.step, _height(subject)
+    step, height, quick = subject.step, _height(subject), max(subject.channels.quickness, 1.0)
+    speed_most, bend_most = SPEED * quick * height * step, 2 * ACCELERATION * quick**2 * height * step**2
     points = np.where(subject.stuck[:, :, None], np.nan, subject.points)  # what is frozen jumps where it thaws
     share = subject.strays.sum() / max(np.isfinite(points).any(axis=2).sum(), 1)
     for k, name in enumerate(subject.channels.points):
@@ -166,11 +168,11 @@ def _spikes(subject: Subject) -> Iterator[Finding]:
             continue
         values, noise = points[rows, k], 10 * np.nan_to_num(subject.noise[k])
         off = np.abs(values - median_filter(values, size=(5, 1), mode="nearest"))
-        allowed = np.maximum(noise, max(2 * ACCELERATION * height * step**2, 1e-3))
+        allowed = np.maximum(noise, max(bend_most, 1e-3))
         spike = np.any(off > allowed, axis=1) & ~far(subject.run.time[rows])
         speed = np.diff(values, axis=0) / (np.diff(subject.run.time[rows]) / step)[:, None]
         jump = np.abs(speed - median_filter(speed, size=(11, 1), mode="nearest"))
-        jumps = np.any(jump > np.maximum(noise, max(SPEED * height * step, 1e-3)), axis=1)
+        jumps = np.any(jump > np.maximum(noise, max(speed_most, 1e-3)), axis=1)
         jumps[1:] &= ~spike[1:-1]
         jumps &= ~(spike[1:] | spike[:-1])
         if spike.any():

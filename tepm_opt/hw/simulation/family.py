@@ -16,6 +16,7 @@ from tepm_opt.hw.simulation.imperfections.edges import StructuralFriction
 from tepm_opt.hw.simulation.imperfections.pressure import ActuatorGain, PressureHysteresis, RegulatorLag
 from tepm_opt.hw.simulation.imperfections.tendon import TendonFriction
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
+from tepm_opt.hw.simulation.scaling import MOST_CLAMPED, fitted
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
 
@@ -62,7 +63,8 @@ VARIED = {
 def random_machine(robot: str, seed: int, number: int) -> RigFile:
     """One machine of the family around a robot file.
 
-    Grids, rate limits, monitors and the tracker's noise are the virtual prototype's; lags and delays those of the robot file, varied.
+    Grids, rate limits, monitors and the tracker's noise are the virtual prototype's; lags and delays those of the robot file, varied. What
+    is drawn are values of the prototype's robot, which are scaled to others, see `scaling`.
 
     Args:
         robot: a built-in robot or the path of a robot file.
@@ -72,38 +74,36 @@ def random_machine(robot: str, seed: int, number: int) -> RigFile:
     Raises:
         InputError: as for `load_robot`.
     """
-    known = load_robot(robot)
-    base, random = load_rig_file(DEFAULT), np.random.default_rng([seed, number])
+    known, base, random = load_robot(robot), load_rig_file(DEFAULT), np.random.default_rng([seed, number])
     names = Layout.of(known).actuator_names
     drawn = {name: float(random.uniform(each.low, each.high)) for name, each in VARIED.items()}
     losses = random.uniform(VARIED["loss"].low, VARIED["loss"].high, len(names))
-    return base.model_copy(
+    machine = base.model_copy(
         update={
-            "name": f"machine {number} of seed {seed}",
-            "robot": robot,
             "seed": int(random.integers(2**32)),
             "parameter_factors": {name: drawn[name] for name in ("K_a", "alpha_2", "m_d", "c_a")},
-            "stepper": base.stepper.model_copy(update={"rate_limit_N_per_s": known.actuation.tension_rate_N_per_s}),
-            "tracker": base.tracker.model_copy(update={"latency_s": drawn["latency"], "noise_rms_m": known.tracker.noise_rms_m}),
-            "imperfections": _imperfections(known, drawn, dict(zip(names, map(float, losses), strict=True))),
+            "tracker": base.tracker.model_copy(update={"latency_s": drawn["latency"]}),
+            "imperfections": _imperfections(base.nominal, drawn),
         }
     )
+    found = fitted(machine, known)
+    scattered = found.imperfections.replaced(ActuatorGain(loss=dict(zip(names, map(float, losses), strict=True))))
+    return found.model_copy(update={"name": f"machine {number} of seed {seed}", "robot": robot, "imperfections": scattered})
 
 
-def _imperfections(robot: Robot, drawn: dict[str, float], losses: dict[str, float]) -> Imperfections:
-    """The imperfections of a machine for values drawn, by the names of `VARIED`, and losses by actuator."""
+def _imperfections(robot: Robot, drawn: dict[str, float]) -> Imperfections:
+    """The imperfections of a machine but for its muscles' losses, for values drawn by the names of `VARIED`."""
     known = robot.actuation
     height = robot.parameters.L_0 / robot.geometry.segments_per_module
     return Imperfections().replaced(
         TimeDelay(delay_s=drawn["delay"]),
         RegulatorLag(fill_s=drawn["filling"] * known.filling_time_s, exhaust_s=drawn["exhausting"] * known.exhausting_time_s),
-        ActuatorGain(loss=losses),
         StructuralFriction(share=drawn["body_share"]),
         TendonFriction(
             constant_N=drawn["tendon_constant"], share=drawn["tendon_share"], bristle_stiffness_N_per_m=drawn["tendon_bristles"]
         ),
         PressureHysteresis(width_Pa=drawn["hysteresis"]),
-        RigidPlates(clamped_length_m=min(drawn["plates"], 0.3 * height)),
+        RigidPlates(clamped_length_m=min(drawn["plates"], MOST_CLAMPED * height)),
         MassDistribution(fraction=drawn["mass_fraction"], holder_share=0.3),
         UnevenMass(fraction=drawn["mass_side"], toward_deg=drawn["mass_toward"]),
     )

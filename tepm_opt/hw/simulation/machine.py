@@ -20,6 +20,8 @@ from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.hw.simulation.stability import longest_step
 from tepm_opt.hw.simulation.timeline import Timeline
 
+SHORTEST = 1e-6  # s, of a step
+
 
 class Diverged(RuntimeError):  # noqa: N818  it says what happened
     """Failure of a simulation whose numbers have left all bounds."""
@@ -56,7 +58,8 @@ class Machine(ABC):
         robot: with its true parameters.
         body: the network in numbers.
         imperfections: those that do something, by name.
-        step: of RK4 in s: the rig file's, or less where the robot is too stiff or too light for that.
+        limit: the longest step in s that the robot bears at rest: its stiffest motion, and what is stiff beside a damper.
+        step: of RK4 in s: the rig file's, or less where the limit is.
         tick: steps between updates of the states of actuators and frictions.
         actuation: from the commands to the axial forces.
         edges: stages of the forces along the vertical edges, in their order.
@@ -73,7 +76,8 @@ class Machine(ABC):
         self.body = Body.of(self.robot, file.seed)
         for imperfection in self.imperfections.values():
             imperfection.change_body(self.body)
-        self.step = _step(file, self.body)
+        self.limit = self._limit()
+        self.step = _step(file, self.limit)
         self.tick = self._tick(file.simulation.tick_s)
         self.edges = [stage for item in self.imperfections.values() if (stage := item.edge_stage(self.body)) is not None]
         self.around = [stage for item in self.imperfections.values() if (stage := item.tip_stage(self.robot)) is not None]
@@ -90,18 +94,22 @@ class Machine(ABC):
     def _network(self) -> Network:
         """The moving parts, of this engine."""
 
-    def _tick(self, wanted: float) -> int:
-        """Steps in a tick: as wanted (in s), or fewer where an imperfection is too stiff for that.
+    def _limit(self) -> float:
+        """The longest step in s.
 
         Raises:
-            InputError: one is too stiff even for a tick of one step.
+            InputError: there is none that would end in sensible time.
         """
-        for name, imperfection in self.imperfections.items():
-            longest = imperfection.longest_tick(self.body)
-            if longest < self.step:
-                need = f"it needs steps of {longest:.2g} s, simulation.step_s is {self.step:g} s"
-                raise InputError(f"imperfections: {name} is too stiff for the damping of the muscles: {need}")
-            wanted = min(wanted, longest)
+        longest = {name: item.longest_tick(self.body) for name, item in self.imperfections.items()}
+        stiffest = min(longest, key=lambda name: longest[name], default="")
+        if stiffest and longest[stiffest] < SHORTEST:
+            need = f"it needs steps of {longest[stiffest]:.2g} s; valid: {SHORTEST:g} s and longer, with a softer one or c_a larger"
+            raise InputError(f"imperfections: {stiffest} is too stiff for the damping of the muscles, c_a: {need}")
+        return min(longest_step(self.body), *longest.values(), np.inf)
+
+    def _tick(self, wanted: float) -> int:
+        """Steps in a tick: as wanted (in s), or fewer where an imperfection is too stiff for that."""
+        wanted = min([wanted, *(item.longest_tick(self.body) for item in self.imperfections.values())])
         return max(1, int(wanted / self.step + 1e-9))
 
     def settle(self, command: np.ndarray, forces: np.ndarray) -> None:
@@ -151,11 +159,13 @@ class Machine(ABC):
         """
 
     def diverged(self, at: int) -> Diverged:
-        """The error that says that the positions left all bounds before a step."""
-        return Diverged(f"the simulation diverged before {at * self.step:.3f} s; a smaller step_s may help (now {self.step:g} s)")
+        """The error that says that the positions left all bounds before a step, and what can be done."""
+        told = f"the simulation diverged before {at * self.step:.3f} s in steps of {self.step:.3g} s (at rest it bears {self.limit:.3g} s)"
+        shorter = f"simulation.step_s is too long (try {self.step / 2:.2g} in a rig file)"
+        return Diverged(f"{told}: inputs or loads are more than the robot bears, or {shorter}")
 
 
-def _step(file: RigFile, body: Body) -> float:
-    """The rig file's step in s, or a whole part of the tracker's period that the network bears."""
-    wanted, longest, period = file.simulation.step_s, longest_step(body), 1 / file.tracker.rate_hz
+def _step(file: RigFile, longest: float) -> float:
+    """The rig file's step in s, or a whole part of the tracker's period that is at most the longest one."""
+    wanted, period = file.simulation.step_s, 1 / file.tracker.rate_hz
     return wanted if wanted <= longest else period / ceil(period / longest)

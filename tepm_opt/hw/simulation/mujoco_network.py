@@ -21,6 +21,10 @@ _OTHER = "0.75 0.75 0.75 0.6"
 _AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 
+def _unwritten(text: str) -> None:
+    """Keep a warning of MuJoCo's from being written to MUJOCO_LOG.TXT in the working folder: `finite` tells what it would say."""
+
+
 class MujocoNetwork(Network):
     """A network that moves in MuJoCo; see `Network`.
 
@@ -33,6 +37,7 @@ class MujocoNetwork(Network):
 
         super().__init__(body, step)
         self._engine: Any = mujoco
+        mujoco.set_mju_user_warning(_unwritten)  # type: ignore[attr-defined]
         self.model: Any = self._engine.MjModel.from_xml_string(network_xml(body, step))
         self.data: Any = self._engine.MjData(self.model)
         self._weights = body.layout.point_weights[:, 1:] / body.layout.actuators

@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field, InstanceOf, model_validator
 
 from tepm_opt.data.documents import Section, between, read_toml, validated
 from tepm_opt.errors import InputError, unknown_name
@@ -36,11 +36,12 @@ class SimulationSteps(Section):
 class RigFile(Section):
     """A simulated rig: plain frozen data as read from a rig file.
 
-    `parameter_factors` multiply the robot's parameters, so that the machine is not quite the one in its file.
+    `parameter_factors` multiply the robot's parameters, so that the machine is not quite the one in its file. Where a rig is fitted to a
+    robot by a program, `robot` is that robot itself.
     """
 
     name: Annotated[str, Field(min_length=1, description="any text")]
-    robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")]
+    robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")] | InstanceOf[Robot]
     seed: Annotated[int, Field(strict=True, ge=0, le=2**32 - 1, description="0 … 2^32 − 1")] = 0
     simulation: SimulationSteps = Field(default_factory=SimulationSteps)
     parameter_factors: dict[str, Annotated[float, between(0.2, 5, "of the robot's value")]] = Field(default_factory=dict)
@@ -75,7 +76,7 @@ class RigFile(Section):
         Raises:
             InputError: as for `load_robot`.
         """
-        return load_robot(self.robot)
+        return self.robot if isinstance(self.robot, Robot) else load_robot(self.robot)
 
     @property
     def true_robot(self) -> Robot:
@@ -108,7 +109,7 @@ def load_rig_file(rig: str | Path = DEFAULT) -> RigFile:
 
 def _read(path: Path) -> RigFile:
     file = validated(RigFile, read_toml(path), str(path))
-    if file.robot not in builtin_robots():
+    if isinstance(file.robot, str) and file.robot not in builtin_robots():
         file = file.model_copy(update={"robot": str(path.parent / file.robot)})
     file.true_robot  # noqa: B018  unreadable robots are refused here, not when the rig starts
     return file

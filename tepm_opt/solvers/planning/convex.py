@@ -20,7 +20,11 @@ from tepm_opt.solvers.planning.program import PlannedMotion, PlanTask
 
 LONGEST, SHORTEST = 60.0, 0.05  # s
 SPACING = 0.02  # s, between instants at which rows are kept
-PRICE = 0.1  # of a broken row by one unit of it, beside an objective of about 1
+PRICE, DEARER, DEAREST = (
+    0.1,
+    10.0,
+    100.0,
+)  # of a broken row by one unit of it, beside an objective of about 1; raised while rows stay broken
 SOFT = 8  # DAQP's mark of such a row
 FIRST, LONGER, WRONG = 0.15, 1.4, 8.0  # s: shortest guess of a duration, made longer until no row is broken by more
 TRUST, SMALLEST_TRUST = 1.0, 1e-5  # of the lengths in their box
@@ -43,23 +47,26 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None) -> PlannedMotion:
     program = Program(task, duration / SPACING)
     x = program.guess(duration, bulge)
     rows = program.about(x)
-    trust, count, multipliers = TRUST, 0, None
+    trust, count, multipliers, price = TRUST, 0, None, PRICE
     weight = 2 * task.effort_weight if task.duration is None else 2 / max(float(rows.residuals @ rows.residuals), 1e-3)
     why = ""
     while count < task.max_iterations:
         count += 1
-        step, gain, multipliers = _step(program, x, rows, weight, trust, multipliers)
+        step, gain, multipliers = _step(program, x, rows, weight, price, trust, multipliers)
         if step is None:
             why = "a quadratic program failed"
             break
-        if gain < CLOSE * _merit(program, x, rows, weight):
-            break
-        there, real, tried = _better(program, x, rows, step, weight)
+        if gain < CLOSE * _merit(program, x, rows, weight, price) or trust < SMALLEST_TRUST:
+            if float(rows.beyond.max()) <= KEPT or price >= DEAREST:
+                break
+            price, trust = DEARER * price, TRUST  # breaking rows was cheaper than keeping them (Nocedal and Wright, section 18.5)
+            continue
+        there, real, tried = _better(program, x, rows, step, weight, price)
         if real < SURE * gain:  # the rows are curved: once more with what they missed (Fletcher's second-order correction)
             bent = replace(rows, values=tried.values - rows.slopes @ step, residuals=tried.residuals - rows.residual_slopes @ step)
-            again, _, _ = _step(program, x, bent, weight, trust, multipliers)
+            again, _, _ = _step(program, x, bent, weight, price, trust, multipliers)
             if again is not None:
-                second = _better(program, x, rows, again, weight)
+                second = _better(program, x, rows, again, weight, price)
                 if second[1] > real:
                     step, (there, real, tried) = again, second
         if real > DOUBTFUL * gain:
@@ -69,8 +76,6 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None) -> PlannedMotion:
             trust = min(trust, max(float(np.abs(step[1 : 1 + program.places]).max()), 1e-3)) / 4
         if real > 0:
             x, rows = there, tried
-        elif trust < SMALLEST_TRUST:
-            break
     else:
         why = f"{count} quadratic programs were not enough"
     if not why and (beyond := float(rows.beyond.max())) > KEPT:
@@ -90,28 +95,39 @@ def _first(task: PlanTask, bulge: np.ndarray | None) -> float:
     return duration
 
 
-def _better(program: Program, x: np.ndarray, rows: Rows, step: np.ndarray, weight: float) -> tuple[np.ndarray, float, Rows]:
-    """Where a step goes, what it gains, and the program there."""
+def _better(program: Program, x: np.ndarray, rows: Rows, step: np.ndarray, weight: float, price: float) -> tuple[np.ndarray, float, Rows]:
+    """Where a step goes, what it gains, and the program there.
+
+    Args:
+        program, x, rows: the program about x.
+        step: from there.
+        weight, price: of the effort, and of broken rows.
+    """
     there = x + step
     tried = program.about(there)
-    return there, _merit(program, x, rows, weight) - _merit(program, there, tried, weight), tried
+    return there, _merit(program, x, rows, weight, price) - _merit(program, there, tried, weight, price), tried
 
 
-def _merit(program: Program, x: np.ndarray, rows: Rows, weight: float) -> float:
-    """What is to be small: duration or none, effort, and the price of broken rows."""
+def _merit(program: Program, x: np.ndarray, rows: Rows, weight: float, price: float) -> float:
+    """What is to be small: duration or none, effort, and the price of broken rows.
+
+    Args:
+        program, x, rows: the program about x.
+        weight, price: of the effort, and of broken rows.
+    """
     least = float(np.exp(x[0])) if program.task.duration is None else 0.0
     beyond = rows.beyond
-    return least + weight / 2 * float(rows.residuals @ rows.residuals) + PRICE * float(beyond.sum()) + float(beyond @ beyond) / 2
+    return least + weight / 2 * float(rows.residuals @ rows.residuals) + price * float(beyond.sum()) + float(beyond @ beyond) / 2
 
 
 def _step(
-    program: Program, x: np.ndarray, rows: Rows, weight: float, trust: float, multipliers: np.ndarray | None
+    program: Program, x: np.ndarray, rows: Rows, weight: float, price: float, trust: float, multipliers: np.ndarray | None
 ) -> tuple[np.ndarray | None, float, np.ndarray | None]:
     """Step of the program linearised, the gain it foresees, and its multipliers; None where the solver failed.
 
     Args:
         program, x, rows: the program about x.
-        weight: of the effort.
+        weight, price: of the effort, and of broken rows.
         trust: of the lengths.
         multipliers: of the program before.
     """
@@ -136,7 +152,7 @@ def _step(
     if solver.setup(hessian, gradient, rows.slopes, upper, lower, sense, dual_start=multipliers)[0] < 0:
         return None, 0.0, None
     ones = np.ones(len(sense))
-    solver.soft_weights(rho_l=ones, rho_u=ones, w_l=PRICE * ones, w_u=PRICE * ones)
+    solver.soft_weights(rho_l=ones, rho_u=ones, w_l=price * ones, w_u=price * ones)
     step, _, flag, info = solver.solve()
     if flag < 1 or not np.isfinite(step).all():
         return None, 0.0, None
@@ -144,5 +160,5 @@ def _step(
     moved = replace(rows, values=rows.values + rows.slopes @ step, residuals=rows.residuals + rows.residual_slopes @ step)
     part = 1 + step[0] + step[0] ** 2 / 2 - np.exp(step[0])  # of the duration, that the quadratic program does not see
     unseen = float(np.exp(x[0]) * part) if task.duration is None else 0.0
-    gain = _merit(program, x, rows, weight) - _merit(program, x + step, moved, weight) - unseen
+    gain = _merit(program, x, rows, weight, price) - _merit(program, x + step, moved, weight, price) - unseen
     return step, gain, info["lam"]

@@ -1,12 +1,12 @@
 """The equal-curvature configurations about a task as polynomials, and the axial forces that move the robot along them.
 
-All modules have the same three actuator lengths z (IV.E), so the configurations are a family x(z) of three coordinates, smoother in the
-lengths than in the tip's place. A motion z(t) along it needs
+All modules have the same actuator lengths (IV.E): the three lengths z, or with more actuators what lies on the plane that z describes. So
+the configurations are a family x(z) of three coordinates, smoother in the lengths than in the tip's place. A motion z(t) along it needs
 
     F = F_eq(z) + H(z) z'' + D(z) z' + Q(z)[z', z'],
 
 where the last three make, in the least-squares sense of the static response, up for M x'' + C x' (inverse dynamics; Siciliano et al.,
-Robotics, 2009, section 7.5). With six forces they hold the slow modes exactly and leave a little of the fast ones.
+Robotics, 2009, section 7.5). With two modules' six forces they hold the slow modes exactly and leave a little of the fast ones.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from tepm_opt.solvers.text import shortened
 
 PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
 BOX_MARGIN = 0.25  # parts of the task's size by which the box goes beyond it: the way between its ends may bulge
-MIN_BOX_MARGIN = 0.004  # m by which it does at least, where a length hardly changes along the task
+NEWTON = 6  # steps, of which two or three are enough where polynomials are close
+MIN_BEND_MARGIN = 0.2  # rad of the whole arm's bend by which it does at least, where a length hardly changes along the task
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class Family:
 
     Attributes:
         model: of which.
-        low, high: the box of lengths, (3,) in m.
+        low, high: the box of z, (3,) in m, see `plane`.
         middle: equilibrium in its middle.
         forces: y to F_eq, (modules · 3,) in N.
         points: y to the reference points in G, (3 · points,) in m.
@@ -113,7 +114,7 @@ class Family:
         return f"Family({shortened(self.model.robot.name, 40)}, {errors})"
 
     def within(self, lengths: np.ndarray) -> np.ndarray:
-        """Lengths (…, 3) in m as y."""
+        """Coordinates z (…, 3) in m as y."""
         return (2 * lengths - self.low - self.high) / (self.high - self.low)
 
     def moving(self, y: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,6 +139,13 @@ class Family:
         slopes[..., 6:] = maps[..., :3]
         return forces, slopes
 
+    def reaching(self, targets: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Coordinates y (n, 3) near the given ones at which the polynomials' tip is at targets (n, 3) in m, by Newton's method."""
+        for _ in range(NEWTON):
+            slopes = self.points.slopes(y)[:, -3:]
+            y = y + np.linalg.solve(slopes, (targets - self.points(y)[:, -3:])[..., None])[..., 0]
+        return y
+
     def exact(self, y: np.ndarray, start: Equilibrium | None = None) -> Equilibrium:
         """The equilibrium itself.
 
@@ -152,7 +160,19 @@ def axial(at: Equilibrium) -> np.ndarray:
     return at.inputs[: at.model.layout.inputs // 2] * at.model.values["A"]
 
 
-def _exact(model: CompiledModel, lengths: np.ndarray, start: Equilibrium) -> Equilibrium:
+def plane(model: CompiledModel) -> np.ndarray:
+    """Lengths of a module's actuators over z, (actuators, 3): z itself with three, else a mean and what is more along x and along y."""
+    angles = np.array(model.layout.angles)
+    return np.eye(3) if len(angles) == 3 else np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
+
+
+def coordinates(model: CompiledModel, lengths: np.ndarray) -> np.ndarray:
+    """Coordinates z (…, 3) in m of lengths (…, actuators), by least squares where there are more than three."""
+    return lengths if model.layout.actuators == 3 else lengths @ np.linalg.pinv(plane(model)).T
+
+
+def _exact(model: CompiledModel, z: np.ndarray, start: Equilibrium) -> Equilibrium:
+    lengths = plane(model) @ z
     half, observed = model.layout.inputs // 2, 3 * model.layout.points
     weights = np.hstack([np.zeros((half, observed)), np.eye(half)])
     targets, area = np.tile(lengths, model.layout.modules), model.values["A"]
@@ -177,7 +197,7 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
 
     Args:
         model: compiled model.
-        lengths: actuator lengths of the modules along the task, (n, 3) in m.
+        lengths: coordinates z of the modules along the task, (n, 3) in m.
         start: an equilibrium nearby.
         fit: degrees and nodes of the polynomials.
         stability: whether the smallest eigenvalue is needed, which takes longest.
@@ -186,7 +206,7 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
         FamilyError: some configurations of the box do not exist.
     """
     low, high = lengths.min(axis=0), lengths.max(axis=0)
-    pad = np.maximum(BOX_MARGIN * (high - low), MIN_BOX_MARGIN)
+    pad = np.maximum(BOX_MARGIN * (high - low), MIN_BEND_MARGIN * model.values["r"] / model.layout.modules)
     low, high = low - pad, high + pad
     half, middle = (high - low) / 2, _exact(model, (low + high) / 2, start)
 

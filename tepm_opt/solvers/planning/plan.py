@@ -20,11 +20,12 @@ from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.devices import Devices
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.solvers.allocation import allocate
 from tepm_opt.solvers.choices import ActuationMode, Objective
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.modal_model import modal_model
 from tepm_opt.solvers.planning.convex import solve
-from tepm_opt.solvers.planning.family import FamilyError, FamilyFit, axial, make_family
+from tepm_opt.solvers.planning.family import Family, FamilyError, FamilyFit, axial, coordinates, make_family
 from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance
 from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.planning.setpoints import Friction, commands, residual_sway, tensions
@@ -143,8 +144,6 @@ def _check(model: CompiledModel, objective: Objective, duration: float | None, s
     Raises:
         InputError: see `plan_move`.
     """
-    if model.layout.actuators != 3:
-        raise InputError(f"robot {model.robot.name!r}: {model.layout.actuators} actuators a module; valid for a plan: 3")
     if (duration is None) != (objective is Objective.TIME):
         raise InputError(f"duration: {duration}; valid: seconds for objective 'effort', none for 'time'")
     if duration is not None and not 0.05 <= duration <= 600:
@@ -203,13 +202,19 @@ def _plan(
             if why := _blocked(found.equilibrium, obstacles, settings):
                 return none(Ending.BLOCKED, f"{name}: {why}")
     progress("configurations about the task", 0, 0)
-    lengths = np.array([found.equilibrium.lengths[0] for found in configurations])
+    lengths = coordinates(model, np.array([found.equilibrium.lengths[0] for found in configurations]))
     try:
         middle, bounded = configurations[len(configurations) // 2].equilibrium, settings.min_stiffness is not None
         family = make_family(model, lengths, middle, settings.fit, bounded)
     except FamilyError as error:
         return none(Ending.NO_PLAN, f"the configurations about the task are not all stable: {error}")
     y, area, half = family.within(lengths), model.values["A"], layout.inputs // 2
+    if layout.actuators > 3:  # inverse kinematics takes the least forces, which are a little beside the family
+        y = family.reaching(targets, y)
+        try:
+            ends = _in_family(family, ends[0], y[0], mid), _in_family(family, ends[1], y[-1], mid)
+        except FamilyError as error:
+            return none(Ending.NO_PLAN, f"at an end: {error}")
     air = area * ends[0].allocation.inputs[:half], area * ends[1].allocation.inputs[:half]
     sway = np.array([np.sqrt(modal_model(at, modes=2).stiffness) for at in (ends[0].equilibrium, family.middle, ends[1].equilibrium)])
     friction = Friction.of(whole, settings.friction_doubt)
@@ -240,6 +245,16 @@ def _plan(
         return none(plan.outcome.ending, plan.outcome.message)
     lowest, highest = float(sway.min()) / (2 * np.pi), float(sway.max()) / (2 * np.pi)
     return replace(plan, model=whole, sway_frequencies=(lowest, highest), iterations=iterations, seconds=seconds)
+
+
+def _in_family(family: Family, found: Configuration, y: np.ndarray, mid: float) -> Configuration:
+    """A configuration replaced by the family's at y, with its set points.
+
+    Raises:
+        FamilyError: there is none.
+    """
+    at = family.exact(y, found.equilibrium)
+    return replace(found, equilibrium=at, forces=axial(at), allocation=allocate(family.model, axial(at), ActuationMode.HYBRID, mid))
 
 
 def _solved(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
