@@ -20,11 +20,8 @@ from tepm_opt.solvers.planning.program import PlannedMotion, PlanTask
 
 LONGEST, SHORTEST = 60.0, 0.05  # s
 SPACING = 0.02  # s, between instants at which rows are kept
-PRICE, DEARER, DEAREST = (
-    0.1,
-    10.0,
-    100.0,
-)  # of a broken row by one unit of it, beside an objective of about 1; raised while rows stay broken
+PRICE = 0.1  # of a broken row by one unit of it, beside an objective of about 1
+DEARER, DEAREST = 10.0, 100.0  # while rows stay broken it is raised by this factor, up to this
 SOFT = 8  # DAQP's mark of such a row
 FIRST, LONGER, WRONG = 0.15, 1.4, 8.0  # s: shortest guess of a duration, made longer until no row is broken by more
 TRUST, SMALLEST_TRUST = 1.0, 1e-5  # of the lengths in their box
