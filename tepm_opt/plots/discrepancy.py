@@ -16,9 +16,12 @@ from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.workflow import Discovery
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import CORRECTED, MEASURED, NOISE, RECALIBRATED, UNJUDGED, Role
+from tepm_opt.plots.palette import MODELS as ROLES
 
-COLORS = {"nominal": MISSED, "recalibrated": TENSION, "corrected": REACHED, "black box": PRESSURE, "noise floor": TARGET}
+HATCHES = {"nominal": None, "recalibrated": "//", "corrected": None}
+PALE = "0.72"  # of what is neither named nor a rival
 Predictions = Mapping[str, Sequence[np.ndarray]]
 """Modelled points of every run, (rows, points, 3) in m, by the model's name: "nominal", "recalibrated", "corrected"."""
 
@@ -135,12 +138,12 @@ def gap_figure(errors: Mapping[str, float], data: str = "validation runs", unit:
     floor = shown.get("noise floor", 0.0)
     left = floor if logarithmic else 0.0
     for row, (name, value) in enumerate(shown.items()):
-        color = COLORS.get(name, PRESSURE)
-        axes.plot([left, value], [row, row], color=color, linewidth=3, alpha=0.45, solid_capstyle="butt")
-        axes.plot(value, row, "o", color=color, markersize=9)
+        role = ROLES.get(name, UNJUDGED)
+        axes.plot([left, value], [row, row], color=role.color, linewidth=3, alpha=0.45, solid_capstyle="butt")
+        axes.plot(value, row, **role.marked, markersize=9)
         axes.annotate(f"{value:.3g} {label}", (value, row), (9, 0), textcoords="offset points", va="center", fontsize=9)
     if floor:
-        axes.axvline(floor, color=TARGET, linewidth=1, linestyle="--", zorder=0)
+        axes.axvline(floor, **NOISE.lined, linewidth=1, zorder=0)
     axes.set_yticks(range(len(shown)), list(shown))
     axes.set_ylim(len(shown) - 0.5, -0.5)
     axes.margins(x=0.18 if logarithmic else 0.12)
@@ -171,11 +174,11 @@ def points_figure(
     for k, (name, values) in enumerate(errors.items()):
         at = np.arange(len(points)) + (k - (len(errors) - 1) / 2) * width
         heights = factor * np.asarray(values)
-        axes.bar(at, heights, 0.92 * width, color=COLORS.get(name, PRESSURE), label=name)
+        axes.bar(at, heights, 0.92 * width, color=ROLES.get(name, UNJUDGED).color, hatch=HATCHES.get(name), edgecolor="white", label=name)
         if len(points) * len(errors) <= 30:
             for x, height in zip(at[np.isfinite(heights)], heights[np.isfinite(heights)], strict=True):
                 axes.annotate(_digits(height), (x, height), (0, 2), textcoords="offset points", ha="center", fontsize=7)
-    axes.axhline(factor * floor, color="black", linewidth=1, linestyle="--", label=f"noise, {factor * floor:.2g} {label}")
+    axes.axhline(factor * floor, **NOISE.lined, linewidth=1.2, label=f"noise, {factor * floor:.2g} {label}")
     axes.set_xticks(range(len(points)), list(points))
     axes.set_ylabel(f"distance, RMS in {label}")
     axes.margins(y=0.1)
@@ -206,8 +209,8 @@ def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float
     for k, (axes, run) in enumerate(zip(panels, runs, strict=True)):
         across, label, mark = _across(run)
         for name, each in errors.items():
-            axes.plot(across, each[k], mark, color=COLORS.get(name, PRESSURE), linewidth=1.0, markersize=4, label=name)
-        axes.axhline(factor * floor, color="black", linewidth=0.9, linestyle="--", label=f"noise, {factor * floor:.2g} {shown}")
+            axes.plot(across, each[k], **_style(ROLES.get(name, UNJUDGED), mark), linewidth=1.0, markersize=4, label=name)
+        axes.axhline(factor * floor, **NOISE.lined, linewidth=1.2, label=f"noise, {factor * floor:.2g} {shown}")
         axes.set_title(run.file, fontsize=10, loc="left")
         axes.set_ylabel(f"{_error(unit)} in {shown}")
         axes.margins(x=0.01)
@@ -231,7 +234,7 @@ def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals:
     figure = Figure(figsize=(8.0, 1.3 + 0.26 * max(len(kept), 2)), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     values = np.clip([100 * closes[name] for name in kept], -100.0, 100.0)
-    colors = [REACHED if name in named else TENSION if name in rivals else "0.72" for name in kept]
+    colors = [CORRECTED.color if name in named else RECALIBRATED.color if name in rivals else PALE for name in kept]
     axes.barh(range(len(kept)), values, 0.7, color=colors)
     for row, (name, value) in enumerate(zip(kept, values, strict=True)):
         text = f"{100 * closes[name]:.0f} %"
@@ -243,8 +246,8 @@ def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals:
     axes.set_xlim(min(0.0, 1.1 * float(values.min(initial=0.0))), 112.0)
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.set_xlabel("part of the gap closed on held-out data, %")
-    title = "each candidate alone, after recalibration" + ("; green: named" if named else "")
-    axes.set_title(title + ("; orange: cannot be told apart" if rivals else ""), fontsize=11)
+    title = "each candidate alone, after recalibration" + ("; dark: named" if named else "")
+    axes.set_title(title + ("; purple: cannot be told apart" if rivals else ""), fontsize=11)
     axes.grid(alpha=0.3, axis="x")
     axes.set_axisbelow(True)
     if not kept:
@@ -268,10 +271,10 @@ def tip_figure(runs: Sequence[Run], predictions: Predictions, of: str = "tip", u
     modelled = {name: factor * predictions[name][k][rows, -1, axis] for name in shown}
     figure = Figure(figsize=(9.5, 5.2), **STYLE)  # type: ignore[arg-type]
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.2, 1.0])
-    above.plot(across[rows], measured, ".", color="0.35", markersize=4, label="measured", zorder=1)
+    above.plot(across[rows], measured, **MEASURED.marked, markersize=4, label="measured", zorder=1)
     for name, values in modelled.items():
-        above.plot(across[rows], values, mark, color=COLORS[name], linewidth=1.3, markersize=5, label=name)
-        below.plot(across[rows], values - measured, mark, color=COLORS[name], linewidth=1.0, markersize=5, label=name)
+        above.plot(across[rows], values, **_style(ROLES[name], mark), linewidth=1.3, markersize=5, label=name)
+        below.plot(across[rows], values - measured, **_style(ROLES[name], mark), linewidth=1.0, markersize=5, label=name)
     least = SMALLEST_SPAN if unit == "m" else 0.0
     _span(above, [measured, *modelled.values()], least)
     _span(below, [values - measured for values in modelled.values()], least)
@@ -319,6 +322,11 @@ def _across(run: Run) -> tuple[np.ndarray, str, str]:
     """What a run is drawn over, its label, and how its values are marked."""
     timed = bool(np.isfinite(run.time).all())
     return (run.time, "time in s", "-") if timed else (np.arange(1, run.rows + 1), "row", "o")
+
+
+def _style(role: Role, mark: str) -> dict[str, str]:
+    """A role's line where rows are joined, else its markers."""
+    return role.lined if mark == "-" else role.marked
 
 
 def _scale_of_x(axes: Axes, values: Sequence[float]) -> bool:
