@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from tepm_opt.models.layout import Layout
 
@@ -27,12 +28,12 @@ class Role:
     marker: str = "o"
 
     @property
-    def lined(self) -> dict[str, str]:
+    def lined(self) -> dict[str, Any]:
         """Arguments of matplotlib for a line."""
         return {"color": self.color, "linestyle": self.line}
 
     @property
-    def marked(self) -> dict[str, str]:
+    def marked(self) -> dict[str, Any]:
         """Arguments of matplotlib for points that are not joined."""
         return {"color": self.color, "linestyle": "none", "marker": self.marker}
 

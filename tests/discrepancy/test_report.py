@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.verdict import Errors, Named, Place, Rival, Value, Ver
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure
-from tepm_opt.report.pages import write_discrepancy_page
+from tepm_opt.report.discrepancy import write_discrepancy_page
 
 PNG = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg==")
 FIGURES = ("heat", "gap", "points", "over_time", "evidence", "tip")
