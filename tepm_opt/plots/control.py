@@ -200,12 +200,12 @@ def _share_axes(axes: Axes, loop: ClosedLoop) -> None:
     there = [100.0 * (band["share_of_tension"] is not None) for band in shares]
     labels = [f"{band['from_Hz']:g} … {band['to_Hz']:g} Hz" for band in shares]
     axes.bar(labels, np.array(there) - tension, color=PRESSURE.color, label="pressure")
-    axes.bar(labels, tension, bottom=np.array(there) - tension, color=TENSION.color, hatch="//", edgecolor="white", label="tension")
+    axes.bar(labels, tension, bottom=np.array(there) - tension, color=TENSION.color, label="tension")
     for k, (part, whole) in enumerate(zip(tension, there, strict=True)):
         if whole:
-            for value, height in ((100 - part, (100 - part) / 2), (part, 100 - part / 2)):
+            for value, height, ink in ((100 - part, (100 - part) / 2, "white"), (part, 100 - part / 2, "black")):
                 if value >= 8:
-                    axes.text(k, height, f"{value:.0f} %", ha="center", va="center", color="white", fontsize=8)
+                    axes.text(k, height, f"{value:.0f} %", ha="center", va="center", color=ink, fontsize=8)
     axes.tick_params(axis="x", labelsize=8)
     axes.legend(fontsize=8, ncols=2, loc="lower center", bbox_to_anchor=(0.5, -0.27))
 

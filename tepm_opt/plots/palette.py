@@ -39,7 +39,7 @@ class Role:
 
 
 TARGET = Role("#000000", "--", "+")
-MEASURED = Role("#8c8c8c", "-", ".")
+MEASURED = Role("#949494", "-", ".")
 NOISE = Role("#000000", ":", "|")
 LIMIT = Role("#000000", ":", "_")
 
@@ -52,10 +52,10 @@ PRESSURE = Role("#2656b5", "-", "o")
 TENSION = Role("#db7310", "--", "s")
 BOTH = Role("#000000", ":", "D")
 
-ROBOT = Role("#5b646e", "-", "o")
+ROBOT = Role("#222c37", "-", "s")
 GOOD = Role("#098a3f", "-", "o")
 BAD = Role("#9a0110", "--", "X")
-UNJUDGED = Role("#6f7f9a", "-", "D")
+UNJUDGED = Role("#8392bf", "-", "D")
 OBSTACLE = Role("#cfae9b", "-", "s")
 
 MODELS: Mapping[str, Role] = {
@@ -65,10 +65,10 @@ INPUTS: Mapping[str, Role] = {"pressure": PRESSURE, "tension": TENSION}
 AXES: Mapping[str, Role] = {"x": Role("#7b4558", "-", "o"), "y": Role("#5f7949", "--", "s"), "z": Role("#9e81d1", "-.", "^")}
 
 CONTROLLERS: Mapping[str, Role] = {
-    "mpc": Role("#5210a0", "-", "o"),
-    "lqg": Role("#a71a5a", "-.", "D"),
-    "mode2": Role("#14827f", "--", "s"),
-    "mode1": Role("#ae8d4e", ":", "^"),
+    "mpc": Role("#480390", "-", "o"),
+    "lqg": Role("#990153", ":", "D"),
+    "mode2": Role("#11867b", "--", "s"),
+    "mode1": Role("#ae8d4e", "-.", "^"),
 }
 OWN_CONTROLLER = Role("#2f6b00", "-", "v")
 """Of controllers that are not the package's own."""

@@ -85,15 +85,17 @@ class Curves:
         title: above them.
         alt: what is seen, for those who do not see it.
         panels: from above.
+        view: what is shown first, as parts of the whole.
     """
 
     title: str
     alt: str
     panels: Sequence[Panel]
+    view: tuple[float, float] = (0.0, 1.0)
 
     def data(self) -> dict[str, Any]:
         """What the script is given, plain data."""
-        return {"alt": self.alt, "panels": [panel.data() for panel in self.panels]}
+        return {"alt": self.alt, "view": self.view, "panels": [panel.data() for panel in self.panels]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +161,7 @@ def discovery_charts(result: Discovery) -> dict[str, Chart]:
         far = floor > 0 and len(finite) > 0 and float(np.median(finite)) > SPREAD * floor
         panels.append(Panel(x, label, f"{error_name(seen.unit)} in {shown}", curves, run.file, far, 0.3 * floor if far else 0.0))
     over_time = Curves("Error of every model over time", "Error of every model over time on every run, beside the noise floor", panels)
-    k, _, axis = most_corrected(seen.runs, seen.predictions)
+    k, rows, axis = most_corrected(seen.runs, seen.predictions)
     run = seen.runs[k]
     x, label, mark = across(run)
     measured = factor * run.points[:, -1, axis]
@@ -175,8 +177,14 @@ def discovery_charts(result: Discovery) -> dict[str, Chart]:
         Panel(x, label, f"{of} in {shown}", above, f"{run.file}: {of}", least=least),
         Panel(x, label, f"difference in {shown}", below, "modelled − measured", least=least),
     ]
-    tip = Curves(f"{of} in {run.file}, where correction matters most", f"{of} over time, measured and by every model", pair)
+    tip = Curves(f"{of} in {run.file}, where correction matters most", f"{of} over time, measured and by every model", pair, _part(x, rows))
     return {"over_time": over_time, "tip": tip}
+
+
+def _part(x: np.ndarray, rows: slice) -> tuple[float, float]:
+    """Where rows lie, as parts of the whole axis."""
+    first, last = (float(x[row] - x[0]) / float(x[-1] - x[0] or 1) for row in (rows.start, rows.stop - 1))
+    return first, max(last, first + 1e-3)
 
 
 def _plain(values: np.ndarray) -> list[float | None]:

@@ -47,7 +47,7 @@ function curves(figure, data) {
     sample(b, s); b.append(s.name); b.setAttribute('aria-pressed', 'true');
   }
   const wholes = data.panels.map(p => [p.x[0], p.x[p.x.length - 1]]);
-  let [from, to] = [0, 1];  // of what each panel has
+  let [from, to] = data.view;  // of what each panel has
   const view = (a, b) => { const width = Math.min(1, Math.max(0.002, b - a)); from = Math.min(1 - width, Math.max(0, a)); to = from + width; draw(); };
   const zoom = factor => { const middle = (from + to) / 2, half = factor * (to - from) / 2; view(middle - half, middle + half); };
   const move = part => view(from + part * (to - from), to + part * (to - from));
@@ -138,15 +138,17 @@ function robot(figure, data) {
     line(corner, {class: 'grid', style: 'stroke:#00000060'});
     const axis = (k, at) => {
       line([at(low[k]), at(high[k])], {class: 'grid', style: 'stroke:#00000060'});
-      for (const v of ticks(low[k], high[k], 4)) { const [x, y] = seen(at(v)); put(svg, 'circle', {cx: x, cy: y, r: 1.6, fill: '#55595e'}); put(svg, 'text', {x: x - 6, y: y + 12, 'text-anchor': 'end'}, shown(v)); }
+      for (const v of ticks(low[k], high[k], 4)) if (k === 2 || Math.abs(v - middle[k]) < 0.45 * (high[k] - low[k])) { const [x, y] = seen(at(v)); put(svg, 'circle', {cx: x, cy: y, r: 1.6, fill: '#55595e'}); put(svg, 'text', {x: x - 6, y: y + 12, 'text-anchor': 'end'}, shown(v)); }
       const [x, y] = seen(at(high[k] + 0.12 * size)); put(svg, 'text', {x, y: y + 4, 'text-anchor': 'middle', 'font-weight': 600}, `${'xyz'[k]} in mm`);
     };
-    axis(0, v => [v, low[1], floor]); axis(1, v => [low[0], v, floor]); axis(2, v => [low[0], low[1], v]);
+    const near = corner.reduce((a, c) => seen(c)[1] > seen(a)[1] ? c : a), left = corner.reduce((a, c) => seen(c)[0] < seen(a)[0] ? c : a);
+    axis(0, v => [v, near[1], floor]); axis(1, v => [near[0], v, floor]); axis(2, v => [left[0], left[1], v]);
     data.arms.forEach((arm, k) => k === chosen || line(arm, {stroke: data.robot.color, 'stroke-width': 1, opacity: 0.35}));
     line(data.targets, {stroke: data.target.color, 'stroke-dasharray': DASH[data.target.line], 'stroke-width': 1.4});
     line(data.arms[chosen], {stroke: data.robot.color, 'stroke-width': 5, 'stroke-linecap': 'round'});
     const tip = data.arms[chosen].at(-1), [x, y] = seen(tip); symbol(svg, 'o', x, y, data.reached.color, 6);
-    told.textContent = `point ${chosen + 1}: tip at x ${shown(tip[0])}, y ${shown(tip[1])}, z ${shown(tip[2])} mm`;
+    const [tx, ty, tz] = tip.map(v => shown(Math.round(10 * v) / 10 + 0));
+    told.textContent = `point ${chosen + 1}: tip at x ${tx}, y ${ty}, z ${tz} mm`;
     slider.setAttribute('aria-valuetext', told.textContent);
   }
   let last = null;
