@@ -27,7 +27,7 @@ def write_blind_page(path: str | Path, run: BlindRun, figures: Mapping[str, Path
     found = run.analysis
     rates = [rate for rate in found.rates if rate.of]
     judged = [rate for rate in rates if rate.kept is not None]
-    missed = [f"{rate.name}: {100 * rate.value:.1f} %, {_wanted(rate)}" for rate in judged if not rate.kept]
+    missed = [f"{rate.name}: {100 * rate.value:.1f} %, wanted {_limits(rate)}" for rate in judged if not rate.kept]
     rows = [Row(rate.name, "%", _cells(rate)) for rate in rates]
     if (calibration := found.reliability) is not None:
         low, high = calibration.band
@@ -37,11 +37,11 @@ def write_blind_page(path: str | Path, run: BlindRun, figures: Mapping[str, Path
             Row(
                 "calibration error of stated probabilities",
                 "1",
-                [f"{calibration.error:.3f}", str(calibration.counts.sum()), f"{low:.3f} … {high:.3f}", wanted],
+                [f"{calibration.error:.3f}", wanted, str(calibration.counts.sum()), f"{low:.3f} … {high:.3f}"],
             )
         )
-        missed += [f"calibration error {calibration.error:.3f}, {wanted}"] * (not kept)
-    groups = [Group("Trials", ["rate", "of", "95 % interval", "wanted"], rows)]
+        missed += [f"calibration error {calibration.error:.3f}, wanted ≤ {CALIBRATION}"] * (not kept)
+    groups = [Group("Trials", ["rate", "wanted", "of", "95 % interval"], rows)]
     spread = [
         Row(name, unit, [f"{value:.0f}" for value in np.percentile(values, [50, 5, 95])])
         for name, unit, values in (
@@ -62,14 +62,12 @@ def write_blind_page(path: str | Path, run: BlindRun, figures: Mapping[str, Path
     )  # fmt: skip
 
 
-def _wanted(rate: Rate) -> str:
-    """The limits of a rate and whether they are kept; nothing where there are none."""
-    if rate.kept is None:
-        return ""
-    limits = [f"≥ {100 * rate.least:.0f} %"] * (rate.least > 0) + [f"≤ {100 * rate.most:.0f} %"] * (rate.most < 1)
-    return f"{', '.join(limits)}, {'kept' if rate.kept else 'missed'}"
+def _limits(rate: Rate) -> str:
+    """The limits that a rate shall keep."""
+    return ", ".join([f"≥ {100 * rate.least:.0f} %"] * (rate.least > 0) + [f"≤ {100 * rate.most:.0f} %"] * (rate.most < 1))
 
 
 def _cells(rate: Rate) -> list[str]:
     low, high = rate.interval
-    return [f"{100 * rate.value:.1f}", str(rate.of), f"{100 * low:.1f} … {100 * high:.1f}", _wanted(rate)]
+    wanted = "" if rate.kept is None else f"{_limits(rate)}, {'kept' if rate.kept else 'missed'}"
+    return [f"{100 * rate.value:.1f}", wanted, str(rate.of), f"{100 * low:.1f} … {100 * high:.1f}"]

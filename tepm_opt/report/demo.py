@@ -27,7 +27,7 @@ def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> N
     if run.hybrid is None or run.gains is None:
         raise ValueError(f"no page of {run!r}")
     hybrid, pressure = run.hybrid.summary(), run.pressure.summary()
-    loops = {name: loop.summary(timing=False) for name, loop in run.loops.items()}
+    loops = {name: run.loops[name].summary(timing=False) for name in sorted(run.loops, key=lambda name: name != NAMES[DEFAULT])}
     write(
         path, "demo.html", figures, robot_chart(run.hybrid) | distance_chart(run.loops),
         ok=run.ok,
@@ -56,9 +56,7 @@ def _verdict(run: DemoRun, hybrid: Mapping[str, Any], loops: Mapping[str, Mappin
         solved += f"; on the actuators' grids set points of pressure and tension miss them by {missed} at most"
     if not loops:
         return [f"{solved}.", f"No closed loop: {run.note}."]
-    best, *others = [
-        (name, sized(_error(loops[name], "rms_m") or float("nan"), "m")) for name in sorted(loops, key=lambda name: name != NAMES[DEFAULT])
-    ]
+    best, *others = [(name, sized(_error(loop, "rms_m") or float("nan"), "m")) for name, loop in loops.items()]
     rest = ", ".join(f"{error} in {name}" for name, error in others)
     said = f"With the {best[0]} the simulated robot's tip stays within {best[1]} rms of its moving target" + (
         f" ({rest})." if rest else "."
@@ -75,7 +73,7 @@ def _groups(
     Args:
         run: with its gains.
         pressure, hybrid: summaries of inverse kinematics.
-        loops: summaries of closed loops by name.
+        loops: summaries of closed loops by name, the best first.
     """
     groups = []
     if loops:

@@ -100,8 +100,11 @@ def write(
 
 
 def digits(value: float | None, factor: float = 1.0, form: str = "#.3g") -> str:
-    """A value with three digits, times a factor; a dash where there is none."""
-    return format(factor * value, form).rstrip(".") if value is not None and np.isfinite(value) else "–"
+    """A value with three digits and more where it is 1000 and larger, times a factor; a dash where there is none."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    whole = abs(factor * value) >= 999.5 and form == "#.3g"
+    return format(factor * value, ".0f" if whole else form).rstrip(".")
 
 
 def sized(value: float, unit: str) -> str:

@@ -183,6 +183,16 @@ def test_the_verdict_comes_first(pages: Callable[[str], Path], name: str) -> Non
     assert not re.search(r"(?:src|href)=[\"'](?!data:)|@import|url\((?!#)", text)
 
 
+@pytest.mark.parametrize("name", PAGES)
+def test_numbers_that_matter_are_seen_on_a_phone(browser: Browser, pages: Callable[[str], Path], name: str) -> None:
+    """The first number of every row of the first table, without scrolling sideways; demo: MPC's."""
+    browser.open(pages(name), PHONE)
+    hidden = "[...document.querySelector('table').rows].map(row => row.cells[Math.min(2, row.cells.length - 1)])"
+    assert browser.run(f"return {hidden}.filter(cell => cell.getBoundingClientRect().right > {PHONE}).map(cell => cell.textContent)") == []
+    if name == "demo":
+        assert browser.run(f"return {hidden}.slice(0, 2).map(cell => cell.textContent)") == ["MPC", "1.10"]
+
+
 @pytest.fixture
 def chart(browser: Browser, tmp_path: Path) -> Browser:
     """A verdict's page with a chart of the tip over 30 s."""
