@@ -117,7 +117,7 @@ def confusion_figure(found: Analysis) -> Figure:
         color = "white" if shares[row, column] > 0.6 else "black"
         axes.text(column, row, f"{counts[row, column]:.0f}", ha="center", va="center", fontsize=7, color=color)
         if columns[column] == (NOTHING if hidden[row] == NO_CAUSE else hidden[row].split(" (")[0]):
-            axes.add_patch(Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, fill=False, edgecolor=BAD.color, lw=1.5))
+            axes.add_patch(Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, fill=False, edgecolor=GOOD.color, lw=1.5))
     axes.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
     axes.set_yticks(range(len(hidden)), hidden, fontsize=8)
     axes.set_xlabel("said (the most probable name, or the status where nothing is named)")

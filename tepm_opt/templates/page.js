@@ -28,7 +28,7 @@ const symbol = (parent, kind, x, y, color, r = 3) => ({
   s: () => put(parent, 'rect', {x: x - r, y: y - r, width: 2 * r, height: 2 * r, fill: color}),
   '^': () => put(parent, 'path', {d: `M${x} ${y - r}l${r} ${2 * r}h${-2 * r}z`, fill: color}),
   D: () => put(parent, 'path', {d: `M${x} ${y - 1.3 * r}l${1.3 * r} ${1.3 * r}l${-1.3 * r} ${1.3 * r}l${-1.3 * r} ${-1.3 * r}z`, fill: color}),
-}[kind] ?? (() => put(parent, 'circle', {cx: x, cy: y, r: kind === '.' ? 0.6 * r : r, fill: color})))();
+}[kind] ?? (() => put(parent, 'circle', {cx: x, cy: y, r: kind === '.' ? 0.9 * r : r, fill: color})))();
 const sample = (b, role) => {
   const svg = put(b, 'svg', {viewBox: '0 0 28 10', 'aria-hidden': 'true'});
   if (!role.points) put(svg, 'path', {d: 'M0 5H28', stroke: role.color, 'stroke-width': 2, 'stroke-dasharray': DASH[role.line] ?? '', fill: 'none'});
