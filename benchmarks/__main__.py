@@ -1,4 +1,4 @@
-"""Command line: `python -m benchmarks --only PART --quick --limit FOLDER --reference FOLDER --data FOLDER --json FILE`."""
+"""Command line: `python -m benchmarks --only PART --quick --limit FOLDER --reference FOLDER --data FOLDER --json FILE --page FILE`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from benchmarks.cores import pin
-from benchmarks.inputs import checked_json, checked_limit, checked_reference, data_sets
+from benchmarks.inputs import checked_file, checked_limit, checked_reference, data_sets
 from benchmarks.parts import Part, Session, goals, tasks
 from tepm_opt.errors import InputError
 
@@ -20,6 +20,7 @@ WIDTH = 160  # of the table
 def main(
     limit: Annotated[Path | None, typer.Option(envvar="TEPM_LIMIT", help="Folder of time_limit.py, the practical limit.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write all figures to this file, too.")] = None,
+    page: Annotated[Path | None, typer.Option(help="Write a page, too: targets and times.")] = None,
     reference: Annotated[Path | None, typer.Option(help="Data set of kang2017 to simulate; made-up runs of 177 s otherwise.")] = None,
     data: Annotated[Path | None, typer.Option(help="Data set to explain, or a folder of such; one made here otherwise.")] = None,
     only: Annotated[list[Part] | None, typer.Option(help="Only this part; may be given several times.")] = None,
@@ -28,22 +29,24 @@ def main(
     """Statics, gain, inverse kinematics, motion, control, the rig and verdicts of robot kang2017: ours, peers, the practical limit."""
     try:
         checked_limit(limit)
-        checked_json(json)
+        checked_file("--json", json)
+        checked_file("--page", page)
         session_data = data_sets(data), checked_reference(reference)
     except InputError as error:
         raise typer.BadParameter(str(error)) from error
     with tempfile.TemporaryDirectory() as folder:
         session = Session(Path(folder), quick, session_data[1], session_data[0])
         try:
-            _run(session, list(dict.fromkeys(only or Part)), limit, json)
+            _run(session, list(dict.fromkeys(only or Part)), limit, json, page)
         except InputError as error:
             raise typer.BadParameter(str(error)) from error
 
 
-def _run(session: Session, parts: list[Part], limit: Path | None, json: Path | None) -> None:
+def _run(session: Session, parts: list[Part], limit: Path | None, json: Path | None, page: Path | None) -> None:
     """Measure and print."""
     from benchmarks import dynamics
     from benchmarks.limit import Limit
+    from benchmarks.page import write_benchmark_page
     from benchmarks.report import figures, print_report, write_json
     from benchmarks.timing import measure
 
@@ -63,6 +66,8 @@ def _run(session: Session, parts: list[Part], limit: Path | None, json: Path | N
     print_report(Console(width=max(Console().width, WIDTH)), measured, found, practical, pinned, rounds)
     if json:
         write_json(json, measured, found, practical, pinned)
+    if page:
+        write_benchmark_page(page, measured, found, pinned)
 
 
 if __name__ == "__main__":

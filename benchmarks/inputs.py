@@ -21,14 +21,14 @@ def checked_limit(folder: Path | None) -> None:
         raise InputError(f"--limit {folder}: no time_limit.py there; valid: the folder of that script, or no --limit and no TEPM_LIMIT")
 
 
-def checked_json(path: Path | None) -> None:
+def checked_file(option: str, path: Path | None) -> None:
     """Refuse a file that cannot be written.
 
     Raises:
         InputError: its folder is not there or closed, or it is a folder.
     """
     if path is not None and (path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK)):
-        raise InputError(f"--json {path}: not a file in a folder that can be written to")
+        raise InputError(f"{option} {path}: not a file in a folder that can be written to")
 
 
 def checked_reference(folder: Path | None) -> Path | None:

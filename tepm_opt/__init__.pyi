@@ -76,9 +76,11 @@ from .outcome import Outcome as Outcome
 from .progress import Progress as Progress
 from .recording.plan import RecordingPlan as RecordingPlan
 from .recording.plan import read_plan as read_plan
+from .report.blind import write_blind_page as write_blind_page
+from .report.charts import discovery_charts as discovery_charts
 from .report.closing import write_closing_page as write_closing_page
-from .report.pages import write_discrepancy_page as write_discrepancy_page
-from .report.pages import write_page as write_page
+from .report.demo import write_page as write_page
+from .report.discrepancy import write_discrepancy_page as write_discrepancy_page
 from .report.paper import write_paper_page as write_paper_page
 from .solvers.allocation import allocate as allocate
 from .solvers.choices import ActuationMode as ActuationMode

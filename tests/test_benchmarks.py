@@ -52,6 +52,7 @@ def never_compiled(monkeypatch):
         (["--limit", "nowhere"], "--limit nowhere: no time_limit.py there"),
         (["--json", "nowhere/figures.json"], "--json nowhere/figures.json: not a file in a folder that can be written to"),
         (["--json", "."], "--json .: not a file"),
+        (["--page", "nowhere/page.html"], "--page nowhere/page.html: not a file in a folder that can be written to"),
         (["--reference", "nowhere"], "--reference nowhere: no dataset.toml there; valid: the folder of a data set"),
         (["--reference", "static"], "--reference static: equilibria; valid: a data set of motions of kang2017"),
         (["--data", "nowhere"], "--data nowhere: no dataset.toml there"),

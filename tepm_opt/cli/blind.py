@@ -13,6 +13,8 @@ from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, report
 from tepm_opt.cli.progress import shown
 
+PAGE = "index.html"
+
 
 def blind(
     trials: Annotated[int, typer.Option("--trials", min=1, help="How many.")] = 160,
@@ -32,8 +34,8 @@ def blind(
 ) -> int:
     """Hide effects and other causes in simulated data and count how often the discrepancy workflow finds them, and what else it says.
 
-    Appends every answer to trials.jsonl; summary.json, summary.md and figures say what all of them say. The same command goes on where
-    it was interrupted, or adds trials to those that are there.
+    Appends every answer to trials.jsonl; summary.json, summary.md, figures and a page, index.html, say what all of them say. The same
+    command goes on where it was interrupted, or adds trials to those that are there.
     """
     from tepm_opt.jobs.blind import RESULTS, TABLE, write_trials
     from tepm_opt.jobs.executors import cluster
@@ -48,7 +50,12 @@ def blind(
         else:
             run = tepm.run_blind(out, trials, seed, family, jobs=jobs, progress=progress)
     run.save(out)
-    plots.draw(run, out)
+    tepm.write_blind_page(out / PAGE, run, plots.draw(run, out))
     lines = [] if run.ok else [f"[yellow]{escape(run.outcome.message)}; the same command goes on from there[/]"]
     lines += [escape(line) for line in (out / TABLE).read_text(encoding="utf-8").splitlines()]
-    return report(run.summary(), [*lines, f"every answer: [bold]{escape(str(out / RESULTS))}[/]"], as_json, run.ok)
+    return report(
+        run.summary(),
+        [*lines, f"every answer: [bold]{escape(str(out / RESULTS))}[/]; open [bold]{escape(str(out / PAGE))}[/]"],
+        as_json,
+        run.ok,
+    )

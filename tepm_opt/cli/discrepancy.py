@@ -62,7 +62,9 @@ def discrepancy(
                 "tepm_opt": version("tepm-opt"),
                 "seed": str(seed),
             }
-            tepm.write_discrepancy_page(out / PAGE, result.verdict, result.localisation, pictures, provenance)
+            tepm.write_discrepancy_page(
+                out / PAGE, result.verdict, result.localisation, pictures, provenance, tepm.discovery_charts(result)
+            )
     except KeyboardInterrupt:
         warn(f"interrupted: finished fits are kept in {out}; the same command goes on from there")
         return INTERRUPTED

@@ -10,7 +10,8 @@ from matplotlib.patches import Rectangle
 
 from tepm_opt.blind.analysis import NO_CAUSE, Analysis, Reliability
 from tepm_opt.blind.judged import NOTHING
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import BAD, GOOD, MEASURED, TARGET, UNJUDGED
 
 FEW = 12
 """Columns of the confusion matrix for what is said most often; the others are one more."""
@@ -33,15 +34,17 @@ def rates_figure(found: Analysis) -> Figure:
     axes = figure.add_subplot()
     for row, rate in enumerate(rates):
         low, high = rate.interval
-        color = PRESSURE if rate.kept is None else REACHED if rate.kept else MISSED
-        axes.plot([100 * low, 100 * high], [row, row], color=color, lw=2, alpha=0.5, solid_capstyle="butt")
-        axes.plot(100 * rate.value, row, "o", color=color, ms=5)
+        role = UNJUDGED if rate.kept is None else GOOD if rate.kept else BAD
+        axes.plot([100 * low, 100 * high], [row, row], color=role.color, lw=2, alpha=0.5, solid_capstyle="butt")
+        axes.plot(100 * rate.value, row, **role.marked, ms=5)
         for limit in {rate.least, rate.most} - {0.0, 1.0} if rate.most else {0.0}:
-            axes.plot([100 * limit, 100 * limit], [row - 0.38, row + 0.38], color="black", lw=1.5)
+            axes.plot([100 * limit, 100 * limit], [row - 0.38, row + 0.38], color=TARGET.color, lw=1.5)
     axes.set_yticks(range(len(rates)), [f"{rate.name} ({rate.of})" for rate in rates], fontsize=8)
     axes.set_xlim(-2, 102)
     axes.set_ylim(-0.7, len(rates) - 0.3)
-    axes.set_xlabel("% of trials (their number in brackets), Wilson's 95 % intervals; black: limits")
+    axes.set_xlabel(
+        "% of trials (their number in brackets), Wilson's 95 % intervals\nblack: limits; dot: kept, cross: missed, diamond: none set"
+    )
     axes.grid(axis="x", alpha=0.3)
     return figure
 
@@ -52,15 +55,15 @@ def detection_figure(found: Analysis) -> Figure:
     axes = figure.add_subplot()
     bins = [entry for entry in found.detection if entry[1].of]
     middles = np.array([at for at, _, _ in bins])
-    for shift, color, name, rates in (
-        (0.97, PRESSURE, "found with its detail", [rate for _, rate, _ in bins]),
-        (1.03, REACHED, "the answer is right", [rate for _, _, rate in bins]),
+    for shift, role, name, rates in (
+        (0.97, UNJUDGED, "found with its detail", [rate for _, rate, _ in bins]),
+        (1.03, GOOD, "the answer is right", [rate for _, _, rate in bins]),
     ):
         values = np.array([100 * rate.value for rate in rates])
         spread = np.abs(100 * np.array([rate.interval for rate in rates]).T - values)
-        axes.errorbar(shift * middles, values, spread, fmt="o-", color=color, capsize=3, label=name)
+        axes.errorbar(shift * middles, values, spread, fmt=role.marker, **role.lined, capsize=3, label=name)
     for at, every, _ in bins:
-        axes.annotate(str(every.of), (at, 3.0), ha="center", fontsize=8, color=TARGET)
+        axes.annotate(str(every.of), (at, 3.0), ha="center", fontsize=8, color=MEASURED.color)
     axes.set_xscale("log")
     axes.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
     axes.minorticks_off()
@@ -76,10 +79,10 @@ def reliability_figure(found: Reliability) -> Figure:
     """Stated probabilities against how often what they were stated of acts."""
     figure = Figure(figsize=(5.2, 5.2), **STYLE)  # type: ignore[arg-type]
     axes = figure.add_subplot()
-    axes.plot([0, 1], [0, 1], color=TARGET, lw=1, label="calibrated")
+    axes.plot([0, 1], [0, 1], **TARGET.lined, lw=1, label="calibrated")
     label = f"{len(found.counts)} bins of {found.counts.min()} effects or one more, 95 % band"
     spread = np.clip([found.acts - found.low, found.high - found.acts], 0.0, None)
-    axes.errorbar(found.stated, found.acts, spread, fmt="o-", color=PRESSURE, capsize=3, label=label)
+    axes.errorbar(found.stated, found.acts, spread, fmt=UNJUDGED.marker, **UNJUDGED.lined, capsize=3, label=label)
     low, high = found.band
     axes.set_title(f"calibration error {found.error:.3f} ({low:.3f} … {high:.3f})", fontsize=10)
     axes.set_xlim(0, 1.02)
@@ -114,7 +117,7 @@ def confusion_figure(found: Analysis) -> Figure:
         color = "white" if shares[row, column] > 0.6 else "black"
         axes.text(column, row, f"{counts[row, column]:.0f}", ha="center", va="center", fontsize=7, color=color)
         if columns[column] == (NOTHING if hidden[row] == NO_CAUSE else hidden[row].split(" (")[0]):
-            axes.add_patch(Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, fill=False, edgecolor=REACHED, lw=1.5))
+            axes.add_patch(Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, fill=False, edgecolor=GOOD.color, lw=1.5))
     axes.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
     axes.set_yticks(range(len(hidden)), hidden, fontsize=8)
     axes.set_xlabel("said (the most probable name, or the status where nothing is named)")

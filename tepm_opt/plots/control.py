@@ -10,7 +10,8 @@ from matplotlib.figure import Figure, SubFigure
 
 from tepm_opt.jobs.closed_loop import BANDS, ClosedLoop
 from tepm_opt.models.layout import Layout
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import BOTH, GOOD, LIMIT, MEASURED, PRESSURE, TARGET, TENSION, actuator, controller
 
 TOLERANCE = 2.0  # mm, shaded
 AXES = "xyz"
@@ -45,23 +46,23 @@ def path_figure(loops: Mapping[str, ClosedLoop]) -> Figure:
         span = loop.span() if loop.counted.any() else slice(None)
         target, time, true = 1e3 * loop.targets[span], loop.time[span], _true(loop)
         if number == 0:
-            above.plot(target[:, 0], target[:, 1], "--", color="black", linewidth=1.4, label="target", zorder=4)
-            height.plot(time, target[:, 2], "--", color="black", linewidth=1.4, label="target", zorder=4)
-        color, drawn = loop.setup.kind.color, [*drawn, target]
+            above.plot(target[:, 0], target[:, 1], **TARGET.lined, linewidth=1.4, label="target", zorder=4)
+            height.plot(time, target[:, 2], **TARGET.lined, linewidth=1.4, label="target", zorder=4)
+        role, drawn = controller(loop.setup.controller), [*drawn, target]
         if single or not true:
             tracked = _tip(loop, False)[span]
             style = (
-                {"color": TARGET, "linewidth": 0.8, "label": "tracked"}
+                {**MEASURED.lined, "linewidth": 0.8, "label": "tracked"}
                 if true
-                else {"color": color, "linewidth": 1.3, "label": _label(loop)}
+                else {**role.lined, "linewidth": 1.3, "label": _label(loop)}
             )
             above.plot(tracked[:, 0], tracked[:, 1], **style)  # type: ignore[arg-type]
             height.plot(time, tracked[:, 2], **style)  # type: ignore[arg-type]
             drawn.append(tracked)
         if true:
             tip = _tip(loop, True)[span]
-            above.plot(tip[:, 0], tip[:, 1], color=color, linewidth=1.5, label=_label(loop))
-            height.plot(time, tip[:, 2], color=color, linewidth=1.5, label=_label(loop))
+            above.plot(tip[:, 0], tip[:, 1], **role.lined, linewidth=1.5, label=_label(loop))
+            height.plot(time, tip[:, 2], **role.lined, linewidth=1.5, label=_label(loop))
             drawn.append(tip)
     _path_limits(above, np.vstack(drawn) if drawn else np.zeros((1, 3)))
     above.set(xlabel="x in mm", ylabel="y in mm", title="from above")
@@ -107,11 +108,11 @@ def error_figure(loop: ClosedLoop) -> Figure:
     shown = [1e3 * loop.errors(False), *([1e3 * loop.errors(True)] if true else [])]
     for k, axes in enumerate(panels):
         _shade(axes, loop)
-        axes.axhspan(-TOLERANCE, TOLERANCE, color=REACHED, alpha=0.12, linewidth=0, label=f"±{TOLERANCE:g} mm")
+        axes.axhspan(-TOLERANCE, TOLERANCE, color=GOOD.color, alpha=0.12, linewidth=0, label=f"±{TOLERANCE:g} mm")
         axes.axhline(0.0, color="black", linewidth=0.6)
-        axes.plot(loop.time, shown[0][:, k], color=TARGET if true else REACHED, linewidth=0.7, label="tracked")
+        axes.plot(loop.time, shown[0][:, k], color=MEASURED.color, linewidth=0.7, label="tracked")
         if true:
-            axes.plot(loop.time, shown[1][:, k], color=MISSED, linewidth=1.2, label="true")
+            axes.plot(loop.time, shown[1][:, k], **controller(loop.setup.controller).lined, linewidth=1.2, label="true")
         axes.set_ylabel(f"{AXES[k]} error in mm")
         axes.grid(alpha=0.3)
         axes.margins(x=0.01)
@@ -133,7 +134,7 @@ def distance_figure(loops: Mapping[str, ClosedLoop]) -> Figure:
         if number == 0:
             _shade(axes, loop)
         distance = 1e3 * np.linalg.norm(loop.errors(_true(loop)), axis=1)
-        axes.semilogy(loop.time, np.maximum(distance, 1e-2), color=loop.setup.kind.color, linewidth=1.2, label=_label(loop))
+        axes.semilogy(loop.time, np.maximum(distance, 1e-2), **controller(loop.setup.controller).lined, linewidth=1.2, label=_label(loop))
     axes.set(xlabel="time in s (grey: does not count)", ylabel="distance from the target in mm", ylim=(0.05, None))
     axes.grid(alpha=0.3, which="both")
     axes.margins(x=0.01)
@@ -151,11 +152,11 @@ def inputs_figure(loop: ClosedLoop) -> Figure:
     area, most = loop.model.values["A"], loop.model.robot.actuation.tension_max_N
     acting = loop.acting[0]
     for k, name in enumerate(layout.actuator_names):
-        module, actuator = divmod(k, layout.actuators)
+        module, place = divmod(k, layout.actuators)
         coarse, fine = panels[:, module]
-        coarse.plot(loop.time, area * loop.pressures[:, k], color=f"C{actuator}", linewidth=0.9, drawstyle="steps-post", label=f"A{name}")
-        coarse.plot(loop.time, acting[:, k], color=f"C{actuator}", linewidth=1.6, alpha=0.45)
-        fine.plot(loop.time, loop.tensions[:, k], color=f"C{actuator}", linewidth=0.9, drawstyle="steps-post", label=f"A{name}")
+        coarse.plot(loop.time, area * loop.pressures[:, k], color=actuator(place), linewidth=0.9, drawstyle="steps-post", label=f"A{name}")
+        coarse.plot(loop.time, acting[:, k], color=actuator(place), linewidth=1.6, alpha=0.45)
+        fine.plot(loop.time, loop.tensions[:, k], color=actuator(place), linewidth=0.9, drawstyle="steps-post", label=f"A{name}")
     for module in range(layout.modules):
         coarse, fine = panels[:, module]
         coarse.set_title(f"module {module + 1}")
@@ -183,9 +184,9 @@ def _spectrum_axes(axes: Axes, loop: ClosedLoop) -> None:
     axes.grid(alpha=0.3, which="both")
     if len(frequencies) < 2:
         return
-    for name, color, label in (("pressure", PRESSURE, "pressure"), ("tension", TENSION, "tension"), ("force", "black", "both, $F_a$")):
+    for name, role, label in (("pressure", PRESSURE, "pressure"), ("tension", TENSION, "tension"), ("force", BOTH, "both, $F_a$")):
         amplitude = np.sqrt(2 * powers[name][1:] / len(loop.names))
-        axes.loglog(frequencies[1:], amplitude, color=color, linewidth=0.8 if name == "force" else 1.3, label=label)
+        axes.loglog(frequencies[1:], amplitude, **role.lined, linewidth=0.8 if name == "force" else 1.3, label=label)
         axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-6))
     for low, _ in BANDS[1:]:
         axes.axvline(low, color="0.6", linewidth=0.8, linestyle=":")
@@ -198,13 +199,13 @@ def _share_axes(axes: Axes, loop: ClosedLoop) -> None:
     tension = [100 * (band["share_of_tension"] or 0.0) for band in shares]
     there = [100.0 * (band["share_of_tension"] is not None) for band in shares]
     labels = [f"{band['from_Hz']:g} … {band['to_Hz']:g} Hz" for band in shares]
-    axes.bar(labels, np.array(there) - tension, color=PRESSURE, label="pressure")
-    axes.bar(labels, tension, bottom=np.array(there) - tension, color=TENSION, label="tension")
+    axes.bar(labels, np.array(there) - tension, color=PRESSURE.color, label="pressure")
+    axes.bar(labels, tension, bottom=np.array(there) - tension, color=TENSION.color, label="tension")
     for k, (part, whole) in enumerate(zip(tension, there, strict=True)):
         if whole:
-            for value, height in ((100 - part, (100 - part) / 2), (part, 100 - part / 2)):
+            for value, height, ink in ((100 - part, (100 - part) / 2, "white"), (part, 100 - part / 2, "black")):
                 if value >= 8:
-                    axes.text(k, height, f"{value:.0f} %", ha="center", va="center", color="white", fontsize=8)
+                    axes.text(k, height, f"{value:.0f} %", ha="center", va="center", color=ink, fontsize=8)
     axes.tick_params(axis="x", labelsize=8)
     axes.legend(fontsize=8, ncols=2, loc="lower center", bbox_to_anchor=(0.5, -0.27))
 
@@ -213,9 +214,9 @@ def times_figure(loop: ClosedLoop) -> Figure:
     """How long the control steps took, and of these the quadratic programs, beside the control period."""
     figure = Figure(figsize=(8.0, 3.6), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
-    kinds = [("whole step", loop.seconds, PRESSURE)]
+    kinds = [("whole step", loop.seconds, controller(loop.setup.controller).color)]
     if "program_seconds" in loop.steps:
-        kinds.append(("quadratic program", loop.steps["program_seconds"], TENSION))
+        kinds.append(("quadratic program", loop.steps["program_seconds"], MEASURED.color))
     found = np.concatenate([values for _, values, _ in kinds])
     found = 1e3 * found[found > 0]
     if len(found):
@@ -224,7 +225,7 @@ def times_figure(loop: ClosedLoop) -> Figure:
             middle, late = 1e3 * np.median(seconds), 1e3 * np.percentile(seconds, 99)
             axes.hist(1e3 * seconds, edges, color=color, alpha=0.7, label=f"{label}: median {middle:.2g} ms, 99 % within {late:.2g} ms")
         axes.set_xscale("log")
-    axes.axvline(1e3 * loop.period, color=MISSED, linewidth=1.2, linestyle="--", label=f"control period, {1e3 * loop.period:g} ms")
+    axes.axvline(1e3 * loop.period, **LIMIT.lined, linewidth=1.4, label=f"control period, {1e3 * loop.period:g} ms")
     axes.set(xlabel="duration in ms", ylabel="control steps")
     axes.set_ylim(top=1.35 * axes.get_ylim()[1])
     axes.grid(alpha=0.3)

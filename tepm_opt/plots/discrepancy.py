@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,9 +17,12 @@ from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.workflow import Discovery
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import CORRECTED, MEASURED, NOISE, RECALIBRATED, UNJUDGED, Role
+from tepm_opt.plots.palette import MODELS as ROLES
 
-COLORS = {"nominal": MISSED, "recalibrated": TENSION, "corrected": REACHED, "black box": PRESSURE, "noise floor": TARGET}
+HATCHES = {"nominal": None, "recalibrated": "//", "corrected": None}
+PALE = "0.72"  # of what is neither named nor a rival
 Predictions = Mapping[str, Sequence[np.ndarray]]
 """Modelled points of every run, (rows, points, 3) in m, by the model's name: "nominal", "recalibrated", "corrected"."""
 
@@ -34,22 +38,16 @@ SHOWN = 20  # candidates shown of the evidence
 
 def discovery_figures(result: Discovery) -> dict[str, Figure]:
     """All figures of an answer by the names that its page gives them; "evidence" only where something was fitted."""
-    result = _comparable(result)
-    unit = result.verdict.unit
-    verdict, place = result.verdict, result.localisation
-    runs = result.dataset.validation or result.dataset.runs
-    data = "validation runs" if result.dataset.validation else "fit runs"
-    at = [result.dataset.runs.index(run) for run in runs]
-    predictions = {name: [points[k] for k in at] for name, points in result.predictions.items()}
-    by_point = {name: _rms_by_point([run.points for run in runs], points) for name, points in predictions.items()}
+    seen, verdict, place, unit = compared(result), result.verdict, result.localisation, result.verdict.unit
+    by_point = {name: _rms_by_point([run.points for run in seen.runs], points) for name, points in seen.predictions.items()}
     errors = {name.replace("_", " "): value for name, value in vars(verdict.errors).items()}
-    lines = _joined(runs, predictions)
+    data, lines = seen.data, (seen.runs, seen.predictions)
     found = {
         "heat": heat_figure(place.heat, place.runs, place.points, unit),
         "gap": gap_figure(errors, data, unit),
         "points": points_figure(place.points, by_point, verdict.errors.noise_floor, data, unit),
         "over_time": over_time_figure(*lines, verdict.errors.noise_floor, unit),
-        "tip": tip_figure(*lines, "tip" if result.dataset.runs[0].points.shape[-1] > 1 else result.localisation.points[-1], unit),
+        "tip": tip_figure(*lines, seen.of, unit),
     }
     explanation = result.explanation
     fitted = [h for h in explanation.tried if len(h.effects) == 1 and not (h.estimate.out_of_reach and h.estimate.problem.plant.quick)]
@@ -60,6 +58,38 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
         named = {each.candidate.label for each in verdict.effects}
         found["evidence"] = evidence_figure(closes, sure & closes.keys(), (named - sure) & closes.keys())
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """What figures compare.
+
+    Attributes:
+        runs: those that models are judged by; a single one where each is one equilibrium.
+        predictions: of every model for these runs.
+        data: what the runs are called.
+        of: what the last point is called.
+        floor: what noise alone leaves.
+        unit: of what is measured.
+    """
+
+    runs: Sequence[Run]
+    predictions: Predictions
+    data: str
+    of: str
+    floor: float
+    unit: str
+
+
+def compared(result: Discovery) -> Compared:
+    """The validation runs, or the fit runs where there are no others, and what every model says of them."""
+    result = _comparable(result)
+    runs = result.dataset.validation or result.dataset.runs
+    at = [result.dataset.runs.index(run) for run in runs]
+    predictions = {name: [points[k] for k in at] for name, points in result.predictions.items()}
+    of = "tip" if runs[0].points.shape[-1] > 1 else result.localisation.points[-1]
+    data = "validation runs" if result.dataset.validation else "fit runs"
+    return Compared(*_joined(runs, predictions), data, of, result.verdict.errors.noise_floor, result.verdict.unit)
 
 
 def _comparable(result: Discovery) -> Discovery:
@@ -81,12 +111,12 @@ def _joined(runs: Sequence[Run], predictions: Predictions) -> tuple[Sequence[Run
     return [whole], {name: [np.concatenate(each)] for name, each in predictions.items()}
 
 
-def _shown(unit: str) -> tuple[float, str]:
+def unit_shown(unit: str) -> tuple[float, str]:
     """Factor to, and name of, the unit that figures have."""
     return (1e3, "mm") if unit == "m" else (1.0, unit or "its unit")
 
 
-def _error(unit: str) -> str:
+def error_name(unit: str) -> str:
     """What errors are called."""
     return "Eq. (5)" if unit == "m" else "error"
 
@@ -96,7 +126,7 @@ def _label(hypothesis: Hypothesis) -> str:
     return " + ".join(effect.label for effect in hypothesis.effects) if few else f"{len(hypothesis.effects)} effects together"
 
 
-def _rms_by_point(measured: list[np.ndarray], modelled: list[np.ndarray]) -> np.ndarray:
+def _rms_by_point(measured: Sequence[np.ndarray], modelled: Sequence[np.ndarray]) -> np.ndarray:
     squares = point_errors(np.concatenate(measured), np.concatenate(modelled)) ** 2
     count = np.isfinite(squares).sum(axis=0)
     return np.sqrt(np.where(count, np.nansum(squares, axis=0) / np.maximum(count, 1), np.nan))
@@ -110,7 +140,7 @@ def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str], un
         runs, points: names of its rows and columns.
         unit: of it.
     """
-    factor, shown = _shown(unit)
+    factor, shown = unit_shown(unit)
     values = factor * np.asarray(heat)
     figure = Figure(figsize=(3.6 + 0.75 * min(len(points), ENOUGH_ROOM), 1.5 + 0.36 * len(runs)), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
@@ -129,7 +159,7 @@ def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str], un
 
 def gap_figure(errors: Mapping[str, float], data: str = "validation runs", unit: str = "m") -> Figure:
     """How the gap shrinks: root mean square of Eq. (5) in m by model ("noise floor", "nominal", …; NaN leaves one out)."""
-    factor, label = _shown(unit)
+    factor, label = unit_shown(unit)
     shown = {name: factor * value for name, value in errors.items() if np.isfinite(value)}
     figure = Figure(figsize=(7.5, 1.3 + 0.42 * len(shown)), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
@@ -137,18 +167,18 @@ def gap_figure(errors: Mapping[str, float], data: str = "validation runs", unit:
     floor = shown.get("noise floor", 0.0)
     left = floor if logarithmic else 0.0
     for row, (name, value) in enumerate(shown.items()):
-        color = COLORS.get(name, PRESSURE)
-        axes.plot([left, value], [row, row], color=color, linewidth=3, alpha=0.45, solid_capstyle="butt")
-        axes.plot(value, row, "o", color=color, markersize=9)
+        role = ROLES.get(name, UNJUDGED)
+        axes.plot([left, value], [row, row], color=role.color, linewidth=3, alpha=0.45, solid_capstyle="butt")
+        axes.plot(value, row, **role.marked, markersize=9)
         axes.annotate(f"{value:.3g} {label}", (value, row), (9, 0), textcoords="offset points", va="center", fontsize=9)
     if floor:
-        axes.axvline(floor, color=TARGET, linewidth=1, linestyle="--", zorder=0)
+        axes.axvline(floor, **NOISE.lined, linewidth=1, zorder=0)
     axes.set_yticks(range(len(shown)), list(shown))
     axes.set_ylim(len(shown) - 0.5, -0.5)
     axes.margins(x=0.18 if logarithmic else 0.12)
     if not logarithmic:
         axes.set_xlim(left=0.0)
-    axes.set_xlabel(f"{_error(unit)}, RMS over time in {label}")
+    axes.set_xlabel(f"{error_name(unit)}, RMS over time in {label}")
     axes.set_title(f"{data}: the gap between model and machine", fontsize=11)
     axes.grid(alpha=0.3, axis="x", which="both")
     return figure
@@ -166,18 +196,18 @@ def points_figure(
         data: what the errors are taken over, for the title.
         unit: of the errors.
     """
-    factor, label = _shown(unit)
+    factor, label = unit_shown(unit)
     figure = Figure(figsize=(max(6.5, 1.1 * len(points) + 2.5), 3.6), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     width = 0.8 / max(len(errors), 1)
     for k, (name, values) in enumerate(errors.items()):
         at = np.arange(len(points)) + (k - (len(errors) - 1) / 2) * width
         heights = factor * np.asarray(values)
-        axes.bar(at, heights, 0.92 * width, color=COLORS.get(name, PRESSURE), label=name)
+        axes.bar(at, heights, 0.92 * width, color=ROLES.get(name, UNJUDGED).color, hatch=HATCHES.get(name), edgecolor="white", label=name)
         if len(points) * len(errors) <= 30:
             for x, height in zip(at[np.isfinite(heights)], heights[np.isfinite(heights)], strict=True):
                 axes.annotate(_digits(height), (x, height), (0, 2), textcoords="offset points", ha="center", fontsize=7)
-    axes.axhline(factor * floor, color="black", linewidth=1, linestyle="--", label=f"noise, {factor * floor:.2g} {label}")
+    axes.axhline(factor * floor, **NOISE.lined, linewidth=1.2, label=f"noise, {factor * floor:.2g} {label}")
     axes.set_xticks(range(len(points)), list(points))
     axes.set_ylabel(f"distance, RMS in {label}")
     axes.margins(y=0.1)
@@ -197,7 +227,7 @@ def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float
         floor: what noise alone leaves.
         unit: of what is measured.
     """
-    factor, shown = _shown(unit)
+    factor, shown = unit_shown(unit)
     figure = Figure(figsize=(10.0, 1.0 + 1.9 * len(runs)), **STYLE)  # type: ignore[arg-type]
     panels: list[Axes] = list(figure.subplots(len(runs), 1, sharey=True, squeeze=False)[:, 0])
     errors = {
@@ -206,12 +236,12 @@ def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float
     every = np.concatenate([series[np.isfinite(series)] for each in errors.values() for series in each] + [np.array([factor * floor])])
     typical = [float(np.median(series[np.isfinite(series)])) for each in errors.values() for series in each if np.isfinite(series).any()]
     for k, (axes, run) in enumerate(zip(panels, runs, strict=True)):
-        across, label, mark = _across(run)
+        at, label, mark = across(run)
         for name, each in errors.items():
-            axes.plot(across, each[k], mark, color=COLORS.get(name, PRESSURE), linewidth=1.0, markersize=4, label=name)
-        axes.axhline(factor * floor, color="black", linewidth=0.9, linestyle="--", label=f"noise, {factor * floor:.2g} {shown}")
+            axes.plot(at, each[k], **_style(ROLES.get(name, UNJUDGED), mark), linewidth=1.0, markersize=4, label=name)
+        axes.axhline(factor * floor, **NOISE.lined, linewidth=1.2, label=f"noise, {factor * floor:.2g} {shown}")
         axes.set_title(run.file, fontsize=10, loc="left")
-        axes.set_ylabel(f"{_error(unit)} in {shown}")
+        axes.set_ylabel(f"{error_name(unit)} in {shown}")
         axes.margins(x=0.01)
         axes.grid(alpha=0.3)
         axes.set_xlabel(label if k == len(runs) - 1 or run.duration != runs[-1].duration else "")
@@ -233,7 +263,7 @@ def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals:
     figure = Figure(figsize=(8.0, 1.3 + 0.26 * max(len(kept), 2)), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     values = np.clip([100 * closes[name] for name in kept], -100.0, 100.0)
-    colors = [REACHED if name in named else TENSION if name in rivals else "0.72" for name in kept]
+    colors = [CORRECTED.color if name in named else RECALIBRATED.color if name in rivals else PALE for name in kept]
     axes.barh(range(len(kept)), values, 0.7, color=colors)
     for row, (name, value) in enumerate(zip(kept, values, strict=True)):
         text = f"{100 * closes[name]:.0f} %"
@@ -245,8 +275,8 @@ def evidence_figure(closes: Mapping[str, float], named: Collection[str], rivals:
     axes.set_xlim(min(0.0, 1.1 * float(values.min(initial=0.0))), 112.0)
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.set_xlabel("part of the gap closed on held-out data, %")
-    title = "each candidate alone, after recalibration" + ("; green: named" if named else "")
-    axes.set_title(title + ("; orange: cannot be told apart" if rivals else ""), fontsize=11)
+    title = "each candidate alone, after recalibration" + ("; dark: named" if named else "")
+    axes.set_title(title + ("; purple: cannot be told apart" if rivals else ""), fontsize=11)
     axes.grid(alpha=0.3, axis="x")
     axes.set_axisbelow(True)
     if not kept:
@@ -263,17 +293,17 @@ def tip_figure(runs: Sequence[Run], predictions: Predictions, of: str = "tip", u
         of: what the last point is called.
         unit: of what is measured.
     """
-    (k, rows, axis), (factor, label_of) = _most(runs, predictions), _shown(unit)
+    (k, rows, axis), (factor, label_of) = most_corrected(runs, predictions), unit_shown(unit)
     run, shown = runs[k], [name for name in MODELS if name in predictions]
-    across, label, mark = _across(run)
+    at, label, mark = across(run)
     measured = factor * run.points[rows, -1, axis]
     modelled = {name: factor * predictions[name][k][rows, -1, axis] for name in shown}
     figure = Figure(figsize=(9.5, 5.2), **STYLE)  # type: ignore[arg-type]
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.2, 1.0])
-    above.plot(across[rows], measured, ".", color="0.35", markersize=4, label="measured", zorder=1)
+    above.plot(at[rows], measured, **MEASURED.marked, markersize=4, label="measured", zorder=1)
     for name, values in modelled.items():
-        above.plot(across[rows], values, mark, color=COLORS[name], linewidth=1.3, markersize=5, label=name)
-        below.plot(across[rows], values - measured, mark, color=COLORS[name], linewidth=1.0, markersize=5, label=name)
+        above.plot(at[rows], values, **_style(ROLES[name], mark), linewidth=1.3, markersize=5, label=name)
+        below.plot(at[rows], values - measured, **_style(ROLES[name], mark), linewidth=1.0, markersize=5, label=name)
     least = SMALLEST_SPAN if unit == "m" else 0.0
     _span(above, [measured, *modelled.values()], least)
     _span(below, [values - measured for values in modelled.values()], least)
@@ -298,7 +328,7 @@ def _span(axes: Axes, values: Sequence[np.ndarray], least: float) -> None:
     axes.set_ylim(middle - 1.08 * half, middle + 1.08 * half)
 
 
-def _most(runs: Sequence[Run], predictions: Predictions) -> tuple[int, slice, int]:
+def most_corrected(runs: Sequence[Run], predictions: Predictions) -> tuple[int, slice, int]:
     """Run, rows and axis in which the squared error of the tip shrinks most from the nominal to the corrected model."""
     best, found = -np.inf, (0, slice(0, runs[0].rows), 0)
     for k, run in enumerate(runs):
@@ -317,10 +347,15 @@ def _most(runs: Sequence[Run], predictions: Predictions) -> tuple[int, slice, in
     return found
 
 
-def _across(run: Run) -> tuple[np.ndarray, str, str]:
+def across(run: Run) -> tuple[np.ndarray, str, str]:
     """What a run is drawn over, its label, and how its values are marked."""
     timed = bool(np.isfinite(run.time).all())
     return (run.time, "time in s", "-") if timed else (np.arange(1, run.rows + 1), "row", "o")
+
+
+def _style(role: Role, mark: str) -> dict[str, Any]:
+    """A role's line where rows are joined, else its markers."""
+    return role.lined if mark == "-" else role.marked
 
 
 def _scale_of_x(axes: Axes, values: Sequence[float]) -> bool:

@@ -1,4 +1,4 @@
-"""What figures share: colours, style, and writing them. Matplotlib without a screen; a figure is written whole or not at all."""
+"""What figures share: style, and writing them. Matplotlib without a screen; a figure is written whole or not at all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from tepm_opt.data.files import atomic_path
 from tepm_opt.solvers.backbone import backbone
 from tepm_opt.solvers.statics import Equilibrium
 
-PRESSURE, TENSION, TARGET, REACHED, MISSED = "#1f5fa8", "#c8571b", "#8a8a8a", "#1b7f4b", "#b3202c"
 STYLE = {"dpi": 130, "layout": "constrained"}
 
 

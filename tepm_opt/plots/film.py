@@ -19,7 +19,7 @@ from PIL import Image
 
 from tepm_opt.data.files import atomic_path
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.plots.figure import MISSED
+from tepm_opt.plots.palette import GOOD
 from tepm_opt.plots.scene import COLOURS, EDGE, FLOOR, HEIGHT, PLATE, RING, WIDTH, Scene
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.simulate import Simulation
@@ -128,7 +128,7 @@ class _Pictures:
 
 def palette() -> Image.Image:
     """A picture with the palette of all GIFs: greys, the colours of the scale and of the lines, and both mixed with white."""
-    colours = [*COLOURS(np.linspace(0, 1, COLOURS.N))[:, :3], *(np.array(to_rgb(name)) for name in (MISSED, EDGE, RING, PLATE, FLOOR))]
+    colours = [*COLOURS(np.linspace(0, 1, COLOURS.N))[:, :3], *(np.array(to_rgb(name)) for name in (GOOD.color, EDGE, RING, PLATE, FLOOR))]
     mixed = [colour + blend * (1 - colour) for blend in (0.0, *BLENDS) for colour in colours]
     greys = [np.full(3, value) for value in np.linspace(0, 1, GREYS)]
     image = Image.new("P", (1, 1))

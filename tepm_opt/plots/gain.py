@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from tepm_opt.jobs.gain import GainRun
-from tepm_opt.plots.figure import PRESSURE, STYLE, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import INPUTS
 from tepm_opt.solvers.gain import Actuation, Curve, WorkspaceMap
 
 MOVES: tuple[tuple[Actuation, str], ...] = (("pressure", "pressures"), ("tension", "tensions"))
@@ -43,10 +44,10 @@ def _singular_axes(axes: Axes, run: GainRun) -> None:
         axes.set_title("no stable operating point")
         return
     number = [k for k, _ in found]
-    for kind, color in (("pressure", PRESSURE), ("tension", TENSION)):
+    for kind, role in INPUTS.items():
         values = np.array([1e3 * gain.singular_values(kind) for _, gain in found])  # type: ignore[arg-type]
         for k, style in enumerate(("-", "--", ":")):
-            axes.semilogy(number, values[:, k], style, color=color, marker=".", label=f"{kind}, σ{k + 1}")
+            axes.semilogy(number, values[:, k], style, color=role.color, marker=role.marker, markersize=3, label=f"{kind}, σ{k + 1}")
     axes.set_title("pressure moves far, tension finely")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3, which="both")
@@ -75,9 +76,9 @@ def _matrix_axes(figure: Figure, axes: Axes, run: GainRun) -> None:
 
 
 def _curve_axes(axes: Axes, interval: str, curves: Mapping[tuple[str, str], Curve]) -> None:
-    for kind, color in (("pressure", PRESSURE), ("tension", TENSION)):
+    for kind, role in INPUTS.items():
         if curve := curves.get((kind, interval)):
-            axes.plot(100 * curve.part, 1e3 * curve.tip[:, 2], color=color, label=kind)
+            axes.plot(100 * curve.part, 1e3 * curve.tip[:, 2], **role.lined, label=kind)
     axes.set_xlabel("input, % of its range")
     axes.set_ylabel("tip z in mm")
     axes.set_title(f"third actuator of module 1 alone, {interval.replace('–', ' to ')}, as Fig. 11")

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from tepm_opt.jobs.ik import IkRun
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, backbone_mm
+from tepm_opt.plots.figure import STYLE, backbone_mm
+from tepm_opt.plots.palette import BAD, GOOD, ROBOT, TARGET, channel
 from tepm_opt.solvers.choices import ActuationMode
 
 SMALLEST_SPAN = 50.0  # mm, half of the least axis of the 3-D view
@@ -44,18 +45,18 @@ def ik_figure(run: IkRun) -> Figure:
 def _robot_axes(axes: Axes, run: IkRun) -> None:
     targets = 1e3 * run.trajectory.positions
     closed = np.vstack([targets, targets[:1]]) if run.trajectory.closed else targets
-    axes.plot(*closed.T, color=TARGET, linewidth=1, label="targets")
+    axes.plot(*closed.T, **TARGET.lined, linewidth=1, label="targets")
     every = max(1, len(targets) // 8)
     curves = [backbone_mm(at) for at in run.reached if at.solved]
     for curve in curves[::every]:
-        axes.plot(*curve.T, color=PRESSURE, alpha=0.5, linewidth=1.6)
+        axes.plot(*curve.T, color=ROBOT.color, alpha=0.5, linewidth=1.6)
     good = np.array([c.solved for c in run.configurations], dtype=bool)
     tips = 1e3 * np.array([at.tip for at in run.reached])
-    axes.plot(*tips[good].T, ".", color=REACHED, label="tip, solved")
+    axes.plot(*tips[good].T, ".", color=GOOD.color, label="tip, solved")
     if not good.all():
-        axes.plot(*tips[~good].T, "x", color=MISSED, label="nearest reachable point")
+        axes.plot(*tips[~good].T, "x", color=BAD.color, label="nearest reachable point")
         for tip, target in zip(tips[~good], targets[~good], strict=True):
-            axes.plot(*np.stack([tip, target]).T, color=MISSED, linewidth=0.6)
+            axes.plot(*np.stack([tip, target]).T, color=BAD.color, linewidth=0.6)
     everything = np.vstack([targets, *curves])
     centre, half_span = (everything.max(axis=0) + everything.min(axis=0)) / 2, np.maximum(np.ptp(everything, axis=0) / 2, SMALLEST_SPAN)
     for name, middle, reach in zip("xyz", centre, half_span, strict=True):
@@ -73,10 +74,10 @@ def _error_axes(axes: Axes, run: IkRun) -> None:
     if good.any():
         exact = 1e3 * run.errors(run.reached)[good].max()
         errors = np.where(good, 1e3 * run.errors(run.rounded), np.nan)
-        axes.plot(number, errors, ".-", color=PRESSURE, label="solved, set points on the actuators' grids")
+        axes.plot(number, errors, ".-", color=GOOD.color, label="solved, set points on the actuators' grids")
         axes.plot([], [], " ", label=f"exact set points: at most {exact:.0e} mm")
     if not good.all():
-        axes.plot(number[~good], 1e3 * run.errors(run.reached)[~good], "x", color=MISSED, label="out of reach")
+        axes.plot(number[~good], 1e3 * run.errors(run.reached)[~good], "x", color=BAD.color, label="out of reach")
         axes.set_yscale("log")
     else:
         axes.set_ylim(bottom=0.0)
@@ -91,9 +92,8 @@ def _error_axes(axes: Axes, run: IkRun) -> None:
 def _input_axes(axes: Axes, time: np.ndarray, values: np.ndarray, run: IkRun, joined: bool) -> None:
     layout = run.model.layout
     for k, name in enumerate(layout.actuator_names):
-        module, actuator = divmod(k, layout.actuators)
-        style = ("-", "--", ":", "-.")[module % 4] if joined else "none"
-        mark = ("o", "s", "^", "D")[module % 4]
-        axes.plot(time, values[:, k], linestyle=style, color=f"C{actuator}", marker=mark, markersize=3, linewidth=1.2, label=f"A{name}")
+        role = channel(layout, k)
+        style = role.lined | {"marker": role.marker} if joined else role.marked
+        axes.plot(time, values[:, k], **style, markersize=3, linewidth=1.2, label=f"A{name}")  # type: ignore[arg-type]
     axes.set_xlabel("time in s")
     axes.grid(alpha=0.3)

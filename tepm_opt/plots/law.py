@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from tepm_opt.discrepancy.freeform.invent import Invention
 from tepm_opt.discrepancy.freeform.page import curves
 from tepm_opt.discrepancy.freeform.writing import UNITS, curve
-from tepm_opt.plots.figure import PRESSURE, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import CORRECTED, MEASURED, RECALIBRATED
 
 SIGMAS = 2.0
 
@@ -30,12 +31,12 @@ def law_figure(law: Invention) -> Figure | None:
     figure = Figure(figsize=(6.4, 4.0), **STYLE)
     axes = figure.add_subplot()
     look = smooth @ law.scored.coefficients
-    axes.fill_between(values, look - spread, look + spread, color=TARGET, alpha=0.25, lw=0)
-    axes.plot(values, look, color=TARGET, ls="--", label="smooth law, first order")
-    axes.fill_between(values, found - band, found + band, color=PRESSURE, alpha=0.25, lw=0)
-    axes.plot(values, found, color=PRESSURE, label="formula, fitted")
+    axes.fill_between(values, look - spread, look + spread, color=MEASURED.color, alpha=0.25, lw=0)
+    axes.plot(values, look, color=MEASURED.color, ls="--", label="smooth law, first order")
+    axes.fill_between(values, found - band, found + band, color=CORRECTED.color, alpha=0.25, lw=0)
+    axes.plot(values, found, **CORRECTED.lined, label="formula, fitted")
     for run in law.beyond:
-        axes.axvspan(max(run.low, values[0]) if run.high > values[-1] else run.low, run.high, color=TENSION, alpha=0.08, lw=0)
+        axes.axvspan(max(run.low, values[0]) if run.high > values[-1] else run.low, run.high, color=RECALIBRATED.color, alpha=0.08, lw=0)
     axes.set_xlabel(f"{place.variable} / {UNITS.get(place.variable, '')}")
     axes.set_ylabel(f"force / {place.unit}")
     axes.set_title(f"{place.label}: closes {law.closes:.0%} of what is left")

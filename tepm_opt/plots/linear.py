@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from tepm_opt.jobs.modes import ModesRun
-from tepm_opt.plots.figure import MISSED, PRESSURE, STYLE, TARGET
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import AXES, MEASURED, ROBOT, Role, actuator
 from tepm_opt.solvers.linear import System
 from tepm_opt.solvers.modes import Mode, direction_in_words
 from tepm_opt.solvers.reduction import Reduced
@@ -19,7 +20,6 @@ from tepm_opt.solvers.reduction import Reduced
 SHOWN = 6  # mode shapes in a figure
 SWING = 0.06  # m a node goes at most in the drawing
 SEEN = 1e-4  # of the largest output: smaller ones are not drawn
-COLORS = {"x": "#1f5fa8", "y": "#c8571b", "z": "#1b7f4b"}
 
 
 def modes_figures(run: ModesRun) -> dict[str, Figure]:
@@ -54,7 +54,7 @@ def shapes_figure(modes: Sequence[Mode], title: str) -> Figure:
         axes.set_axis_off()
     panels[0].set_ylabel("z in mm")
     figure.set_size_inches(12.5, 2.6 + 12.0 / SHOWN * panels[0].dataLim.height / (2 * width))
-    figure.suptitle(f"{title}: slowest modes. Grey: equilibrium; blue and red: the ends of a swing of {1e3 * SWING:.0f} mm")
+    figure.suptitle(f"{title}: slowest modes. Grey: equilibrium; solid and dashed: the ends of a swing of {1e3 * SWING:.0f} mm")
     return figure
 
 
@@ -67,10 +67,10 @@ def _draw_mode(axes: Axes, mode: Mode) -> None:
     known = moved if np.abs(moved).max() > 0.1 else bent if np.abs(bent).max() > 0.01 else np.array([[1.0, 0.0]])
     sideways = np.append(np.linalg.svd(known)[2][0], 0.0)
     sideways *= 1.0 if sideways[np.argmax(np.abs(sideways))] > 0 else -1.0
-    for part, color, width in ((0.0, TARGET, 0.8), (1.0, PRESSURE, 1.3), (-1.0, MISSED, 1.3)):
+    for part, color, style, width in ((0.0, MEASURED.color, "-", 0.8), (1.0, ROBOT.color, "-", 1.3), (-1.0, ROBOT.color, "--", 1.3)):
         nodes = (equilibrium.nodes + part * SWING * mode.levels) @ mount.rotation.T + np.array(mount.base_position_m)
         across, up = 1e3 * nodes @ sideways, 1e3 * nodes[..., 2]
-        axes.plot(across, up, color=color, linewidth=width)
+        axes.plot(across, up, style, color=color, linewidth=width)
         for level in range(0, len(nodes), (len(nodes) - 1) // modules):
             axes.plot(np.append(across[level], across[level, 0]), np.append(up[level], up[level, 0]), color=color, linewidth=width)
     axes.set_aspect("equal")
@@ -97,7 +97,8 @@ def _style(system: System, output: int) -> dict[str, str]:
     name = system.outputs[output]
     point, _, axis = name.rpartition("_")
     alone = sum(other.endswith(f"_{axis}") for other in system.outputs) == 1
-    return {"color": COLORS[axis] if axis in COLORS and alone and point else f"C{output % 10}", "label": name}
+    role = AXES[axis] if axis in AXES and alone and point else Role(actuator(output))
+    return {"color": role.color, "label": name}
 
 
 def bode_figure(system: System, title: str, count: int = 500) -> Figure:

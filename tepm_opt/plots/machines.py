@@ -6,13 +6,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tepm_opt.jobs.machines import MachinesRun
-from tepm_opt.plots.figure import MISSED, REACHED, STYLE
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import BAD, GOOD, TARGET, controller
 
 
 def machines_figure(run: MachinesRun) -> Figure:
     """Root mean square errors of all runs, with their mean and the bound; a cross is a run that ended early."""
     figure = Figure(figsize=(9.0, 4.2), **STYLE)  # type: ignore[arg-type]
-    axes = figure.add_subplot()
+    axes, mean = figure.add_subplot(), controller(run.setup.controller).color
     errors, machines = 1e3 * run.errors, np.array([drive.machine for drive in run.drives])
     numbers = np.unique(machines)
     order = numbers[np.argsort([errors[machines == number].mean() for number in numbers])]
@@ -20,12 +21,12 @@ def machines_figure(run: MachinesRun) -> Figure:
     at, done = np.array([place[number] for number in machines]), np.isfinite(errors)
     top = 1.15 * max(float(errors[done].max()) if done.any() else 1.0, 1e3 * run.bound)
     good = done & (errors <= 1e3 * run.bound)
-    axes.plot(at[good], errors[good], "o", ms=5, color=REACHED, label="within the bound")
-    axes.plot(at[done & ~good], errors[done & ~good], "D", ms=5, color=MISSED, label="beyond it")
-    axes.plot(at[~done], np.full((~done).sum(), 0.97 * top), "x", ms=7, color=MISSED, label="ended early")
-    axes.axhline(1e3 * run.bound, color="black", lw=1.0, label=f"bound, {1e3 * run.bound:g} mm")
+    axes.plot(at[good], errors[good], "o", ms=5, color=GOOD.color, label="within the bound")
+    axes.plot(at[done & ~good], errors[done & ~good], "D", ms=5, color=BAD.color, label="beyond it")
+    axes.plot(at[~done], np.full((~done).sum(), 0.97 * top), "x", ms=7, color=BAD.color, label="ended early")
+    axes.axhline(1e3 * run.bound, color=TARGET.color, lw=1.0, label=f"bound, {1e3 * run.bound:g} mm")
     if done.any():
-        axes.axhline(float(errors[done].mean()), color=run.setup.kind.color, lw=1.2, ls="--", label=f"mean, {errors[done].mean():.2f} mm")
+        axes.axhline(float(errors[done].mean()), color=mean, lw=1.2, ls="--", label=f"mean, {errors[done].mean():.2f} mm")
     axes.set(xlim=(-0.7, len(order) - 0.3), ylim=(0, top), xlabel="machine, in the order of its error", ylabel="true tip's error in mm rms")
     axes.set_xticks(range(len(order)), [str(number) for number in order], fontsize=7)
     axes.grid(alpha=0.3)

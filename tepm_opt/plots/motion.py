@@ -8,14 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from tepm_opt.jobs.simulate import SimulateRun
-from tepm_opt.models.layout import Layout
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import AXES, MEASURED, NOMINAL, Role, actuator, channel
 
-AXES = (("x", PRESSURE), ("y", TENSION), ("z", REACHED))
 NOTHING = 0.3  # height of the panel of inputs that are zero throughout
 LEAST_SPAN = 2.0  # mm, so that a robot at rest is not drawn as rounding errors
 FROM_NULL, STEADY = 0.5, 0.02  # of the largest input: smallest one from which null is not shown, and least span then
-MODULES = ("-", "--", ":", "-.")
 
 
 def tip_figure(run: SimulateRun) -> Figure:
@@ -29,14 +27,14 @@ def tip_figure(run: SimulateRun) -> Figure:
     figure = Figure(figsize=(10.0, 1.5 * sum(heights) + 0.8), **STYLE)  # type: ignore[arg-type]
     panels: list[Axes] = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
     rest = iter(panels)
-    for k, (name, color) in enumerate(AXES):
-        _tip_axes(next(rest), run, k, name, color, errors is not None)
+    for k, (name, role) in enumerate(AXES.items()):
+        _tip_axes(next(rest), run, k, name, role, errors is not None)
     if errors is not None:
         _error_axes(next(rest), run, errors)
     if loaded:
         force = next(rest)
-        for k, (name, color) in enumerate(AXES):
-            _inputs(force, run, setpoints.tip_force[:, k], "-", color, f"F{name}")
+        for k, (name, role) in enumerate(AXES.items()):
+            _inputs(force, run, setpoints.tip_force[:, k], role, f"F{name}")
         _finish(force, "tip force\nin N", setpoints.tip_force)
     for kind, values in driven:
         _driven_axes(next(rest), run, kind, values)
@@ -55,7 +53,7 @@ def lengths_figure(run: SimulateRun) -> Figure:
     for h, axes in enumerate(panels):
         for j in range(layout.actuators):
             k = h * layout.actuators + j
-            axes.plot(simulation.setpoints.time, lengths[:, k], color=f"C{j}", linewidth=1.3, label=f"A{layout.actuator_names[k]}")
+            axes.plot(simulation.setpoints.time, lengths[:, k], color=actuator(j), linewidth=1.3, label=f"A{layout.actuator_names[k]}")
         axes.axhline(1e3 * run.model.values["L_0"], color="gray", linewidth=0.8, linestyle=":", label="at rest, $L_0$")
         _finish(axes, f"module {h + 1}\nlength in mm", lengths)
     panels[0].set_ylim(*_limits(np.append(lengths, 1e3 * run.model.values["L_0"])))
@@ -69,12 +67,6 @@ def _title(run: SimulateRun, what: str) -> str:
     return f"{run.model.robot.name}: {what}{early}"
 
 
-def _style(layout: Layout, number: int) -> tuple[str, str]:
-    """Line style by module and colour by actuator."""
-    module, actuator = divmod(number, layout.actuators)
-    return MODULES[module % len(MODULES)], f"C{actuator}"
-
-
 def _driven_axes(axes: Axes, run: SimulateRun, label: str, values: np.ndarray) -> None:
     """Pressures or tensions of all actuators; a line of text where there are none."""
     layout = run.model.layout
@@ -84,30 +76,30 @@ def _driven_axes(axes: Axes, run: SimulateRun, label: str, values: np.ndarray) -
         axes.text(0.5, 0.5, f"no {label.split()[0]}", transform=axes.transAxes, ha="center", va="center", fontsize=9, color="gray")
         return
     for k, name in enumerate(layout.actuator_names):
-        _inputs(axes, run, values[:, k], *_style(layout, k), f"A{name}")
+        _inputs(axes, run, values[:, k], channel(layout, k), f"A{name}")
     _finish(axes, label, None, ncols=layout.modules)
     axes.set_ylim(*_input_limits(values))
 
 
-def _inputs(axes: Axes, run: SimulateRun, values: np.ndarray, style: str, color: str, label: str) -> None:
+def _inputs(axes: Axes, run: SimulateRun, values: np.ndarray, role: Role, label: str) -> None:
     draw = "steps-post" if run.hold else "default"
-    axes.plot(run.simulation.setpoints.time, values, style, color=color, linewidth=1.2, drawstyle=draw, label=label)  # type: ignore[arg-type]
+    axes.plot(run.simulation.setpoints.time, values, **role.lined, linewidth=1.2, drawstyle=draw, label=label)  # type: ignore[arg-type]
 
 
-def _tip_axes(axes: Axes, run: SimulateRun, coordinate: int, name: str, color: str, measured: bool) -> None:
+def _tip_axes(axes: Axes, run: SimulateRun, coordinate: int, name: str, role: Role, measured: bool) -> None:
     modelled = 1e3 * run.simulation.tip[:, coordinate]
     shown = modelled
-    axes.plot(run.simulation.setpoints.time, modelled, color=color, linewidth=1.3, label="simulated", zorder=3)
+    axes.plot(run.simulation.setpoints.time, modelled, color=role.color, linewidth=1.3, label="simulated", zorder=3)
     if measured and run.measured is not None:
         tip = 1e3 * run.measured[:, -1, coordinate]
-        axes.plot(run.time, tip, ".", color="0.55", markersize=3, label="measured")
+        axes.plot(run.time, tip, ".", color=MEASURED.color, markersize=3, label="measured")
         shown = np.concatenate([modelled, tip[np.isfinite(tip)]])
     _finish(axes, f"tip {name}\nin mm", shown, legend=measured and coordinate == 0)
 
 
 def _error_axes(axes: Axes, run: SimulateRun, errors: np.ndarray) -> None:
     rms = run.summary()["measured"]["error_rms_m"]
-    axes.plot(run.time, 1e3 * errors, color=MISSED, linewidth=1.1, label="each instant")
+    axes.plot(run.time, 1e3 * errors, color=NOMINAL.color, linewidth=1.1, label="each instant")
     axes.axhline(1e3 * rms, color="black", linewidth=0.9, linestyle="--", label=f"RMS {1e3 * rms:.3g} mm")
     _finish(axes, "Eq. (5)\nin mm", None)
     axes.set_ylim(bottom=0.0)

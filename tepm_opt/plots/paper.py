@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 
 from tepm_opt.paper.published import PUBLISHED
 from tepm_opt.paper.result import ExperimentResult
-from tepm_opt.plots.figure import MISSED, PRESSURE, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import AXES, INPUTS, MEASURED, NOMINAL, ROBOT, TARGET, actuator
 from tepm_opt.solvers.backbone import backbone
 
-MODEL, PROTOTYPE = PRESSURE, MISSED
-POINTS = ("C0", "C1", "C2", "C3")
+MODEL, PROTOTYPE = NOMINAL, MEASURED
 
 
 def draw(result: ExperimentResult, base: np.ndarray) -> Figure:
@@ -40,12 +40,12 @@ def _table1(result: ExperimentResult, base: np.ndarray) -> Figure:
     data = result.data
     figure, (left, right) = _panels(2)
     count = len(data["pressures"]) // 2 + 1
-    left.plot(1e-6 * data["pressures"][:count], 1e3 * data["grown"][:count], "o-", color=PROTOTYPE, label="rising pressure")
-    left.plot(1e-6 * data["pressures"][count - 1 :], 1e3 * data["grown"][count - 1 :], "s--", color=TENSION, label="falling pressure")
-    left.plot([0, 0.5], [0, PUBLISHED["free_length"].value], color=TARGET, label="published: 0 … 70 mm")
+    left.plot(1e-6 * data["pressures"][:count], 1e3 * data["grown"][:count], "o-", color=PROTOTYPE.color, label="rising pressure")
+    left.plot(1e-6 * data["pressures"][count - 1 :], 1e3 * data["grown"][count - 1 :], "s--", color=ROBOT.color, label="falling pressure")
+    left.plot([0, 0.5], [0, PUBLISHED["free_length"].value], **TARGET.lined, label="published: 0 … 70 mm")
     _label(left, "pressure in MPa", "ΔL in mm", f"free actuator, K_a = {result.numbers['K_a']:.1f} N/m")
-    right.plot(data["time"], 1e3 * data["length"], "o", color=PROTOTYPE, markersize=4, label="measured, mean of the releases")
-    right.plot(data["time"], 1e3 * data["fitted"], color=MODEL, label="mass on spring and damper")
+    right.plot(data["time"], 1e3 * data["length"], "o", color=PROTOTYPE.color, markersize=4, label="measured, mean of the releases")
+    right.plot(data["time"], 1e3 * data["fitted"], **MODEL.lined, label="mass on spring and damper")
     _label(right, "time in s", "length in mm", f"tendon let go, c_v = {result.numbers['c_v']:.1f} N s/m")
     return figure
 
@@ -55,7 +55,7 @@ def _fig6(result: ExperimentResult, base: np.ndarray) -> Figure:
     for axes, mode in zip(panels, (1, 2), strict=True):
         rounds = result.data[f"mode{mode}"]
         for k, held in enumerate(rounds):
-            axes.plot(held.time, 1e3 * held.lengths[:, 0], color=f"C{k}", linewidth=0.6, alpha=0.8, label=f"run {k + 1}")
+            axes.plot(held.time, 1e3 * held.lengths[:, 0], color=actuator(k), linewidth=0.6, alpha=0.8, label=f"run {k + 1}")
         wanted = [220 + 10 * k for k in rounds[0].target]
         axes.plot(rounds[0].time, wanted, color="black", linewidth=1.2, label="set point")
         axes.set_ylim(198, 248)
@@ -71,10 +71,10 @@ def _fig6(result: ExperimentResult, base: np.ndarray) -> Figure:
 
 
 def _shape(axes: Axes, model: np.ndarray, prototype: np.ndarray, base: np.ndarray, across: int) -> None:
-    for points, color, label, mark in ((model, MODEL, "model", "o"), (prototype, PROTOTYPE, "prototype", "s")):
+    for points, role, label, mark in ((model, MODEL, "model", "s"), (prototype, PROTOTYPE, "prototype", "o")):
         curve = 1e3 * backbone(base, points)
-        axes.plot(curve[:, across], curve[:, 2], color=color, linewidth=1.6)
-        axes.plot(1e3 * points[:, across], 1e3 * points[:, 2], mark, color=color, markersize=5, label=label)
+        axes.plot(curve[:, across], curve[:, 2], **role.lined, linewidth=1.6)
+        axes.plot(1e3 * points[:, across], 1e3 * points[:, 2], mark, color=role.color, markersize=5, label=label)
     axes.plot(*(1e3 * base[[across, 2]]), "k^", markersize=7)
     _label(axes, f"{'xy'[across]} in mm", "z in mm")
     axes.set_aspect("equal", adjustable="datalim")
@@ -83,7 +83,7 @@ def _shape(axes: Axes, model: np.ndarray, prototype: np.ndarray, base: np.ndarra
 def _errors(axes: Axes, result: ExperimentResult) -> None:
     errors, figure = result.data["errors"], result.figure
     names = [f"s{k + 1}" for k in range(len(errors))]
-    axes.bar(names, errors, color=PROTOTYPE, alpha=0.75, label="ours")
+    axes.bar(names, errors, color=PROTOTYPE.color, alpha=0.75, label="ours")
     for k, name in enumerate(names):
         if entry := PUBLISHED.get(f"{figure}_{name}"):
             axes.plot(k, entry.value, "D", color="black", label="published" if k == 0 else None)
@@ -106,12 +106,12 @@ def _fig9(result: ExperimentResult, base: np.ndarray) -> Figure:
         at = int(np.argmin(np.abs(time - instant)))
         for points, style, name in ((model, "-", "model"), (prototype, "--", "prototype")):
             curve = 1e3 * backbone(base, points[at])
-            left.plot(curve[:, 1], curve[:, 2], style, color=POINTS[k], label=f"{name}, {instant:.0f} s" if name == "model" else None)
+            left.plot(curve[:, 1], curve[:, 2], style, color=actuator(k), label=f"{name}, {instant:.0f} s" if name == "model" else None)
     left.plot([], [], "k--", label="prototype")
     _label(left, "y in mm", "z in mm", "whole-arm bend")
     left.set_aspect("equal", adjustable="datalim")
     for k in range(model.shape[1]):
-        right.plot(time, result.data["errors"][:, k], color=POINTS[k], linewidth=1.2, label=f"s{k + 1}")
+        right.plot(time, result.data["errors"][:, k], color=actuator(k), linewidth=1.2, label=f"s{k + 1}")
     entry = PUBLISHED["fig9_largest"].value
     right.plot(PUBLISHED["fig9_time"].value, entry, "D", color="black", label=f"published largest: {entry:g} mm (s2)")
     _label(right, "time in s", "error in mm", f"largest {result.numbers['fig9_largest']:.1f} mm", legend=False)
@@ -127,8 +127,8 @@ def _fig10(result: ExperimentResult, base: np.ndarray) -> Figure:
     _errors(panels[1], result)
     force, angle = result.data["force"], result.data["angle"]
     bent, top = (angle - angle[0]) / np.ptp(angle), int(np.argmax(force))
-    panels[2].plot(force[: top + 1] / force.max(), bent[: top + 1], color=MODEL, label="bending")
-    panels[2].plot(force[top:] / force.max(), bent[top:], color=PROTOTYPE, label="return")
+    panels[2].plot(force[: top + 1] / force.max(), bent[: top + 1], color=PROTOTYPE.color, label="bending")
+    panels[2].plot(force[top:] / force.max(), bent[top:], "--", color=ROBOT.color, label="return")
     title = f"hysteresis {result.numbers['fig10_hysteresis']:.1f} %, published {PUBLISHED['fig10_hysteresis'].value:g} %"
     _label(panels[2], "force, of its largest", "bending angle, of its largest", title)
     return figure
@@ -138,12 +138,12 @@ def _fig11(result: ExperimentResult, base: np.ndarray) -> Figure:
     figure, panels = _panels(2)
     for axes, interval in zip(panels, ("10–20 %", "45–55 %"), strict=True):
         low, high = (float(word) / 100 for word in interval.removesuffix(" %").split("–"))
-        for kind, color in (("pressure", PRESSURE), ("tension", TENSION)):
+        for kind, role in INPUTS.items():
             part, height = result.data["curves"][kind]
             inside = (part >= low) & (part <= high)
             curve = result.data["model"][kind, interval]
-            axes.plot(100 * part[inside], 1e3 * height[inside], ".", color=color, markersize=3, label=f"{kind}, prototype")
-            axes.plot(100 * curve.part, 1e3 * curve.tip[:, 2], "--", color=color, label=f"{kind}, model")
+            axes.plot(100 * part[inside], 1e3 * height[inside], ".", color=role.color, markersize=3, label=f"{kind}, prototype")
+            axes.plot(100 * curve.part, 1e3 * curve.tip[:, 2], "--", color=role.color, label=f"{kind}, model")
         _label(axes, "input of A13, % of its range", "z of s4 in mm", interval)
     return figure
 
@@ -157,13 +157,13 @@ def _fig12(result: ExperimentResult, base: np.ndarray) -> Figure:
     for column, mode in enumerate((1, 2)):
         tip = result.data[f"mode{mode}"]
         path, errors = panels[0, column], panels[1, column]
-        path.plot(*(1e3 * round_trip[:, :2].T), color=TARGET, label="desired")
-        path.plot(*(1e3 * tip[:, :2].T), "o", color=PROTOTYPE, markersize=4, label="reached, mean of the runs")
+        path.plot(*(1e3 * round_trip[:, :2].T), **TARGET.lined, label="desired")
+        path.plot(*(1e3 * tip[:, :2].T), "o", color=PROTOTYPE.color, markersize=4, label="reached, mean of the runs")
         rmse, paper = result.numbers[f"fig12_mode{mode}"], PUBLISHED[f"fig12_mode{mode}"].value
         _label(path, "x in mm", "y in mm", f"mode {mode}: RMSE {rmse:.2f} mm, published {paper:.2f} mm")
         path.set_aspect("equal", adjustable="datalim")
-        for k, axis in enumerate("xyz"):
-            errors.plot(degrees, 1e3 * (tip - target)[:, k], ".-", color=f"C{k}", label=axis)
+        for k, (axis, role) in enumerate(AXES.items()):
+            errors.plot(degrees, 1e3 * (tip - target)[:, k], **role.lined, marker=role.marker, markersize=4, label=axis)
         _label(errors, "angle on the circle in °", "error in mm")
     largest = max(abs(limit) for axes in panels[1] for limit in axes.get_ylim())
     for axes in panels[1]:

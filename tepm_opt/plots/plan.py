@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tepm_opt.jobs.plan import PlanRun
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import GOOD, LIMIT, MEASURED, OBSTACLE, ROBOT, channel
 from tepm_opt.solvers.planning.program import Box, Obstacle, Sphere
 from tepm_opt.solvers.planning.result import MotionPlan
 
 VIEWS = ((0, 2), (0, 1))
-MODULES = ("-", "--", ":", "-.")
 
 
 def plan_figure(run: PlanRun) -> Figure:
@@ -28,15 +28,14 @@ def plan_figure(run: PlanRun) -> Figure:
         if k == 0:
             axes.legend(fontsize=8, loc="best")
     speed, pressure, tension = (figure.add_subplot(grid[k, 1]) for k in range(3))
-    speed.plot(plan.time, 1e3 * np.linalg.norm(np.gradient(plan.tips, plan.time, axis=0), axis=1), color=REACHED)
+    speed.plot(plan.time, 1e3 * np.linalg.norm(np.gradient(plan.tips, plan.time, axis=0), axis=1), color=GOOD.color)
     speed.set_ylabel("tip speed in mm/s")
     layout, inputs = plan.model.layout, plan.setpoints.inputs
     half = layout.inputs // 2
     for k, name in enumerate(layout.actuator_names):
-        module, actuator = divmod(k, layout.actuators)
-        style, color = MODULES[module % len(MODULES)], f"C{actuator}"
-        pressure.plot(plan.time, 1e-3 * inputs[:, k], style, color=color, linewidth=1.2, label=f"A{name}")
-        tension.plot(plan.time, inputs[:, half + k], style, color=color, linewidth=1.2)
+        role = channel(layout, k)
+        pressure.plot(plan.time, 1e-3 * inputs[:, k], **role.lined, linewidth=1.2, label=f"A{name}")
+        tension.plot(plan.time, inputs[:, half + k], **role.lined, linewidth=1.2)
     _limited(pressure, "pressure in kPa", 1e-3 * float(plan.model.input_max[0]))
     _limited(tension, "tension in N", float(plan.model.input_max[half]))
     pressure.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -52,7 +51,7 @@ def plan_figure(run: PlanRun) -> Figure:
 def _limited(axes: Axes, label: str, limit: float) -> None:
     """Set points between 0 and their limit."""
     for value in (0.0, limit):
-        axes.axhline(value, color=MISSED, linewidth=0.9, linestyle=":")
+        axes.axhline(value, **LIMIT.lined, linewidth=0.9)
     axes.set_ylabel(label)
 
 
@@ -62,12 +61,12 @@ def _way(axes: Axes, plan: MotionPlan, obstacles: Sequence[Obstacle], view: tupl
     for k, name in enumerate(plan.model.layout.point_names):
         last = k == points.shape[1] - 1
         label = "way of the tip" if last else "ways of the other points" if k == 0 else None
-        axes.plot(*points[:, k].T, color=REACHED if last else TARGET, linewidth=1.8 if last else 1.0, label=label)
+        axes.plot(*points[:, k].T, color=GOOD.color if last else MEASURED.color, linewidth=1.8 if last else 1.0, label=label)
         axes.annotate(name, points[-1, k], fontsize=8, xytext=(3, 3), textcoords="offset points")
     for row, label, style in ((0, "start", "o-"), (len(points) - 1, "end", "s--")):
-        axes.plot(*points[row].T, style, color=PRESSURE, markersize=3.5, linewidth=0.9, alpha=0.8, label=label)
+        axes.plot(*points[row].T, style, color=ROBOT.color, markersize=3.5, linewidth=0.9, alpha=0.8, label=label)
     for obstacle in obstacles:
-        axes.fill(*(1e3 * _outline(obstacle, view)).T, color=MISSED, alpha=0.3, linewidth=0)
+        axes.fill(*(1e3 * _outline(obstacle, view)).T, color=OBSTACLE.color, alpha=0.6, linewidth=0)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"{'xyz'[view[0]]} in mm")
     axes.set_ylabel(f"{'xyz'[view[1]]} in mm")

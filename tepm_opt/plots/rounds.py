@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tepm_opt.jobs.rounds import RoundsRun
-from tepm_opt.plots.figure import MISSED, REACHED, STYLE
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import BAD, GOOD, controller
 
 
 def rounds_figure(run: RoundsRun) -> Figure:
@@ -16,15 +17,15 @@ def rounds_figure(run: RoundsRun) -> Figure:
     true, name = run.knows_truth, "true" if run.knows_truth else "tracked"
     rms = [1e3 * loop.rms(true) for loop in run.loops]
     numbers = np.arange(1, len(rms) + 1)
-    errors.plot(numbers, rms, "o-", color=run.loops[0].setup.kind.color)
+    errors.plot(numbers, rms, "o-", color=controller(run.loops[0].setup.controller).color)
     errors.set(xlabel="round", ylabel=f"{name} tip's error in mm rms", title="Error by round")
     errors.set_ylim(bottom=0)
     errors.set_xticks(numbers)
     errors.grid(alpha=0.3)
-    rounds = ((run.loops[0], MISSED, "--", "round 1"), (run.loops[-1], REACHED, "-", f"round {len(rms)}"))
-    for loop, color, style, label in rounds[: len(rms)]:
+    rounds = ((run.loops[0], BAD, "round 1"), (run.loops[-1], GOOD, f"round {len(rms)}"))
+    for loop, role, label in rounds[: len(rms)]:
         distance = 1e3 * np.linalg.norm(loop.errors(true), axis=1)
-        way.plot(loop.time[loop.counted], distance[loop.counted], style, color=color, lw=1.2, label=label)
+        way.plot(loop.time[loop.counted], distance[loop.counted], **role.lined, lw=1.2, label=label)
     way.set(xlabel="time in s", ylabel=f"{name} tip's distance from the path's target in mm", title="Where it missed")
     way.set_ylim(bottom=0)
     way.grid(alpha=0.3)

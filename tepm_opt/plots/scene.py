@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from tepm_opt.plots.figure import MISSED
+from tepm_opt.plots.palette import GOOD
 from tepm_opt.solvers.simulate import Simulation
 
 WIDTH, HEIGHT, DPI = 720, 640, 100  # pixels; both even, as films need
@@ -112,8 +112,8 @@ class Scene:
         arm = PolyCollection([], closed=False, capstyle="round", joinstyle="round")
         lines = (
             Line2D([], [], color=FLOOR, linewidth=3.0),
-            Line2D([], [], color=MISSED, linewidth=1.2),
-            Line2D([], [], color=MISSED, marker="o", markersize=6.5, markeredgecolor="white"),
+            Line2D([], [], color=GOOD.color, linewidth=1.2),
+            Line2D([], [], color=GOOD.color, marker="o", markersize=6.5, markeredgecolor="white"),
         )
         parts: tuple[Artist, ...] = (*lines[:2], arm, lines[2])
         for part in parts:

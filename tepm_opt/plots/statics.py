@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tepm_opt.jobs.statics import StaticsRun
-from tepm_opt.plots.figure import PRESSURE, STYLE, backbone_mm
+from tepm_opt.plots.figure import STYLE, backbone_mm
+from tepm_opt.plots.palette import ACTUATORS, LINES, ROBOT, actuator
 
 
 def statics_figure(run: StaticsRun) -> Figure:
@@ -18,10 +19,11 @@ def statics_figure(run: StaticsRun) -> Figure:
     solved = [at for at in run.equilibria if at.solved]
     for axes, across, name in zip(panels, (0, 1), ("x", "y"), strict=True):
         for k, at in enumerate(solved):
-            color = f"C{k}" if len(solved) <= 10 else PRESSURE
+            few = len(solved) <= 10
+            color, style = (actuator(k), LINES[k // len(ACTUATORS)]) if few else (ROBOT.color, "-")
             curve, points = backbone_mm(at), 1e3 * at.points
             label = f"row {run.equilibria.index(at) + 1}"
-            axes.plot(curve[:, across], curve[:, 2], color=color, linewidth=1.5, alpha=1.0 if len(solved) <= 10 else 0.4, label=label)
+            axes.plot(curve[:, across], curve[:, 2], style, color=color, linewidth=1.5, alpha=1.0 if few else 0.4, label=label)
             axes.plot(points[:, across], points[:, 2], "o", color=color, markersize=3)
         if 1 < len(solved) <= 10:
             axes.legend(fontsize=8)

@@ -1,1 +1,1 @@
-"""Self-contained HTML pages of what jobs found: `pages` of the main job and of a verdict, `paper` of the experiments."""
+"""Self-contained HTML pages of what jobs found, all on one template: `template` and `charts` are what they share."""

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 
-from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.jobs.close import Closing
-from tepm_opt.report.pages import HEADINGS, environment
-
-ROWS = {
-    "nominal": "as it was",
-    "recalibrated": "recalibrated",
-    "corrected": "corrected",
-    "black_box": "black box without physics",
-    "noise_floor": "noise alone",
-}
+from tepm_opt.report.discrepancy import HEADINGS, error_rows
+from tepm_opt.report.template import Group, Row, digits, write
 
 
 def write_closing_page(path: str | Path, done: Closing) -> None:
@@ -29,16 +20,21 @@ def write_closing_page(path: str | Path, done: Closing) -> None:
     Raises:
         InputError: the folder cannot be written to.
     """
-    last = done.verdicts[-1]
-    page = (
-        environment()
-        .get_template("close.html")
-        .render(
-            summary=done.summary(),
-            heading=HEADINGS[VerdictStatus(last["status"])],
-            paragraph=last["paragraph"],
-            rows=list(ROWS.items()),
-            version=version("tepm-opt"),
-        )
-    )
-    write_atomically(path, page)
+    last, summary = done.verdicts[-1], done.summary()
+    tracking = [
+        Row(name, "mm", [digits(value, 1e3) if value is not None else "nothing seen" for value in errors.values()])
+        for name, errors in summary["tip_error_m"].items()
+    ]
+    groups = [
+        Group("Tip error on a path, rms", ["model as it was", "corrected model"], tracking),
+        Group("Error on runs that were not used, rms", ["error"], error_rows(summary["rmse_m"], "m")),
+    ]
+    status = VerdictStatus(last["status"])
+    write(
+        path, "close.html",
+        summary=summary,
+        groups=groups,
+        status=status.value,
+        heading=HEADINGS[status],
+        paragraph=last["paragraph"],
+    )  # fmt: skip

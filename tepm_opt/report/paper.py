@@ -1,18 +1,14 @@
-"""One self-contained HTML page: every published number beside ours, every figure."""
+"""The page of the paper's experiments: every published number beside ours, every figure."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
-from tepm_opt.data.files import write_atomically
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.paper.result import ExperimentResult
+from tepm_opt.report.template import write
 
 
 def sizes(rig: RigFile) -> list[tuple[str, str]]:
@@ -45,9 +41,5 @@ def write_paper_page(
     Raises:
         InputError: the folder cannot be written to.
     """
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined)
-    images = {name: base64.b64encode(file.read_bytes()).decode() for name, file in figures.items()}
-    page = environment.get_template("paper.html").render(
-        summary=summary, results=results, images=images, sizes=sizes(rig), version=version("tepm-opt")
-    )
-    write_atomically(path, page)
+    failed = [check for check in summary["checks"] if not check["holds"]]
+    write(path, "paper.html", figures, summary=summary, results=results, sizes=sizes(rig), failed=failed)

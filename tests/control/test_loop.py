@@ -332,7 +332,7 @@ def test_a_controller_of_ones_own(kang, short):
             """How often it was asked."""
             return Telemetry({"asked": float(self.count), "mood": "calm"}, {"bored": self.count // 100})
 
-    kind = ControllerKind("counting", "Counting", "purple", "counting controller", lambda model, reference, settings: Counting(reference))
+    kind = ControllerKind("counting", "Counting", "counting controller", lambda model, reference, settings: Counting(reference))
     register(kind)
     try:
         with pytest.raises(InputError, match="exists already"):

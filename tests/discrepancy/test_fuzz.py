@@ -14,7 +14,7 @@ import pytest
 from tepm_opt import plots
 from tepm_opt.errors import InputError
 from tepm_opt.jobs import discrepancy as job
-from tepm_opt.report.pages import write_discrepancy_page
+from tepm_opt.report.discrepancy import write_discrepancy_page
 from tests.discrepancy.random_machines import data, machine
 
 QUICK, ALL = 10, 200

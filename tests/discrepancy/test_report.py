@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.verdict import Errors, Named, Place, Rival, Value, Ver
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure
-from tepm_opt.report.pages import write_discrepancy_page
+from tepm_opt.report.discrepancy import write_discrepancy_page
 
 PNG = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg==")
 FIGURES = ("heat", "gap", "points", "over_time", "evidence", "tip")
@@ -84,7 +84,7 @@ def test_key_facts(tmp_path: Path) -> None:
         "steps <1>.csv", "8.10 mm", "62 %", "0.001",
         "actuator_gain[13]", "actuator 13", "loss", "0.1203 ± 0.0007", "> 99 %", "94 %",
         "pressure_crosstalk", "closes 55 % <less> than half the rest", "sensor_offset[s4]",
-        "0.520 mm", "5.20 mm", "4.10 mm", "0.550 mm", "0.800 mm",
+        "noise alonemm0.520", "model as it wasmm5.20", "recalibratedmm4.10", "correctedmm0.550", "black box without physicsmm0.800",
         "K_a", "358.86", "364.2 ± 0.8 N/m", "+1.49 %", "2.4 N s/m",
         *VERDICT.notes, "--model model.toml", "bench <b>bold</b>", "kang2017", "83 s",
     )  # fmt: skip

@@ -110,12 +110,11 @@ def no_settings(options: Mapping[str, Option]) -> NoSettings:
 
 @dataclass(frozen=True)
 class ControllerKind:
-    """A kind of controller: how it is named, drawn and made. One in a module of this folder is all that a new controller takes.
+    """A kind of controller: how it is named and made. One in a module of this folder is all that a new controller takes.
 
     Attributes:
         name: as the command line and the summary have it.
         title: name in figures.
-        color: of its lines in figures, as matplotlib takes it.
         description: continues "the …" in help texts and messages.
         make: a controller for a compiled model, a reference and settings.
         options: names of the options of `tepm mpc` that it understands.
@@ -125,7 +124,6 @@ class ControllerKind:
 
     name: str
     title: str
-    color: str
     description: str
     make: Callable[[CompiledModel, Reference, ControllerSettings], Controller]
     options: tuple[str, ...] = ()

@@ -262,4 +262,4 @@ def _gaussian(model: CompiledModel, reference: Reference, settings: ControllerSe
     return Lqg(model, reference, own_settings(settings, LqgSettings))
 
 
-LQG = ControllerKind("lqg", "LQG", "#8a5fb0", "linear-quadratic-Gaussian controller", _gaussian, settings=lambda options: LqgSettings())
+LQG = ControllerKind("lqg", "LQG", "linear-quadratic-Gaussian controller", _gaussian, settings=lambda options: LqgSettings())

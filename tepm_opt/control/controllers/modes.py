@@ -59,5 +59,5 @@ def _follower(use: TendonUse, model: CompiledModel, reference: Reference, settin
     return LengthFollower(model, reference, use)
 
 
-MODE1 = ControllerKind("mode1", "mode 1", "#c8571b", "paper's mode 1 (pressure)", partial(_follower, TendonUse.FOLLOWS), jumps=True)
-MODE2 = ControllerKind("mode2", "mode 2", "#1f5fa8", "paper's mode 2 (with tension)", partial(_follower, TendonUse.ADJUSTS), jumps=True)
+MODE1 = ControllerKind("mode1", "mode 1", "paper's mode 1 (pressure)", partial(_follower, TendonUse.FOLLOWS), jumps=True)
+MODE2 = ControllerKind("mode2", "mode 2", "paper's mode 2 (with tension)", partial(_follower, TendonUse.ADJUSTS), jumps=True)

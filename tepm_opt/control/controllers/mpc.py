@@ -362,4 +362,4 @@ def _predictive(model: CompiledModel, reference: Reference, settings: Controller
     return Mpc(model, reference, own_settings(settings, MpcSettings))
 
 
-MPC = ControllerKind("mpc", "MPC", "#1b7f4b", "predictive controller", _predictive, ("rule", "nonlinear", "use"), MpcSettings.of)
+MPC = ControllerKind("mpc", "MPC", "predictive controller", _predictive, ("rule", "nonlinear", "use"), MpcSettings.of)

@@ -1,0 +1,76 @@
+"""The page of a verdict: what a model misses, and what explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from tepm_opt.discrepancy.localise import Localisation
+from tepm_opt.discrepancy.verdict import Errors, Verdict, VerdictStatus
+from tepm_opt.report.charts import Chart
+from tepm_opt.report.template import Group, Row, digits, percent, write
+
+HEADINGS = {
+    VerdictStatus.NAMED: "The missing effect is named",
+    VerdictStatus.NO_DISCREPANCY: "No discrepancy",
+    VerdictStatus.INDISTINGUISHABLE: "Several effects explain the data equally well",
+    VerdictStatus.PARTIAL: "A known effect explains a part",
+    VerdictStatus.UNEXPLAINED: "Not explained by any known effect",
+}
+MODELS = {
+    "nominal": "model as it was",
+    "recalibrated": "recalibrated",
+    "corrected": "corrected",
+    "black_box": "black box without physics",
+    "noise_floor": "noise alone",
+}
+RIVALS = 15  # listed on the page
+
+
+def write_discrepancy_page(
+    path: str | Path,
+    verdict: Verdict,
+    localisation: Localisation,
+    figures: Mapping[str, Path | bytes],
+    provenance: Mapping[str, str],
+    charts: Mapping[str, Chart] | None = None,
+) -> None:
+    """Write the page of a verdict.
+
+    Args:
+        path: of the page.
+        verdict: the answer.
+        localisation: where the nominal model misses.
+        figures: PNG files or their content by name, those that there are of "heat", "gap", "points", "over_time", "evidence", "tip".
+        provenance: what was used, by what it is: data set, robot, versions, seed.
+        charts: what the page draws itself in the place of figures of these names, as `discovery_charts` makes them.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    write(
+        path, "discrepancy.html", figures, charts,
+        verdict=verdict,
+        groups=[_errors(verdict)],
+        status=verdict.status.value,
+        heading=HEADINGS[verdict.status],
+        localisation=localisation,
+        places=localisation.places[: localisation.telling],
+        rivals=verdict.rivals[:RIVALS],
+        provenance=provenance,
+    )  # fmt: skip
+
+
+def error_rows(errors: Mapping[str, float], unit: str) -> Sequence[Row]:
+    """A row for the error of each model, by the names of a verdict."""
+    factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
+    return [Row(text, shown, [digits(errors[name], factor)]) for name, text in MODELS.items()]
+
+
+def _errors(verdict: Verdict) -> Group:
+    """Errors of the models, and how much of the gap is closed."""
+    errors: Errors = verdict.errors
+    gap = errors.nominal > errors.noise_floor and verdict.status is not VerdictStatus.NO_DISCREPANCY
+    closed = Row("gap closed", "%", [percent(errors.closed).removesuffix(" %") if gap else "no gap"])
+    name = "RMS of Eq. (5)" if verdict.unit == "m" else "RMS"
+    return Group(f"{name}, validation runs", ["error"], [*error_rows(vars(errors), verdict.unit), closed])

@@ -1,0 +1,137 @@
+"""What all pages share: the template, the table of figures, pictures, how numbers are written. A page is one file, asks for nothing."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from tepm_opt.data.files import write_atomically
+from tepm_opt.discrepancy.verdict import Value
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.report.charts import Chart
+
+CSS_PIXELS = 96  # an inch of a page
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table of figures.
+
+    Attributes:
+        name: what it is.
+        unit: of all its values; empty where they have none.
+        cells: values as text, one a column.
+    """
+
+    name: str
+    unit: str
+    cells: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows of the table of figures with the same columns.
+
+    Attributes:
+        title: above the rows.
+        columns: their names.
+        rows: in order.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Row]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG file as HTML takes it.
+
+    Attributes:
+        content: base64.
+        width: in CSS px, at which its letters are as large as they were drawn.
+    """
+
+    content: str
+    width: int
+
+    @classmethod
+    def of(cls, figure: Path | bytes) -> Picture:
+        """A figure's file or its content."""
+        content = figure if isinstance(figure, bytes) else figure.read_bytes()
+        pixels = int.from_bytes(content[16:20], "big")  # IHDR, which is the first chunk
+        return cls(base64.b64encode(content).decode(), round(pixels * CSS_PIXELS / float(STYLE["dpi"])))  # type: ignore[arg-type]
+
+
+def write(
+    path: str | Path,
+    template: str,
+    figures: Mapping[str, Path | bytes] | None = None,
+    charts: Mapping[str, Chart] | None = None,
+    **values: Any,
+) -> None:
+    """Write a page.
+
+    Args:
+        path: of the page.
+        template: its name among the package's templates.
+        figures: PNG files or their content by the names that the template gives them.
+        charts: what scripts draw in the place of figures of the same names.
+        values: what the template asks for besides.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"sized": sized, "percent": percent, "spread": _spread, "size": _size}
+    drawn = charts or {}
+    images = {name: Picture.of(figure) for name, figure in (figures or {}).items() if name not in drawn}
+    page = environment.get_template(template).render(images=images, charts=drawn, version=version("tepm-opt"), **values)
+    write_atomically(path, page)
+
+
+def digits(value: float | None, factor: float = 1.0, form: str = "#.3g") -> str:
+    """A value with three digits and more where it is 1000 and larger, times a factor; a dash where there is none."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    whole = abs(factor * value) >= 999.5 and form == "#.3g"
+    return format(factor * value, ".0f" if whole else form).rstrip(".")
+
+
+def sized(value: float, unit: str) -> str:
+    """A value with three digits and its unit, lengths in mm; a dash where there is none."""
+    text, shown = (digits(value, 1e3), "mm") if unit == "m" else (digits(value), unit)
+    return text if text == "–" else f"{text} {shown}"
+
+
+def percent(part: float | None) -> str:
+    """A part of one in percent; what is nearly all or nothing is not rounded to it."""
+    if part is None or not np.isfinite(part):
+        return "–"
+    if 0 < part < 0.01 or 0.99 < part < 1:
+        return "< 1 %" if part < 0.5 else "> 99 %"
+    return f"{100 * part:.0f} %"
+
+
+def _size(value: Value) -> str:
+    """Value and standard deviation of an effect's parameter, and whether that differs from null."""
+    null = "0" if value.nominal == 0 else f"{value.nominal:.4g}{f' {value.unit}' if value.unit not in ('', '1') else ''}"
+    return _spread(value) + ("" if value.clear else f" (not significantly different from {null})")
+
+
+def _spread(value: Value) -> str:
+    """Value and standard deviation, to two digits of the latter, with the unit."""
+    unit = f" {value.unit}" if value.unit not in ("", "1") else ""
+    if not np.isfinite(value.std) or value.std <= 0:
+        return f"{value.value:.6g}{unit}"
+    most = max(2, min(9, 2 + int(np.floor(np.log10(max(abs(value.value) / value.std, 1.0))))))
+    return f"{value.value:.{most}g} ± {value.std:.2g}{unit}"
