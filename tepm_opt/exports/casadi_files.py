@@ -51,7 +51,7 @@ def casadi_functions(model: CompiledModel) -> dict[str, ca.Function]:
     actuation = ca.Function("actuation", [u], [kernels["input_map"](u, theta)], ["u"], ["a"])
     network = _network(model, actuation, x, u, force)
     residual = ca.Function("residual", [x, u, force], network.call([x, u, force])[1:2])
-    solve = ca.rootfinder("solve", "newton", residual, {"abstol": TOLERANCE, "print_in": False})
+    solve = ca.rootfinder("solve", "newton", residual, {"abstol": TOLERANCE})
     found = solve(x0, u, force)
     seen = network.call([found, u, force])[2:]
     statics = ca.Function("statics", [x0, u, force], [found, *seen], ["x0", "u", "force"], ["x", "points", "lengths"])

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import SetPoints, gain_columns
-from tepm_opt.data.tables import write_table
+from tepm_opt.data.tables import write_columns, write_table
 from tepm_opt.jobs.output import outcome_of, save_summary
 from tepm_opt.jobs.statics import StaticsRun, run_statics
 from tepm_opt.models.compile import CompiledModel
@@ -39,7 +40,7 @@ def _measures(gain: Gain, kind: Actuation) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class GainRun:
+class GainRun(Tabular):
     """G of a reference point under set points.
 
     Attributes:
@@ -100,6 +101,13 @@ class GainRun:
         label = self.statics.model.layout.point_names[point]
         return {**{name: summary[name] for name in names}, "reference_point": label, "normalised": rows}
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """The operating points as `StaticsRun` has them, with G in SI, row by row; NaN where there is none."""
+        names = gain_columns(self.model.layout.inputs)
+        empty = np.full(len(names), np.nan)
+        rows = np.array([empty if gain is None else gain.matrix.ravel() for gain in self.gains]).reshape(-1, len(names))
+        return self.statics.columns() | dict(zip(names, rows.T, strict=True))
+
     def save(self, folder: str | Path) -> None:
         """Write gain.csv (G in SI, row by row, one line an operating point), summary.json and, where there is a map, gain_map.csv.
 
@@ -108,10 +116,8 @@ class GainRun:
         """
         if not self.gains:
             return
-        folder, inputs = output_folder(folder), self.statics.model.layout.inputs
-        empty = np.full(3 * inputs, np.nan)
-        rows = np.array([empty if gain is None else gain.matrix.ravel() for gain in self.gains])
-        write_table(folder / "gain.csv", gain_columns(inputs), rows)
+        folder, columns = output_folder(folder), self.columns()
+        write_columns(folder / "gain.csv", {name: columns[name] for name in gain_columns(self.model.layout.inputs)})
         save_summary(folder, "gain", self.summary())
         if self.workspace is not None:
             _save_map(self.workspace, folder / MAP)

@@ -15,6 +15,7 @@ from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.data.noise import noise_of
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.network import narrow
 from tepm_opt.errors import InputError
@@ -58,7 +59,7 @@ def open_datasets(folders: Sequence[Path], despite_errors: bool = False) -> list
 
 
 @dataclass(frozen=True, eq=False)
-class IdentifyRun:
+class IdentifyRun(Tabular):
     """Parameters fitted to measured runs, judged on others.
 
     Attributes:
@@ -109,6 +110,12 @@ class IdentifyRun:
             "converged": self.ok,
             "message": self.outcome.message,
         }
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Parameters as `summary` has them, a row each."""
+        found = self.summary()["parameters"]
+        columns = {key: np.array([value[key] for value in found.values()]) for key in next(iter(found.values()), {})}
+        return {"parameter": np.array(list(found)), **columns}
 
     def save(self, folder: str | Path) -> None:
         """Write model.toml, for --model of every command, and identified.json.

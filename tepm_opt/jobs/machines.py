@@ -12,6 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.tables import write_columns
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.clearance import smallest
@@ -76,7 +77,7 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
-class MachinesRun:
+class MachinesRun(Tabular):
     """A controller on random machines.
 
     Attributes:
@@ -144,6 +145,11 @@ class MachinesRun:
         each = np.array([drive.distance_m for drive in self.drives])
         return {"mean": float(each.mean()), "worst": float(each.min())} if len(each) and np.isfinite(each).all() else None
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """The fields of `Drive`, a row a run; no distances where there are no obstacles."""
+        columns = {f.name: np.array([getattr(drive, f.name) for drive in self.drives]) for f in fields(Drive)}
+        return {name: values for name, values in columns.items() if name != "distance_m" or self._distances()}
+
     def save(self, folder: str | Path) -> None:
         """Write machines.csv, a row a run, and summary.json.
 
@@ -151,8 +157,7 @@ class MachinesRun:
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        columns = {f.name: np.array([getattr(drive, f.name) for drive in self.drives]) for f in fields(Drive)}
-        write_columns(folder / TABLE, {name: values for name, values in columns.items() if name != "distance_m" or self._distances()})
+        write_columns(folder / TABLE, self.columns())
         save_summary(folder, "machines", self.summary())
 
     def __repr__(self) -> str:
