@@ -21,6 +21,7 @@ from tepm_opt.cli import (
     demo,
     discrepancy,
     excite,
+    export,
     gain,
     identify,
     ik,
@@ -105,6 +106,7 @@ for name, command in COMMANDS.items():
     app.command(name)(spread(command))
 app.add_typer(robot.app, name="robot")
 app.add_typer(data.app, name="data")
+app.add_typer(export.app, name="export")
 app.add_typer(hw.app, name="hw")
 
 

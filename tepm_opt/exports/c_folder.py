@@ -1,4 +1,4 @@
-"""A model as a folder of C that needs neither Python nor a library: statics, gain, motion step by step."""
+"""A model, or its predictive controller, as a folder of C that needs neither Python nor a library."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tepm_opt.control.controllers.mpc import Mpc
+from tepm_opt.control.mpc_settings import MpcSettings
+from tepm_opt.control.reference import Reference
+from tepm_opt.control.step.export import FILES as CONTROLLER_FILES
+from tepm_opt.control.step.export import export_step
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.setpoints import input_columns
 from tepm_opt.models.backends.ccode import Unit
@@ -72,6 +77,21 @@ def export_c(model: CompiledModel, folder: str | Path) -> tuple[Path, ...]:
     for name in FILES:
         write_atomically(folder / name, texts[name])
     return tuple(folder / name for name in FILES)
+
+
+def export_controller(model: CompiledModel, reference: Reference, folder: str | Path) -> tuple[Path, ...]:
+    """Write the predictive controller on a reference in C, with header, example and CMakeLists.txt; the files written.
+
+    Args:
+        model: the controller's, in C.
+        reference: what is followed, see `whole_reference`.
+        folder: that is filled, and made where it is not there.
+
+    Raises:
+        InputError: a model or a reference for which there is no step in C, or the folder cannot be written to.
+    """
+    export_step(Mpc(model, reference, MpcSettings(backend="python")).setup, output_folder(folder))
+    return tuple(Path(folder) / name for name in CONTROLLER_FILES)
 
 
 def _template(name: str) -> str:

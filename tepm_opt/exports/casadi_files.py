@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 
 from tepm_opt.data.files import atomic_path, output_folder
 from tepm_opt.models.compile import CompiledModel
@@ -112,13 +111,3 @@ def _motion(model: CompiledModel, x: ca.MX, a: ca.MX, force: ca.MX) -> ca.Functi
     points, lengths = kernels["observe"].call([ca.vertcat(level_0, x), theta])
     names = ["x", "v", "y", "a", "force"], ["acceleration", "rate", "points", "lengths"]
     return ca.Function("motion", [x, v, y, a, force], [acceleration, ca.vec(rates), points, lengths], *names)
-
-
-def read_casadi(folder: str | Path) -> dict[str, ca.Function]:
-    """The functions in a folder that `export_casadi` wrote, by name."""
-    return {path.stem: ca.Function.load(str(path)) for path in sorted(Path(folder).glob("*.casadi"))}
-
-
-def free_levels(x: np.ndarray) -> np.ndarray:
-    """Levels 0 … n, (n + 1, block), as the functions' x, (n · block,)."""
-    return np.asarray(x)[1:].ravel()
