@@ -18,14 +18,13 @@ from tepm_opt.control.step.export import export_step
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.setpoints import input_columns
 from tepm_opt.models.backends.ccode import Unit
-from tepm_opt.models.backends.compiled import statics_unit, stepping_alone_unit
+from tepm_opt.models.backends.compiled import STATICS, statics_unit, stepping_alone_unit
 from tepm_opt.models.backends.interface import MAX_CORRECTION
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.statics import DEFAULT
 
 FILES = ("robot.h", "robot_sizes.h", "robot_statics.c", "robot_motion.c", "example.c", "inputs.txt", "CMakeLists.txt")
 """What the folder holds: what is declared, its sizes and names, the code, an example with its input, how all is built."""
-STATICS = ("real.c", "rotations.c", "statics.c")
 HISTORY = 64
 """Rows of inputs that a motion remembers where commands act late; else it needs the first one and the last two."""
 MOTION_TOLERANCE = 1e-8
@@ -70,8 +69,8 @@ def export_c(model: CompiledModel, folder: str | Path) -> tuple[Path, ...]:
     texts = {
         **own,
         "robot_sizes.h": _sizes(model),
-        "robot_statics.c": _unit(model, statics, "statics and gain", "statics_calls.c", {"REST": model.rest}),
-        "robot_motion.c": _unit(model, motion, "motion", "motion_calls.c"),
+        "robot_statics.c": _unit(model, statics, "statics and gain", "statics_api.c", {"REST": model.rest}),
+        "robot_motion.c": _unit(model, motion, "motion", "motion_api.c"),
         "inputs.txt": _inputs(model),
     }
     for name in FILES:
@@ -98,20 +97,20 @@ def _template(name: str) -> str:
     return (resources.files("tepm_opt.exports") / "c" / name).read_text(encoding="utf-8")
 
 
-def _unit(model: CompiledModel, unit: Unit, what: str, calls: str, arrays: Mapping[str, np.ndarray] | None = None) -> str:
+def _unit(model: CompiledModel, unit: Unit, what: str, api: str, arrays: Mapping[str, np.ndarray] | None = None) -> str:
     """A file of C: kernels and loops, all of them its own, and the functions of robot.h.
 
     Args:
         model: whose.
         unit: kernels and loops.
         what: it is for, in words.
-        calls: name of the file with the functions.
+        api: name of the file with the functions.
         arrays: of constants beside the parameters.
     """
-    loops = re.sub(rf"^(casadi_real casadi_\w+|int (?:{'|'.join(unit.symbols)}))\(", r"static \1(", unit.source, flags=re.M)
+    loops = re.sub(r"^(casadi_real casadi_\w+\()", r"static \1", unit.source, flags=re.M)
     lines = [f"static const double {name}[] = {numbers(values.ravel())};" for name, values in (arrays or {}).items()]
     lines += [f"static const double THETA[] = {{ {_parameters(model)} }};", '#include "robot.h"', USABLE]
-    return "\n".join((HEAD.format(name=_comment(model.robot.name), what=what), loops, *lines, _template(calls)))
+    return "\n".join((HEAD.format(name=_comment(model.robot.name), what=what), loops, *lines, _template(api)))
 
 
 def _parameters(model: CompiledModel) -> str:

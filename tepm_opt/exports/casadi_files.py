@@ -11,6 +11,7 @@ from tepm_opt.models.compile import CompiledModel
 
 TOLERANCE = 1e-10
 """N: residual to which `statics` is solved."""
+MOST_ITERATIONS = 100
 
 
 def export_casadi(model: CompiledModel, folder: str | Path) -> tuple[Path, ...]:
@@ -50,7 +51,7 @@ def casadi_functions(model: CompiledModel) -> dict[str, ca.Function]:
     actuation = ca.Function("actuation", [u], [kernels["input_map"](u, theta)], ["u"], ["a"])
     network = _network(model, actuation, x, u, force)
     residual = ca.Function("residual", [x, u, force], network.call([x, u, force])[1:2])
-    solve = ca.rootfinder("solve", "newton", residual, {"abstol": TOLERANCE})
+    solve = ca.rootfinder("solve", "newton", residual, {"abstol": TOLERANCE, "max_iter": MOST_ITERATIONS})
     found = solve(x0, u, force)
     seen = network.call([found, u, force])[2:]
     statics = ca.Function("statics", [x0, u, force], [found, *seen], ["x0", "u", "force"], ["x", "points", "lengths"])

@@ -79,22 +79,26 @@ def mjcf(model: CompiledModel) -> tuple[str, dict[str, str]]:
     Controls are u: pressures in Pa, then tensions in N. World is the tracker's frame G; nodes are the sites n<level>_<node>. A number
     array for each reference point holds the weights of the levels' centres in it.
     """
-    nominal = replace(model.model, effects=())
-    left_out, kept = {}, []
-    for effect in model.model.effects:
-        reason = _reason(find_effect(effect.name), replace(nominal, effects=(effect,)))
-        if reason is None:
-            kept.append(effect)
-        else:
-            left_out[effect.label] = reason
-    body = _body(replace(nominal, effects=tuple(kept)))
-    if isinstance(body, str):  # each alone would do, but not together
-        left_out |= {effect.label: body for effect in kept}
-        body = _body(nominal)
+    kept, left_out = in_mujoco(model.model)
+    body = _body(kept)
     assert isinstance(body, _Body)
     root = _document(model, body, left_out)
     Xml.indent(root)
     return Xml.tostring(root, encoding="unicode") + "\n", left_out
+
+
+def in_mujoco(model: Model) -> tuple[Model, dict[str, str]]:
+    """The part of a model that MuJoCo can express, and the effects that it cannot, by their labels, with the reason."""
+    nominal, left_out = replace(model, effects=()), {}
+    for effect in model.effects:
+        reason = _reason(find_effect(effect.name), replace(nominal, effects=(effect,)))
+        if reason is not None:
+            left_out[effect.label] = reason
+    kept = replace(model, effects=tuple(effect for effect in model.effects if effect.label not in left_out))
+    together = _body(kept)
+    if isinstance(together, str):  # each alone would do
+        return nominal, left_out | {effect.label: together for effect in kept.effects}
+    return kept, left_out
 
 
 def _reason(kind: Effect, alone: Model) -> str | None:
@@ -159,7 +163,7 @@ def _document(model: CompiledModel, body: _Body, left_out: Mapping[str, str]) ->
     root = Xml.Element("mujoco", model=model.robot.name)
     about = "".join(f"; without {label}: {reason}" for label, reason in left_out.items())
     root.append(Xml.Comment(f" Written by tepm_opt. SI units, world is the tracker's frame G{about} ".replace("--", "- -")))
-    step = STEP * stable_step(solve_statics(model, np.zeros(layout.inputs)))
+    step = float(f"{STEP * stable_step(solve_statics(model, np.zeros(layout.inputs))):.2g}")
     option = _add(root, "option", timestep=step, gravity=mount.gravity_m_per_s2, integrator="RK4", jacobian="sparse")
     _add(option, "flag", contact="disable", constraint="disable")
     radius = model.values["r"]

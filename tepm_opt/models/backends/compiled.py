@@ -36,6 +36,10 @@ AT_ONCE = 32
 """Configurations that one call makes: some milliseconds, so that Ctrl-C and progress come through."""
 
 
+STATICS = ("real.c", "rotations.c", "statics.c")
+"""Loops of statics, without what is called from outside."""
+
+
 def statics_unit(network: Network) -> Unit:
     """The C of `CompiledStatics`."""
     layout = network.layout
@@ -59,7 +63,7 @@ def statics_unit(network: Network) -> Unit:
         network.functions,
         sizes,
         {"DRIVEN": network.driven},
-        ("real.c", "rotations.c", "statics.c", "kinematics.c", "modal.c"),
+        (*STATICS, "statics_calls.c", "kinematics.c", "modal.c"),
         symbols,
         stem="statics",
     )
