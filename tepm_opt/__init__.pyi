@@ -39,6 +39,9 @@ from .jobs.discrepancy import run_discrepancy as run_discrepancy
 from .jobs.excite import ExciteRun as ExciteRun
 from .jobs.excite import run_excite as run_excite
 from .jobs.excite import standard as standard
+from .jobs.executors import cluster as cluster
+from .jobs.executors import processes as processes
+from .jobs.executors import sweep as sweep
 from .jobs.gain import GainRun as GainRun
 from .jobs.gain import run_gain as run_gain
 from .jobs.identify import IdentifyRun as IdentifyRun

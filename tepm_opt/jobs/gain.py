@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -123,7 +124,10 @@ class GainRun(Tabular):
             _save_map(self.workspace, folder / MAP)
 
 
-def run_gain(model: CompiledModel, setpoints: SetPoints, point: int = -1, with_map: bool = False, progress: Progress = silent) -> GainRun:
+def run_gain(
+    model: CompiledModel, setpoints: SetPoints, point: int = -1, with_map: bool = False, progress: Progress = silent,
+    executor: Executor | None = None,
+) -> GainRun:  # fmt: skip
     """Compute G of a reference point at every row of set points.
 
     Args:
@@ -131,22 +135,23 @@ def run_gain(model: CompiledModel, setpoints: SetPoints, point: int = -1, with_m
         setpoints: operating points.
         point: number of the reference point; the tip where absent.
         with_map: whether to map G over the workspace too.
-        progress: told of every row and of every point of the map.
+        progress: told of every row, of the map, too.
+        executor: where the map's rows are computed; here, one after the other, where None.
 
     Raises:
         InputError: inputs outside the robot's limits.
     """
     statics = run_statics(model, setpoints, progress)
     gains = [solve_gain(at, point) if at.solved else None for at in statics.equilibria]
-    return GainRun(statics, gains, _workspace(model, progress) if with_map and not statics.interrupted else None)
+    return GainRun(statics, gains, _workspace(model, progress, executor) if with_map and not statics.interrupted else None)
 
 
-def _workspace(model: CompiledModel, progress: Progress) -> WorkspaceMap:
+def _workspace(model: CompiledModel, progress: Progress, executor: Executor | None) -> WorkspaceMap:
     """G over a vertical plane that holds the robot's workspace; a coarser grid where no C compiler makes it quick."""
     count = 17 if model.is_c else 9
     height = model.layout.modules * model.values["L_0"]
     across, up = np.linspace(-0.96, 0.96, count) * height, np.linspace(0.1, 1.3, count) * height
-    return workspace_map(model, across, up, progress=progress)
+    return workspace_map(model, across, up, progress=progress, executor=executor)
 
 
 def _save_map(workspace: WorkspaceMap, path: Path) -> None:

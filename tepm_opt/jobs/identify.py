@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.data.noise import noise_of
-from tepm_opt.data.frames import Tabular
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.network import narrow
 from tepm_opt.errors import InputError
@@ -138,6 +139,7 @@ def run_identify(
     robust: bool = True,
     seed: int = 0,
     progress: Progress = silent,
+    executor: Executor | None = None,
 ) -> IdentifyRun:
     """Fit parameters to the runs of role fit within their priors and judge them on those of role validation.
 
@@ -150,6 +152,7 @@ def run_identify(
         robust: whether outliers are weighted down.
         seed: of the random starts.
         progress: told what is being done.
+        executor: where the fits run; here, one after the other, where None.
 
     Raises:
         InputError: nothing to fit, an unknown parameter, fewer than one start, or a model that cannot do the runs.
@@ -166,7 +169,7 @@ def run_identify(
     judged = [run for dataset in datasets for run in dataset.validation]
     try:
         progress("compiling the motion", 0, 0)
-        estimate = multi_start(problem, starts, seed, progress=progress)
+        estimate = multi_start(problem, starts, seed, progress=progress, executor=executor)
         progress("judging", 0, 0)
         intervals = _intervals(estimate, profiles)
         validation = {name: _error(which, judged) for name, which in (("before", plant), ("after", estimate.plant))}

@@ -14,8 +14,8 @@ import numpy as np
 
 from tepm_opt.data.channels import TIME, Channels
 from tepm_opt.data.files import output_folder
-from tepm_opt.data.metrics import error_over_time, point_errors, shape_error
 from tepm_opt.data.frames import Tabular
+from tepm_opt.data.metrics import error_over_time, point_errors, shape_error
 from tepm_opt.data.run import Run, read_run_table, refuse_unusable, run_columns, run_of, write_run
 from tepm_opt.data.setpoints import SetPoints, length_columns, point_columns, refuse_out_of_range
 from tepm_opt.data.tables import write_table
