@@ -29,26 +29,43 @@ class Piece:
     gain: bool
 
 
-def evaluated(piece: Piece) -> int:
-    """How many of a piece's equilibria are stable."""
-    random, solved = np.random.default_rng(piece.seed), 0
+def evaluated(piece: Piece) -> tuple[int, float]:
+    """How many of a piece's equilibria are stable, and the seconds of a core that it took."""
+    random, solved, began = np.random.default_rng(piece.seed), 0, time.process_time()
     for part in PART * random.uniform(size=(CHUNK, piece.model.layout.inputs)):
         found = solve_statics(piece.model, part * piece.model.input_max)
         if found.solved:
             solved += 1
             if piece.gain:
                 solve_gain(found)
-    return solved
+    return solved, time.process_time() - began
 
 
-def measured(model: CompiledModel, workers: int, pieces: int, gain: bool) -> tuple[float, int]:
-    """Evaluations a second by so many processes, once they have begun, and how many were stable."""
+@dataclass(frozen=True)
+class Pace:
+    """Evaluations of some workers: how many a second, how many a second of a core, how many of them are stable."""
+
+    a_second: float
+    a_core_second: float
+    stable: int
+
+
+def measured(model: CompiledModel, workers: int, pieces: int, gain: bool) -> Pace:
+    """Evaluations by so many processes, once they have begun.
+
+    Args:
+        model: whose.
+        workers: how many.
+        pieces: of CHUNK evaluations.
+        gain: whether G is computed, too.
+    """
     with processes(workers) as executor:
         for _ in each_done(evaluated, [Piece(model, seed, gain) for seed in range(2 * workers)], executor):
             pass  # processes import and compile
         began = time.perf_counter()
-        solved = sum(stable for _, stable in each_done(evaluated, [Piece(model, seed, gain) for seed in range(pieces)], executor))
-        return pieces * CHUNK / (time.perf_counter() - began), solved
+        done = [result for _, result in each_done(evaluated, [Piece(model, seed, gain) for seed in range(pieces)], executor)]
+        passed, count = time.perf_counter() - began, pieces * CHUNK
+    return Pace(count / passed, count / sum(spent for _, spent in done), sum(stable for stable, _ in done))
 
 
 def main() -> None:
@@ -59,12 +76,12 @@ def main() -> None:
     parser.add_argument("--robot", default="kang2017")
     asked = parser.parse_args()
     model, pieces = compile_model(asked.robot), max(asked.evaluations // CHUNK, 1)
-    print("| evaluations | workers | a second | 10^6 take |\n| --- | --- | --- | --- |")
+    print("| evaluations | workers | a second | a second of a core | 10^6 take, of a core |\n| --- | --- | --- | --- | --- |")
     for gain in (False, True):
         for workers in asked.workers:
-            rate, solved = measured(model, workers, pieces, gain)
-            what = "statics and G" if gain else "statics"
-            print(f"| {what}, from rest ({solved} of {pieces * CHUNK} stable) | {workers} | {rate:.0f} | {MILLION / rate:.0f} s |")
+            pace = measured(model, workers, pieces, gain)
+            what = f"{'statics and G' if gain else 'statics'}, from rest ({pace.stable} of {pieces * CHUNK} stable)"
+            print(f"| {what} | {workers} | {pace.a_second:.0f} | {pace.a_core_second:.0f} | {MILLION / pace.a_core_second:.0f} s |")
 
 
 if __name__ == "__main__":
