@@ -12,6 +12,12 @@ from .discrepancy.verdict import VerdictStatus as VerdictStatus
 from .discrepancy.workflow import Discovery as Discovery
 from .discrepancy.workflow import discover as discover
 from .errors import InputError as InputError
+from .exports.c_folder import export_c as export_c
+from .exports.c_folder import export_controller as export_controller
+from .exports.casadi_files import casadi_functions as casadi_functions
+from .exports.casadi_files import export_casadi as export_casadi
+from .exports.mcap_files import export_mcap as export_mcap
+from .exports.mjcf import export_mjcf as export_mjcf
 from .hw.registry import open_rig as open_rig
 from .hw.rig import Command as Command
 from .hw.rig import Rig as Rig
@@ -33,6 +39,9 @@ from .jobs.discrepancy import run_discrepancy as run_discrepancy
 from .jobs.excite import ExciteRun as ExciteRun
 from .jobs.excite import run_excite as run_excite
 from .jobs.excite import standard as standard
+from .jobs.executors import cluster as cluster
+from .jobs.executors import processes as processes
+from .jobs.executors import sweep as sweep
 from .jobs.gain import GainRun as GainRun
 from .jobs.gain import run_gain as run_gain
 from .jobs.identify import IdentifyRun as IdentifyRun

@@ -11,22 +11,20 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, report
+from tepm_opt.cli.groups import WorkerOptions
 from tepm_opt.cli.progress import shown
 
 PAGE = "index.html"
 
 
 def blind(
+    workers: WorkerOptions,
     trials: Annotated[int, typer.Option("--trials", min=1, help="How many.")] = 160,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all trials: the same seed and number is the same trial.")] = 0,
     family: Annotated[
         str | None, typer.Option("--family", help="Only this one instead of all in turn: closed, open, wrong, poor or null.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("blind"),
-    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="Processes.", show_default="as many as cores")] = None,
-    scheduler: Annotated[
-        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the trials (extra cluster).")
-    ] = None,
     data: Annotated[
         Path | None, typer.Option("--data", metavar="FOLDER", help="Only write the data sets and, in labels/, what is hidden.")
     ] = None,
@@ -38,17 +36,16 @@ def blind(
     command goes on where it was interrupted, or adds trials to those that are there.
     """
     from tepm_opt.jobs.blind import RESULTS, TABLE, write_trials
-    from tepm_opt.jobs.executors import cluster
 
     with shown(as_json) as progress:
         if data is not None:
             write_trials(data, trials, seed, family, progress)
             return report({"trials": trials, "data": str(data)}, [f"{trials} data sets in {escape(str(data))}"], as_json, ok=True)
-        if scheduler is not None:
-            with cluster(scheduler) as executor:
+        if workers.scheduler is not None:
+            with workers.opened() as executor:
                 run = tepm.run_blind(out, trials, seed, family, executor, progress=progress)
-        else:
-            run = tepm.run_blind(out, trials, seed, family, jobs=jobs, progress=progress)
+        else:  # processes are made anew where a trial kills one
+            run = tepm.run_blind(out, trials, seed, family, jobs=workers.jobs, progress=progress)
     run.save(out)
     tepm.write_blind_page(out / PAGE, run, plots.draw(run, out))
     lines = [] if run.ok else [f"[yellow]{escape(run.outcome.message)}; the same command goes on from there[/]"]

@@ -11,9 +11,10 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, unsolved_lines
+from tepm_opt.cli.groups import WorkerOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
-from tepm_opt.errors import unknown_name
+from tepm_opt.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
     from tepm_opt.jobs.gain import GainRun
@@ -31,6 +32,7 @@ def lines(run: GainRun, out: Path) -> list[str]:
 
 def gain(
     inputs: Annotated[Path, typer.Argument(help="Set-point file, such as the inputs.csv of tepm ik.")],
+    workers: WorkerOptions,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("gain"),
     point: Annotated[str | None, typer.Option("--point", help="Reference point (s1 …); the tip where absent.")] = None,
     with_map: Annotated[bool, typer.Option("--map", help="Also map G over the workspace (some seconds).")] = False,
@@ -39,14 +41,16 @@ def gain(
     as_json: JsonOption = False,
 ) -> int:
     """Compute the open-loop gain matrix G of Eq. (6) at every row of a set-point file."""
+    if workers.given and not with_map:
+        raise InputError("--jobs and --scheduler are for --map; leave them out, or map the workspace")
     compiled = load(robot, model)
     names = compiled.layout.point_names
     if point is not None and point not in names:
         raise unknown_name("reference point", point, names)
     setpoints = tepm.read_setpoints(inputs, compiled.layout.actuator_names, compiled.input_max)
     folder = output_folder(out)
-    with shown(as_json) as progress:
-        run = tepm.run_gain(compiled, setpoints, names.index(point) if point else -1, with_map, progress)
+    with workers.opened() as executor, shown(as_json) as progress:
+        run = tepm.run_gain(compiled, setpoints, names.index(point) if point else -1, with_map, progress, executor)
     run.save(folder)
     plots.draw(run, folder)
     return report(run.summary(), lines(run, out), as_json, run.ok)

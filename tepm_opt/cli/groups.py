@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
@@ -19,6 +20,8 @@ from tepm_opt.errors import InputError
 from tepm_opt.solvers.trajectories import DURATION, END, SHAPES, START, ShapeParameter, Trajectory, read_trajectory, shape_parameters
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from tepm_opt.models.compile import CompiledModel
     from tepm_opt.solvers.kinematics import IkSettings
 
@@ -105,6 +108,40 @@ class IkOptions(OptionGroup):
         from tepm_opt.solvers.kinematics import IkSettings
 
         return IkSettings(**{name: value for name, value in vars(self).items() if value is not None})
+
+
+@dataclass(frozen=True)
+class WorkerOptions(OptionGroup):
+    """Where many independent pieces of work run, for every command that has them."""
+
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, metavar="N", help="Processes for what is independent.")] = None
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do it instead (extra cluster).")
+    ] = None
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.scheduler is not None:
+            raise InputError("--jobs and --scheduler exclude each other: the cluster has its own workers")
+
+    @property
+    def given(self) -> bool:
+        """Whether any was asked for."""
+        return self.jobs is not None or self.scheduler is not None
+
+    @contextmanager
+    def opened(self) -> Iterator[Executor | None]:
+        """The executor asked for; None where none was.
+
+        Raises:
+            InputError: Dask is not installed, or no scheduler answers.
+        """
+        from tepm_opt.jobs.executors import cluster, processes
+
+        if not self.given:
+            yield None
+            return
+        with cluster(self.scheduler) if self.scheduler is not None else processes(self.jobs or 1) as executor:
+            yield executor
 
 
 TRAJECTORY_HELP = f"{', '.join(SHAPES)} or a CSV file with x, y, z in m in frame G."

@@ -14,6 +14,7 @@ from rich.table import Table
 import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, ModelOption, RobotOption, load, stderr, stdout
+from tepm_opt.cli.groups import WorkerOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
@@ -21,6 +22,7 @@ from tepm_opt.errors import InputError
 
 def identify(
     datasets: Annotated[list[Path], typer.Argument(metavar="DATASET...", help="Folders with dataset.toml and a CSV file a run.")],
+    workers: WorkerOptions,
     out: Annotated[Path, typer.Option("--out", help="Folder for model.toml and identified.json.")] = Path("identified"),
     free: Annotated[
         str | None, typer.Option("--free", help="Parameters by commas: K_a,c_a,r,payload.mass.", show_default="those with priors")
@@ -40,14 +42,16 @@ def identify(
     """
     if starts < 1:
         raise InputError(f"--starts {starts}; valid: at least 1")
+    if workers.given and starts == 1:
+        raise InputError("--jobs and --scheduler are for --starts; leave them out, or fit from several starts")
     sets = tepm.open_datasets(datasets, despite_errors)
     compiled = load(robot or (None if model else sets[0].robot), model)
     names = [name.strip() for name in free.split(",")] if free else None
     if names is None and not compiled.robot.priors:
         raise InputError(f"robot {compiled.robot.name} has no priors: name the parameters to fit with --free")
     try:
-        with shown(as_json) as progress:
-            run = tepm.run_identify(compiled, sets, names, starts, intervals, outliers, seed, progress)
+        with workers.opened() as executor, shown(as_json) as progress:
+            run = tepm.run_identify(compiled, sets, names, starts, intervals, outliers, seed, progress, executor)
     except KeyboardInterrupt:
         stderr.print("interrupted: nothing was written")
         return INTERRUPTED

@@ -15,7 +15,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, folder_for, load, report, warn
-from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions
+from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions, WorkerOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 
@@ -178,7 +178,7 @@ def _pace(free: bool, sway: float | None) -> PaceSettings | None:
 def _check_together(asked: dict[str, bool]) -> None:
     """Refuse options that do not go together; `asked` says which were given, by what they are about."""
     refused = {
-        "--noises and --bound belong to --machines N; leave them out, or say how many machines": asked["of machines"]
+        "--noises, --bound, --jobs and --scheduler belong to --machines N; leave them out, or say how many machines": asked["of machines"]
         and not asked["machines"],
         "--machines simulates rigs of its own; leave --rig and --view out": asked["machines"] and asked["rig"],
         "--learn and --learned are for one rig; leave them or --machines out": asked["machines"] and asked["learning"],
@@ -200,6 +200,7 @@ def mpc(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
     kinematics: IkOptions,
+    workers: WorkerOptions,
     rig: RigOption = "sim",
     controller: Annotated[str, typer.Option("--controller", help=CONTROLLERS)] = CONTROLLER,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("mpc"),
@@ -252,7 +253,8 @@ def mpc(
     from tepm_opt.jobs.machines import BOUND, Family
 
     asked = {
-        "machines": machines is not None, "of machines": noises is not None or bound is not None, "rig": rig != "sim" or view,
+        "machines": machines is not None, "rig": rig != "sim" or view,
+        "of machines": noises is not None or bound is not None or workers.given,
         "learning": learn is not None or learned is not None, "stay": stay is not None, "keep out": keep_out is not None,
         "free": free, "sway": sway is not None, "another controller": controller != CONTROLLER,
     }  # fmt: skip
@@ -268,8 +270,8 @@ def mpc(
         driven = replace(driven, keep_out=None if keep_out is None else tepm.read_obstacles(keep_out), pace=_pace(free, sway))
         if machines is not None:
             family, limit = Family(machines, noises or Family.noises, seed), BOUND if bound is None else bound / 1e3
-            with stopped_by_signals(), shown(as_json) as bars:
-                run = tepm.run_machines(compiled.model, targets, driven, setup, family, limit, kinematics.settings(), progress=bars)
+            with stopped_by_signals(), workers.opened() as executor, shown(as_json) as bars:
+                run = tepm.run_machines(compiled.model, targets, driven, setup, family, limit, kinematics.settings(), executor, bars)
             run.save(folder)
             plots.draw(run, folder)
             return report(run.summary(), machine_lines(run, out), as_json, run.ok)

@@ -22,6 +22,7 @@ from tepm_opt.cli import (
     demo,
     discrepancy,
     excite,
+    export,
     gain,
     identify,
     ik,
@@ -108,6 +109,7 @@ for name, command in COMMANDS.items():
 app.add_typer(robot.app, name="robot")
 app.add_typer(rig.app, name="rig")
 app.add_typer(data.app, name="data")
+app.add_typer(export.app, name="export")
 app.add_typer(hw.app, name="hw")
 
 

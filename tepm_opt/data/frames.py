@@ -1,8 +1,9 @@
-"""Data sets as pandas data frames and back. pandas is not a dependency: it is imported when asked for."""
+"""Results and data sets as pandas data frames, data sets back. pandas is not a dependency: it is imported when asked for."""
 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,22 @@ def _pandas() -> Any:
         return importlib.import_module("pandas")
     except ImportError as error:
         raise InputError("data frames need pandas, which is not installed: pip install pandas") from error
+
+
+class Tabular:
+    """A result that is a table, too: its columns, and these as a data frame."""
+
+    def columns(self) -> Mapping[str, np.ndarray]:
+        """Columns by name, (rows,) each, of numbers or text; names end with the unit."""
+        raise NotImplementedError
+
+    def to_frame(self) -> Any:
+        """The columns as a pandas frame.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return _pandas().DataFrame(dict(self.columns()))
 
 
 def run_to_frame(run: Run, channels: Channels) -> Any:

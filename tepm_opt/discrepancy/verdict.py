@@ -9,6 +9,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from tepm_opt.data.frames import Tabular
 from tepm_opt.discrepancy.plant import Candidate
 from tepm_opt.solvers.text import html_table, listed, shortened
 
@@ -132,7 +135,7 @@ def widens(errors: Errors) -> bool:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(Tabular):
     """The answer.
 
     Attributes:
@@ -191,6 +194,16 @@ class Verdict:
             + (f"<p>{escape(self.step)}</p>" if self.next else "")
             + (html_table(head, rows) if rows else "")
         )
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """What was considered, a row each: named effects, then rivals."""
+        considered = (*self.effects, *self.rivals)
+        return {
+            "effect": np.array([each.candidate.label for each in considered], dtype=np.str_),
+            "named": np.arange(len(considered)) < len(self.effects),
+            "probability": np.array([each.probability for each in considered], dtype=float),
+            "closes": np.array([np.nan if each.closes is None else each.closes for each in considered], dtype=float),
+        }
 
     def as_json(self) -> dict[str, Any]:
         """Content of verdict.json."""

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tepm_opt.data.checks.findings import Finding
+from tepm_opt.data.frames import Tabular
 from tepm_opt.models.channels import check
 from tepm_opt.outcome import Ending, Outcome
 
 
 @dataclass(frozen=True)
-class CheckRun:
+class CheckRun(Tabular):
     """What a check of a data set finds.
 
     Attributes:
@@ -45,6 +48,10 @@ class CheckRun:
 
     def __repr__(self) -> str:
         return f"<CheckRun {self.outcome}; {self.folder}, {self.warnings} warnings>"
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The fields of `Finding`, a row a finding."""
+        return {f.name: np.array([getattr(finding, f.name) for finding in self.findings]) for f in fields(Finding)}
 
     def summary(self) -> dict[str, Any]:
         """Numbers and all findings."""

@@ -18,6 +18,7 @@ from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings
 from tepm_opt.control.loop import DONE, LoopRecord
 from tepm_opt.control.monitor import Changed
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import FORCE_COLUMNS
 from tepm_opt.data.tables import write_columns
 from tepm_opt.jobs.clearance import clearance, contour, contour_columns, moved_most, touched, true_distance
@@ -86,7 +87,7 @@ class LoopSetup:
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ClosedLoop(Tabular):
     """What a closed loop did, a row a sample; NaN where unknown.
 
     Attributes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import SetPoints, gain_columns
-from tepm_opt.data.tables import write_table
+from tepm_opt.data.tables import write_columns, write_table
 from tepm_opt.jobs.output import outcome_of, save_summary
 from tepm_opt.jobs.statics import StaticsRun, run_statics
 from tepm_opt.models.compile import CompiledModel
@@ -39,7 +41,7 @@ def _measures(gain: Gain, kind: Actuation) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class GainRun:
+class GainRun(Tabular):
     """G of a reference point under set points.
 
     Attributes:
@@ -100,6 +102,13 @@ class GainRun:
         label = self.statics.model.layout.point_names[point]
         return {**{name: summary[name] for name in names}, "reference_point": label, "normalised": rows}
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """The operating points as `StaticsRun` has them, with G in SI, row by row; NaN where there is none."""
+        names = gain_columns(self.model.layout.inputs)
+        empty = np.full(len(names), np.nan)
+        rows = np.array([empty if gain is None else gain.matrix.ravel() for gain in self.gains]).reshape(-1, len(names))
+        return self.statics.columns() | dict(zip(names, rows.T, strict=True))
+
     def save(self, folder: str | Path) -> None:
         """Write gain.csv (G in SI, row by row, one line an operating point), summary.json and, where there is a map, gain_map.csv.
 
@@ -108,16 +117,17 @@ class GainRun:
         """
         if not self.gains:
             return
-        folder, inputs = output_folder(folder), self.statics.model.layout.inputs
-        empty = np.full(3 * inputs, np.nan)
-        rows = np.array([empty if gain is None else gain.matrix.ravel() for gain in self.gains])
-        write_table(folder / "gain.csv", gain_columns(inputs), rows)
+        folder, columns = output_folder(folder), self.columns()
+        write_columns(folder / "gain.csv", {name: columns[name] for name in gain_columns(self.model.layout.inputs)})
         save_summary(folder, "gain", self.summary())
         if self.workspace is not None:
             _save_map(self.workspace, folder / MAP)
 
 
-def run_gain(model: CompiledModel, setpoints: SetPoints, point: int = -1, with_map: bool = False, progress: Progress = silent) -> GainRun:
+def run_gain(
+    model: CompiledModel, setpoints: SetPoints, point: int = -1, with_map: bool = False, progress: Progress = silent,
+    executor: Executor | None = None,
+) -> GainRun:  # fmt: skip
     """Compute G of a reference point at every row of set points.
 
     Args:
@@ -125,22 +135,23 @@ def run_gain(model: CompiledModel, setpoints: SetPoints, point: int = -1, with_m
         setpoints: operating points.
         point: number of the reference point; the tip where absent.
         with_map: whether to map G over the workspace too.
-        progress: told of every row and of every point of the map.
+        progress: told of every row, of the map, too.
+        executor: where the map's rows are computed; here, one after the other, where None.
 
     Raises:
         InputError: inputs outside the robot's limits.
     """
     statics = run_statics(model, setpoints, progress)
     gains = [solve_gain(at, point) if at.solved else None for at in statics.equilibria]
-    return GainRun(statics, gains, _workspace(model, progress) if with_map and not statics.interrupted else None)
+    return GainRun(statics, gains, _workspace(model, progress, executor) if with_map and not statics.interrupted else None)
 
 
-def _workspace(model: CompiledModel, progress: Progress) -> WorkspaceMap:
+def _workspace(model: CompiledModel, progress: Progress, executor: Executor | None) -> WorkspaceMap:
     """G over a vertical plane that holds the robot's workspace; a coarser grid where no C compiler makes it quick."""
     count = 17 if model.is_c else 9
     height = model.layout.modules * model.values["L_0"]
     across, up = np.linspace(-0.96, 0.96, count) * height, np.linspace(0.1, 1.3, count) * height
-    return workspace_map(model, across, up, progress=progress)
+    return workspace_map(model, across, up, progress=progress, executor=executor)
 
 
 def _save_map(workspace: WorkspaceMap, path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.run import Run
@@ -59,7 +61,7 @@ def open_datasets(folders: Sequence[Path], despite_errors: bool = False) -> list
 
 
 @dataclass(frozen=True, eq=False)
-class IdentifyRun:
+class IdentifyRun(Tabular):
     """Parameters fitted to measured runs, judged on others.
 
     Attributes:
@@ -128,6 +130,12 @@ class IdentifyRun:
             "message": self.outcome.message,
         }
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """Parameters as `summary` has them, a row each."""
+        found = self.summary()["parameters"]
+        columns = {key: np.array([value[key] for value in found.values()]) for key in next(iter(found.values()), {})}
+        return {"parameter": np.array(list(found)), **columns}
+
     def save(self, folder: str | Path) -> None:
         """Write model.toml, for --model of every command, and identified.json.
 
@@ -149,6 +157,7 @@ def run_identify(
     robust: bool = True,
     seed: int = 0,
     progress: Progress = silent,
+    executor: Executor | None = None,
 ) -> IdentifyRun:
     """Fit parameters to the runs of role fit within their priors and judge them on those of role validation.
 
@@ -161,6 +170,7 @@ def run_identify(
         robust: whether outliers are weighted down.
         seed: of the random starts.
         progress: told what is being done.
+        executor: where the fits run; here, one after the other, where None.
 
     Raises:
         InputError: nothing to fit, an unknown parameter, fewer than one start, or a model that cannot do the runs.
@@ -177,7 +187,7 @@ def run_identify(
     judged = [run for dataset in datasets for run in dataset.validation]
     try:
         progress("compiling the motion", 0, 0)
-        estimate = multi_start(problem, starts, seed, progress=progress)
+        estimate = multi_start(problem, starts, seed, progress=progress, executor=executor)
         progress("judging", 0, 0)
         intervals = _intervals(estimate, profiles)
         validation = {name: _error(which, judged) for name, which in (("before", plant), ("after", estimate.plant))}

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.output import collect, outcome_of, save_shapes, save_summary
+from tepm_opt.jobs.output import collect, endings, outcome_of, save_shapes, save_summary, shape_columns
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, counted, silent
@@ -26,7 +27,7 @@ DEFAULT = IkSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class IkRun:
+class IkRun(Tabular):
     """Inverse kinematics of a trajectory, checked by statics from the set points.
 
     Attributes:
@@ -95,6 +96,17 @@ class IkRun:
             ],
         }
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """Targets, exact set points with points, lengths and the tip's error, and how it ended, a row a target."""
+        targets = {f"target_{axis}_m": values for axis, values in zip("xyz", self.trajectory.positions.T, strict=True)}
+        shapes = shape_columns(self.setpoints(), self.reached, self._good()) if self.configurations else {}
+        endings_of = {"ending": endings(found.outcome for found in self.configurations)}
+        return {**shapes, **targets, "tip_error_m": self.errors(self.reached), **endings_of}
+
+    def _good(self) -> list[bool]:
+        """Whether a row's shape is known."""
+        return [at.solved and c.outcome.ending is not Ending.FAILED for at, c in zip(self.reached, self.configurations, strict=True)]
+
     def save(self, folder: str | Path) -> None:
         """Write inputs.csv, inputs_rounded.csv, shape.csv, lengths.csv and summary.json; nothing where no point was finished.
 
@@ -106,8 +118,7 @@ class IkRun:
         folder, names = output_folder(folder), self.model.layout.actuator_names
         write_setpoints(folder / "inputs.csv", self.setpoints(), names)
         write_setpoints(folder / "inputs_rounded.csv", self.setpoints(rounded=True), names)
-        good = [at.solved and c.outcome.ending is not Ending.FAILED for at, c in zip(self.reached, self.configurations, strict=True)]
-        save_shapes(folder, self.trajectory.time, self.reached, good)
+        save_shapes(folder, self.trajectory.time, self.reached, self._good())
         save_summary(folder, "ik", self.summary())
 
 

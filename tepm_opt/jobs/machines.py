@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.tables import write_columns
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.clearance import smallest
 from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
-from tepm_opt.jobs.executors import processes
+from tepm_opt.jobs.executors import sweep
 from tepm_opt.jobs.mpc import run_closed_loop
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import compile_model
@@ -26,7 +26,6 @@ from tepm_opt.models.robot import builtin_robots
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.kinematics import IkSettings
-from tepm_opt.solvers.parallel import cores, on_cores
 from tepm_opt.solvers.trajectories import Trajectory
 
 TABLE = "machines.csv"
@@ -76,7 +75,7 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
-class MachinesRun:
+class MachinesRun(Tabular):
     """A controller on random machines.
 
     Attributes:
@@ -144,6 +143,11 @@ class MachinesRun:
         each = np.array([drive.distance_m for drive in self.drives])
         return {"mean": float(each.mean()), "worst": float(each.min())} if len(each) and np.isfinite(each).all() else None
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """The fields of `Drive`, a row a run; no distances where there are no obstacles."""
+        columns = {f.name: np.array([getattr(drive, f.name) for drive in self.drives]) for f in fields(Drive)}
+        return {name: values for name, values in columns.items() if name != "distance_m" or self._distances()}
+
     def save(self, folder: str | Path) -> None:
         """Write machines.csv, a row a run, and summary.json.
 
@@ -151,8 +155,7 @@ class MachinesRun:
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        columns = {f.name: np.array([getattr(drive, f.name) for drive in self.drives]) for f in fields(Drive)}
-        write_columns(folder / TABLE, {name: values for name, values in columns.items() if name != "distance_m" or self._distances()})
+        write_columns(folder / TABLE, self.columns())
         save_summary(folder, "machines", self.summary())
 
     def __repr__(self) -> str:
@@ -178,20 +181,19 @@ def driven(task: MachineTask) -> list[Drive]:
     from tepm_opt.hw.simulation.rig import SimulatedRig
 
     found, file = [], random_machine(task.model.source, task.family.seed, task.number)
-    with on_cores(1), threadpool_limits(1, "blas"):
-        model = compile_model(task.model)
-        reference = whole_reference(model, task.trajectory, task.course, task.kinematics)
-        for noise in range(1, task.family.noises + 1):
-            rig = SimulatedRig(file)
-            rig.reseed(noise)
-            loop = run_closed_loop(model, reference, rig, task.setup)
-            if loop.outcome.ending is Ending.INTERRUPTED:
-                raise KeyboardInterrupt
-            error = np.linalg.norm(loop.errors(true=True)[loop.counted], axis=1)
-            largest = float(error.max()) if len(error) else np.nan
-            late = sum(loop.fallbacks.values())
-            end = loop.outcome.ending.value
-            found.append(Drive(task.number, noise, loop.rms(true=True), largest, late, end, smallest(loop.steps)))
+    model = compile_model(task.model)
+    reference = whole_reference(model, task.trajectory, task.course, task.kinematics)
+    for noise in range(1, task.family.noises + 1):
+        rig = SimulatedRig(file)
+        rig.reseed(noise)
+        loop = run_closed_loop(model, reference, rig, task.setup)
+        if loop.outcome.ending is Ending.INTERRUPTED:
+            raise KeyboardInterrupt
+        error = np.linalg.norm(loop.errors(true=True)[loop.counted], axis=1)
+        largest = float(error.max()) if len(error) else np.nan
+        late = sum(loop.fallbacks.values())
+        end = loop.outcome.ending.value
+        found.append(Drive(task.number, noise, loop.rms(true=True), largest, late, end, smallest(loop.steps)))
     return found
 
 
@@ -218,28 +220,8 @@ def run_machines(
     if model.source not in builtin_robots() and not Path(model.source).is_file():
         raise InputError(f"machines: robot {model.source!r} has no file to draw machines around; valid: a built-in robot or a robot file")
     tasks = [MachineTask(model, trajectory, course, setup, kinematics, family, number) for number in range(family.machines)]
-    if executor is not None:
-        drives, interrupted = _spread(executor, tasks, progress)
-    else:
-        with processes(min(cores(), len(tasks))) as own:
-            drives, interrupted = _spread(own, tasks, progress)
-    return MachinesRun(setup, family, bound, tuple(sorted(drives, key=lambda drive: (drive.machine, drive.noise))), interrupted)
-
-
-def _spread(executor: Executor, tasks: list[MachineTask], progress: Progress) -> tuple[list[Drive], bool]:
-    """What all machines did, or those that were done when the user ended it, and whether that was so."""
-    found: list[Drive] = []
-    waiting = [executor.submit(driven, task) for task in tasks]
-    progress("machines", 0, len(tasks))
-    try:
-        for count, future in enumerate(as_completed(waiting), start=1):
-            found += future.result()
-            progress("machines", count, len(tasks))
-    except KeyboardInterrupt:
-        for future in waiting:
-            future.cancel()
-        return found, True
-    return found, False
+    drives, interrupted = sweep(driven, tasks, executor, stage="machines", progress=progress)
+    return MachinesRun(setup, family, bound, tuple(drive for each in drives for drive in each), interrupted)
 
 
 def _finite(value: float) -> float | None:

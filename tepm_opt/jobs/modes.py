@@ -12,6 +12,7 @@ import numpy as np
 from scipy.io import savemat
 
 from tepm_opt.data.files import atomic_path, output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import point_columns
 from tepm_opt.data.tables import write_columns
 from tepm_opt.jobs.output import save_summary
@@ -31,7 +32,7 @@ SHOWN = 12
 
 
 @dataclass(frozen=True, eq=False)
-class ModesRun:
+class ModesRun(Tabular):
     """Small motions about an operating point.
 
     Attributes:
@@ -105,17 +106,18 @@ class ModesRun:
         """Write modes.csv, state_space.mat and summary.json.
 
         state_space.mat (MATLAB 5: MATLAB's `load`, SciPy's `loadmat`) holds A, B, C, D in SI without held states, input_names,
-        output_names, input_ranges, delay_s, and the operating point in inputs and outputs.
+        output_names, state_names, input_ranges, delay_s, and the operating point in inputs and outputs.
 
         Raises:
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        write_columns(folder / "modes.csv", self._table())
+        write_columns(folder / "modes.csv", self.columns())
         moving, at = self.linear.moving(), self.linear.equilibrium
         content = {
             "A": moving.A, "B": moving.B, "C": moving.C, "D": moving.D,
             "input_names": np.array(moving.inputs, dtype=object), "output_names": np.array(moving.outputs, dtype=object),
+            "state_names": np.array(moving.state_names, dtype=object),
             "input_ranges": moving.ranges, "delay_s": moving.delay, "inputs": np.append(at.inputs, at.loads.ravel()),
             "outputs": np.append(at.points.ravel(), at.lengths.ravel()),
         }  # fmt: skip
@@ -125,7 +127,8 @@ class ModesRun:
             temporary.write_bytes(MAT_HEADER + buffer.getvalue()[len(MAT_HEADER) :])
         save_summary(folder, "modes", self.summary(shown))
 
-    def _table(self) -> dict[str, np.ndarray]:
+    def columns(self) -> dict[str, np.ndarray]:
+        """The modes, a row each, slowest first."""
         found = self.modes
         drivers = [self.driver(mode) for mode in found]
         numbers = {

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from tepm_opt.data.files import write_atomically
-from tepm_opt.data.setpoints import length_columns, point_columns
+from tepm_opt.data.setpoints import FORCE_COLUMNS, SetPoints, input_columns, length_columns, point_columns
 from tepm_opt.data.tables import write_table
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.statics import Equilibrium
@@ -51,6 +51,29 @@ def save_summary(folder: Path, job: str, summary: dict[str, Any]) -> None:
         content = {}
     content = content if isinstance(content, dict) else {}
     write_atomically(path, json.dumps({**content, job: summary}, indent=2) + "\n")
+
+
+def shape_columns(setpoints: SetPoints, equilibria: Sequence[Equilibrium], good: Sequence[bool]) -> dict[str, np.ndarray]:
+    """Columns of set points and of the equilibria under them, (rows,) each.
+
+    Args:
+        setpoints: of the rows; what has no equilibrium is left out.
+        equilibria: a row each.
+        good: whether a row has a shape; else it is NaN.
+    """
+    if not equilibria:
+        return {}
+    layout, rows = equilibria[0].model.layout, slice(len(equilibria))
+    seen = np.array([np.append(at.points.ravel(), at.lengths.ravel()) for at in equilibria])
+    seen[~np.array(good, dtype=bool)] = np.nan
+    columns = {"time_s": setpoints.time[rows], **dict(zip(input_columns(layout.actuator_names), setpoints.inputs[rows].T, strict=True))}
+    columns |= dict(zip(FORCE_COLUMNS, setpoints.tip_force[rows].T, strict=True))
+    return columns | dict(zip([*point_columns(layout.point_names), *length_columns(layout.actuator_names)], seen.T, strict=True))
+
+
+def endings(outcomes: Iterable[Outcome]) -> np.ndarray:
+    """How each ended, as a column of text."""
+    return np.array([outcome.ending.value for outcome in outcomes], dtype=np.str_)
 
 
 def save_shapes(folder: Path, time: np.ndarray, equilibria: Sequence[Equilibrium], good: Sequence[bool]) -> None:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.files import output_folder
-from tepm_opt.data.setpoints import write_setpoints
+from tepm_opt.data.frames import Tabular
+from tepm_opt.data.setpoints import input_columns, point_columns, write_setpoints
 from tepm_opt.data.tables import write_table
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
@@ -27,7 +28,7 @@ DEFAULT = PlanSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class PlanRun:
+class PlanRun(Tabular):
     """A plan and the obstacles it keeps clear of.
 
     Attributes:
@@ -54,6 +55,13 @@ class PlanRun:
     def summary(self) -> dict[str, Any]:
         """Numbers of the plan."""
         return self.plan.summary()
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Time, inputs and reference points, a row each."""
+        plan, layout = self.plan, self.plan.model.layout
+        points = plan.points.reshape(len(plan.time), 3 * layout.points)
+        columns = dict(zip(input_columns(layout.actuator_names), plan.setpoints.inputs.T, strict=True))
+        return {"time_s": plan.time, **columns, **dict(zip(point_columns(layout.point_names), points.T, strict=True))}
 
     def save(self, folder: str | Path) -> None:
         """Write inputs.csv (set points), reference.csv (tip over time, for `read_trajectory`) and summary.json.

@@ -14,8 +14,9 @@ import numpy as np
 
 from tepm_opt.data.channels import TIME, Channels
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.metrics import error_over_time, point_errors, shape_error
-from tepm_opt.data.run import Run, read_run_table, refuse_unusable, run_of, write_run
+from tepm_opt.data.run import Run, read_run_table, refuse_unusable, run_columns, run_of, write_run
 from tepm_opt.data.setpoints import SetPoints, length_columns, point_columns, refuse_out_of_range
 from tepm_opt.data.tables import write_table
 from tepm_opt.errors import InputError
@@ -81,7 +82,7 @@ def densified(setpoints: SetPoints, hold: bool) -> tuple[SetPoints, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class SimulateRun:
+class SimulateRun(Tabular):
     """A simulation of a file's inputs.
 
     Attributes:
@@ -190,6 +191,12 @@ class SimulateRun:
                 "point_error_rms_m": dict(zip(self.model.layout.point_names, by_point, strict=True)),
             }
         return summary
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The rows done as a run of a data set, with the actuators' lengths."""
+        layout, lengths = self.model.layout, self.simulation.lengths[self.places]
+        names = length_columns(layout.actuator_names)
+        return run_columns(self.run(), Channels(layout.actuator_names, layout.point_names)) | dict(zip(names, lengths.T, strict=True))
 
     def save(self, folder: str | Path) -> None:
         """Write trajectory.csv, lengths.csv, summary.json and, where asked for, sensitivities.csv; nothing where no row was finished.

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.jobs.output import collect, outcome_of, save_shapes, save_summary
+from tepm_opt.jobs.output import collect, endings, outcome_of, save_shapes, save_summary, shape_columns
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, counted, silent
@@ -19,7 +20,7 @@ from tepm_opt.solvers.statics import Equilibrium, solve_statics, without_inputs
 
 
 @dataclass(frozen=True, eq=False)
-class StaticsRun:
+class StaticsRun(Tabular):
     """Equilibria under set points.
 
     Attributes:
@@ -58,6 +59,11 @@ class StaticsRun:
             "smallest_stiffness_eigenvalue_N_per_m": [at.smallest_eigenvalue if at.solved else None for at in self.equilibria],
             "unsolved": _unsolved(self.equilibria),
         }
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Set points, points, lengths and how it ended, a row each."""
+        shapes = shape_columns(self.setpoints, self.equilibria, [at.solved for at in self.equilibria])
+        return shapes | {"ending": endings(at.outcome for at in self.equilibria)}
 
     def save(self, folder: str | Path) -> None:
         """Write shape.csv, lengths.csv and summary.json.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import pickle
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -48,6 +49,10 @@ class CompiledModel:
     def __repr__(self) -> str:
         size = f"{self.layout.levels} levels, {self.layout.inputs} inputs, {len(self.theta)} parameters"
         return f"CompiledModel({self.robot.name} in {'C' if self.is_c else 'Python'}: {size})"
+
+    def __reduce__(self) -> tuple[Callable[..., CompiledModel], tuple[bytes, bool, np.ndarray]]:
+        """What pickle keeps: plain data, compiled where they are read, once a process."""
+        return _compiled_again, (pickle.dumps(self.model), self.is_c, self.theta)
 
     @property
     def robot(self) -> Robot:
@@ -258,3 +263,13 @@ def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c
     statics = CompiledStatics(network, library) if library else reference
     theta = np.array([model.values.get(name, 0.0) for name in network.parameter_names])
     return CompiledModel(model, network, theta, statics, reference)
+
+
+def _compiled_again(model: bytes, in_c: bool, theta: np.ndarray) -> CompiledModel:
+    """A compiled model that was pickled."""
+    return _compiled_once(model, in_c).with_theta(theta)
+
+
+@lru_cache(maxsize=16)
+def _compiled_once(model: bytes, in_c: bool) -> CompiledModel:
+    return compile_model(pickle.loads(model), "auto" if in_c else "python")

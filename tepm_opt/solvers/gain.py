@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
+from tepm_opt.solvers.parallel import each_done
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.text import html_table
 
@@ -197,8 +199,9 @@ def workspace_map(
     direction: float = 0.0,
     mode: ActuationMode = ActuationMode.HYBRID,
     progress: Progress = silent,
+    executor: Executor | None = None,
 ) -> WorkspaceMap:
-    """G on a grid of tip positions in a plane through the base axis.
+    """G on a grid of tip positions in a plane through the base axis, row by row.
 
     Args:
         model: compiled model.
@@ -206,15 +209,21 @@ def workspace_map(
         height: distances from the base plate along its axis, (rows,) in m.
         direction: of the plane about the base axis, rad.
         mode: how the forces are made.
-        progress: told of every point of the grid.
+        progress: told of every row of the grid.
+        executor: where rows are computed; here, one after the other, where None.
     """
     across, height = np.asarray(across, dtype=float), np.asarray(height, dtype=float)
     mount = model.robot.mount
-    local = np.array([[a * np.cos(direction), a * np.sin(direction), z] for z in height for a in across])
-    found = each_configuration(model, local @ mount.rotation.T + mount.base_position_m, mode)
-    gains = [gain_at(configuration) for configuration in counted(found, progress, "workspace", len(local))]
-    rows = [gains[k * len(across) : (k + 1) * len(across)] for k in range(len(height))]
+    local = [np.array([[a * np.cos(direction), a * np.sin(direction), z] for a in across]) for z in height]
+    targets = [row @ mount.rotation.T + mount.base_position_m for row in local]
+    done = dict(counted(each_done(partial(_gains_at, model, mode), targets, executor), progress, "workspace", len(targets)))
+    rows = [done[k] for k in range(len(targets))]
     return WorkspaceMap(across, height, np.array([[gain is not None for gain in row] for row in rows]), rows)
+
+
+def _gains_at(model: CompiledModel, mode: ActuationMode, targets: np.ndarray) -> list[Gain | None]:
+    """G at targets (targets, 3) in G, each found from the one before."""
+    return [gain_at(configuration) for configuration in each_configuration(model, targets, mode)]
 
 
 def gain_at(configuration: Configuration) -> Gain | None:

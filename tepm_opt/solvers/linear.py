@@ -57,6 +57,11 @@ class System:
         """Which inputs act late, (inputs,) of bool."""
         return np.array([self.delay > 0 and not name.startswith("force_") for name in self.inputs], dtype=bool)
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states, (states,)."""
+        return tuple(f"state_{k + 1}" for k in range(len(self.A)))
+
     def moving(self) -> System:
         """The system without states that never move on their own; here itself."""
         return self
@@ -87,7 +92,7 @@ class System:
         return values * (self.ranges if scaled else 1.0)
 
     def to_control(self, inputs: Names = None, outputs: Names = None, pade: int = 2, scaled: bool = False) -> control.StateSpace:
-        """The system for python-control, with named inputs and outputs; see `select` for the names.
+        """The system for python-control, with named inputs, outputs and states; see `select` and `state_names` for the names.
 
         Args:
             inputs, outputs: the part wanted.
@@ -106,7 +111,8 @@ class System:
         if pade and part.late.any():
             A, B, C, D = _delayed(part, pade)
         B, D = (matrix * (part.ranges if scaled else 1.0) for matrix in (B, D))
-        return StateSpace(A, B, C, D, inputs=list(part.inputs), outputs=list(part.outputs), remove_useless_states=False)
+        states = [*self.moving().state_names, *_delay_names(part, pade)]
+        return StateSpace(A, B, C, D, inputs=list(part.inputs), outputs=list(part.outputs), states=states, remove_useless_states=False)
 
 
 def _size(system: System) -> str:
@@ -124,14 +130,21 @@ class Linear(System):
     Attributes:
         equilibrium: about which.
         kinds: of the states: "position", "velocity", "edge" or "input", (states,).
+        names: of the states: "n12_0_x" (level and node), "v_n12_0_x", "edge_1_1" (segment and number), "input_1", (states,).
     """
 
     equilibrium: Equilibrium
     kinds: np.ndarray
+    names: np.ndarray
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
         return f"Linear({_size(self)}, {shortened(self.equilibrium.model.robot.name, 40)})"
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """See `System.state_names`."""
+        return tuple(self.names.tolist())
 
     @property
     def coordinates(self) -> int:
@@ -169,7 +182,7 @@ class Linear(System):
         if not held.any():
             return self
         A, C = (matrix[:, ~held] + matrix[:, held] @ follow for matrix in (self.A[~held], self.C))
-        return replace(self, A=A, B=self.B[~held], C=C, kinds=self.kinds[~held])
+        return replace(self, A=A, B=self.B[~held], C=C, kinds=self.kinds[~held], names=self.names[~held])
 
 
 def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = False) -> Linear:
@@ -203,6 +216,7 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
         A=A, B=B, C=C, D=np.zeros((len(C), B.shape[1])), inputs=inputs, outputs=outputs, delay=delay,
         ranges=np.append(model.input_max, np.full(forces, FORCE_RANGE)), equilibrium=equilibrium,
         kinds=np.repeat(["position", "velocity", "edge", "input"], [size, size, edges, memory]),
+        names=np.array(_state_names(layout, edges // layout.levels, memory)),
     )  # fmt: skip
 
 
@@ -257,6 +271,20 @@ def _delayed(system: System, order: int) -> tuple[np.ndarray, np.ndarray, np.nda
     N, M = np.kron(late, c), at_once + d.item() * (late @ late.T)
     A = np.block([[system.A, system.B @ N], [np.zeros((len(F), len(system.A))), F]])
     return A, np.vstack([system.B @ M, E]), np.hstack([system.C, system.D @ N]), system.D @ M
+
+
+def _state_names(layout: Layout, edges: int, inputs: int) -> list[str]:
+    """Names of the states: coordinates, velocities, internal states of a segment's `edges` and of the inputs."""
+    nodes = [(level, node) for level in range(1, layout.levels + 1) for node in range(layout.actuators)]
+    places = [f"n{level}_{node}_{axis}" for level, node in nodes for axis in AXES]
+    of_edges = [f"edge_{segment + 1}_{k + 1}" for segment in range(layout.levels) for k in range(edges)]
+    return [*places, *(f"v_{place}" for place in places), *of_edges, *(f"input_{k + 1}" for k in range(inputs))]
+
+
+def _delay_names(system: System, order: int) -> list[str]:
+    """Names of the states of `_delayed`."""
+    late = [name for name, is_late in zip(system.inputs, system.late, strict=True) if is_late]
+    return [f"delay_{name}_{k + 1}" for name in late for k in range(order)]
 
 
 def _names(layout: Layout) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -1,14 +1,16 @@
-"""Independent pieces of work on the machine's cores: compiled C lets other threads run."""
+"""Independent pieces of work: on the machine's cores, where compiled C lets other threads run, or wherever an executor has them done."""
 
 from __future__ import annotations
 
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from typing import TypeVar, cast
+
+from threadpoolctl import threadpool_limits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -68,6 +70,36 @@ def in_parallel(
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def each_done(work: Callable[[Item], Result], items: Sequence[Item], executor: Executor | None = None) -> Iterator[tuple[int, Result]]:
+    """Numbers of the items and results, as they come; each piece of work has one core.
+
+    What is not begun is taken back where the caller stops asking, or an item fails.
+
+    Args:
+        work: a function that other processes can import.
+        items: what to work on; they and the results are pickled.
+        executor: where; here, one after the other, where None. It has to import this package, and is left open.
+
+    Raises:
+        Exception: what the work on an item has raised.
+    """
+    if executor is None:
+        yield from ((number, _on_one_core(work, item)) for number, item in enumerate(items))
+        return
+    numbers = {executor.submit(_on_one_core, work, item): number for number, item in enumerate(items)}
+    try:
+        for future in as_completed(numbers):
+            yield numbers[future], future.result()
+    finally:
+        for future in numbers:
+            future.cancel()
+
+
+def _on_one_core(work: Callable[[Item], Result], item: Item) -> Result:
+    with on_cores(1), threadpool_limits(1, "blas"):
+        return work(item)
 
 
 def beside(one: Callable[[], Result], other: Callable[[], Other], threads: bool = True) -> tuple[Result, Other]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from tepm_opt.errors import unknown_name
-from tepm_opt.progress import Progress, silent
+from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
+from tepm_opt.solvers.parallel import each_done
 from tepm_opt.solvers.plant import PredictionError
 
 
@@ -34,8 +37,9 @@ def unidentifiable(estimate: ParameterEstimate, max_relative_std: float = 0.5) -
 
 
 def multi_start(
-    problem: Problem, starts: int, seed: int, max_iterations: int = ITERATIONS, progress: Progress = silent
-) -> ParameterEstimate:
+    problem: Problem, starts: int, seed: int, max_iterations: int = ITERATIONS, progress: Progress = silent,
+    executor: Executor | None = None,
+) -> ParameterEstimate:  # fmt: skip
     """The best of several fits: from the first values, then from random ones within the bounds (or three scales around).
 
     Args:
@@ -43,26 +47,47 @@ def multi_start(
         starts: how many fits.
         seed: of the random values.
         max_iterations: most Gauss-Newton steps of each.
-        progress: told of every step of every fit.
+        progress: told of every step of every fit, or of every fit that an executor has done.
+        executor: where fits run; here, one after the other, where None.
 
     Raises:
         InputError: no runs, no parameters or no measured sample.
         PredictionError: the model cannot do the runs with the first values.
     """
     random = np.random.default_rng(seed)
-    best = identify(problem, max_iterations, _numbered(progress, 1, starts))
+    tasks = [(1, problem)]
     for k in range(1, starts):
         low = np.maximum(problem.low, problem.start - 3 * problem.scale)
         high = np.minimum(problem.high, problem.start + 3 * problem.scale)
         values = random.uniform(low, high)
         free = tuple(replace(f, start=float(value)) for f, value in zip(problem.free, values, strict=True))
-        try:
-            found = identify(replace(problem, free=free), max_iterations, _numbered(progress, k + 1, starts))
-        except PredictionError:
-            continue
-        if found.cost < best.cost - 0.1:
+        tasks.append((k + 1, replace(problem, free=free)))
+    if executor is None:
+        fits = (_fitted(max_iterations, task, _numbered(progress, task[0], starts)) for task in tasks)
+    else:
+        done = dict(counted(each_done(partial(_fitted, max_iterations), tasks, executor), progress, "fits", starts))
+        fits = (done[number] for number in sorted(done))
+    best = None
+    for found in fits:
+        if found is not None and (best is None or found.cost < best.cost - 0.1):
             best = replace(found, problem=problem)
+    assert best is not None
     return best
+
+
+def _fitted(max_iterations: int, task: tuple[int, Problem], progress: Progress = silent) -> ParameterEstimate | None:
+    """A fit; None where the model cannot do the runs with values that were drawn.
+
+    Raises:
+        PredictionError: it cannot with the first ones.
+    """
+    number, problem = task
+    try:
+        return identify(problem, max_iterations, progress)
+    except PredictionError:
+        if number == 1:
+            raise
+        return None
 
 
 def _numbered(progress: Progress, number: int, starts: int) -> Progress:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from control import StateSpace
 from scipy.io import loadmat
 
 from tepm_opt.models.model import write_model
@@ -58,6 +59,10 @@ def test_files(tepm: Command, here: Path) -> None:
     assert float(sway["damping"]) == pytest.approx(0.03, abs=0.02)
     assert "s4_z" in sway
     space = loadmat(here / "out" / "state_space.mat", squeeze_me=True)
+    named = StateSpace(space["A"], space["B"], space["C"], space["D"], **{
+        of: list(space[f"{of.removesuffix('s')}_names"]) for of in ("inputs", "outputs", "states")
+    })  # fmt: skip
+    assert named.state_labels[0] == "n1_0_x"
     assert space["A"].shape == (258, 258)  # 312 less 54 that stick
     assert list(space["input_names"][[0, 11, -1]]) == ["pressure_11", "tension_23", "force_s4_z"]
     assert space["output_names"][-1] == "length_23"

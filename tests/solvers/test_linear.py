@@ -129,6 +129,8 @@ def test_names_and_selection(bent):
     assert system.input_labels == ["tension_23", "force_s4_x", "force_s4_y", "force_s4_z"]
     assert system.output_labels == ["s4_x", "s4_y", "s4_z", "length_11"]
     np.testing.assert_allclose(system.dcgain(), bent.select(("tension_23", "force_s4"), ("s4", "length_11")).gain(), rtol=1e-9)
+    assert system.state_labels == list(bent.state_names)
+    assert (bent.state_names[0], bent.state_names[107], bent.state_names[108]) == ("n1_0_x", "n12_2_z", "v_n1_0_x")
     scaled = bent.to_control("pressure", "s4_z", scaled=True)
     np.testing.assert_allclose(scaled.dcgain(), 5e5 * bent.to_control("pressure", "s4_z").dcgain(), rtol=1e-9)
 
@@ -154,6 +156,16 @@ def test_a_failed_equilibrium_is_refused(kang):
     assert not found.solved
     with pytest.raises(InputError, match="no equilibrium to linearise about: not converged"):
         linearise(found)
+
+
+def test_states_that_remember_have_names():
+    """As many as there are, each once, also where some are taken out or a delay adds some."""
+    linear = linearise(held("friction"))
+    assert len(set(linear.state_names)) == len(linear.A)
+    assert set(linear.state_names) - set(linear.moving().state_names) == set(linear.names[linear.held].tolist())
+    late = linearise(held("delay")).to_control(("pressure_11", "tension_11"), "s4", pade=2)
+    assert late.state_labels[-4:] == [f"delay_{name}_11_{k}" for name in ("pressure", "tension") for k in (1, 2)]
+    assert len(set(late.state_labels)) == late.nstates
 
 
 def test_delay_by_pade():

@@ -12,17 +12,22 @@ from tepm_opt.data.files import atomic_path
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends.compiled import statics_unit
 
-MAKEFILE = """# make: an example that reads samples and writes commands
-CFLAGS = -O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math
-example: network.o step.o example.o
-\t$(CC) -o $@ $^ -lm
-step.o: data.h
-example.o: controller.h sizes.h
-clean:
-\trm -f *.o example
+CMAKE = """# cmake -B build && cmake --build build; build/example reads samples and writes commands
+cmake_minimum_required(VERSION 3.10)
+project(controller C)
+set(CMAKE_C_STANDARD 11)
+if(NOT CMAKE_BUILD_TYPE)
+  set(CMAKE_BUILD_TYPE Release)
+endif()
+add_library(controller STATIC network.c step.c)
+target_include_directories(controller PUBLIC ${CMAKE_CURRENT_SOURCE_DIR})
+target_compile_options(controller PRIVATE -w -fno-math-errno)
+target_link_libraries(controller PUBLIC m)
+add_executable(example example.c)
+target_link_libraries(example controller)
 """
-FILES = ("network.c", "step.c", "data.h", "sizes.h", "controller.h", "example.c", "Makefile")
-"""What the folder holds: the network with its linearisation, the step, its data, what is declared, an example."""
+FILES = ("network.c", "step.c", "data.h", "sizes.h", "controller.h", "example.c", "CMakeLists.txt")
+"""What the folder holds: the network with its linearisation, the step, its data, what is declared, an example, how all is built."""
 
 
 def export_step(setup: StepSetup, folder: Path) -> None:
@@ -44,7 +49,7 @@ def export_step(setup: StepSetup, folder: Path) -> None:
         "step.c": "\n".join(step),
         "data.h": _data(setup),
         "sizes.h": f"#define ACTUATORS {sizes.actuators}\n#define POINTS_TRACKED {sizes.points}\n",
-        "Makefile": MAKEFILE,
+        "CMakeLists.txt": CMAKE,
         **{name: (own / name).read_text(encoding="utf-8") for name in ("controller.h", "example.c")},
     }
     folder.mkdir(parents=True, exist_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -35,6 +36,10 @@ AT_ONCE = 32
 """Configurations that one call makes: some milliseconds, so that Ctrl-C and progress come through."""
 
 
+STATICS = ("real.c", "rotations.c", "statics.c")
+"""Loops of statics, without what is called from outside."""
+
+
 def statics_unit(network: Network) -> Unit:
     """The C of `CompiledStatics`."""
     layout = network.layout
@@ -58,7 +63,7 @@ def statics_unit(network: Network) -> Unit:
         network.functions,
         sizes,
         {"DRIVEN": network.driven},
-        ("real.c", "rotations.c", "statics.c", "kinematics.c", "modal.c"),
+        (*STATICS, "statics_calls.c", "kinematics.c", "modal.c"),
         symbols,
         stem="statics",
     )
@@ -259,6 +264,16 @@ def stepping_unit(dynamics: Dynamics) -> Unit:
     sizes |= {name.upper(): names.index(name) for name in (CLOCK, BEGAN) if name in names}
     symbols, lanes = ("integrate", "state_size", "tangent_size"), ("segment_motion", "segment_tangent", "segment_by")
     return Unit(dynamics.functions, sizes, {}, STEPPING, symbols, lanes)
+
+
+def stepping_alone_unit(dynamics: Dynamics) -> Unit:
+    """The C of one motion that is not differentiated, to be called by what stands below it in the same unit."""
+    full = stepping_unit(dynamics)
+    jacobians = [name for name in full.kernels if name.endswith("_by")]
+    kernels = {name: function for name, function in full.kernels.items() if name not in jacobians}
+    sizes = {**full.sizes, **{f"{name}_nnz": 1 for name in jacobians}}
+    loops = tuple("motion_alone.c" if name == "motion_tangents.c" else name for name in STEPPING[:-1])
+    return replace(full, kernels=kernels, sizes=sizes, loops=loops, lanes=full.lanes[:2], symbols=())
 
 
 class CompiledTimeStepper:

@@ -1,0 +1,1 @@
+"""What other programs read: C, CasADi's function files, MuJoCo's models, logs."""
