@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +13,20 @@ import numpy as np
 
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.dataset import check_dataset
-from tepm_opt.data.checks.findings import Finding
+from tepm_opt.data.checks.findings import Finding, noise_level
 from tepm_opt.data.datasets import DESCRIPTION, DataSet, in_session, write_dataset
 from tepm_opt.data.documents import toml_string
 from tepm_opt.data.files import output_folder, write_atomically
-from tepm_opt.data.importing.guess import guess_map, orientations
+from tepm_opt.data.importing.guess import guess_map, orientations, triples
 from tepm_opt.data.importing.maps import ImportMap, Wanted, read_map, wanted
 from tepm_opt.data.importing.plausible import left_out, notes_of, refuse_implausible
-from tepm_opt.data.importing.refusals import refusal, toml
+from tepm_opt.data.importing.refusals import key, refusal, toml
 from tepm_opt.data.importing.runs import ImportedRun, filtered, imported, parts_of, rate_of, roles_of
 from tepm_opt.data.importing.samples import samples_of, time_map
 from tepm_opt.data.importing.sources import Sheet, read_sheet
 from tepm_opt.data.run import run_of
 from tepm_opt.data.tables import Table, write_columns
-from tepm_opt.errors import InputError
+from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending, Outcome
@@ -102,7 +103,14 @@ class ImportRun:
     def summary(self) -> dict[str, Any]:
         """Runs, columns with rates and what was done to them, notes, number of findings."""
         runs = [
-            {"file": run.file, "role": run.role, "rows": run.rows, "from": list(run.files), "start_s": run.start, "left_out_s": list(run.left_out)}
+            {
+                "file": run.file,
+                "role": run.role,
+                "rows": run.rows,
+                "from": list(run.files),
+                "start_s": run.start,
+                "left_out_s": list(run.left_out),
+            }
             for run in self.runs
         ]
         counts = {"errors": self.errors, "warnings": len(self.findings) - self.errors}
@@ -167,6 +175,8 @@ def run_import(files: Sequence[str | Path], map_file: str | Path, name: str = ""
     runs = [imported(given, part, asked, roles[part.name], rate, found) for part, found in zip(parts, samples, strict=True)]
     dataset = None
     findings: list[Finding] = []
+    if channels is None:
+        _refuse_silent(given, runs, where)
     if channels is not None:
         for run in runs:
             refuse_implausible(run, given, asked, channels)
@@ -185,13 +195,23 @@ def suggest_map(files: Sequence[str | Path], robot: str = "kang2017") -> str:
 
 
 def _no_position(given: ImportMap, sheets: Sequence[Sheet], channels: Channels) -> InputError:
-    from tepm_opt.data.importing.guess import _triples
-
-    found = [names for sheet in sheets[:1] for names in _triples(sheet.order)][-len(channels.points) :]
+    found = [names for sheet in sheets[:1] for names in triples(sheet.order)][-len(channels.points) :]
     columns = [name for names in found for name in names]
     entry = {"columns": columns} | ({"of": list(channels.points[-len(found) :])} if len(found) < len(channels.points) else {})
     what = f"no position in the map: nothing measured; found: {', '.join(sheets[0].order)}"
     return refusal(sheets[0].path, what, f"position = {toml(entry)}" if found else "")
+
+
+def _refuse_silent(given: ImportMap, runs: Sequence[ImportedRun], where: str) -> None:
+    """Outputs of a machine of one's own need their noise; what their samples show is proposed. Points have one of three axes."""
+    points = {name[:-2] for name in given.outputs if name.endswith(("_x", "_y", "_z"))}
+    if unknown := [name for name in given.noise if name not in given.outputs and name not in points]:
+        raise unknown_name("output", unknown[0], {*given.outputs, *points}, f"{where}: noise")
+    silent = [name for name in given.outputs if name not in given.noise and name[:-2] not in given.noise]
+    if silent:
+        seen = {name: float(np.nanmax([noise_level(run.columns[name]) for run in runs])) for name in silent}
+        entries = [f"noise.{key(name)} = {seen[name] if seen[name] > 0 else 1e-3:.1e}" for name in silent]
+        raise refusal(where, f"no noise (1 sigma) of {', '.join(silent)}; the samples scatter so much", *entries)
 
 
 def _dataset(given: ImportMap, runs: Sequence[ImportedRun], channels: Channels, rate: float | None, name: str) -> DataSet:
@@ -204,7 +224,7 @@ def _dataset(given: ImportMap, runs: Sequence[ImportedRun], channels: Channels, 
         table = Table(Path(run.file), columns, tuple(range(2, run.rows + 2)))
         made.append(run_of(table, run.file, run.role, channels, given.static))
     said = {}
-    if all(b.start > a.start + (a.rows - 1) / (rate or 1) for a, b in zip(runs, runs[1:], strict=False)):
+    if all(b.start > a.start + (a.rows - 1) / (rate or 1) for a, b in pairwise(runs)):
         said = {run.file: run.start - runs[0].start for run in runs}
     assert given.robot is not None
     return DataSet(given.name or name, given.robot, channels, tuple(in_session(made, said)), rate, None, given.static)
@@ -218,20 +238,31 @@ def _into_frame(columns: dict[str, np.ndarray], given: ImportMap, channels: Chan
         if names[0] not in columns:
             continue
         offset = given.frame.offset_m if names[0].endswith("_m") else (0.0, 0.0, 0.0)
-        turned = [sign * columns[names[k]] + shift if sign < 0 or shift else columns[names[k]] for (k, sign), shift in zip(turn, offset, strict=True)]
+        turned = [
+            sign * columns[names[k]] + shift if sign < 0 or shift else columns[names[k]]
+            for (k, sign), shift in zip(turn, offset, strict=True)
+        ]
         columns.update(zip(names, turned, strict=True))
 
 
-def _notes(given: ImportMap, asked: Sequence[Wanted], sheets: Sequence[Sheet], channels: Channels | None, runs: Sequence[ImportedRun]) -> list[str]:
+def _notes(
+    given: ImportMap, asked: Sequence[Wanted], sheets: Sequence[Sheet], channels: Channels | None, runs: Sequence[ImportedRun]
+) -> list[str]:
     found = notes_of(given, asked, channels)
     if given.validation is None and len(runs) > 1:
         found.append(f"{runs[-1].file} is for validation, being the last; validation = [] in the map fits to all")
     for run in runs:
         if max(run.left_out) > 1e-9 + (1 / 1e3):
-            found.append(f"{run.file}: {run.left_out[0]:.3g} s at the start and {run.left_out[1]:.3g} s at the end left out: not all columns have samples")
+            before, behind = run.left_out
+            found.append(
+                f"{run.file}: {before:.3g} s at its start and {behind:.3g} s at its end left out: not all columns have samples there"
+            )
     unused, turned = {}, []
     for sheet in sheets:
-        used = {sheet.name(column) for each in asked for column in each.columns} | {sheet.name(time_map(given, sheet).column or ""), *sheet.clocks.values()}
+        used = {sheet.name(column) for each in asked for column in each.columns} | {
+            sheet.name(time_map(given, sheet).column or ""),
+            *sheet.clocks.values(),
+        }
         used |= {sheet.name(each.source.time) for each in asked if each.source.time is not None} | {sheet.name(given.split or "")}
         unused[sheet.path.name] = [name for name in sheet.order if name not in used]
         turned += orientations(sheet)

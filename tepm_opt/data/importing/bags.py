@@ -59,6 +59,8 @@ def _fields(message: Any, before: str = "") -> Iterator[tuple[str, float]]:
             yield place, float(value)
         elif isinstance(value, list | np.ndarray):
             for k, each in enumerate(value):
-                yield from [(f"{place}/{k + 1}", float(each))] if isinstance(each, int | float | np.number) else _fields(each, f"{place}/{k + 1}/")
+                yield from (
+                    [(f"{place}/{k + 1}", float(each))] if isinstance(each, int | float | np.number) else _fields(each, f"{place}/{k + 1}/")
+                )
         else:
             yield from _fields(value, f"{place}/")

@@ -16,9 +16,14 @@ from tepm_opt.data.importing.units import UNITS
 from tepm_opt.errors import InputError
 
 _TIME = re.compile(r"(?:.*[/._])?(?:t|time|timestamp|stamp|seconds?|zeit|datetime)(?:[ _(\[/]*(s|ms|us|µs|ns|sec|min)?[)\]]*)", re.I)
-_TURN = re.compile(r"(?:.*[/._ -])?(?:q[wxyz0-4]|quat\w*[ _./]?[wxyz]?|orientation[/._][wxyz]|r[1-3_]?[1-3][1-3]?|rot\w*|roll|pitch|yaw)(?:[ _(\[].*)?", re.I)
+_TURN = re.compile(
+    r"(?:.*[/._ -])?(?:q[wxyz0-4]|quat\w*[ _./]?[wxyz]?|orientation[/._][wxyz]|r[1-3_]?[1-3][1-3]?|rot\w*|roll|pitch|yaw)(?:[ _(\[].*)?",
+    re.I,
+)
 _UNIT = re.compile(r"[ _(\[/]([A-Za-zµ]+)[)\]]?$")
-_PRESSURE = re.compile(r"(?:.*[/._ -])?(?:p|pressure|druck|valve|muscle|regulator|cmd_?p|p_?cmd)[ _/]*(?:(?:data|set|cmd|des)[/_ ]?)?\d", re.I)
+_PRESSURE = re.compile(
+    r"(?:.*[/._ -])?(?:p|pressure|druck|valve|muscle|regulator|cmd_?p|p_?cmd)[ _/]*(?:(?:data|set|cmd|des)[/_ ]?)?\d", re.I
+)
 _TENSION = re.compile(r"(?:.*[/._ -])?(?:tension|tendon|cable|wire|lambda|load_?cell|f|t)[ _/]*\d", re.I)
 _AXIS = re.compile(r"(?<![A-Za-z])([xyz])(?![A-Za-z])", re.I)
 
@@ -77,26 +82,39 @@ def guess_map(paths: Sequence[Path], channels: Channels, robot: str) -> str:
         form = form.model_copy(update={"decimal": ","})
         sheet = read_sheet(paths[0], form)
     used: set[str] = set()
-    lines = [f"# A guess by the columns of {paths[0].name}: look at every line, then: tepm data import FILE … --map FILE --preview", f"robot = {toml(robot)}"]
+    lines = [
+        f"# A guess by the columns of {paths[0].name}: look at every line, then: tepm data import FILE … --map FILE --preview",
+        f"robot = {toml(robot)}",
+    ]
     given = form.model_dump(exclude_defaults=True)
     lines += [f"csv = {toml(given)}"] if given else []
     if not sheet.clocks:
         time = time_column(sheet)
         used |= {time} if time else set()
-        lines.append(f"time = {{ column = {toml(time)}, unit = {toml(_time_unit(sheet, time))} }}" if time else "time = { rate_hz = 100 }  # no column looks like time")
+        lines.append(
+            f"time = {{ column = {toml(time)}, unit = {toml(_time_unit(sheet, time))} }}"
+            if time
+            else "time = { rate_hz = 100 }  # no column looks like time"
+        )
     used |= {name for name in sheet.columns if sheet.clocks.get(name) == name}
     turned = orientations(sheet)
     free = [name for name in sheet.order if name not in used and name not in turned and name not in sheet.twice]
-    points = _triples(free)
+    points = triples(free)
     measured = [name for name in free if re.search(r"meas|sens|actual|fb|_m\d|ist", name, re.I)]
     flat = [name for names in points for name in names]
     for place, pattern, dimension in (("pressure", _PRESSURE, "pressure"), ("tension", _TENSION, "force")):
-        names = [name for name in free if pattern.match(name) and name not in measured and name not in flat and name not in used][: len(channels.actuators)]
+        names = [name for name in free if pattern.match(name) and name not in measured and name not in flat and name not in used][
+            : len(channels.actuators)
+        ]
         used |= set(names)
         lines.append(_entry(place, names, channels.actuators, dimension, sheet) if names else f"# {place}: none found, taken as 0")
     points = points[-len(channels.points) :]
     used |= {name for names in points for name in names}
-    lines.append(_entry("position", [n for names in points for n in names], channels.points, "length", sheet, 3) if points else "# position = { columns = … }: no x, y, z found")
+    lines.append(
+        _entry("position", [n for names in points for n in names], channels.points, "length", sheet, 3)
+        if points
+        else "# position = { columns = … }: no x, y, z found"
+    )
     if rest := [name for name in sheet.order if name not in used]:
         lines.append(f"# not in this map: {', '.join(rest)}")
     return "\n".join(lines) + "\n"
@@ -106,7 +124,7 @@ def _comma(values: np.ndarray) -> bool:
     return values.dtype.kind == "O" and any(re.fullmatch(r"[+-]?\d*,\d+", str(value)) for value in values[:50])
 
 
-def _triples(names: Iterable[str]) -> list[tuple[str, str, str]]:
+def triples(names: Iterable[str]) -> list[tuple[str, str, str]]:
     """Names that differ in x, y and z only."""
     groups: dict[str, dict[str, str]] = {}
     for name in names:
@@ -138,7 +156,7 @@ def _time_unit(sheet: Sheet, name: str) -> str:
 def _unit(name: str, dimension: str, sheet: Sheet) -> str:
     """The unit that the name ends with, else the one that makes the values plausible."""
     units: Mapping[str, float] = UNITS[dimension]
-    alike = {unit.lower(): unit for unit in reversed(units)}
+    alike = {unit.lower(): unit for unit in reversed(list(units))}
     if (found := _UNIT.search(name)) and found[1].lower() in alike:
         return alike[found[1].lower()]
     values = sheet.columns[name]

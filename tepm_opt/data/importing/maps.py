@@ -14,12 +14,13 @@ from pydantic import Field, field_validator, model_validator
 
 from tepm_opt.data.channels import TIME, Channels
 from tepm_opt.data.documents import Number, Section, Vector, between, read_toml, validated
-from tepm_opt.data.importing.refusals import key, refusal, toml
+from tepm_opt.data.importing.refusals import BETWEEN, PUT, key, refusal, toml
 from tepm_opt.data.importing.units import factor, nearest
 from tepm_opt.data.run import Start
 from tepm_opt.data.setpoints import AXES, FORCE_COLUMNS
 from tepm_opt.errors import InputError
 
+NAMED = f'{PUT}robot = "kang2017"'
 ISO = "iso"  # unit of date and time as text
 Name = str | int
 """Of a column: its header, or its number from 1."""
@@ -56,7 +57,7 @@ class Source(Section):
     time: Annotated[Name, Field(description="name or number of the column with the time of these")] | None = None
     file: Annotated[str, Field(description='pattern of the file\'s name: "*_tracker.csv"')] | None = None
     between: Literal["line", "hold"] = "line"
-    missing: Annotated[list[Number | str], Field(description="numbers or texts that stand for a lost sample")] = []
+    missing: Annotated[list[Number | str], Field(description="numbers or texts that stand for a lost sample")] = Field(default_factory=list)
 
 
 class Quantity(Source):
@@ -97,7 +98,9 @@ class Format(Section):
 class Frame(Section):
     """How the tracker's axes lie in G."""
 
-    axes: Annotated[list[str], Field(description='three of x, y, z, each with - or without: G\'s x, y, z are the tracker\'s …')] = list(AXES)
+    axes: Annotated[list[str], Field(description="three of x, y, z, each with - or without: G's x, y, z are the tracker's …")] = Field(
+        default_factory=lambda: list(AXES)
+    )
     offset_m: Vector = (0.0, 0.0, 0.0)
 
     @field_validator("axes")
@@ -125,7 +128,7 @@ class ImportMap(Section):
     static: Annotated[bool, Field(strict=True, description="true where the rows are equilibria")] = False
     split: Annotated[Name, Field(description="a column; a new value begins a new run, or time that goes back")] | None = None
     validation: Annotated[list[str], Field(description='names of runs: ["run3", "circle*"]')] | None = None
-    time: list[TimeMap] = []
+    time: list[TimeMap] = Field(default_factory=list)
     csv: Format = Format()
     frame: Frame = Frame()
     pressure: Quantity | None = None
@@ -134,10 +137,10 @@ class ImportMap(Section):
     position: Quantity | None = None
     pressure_measured: Quantity | None = None
     tension_measured: Quantity | None = None
-    inputs: dict[str, Single] = {}
-    outputs: dict[str, Single] = {}
-    extra: dict[str, Single] = {}
-    noise: Annotated[dict[str, float], Field(description="1 sigma of each output, in its unit")] = {}
+    inputs: dict[str, Single] = Field(default_factory=dict)
+    outputs: dict[str, Single] = Field(default_factory=dict)
+    extra: dict[str, Single] = Field(default_factory=dict)
+    noise: Annotated[dict[str, float], Field(description="1 sigma of each output, in its unit")] = Field(default_factory=dict)
     start: Start | None = None
 
     @field_validator("time", mode="before")
@@ -147,14 +150,18 @@ class ImportMap(Section):
 
     @model_validator(mode="after")
     def _kind(self) -> ImportMap:
+        if any(name.startswith(("pressure_", "tension_")) and name.endswith(("_Pa", "_N")) for name in self.extra):
+            raise ValueError("extra: pressures and tensions have entries of their own: pressure_measured, tension_measured")
         own = [name for name in ("inputs", "outputs", "noise", "start") if getattr(self, name)]
         robots = [name for name in QUANTITIES if getattr(self, name) is not None]
         if self.robot is None and robots:
-            raise ValueError(f'{robots[0]} is a robot\'s; put into the map: robot = "kang2017" (or the path of a robot file)')
+            raise ValueError(f"{robots[0]} is a robot's, which the map does not name: built in, or the path of a robot file{NAMED}")
+        if self.robot is None and self.frame != Frame():
+            raise ValueError("frame is a robot's; valid: with robot, or without frame")
         if self.robot is not None and own:
             raise ValueError(f"{own[0]} belongs to a machine of your own; valid: either robot, or inputs, outputs and noise")
         if self.robot is None and not self.outputs:
-            raise ValueError('nothing is measured; put into the map: robot = "kang2017" (or the path of a robot file); or [outputs] for another machine')
+            raise ValueError(f"nothing is measured: neither a robot (built in, or the path of a robot file) nor outputs{NAMED}")
         return self
 
 
@@ -197,6 +204,14 @@ class Wanted:
         return factor(self.source.unit, self.dimension)
 
 
+def time_with(given: ImportMap, entry: TimeMap, **changed: Any) -> str:
+    """The line of TOML that changes an entry of time: its keys, or all entries where there are several."""
+    if len(given.time) < 2:
+        return BETWEEN.join(f"time.{name} = {toml(value)}" for name, value in changed.items())
+    entries = [each.model_copy(update=changed) if each is entry else each for each in given.time]
+    return f"time = {toml([each.model_dump(exclude_defaults=True) for each in entries])}"
+
+
 def read_map(path: str | Path) -> ImportMap:
     """A map file; a robot's path becomes one from the working folder.
 
@@ -226,14 +241,16 @@ def wanted(given: ImportMap, channels: Channels | None, where: str) -> list[Want
         try:
             factor(each.source.unit, each.dimension)
         except InputError as error:
-            raise refusal(where, f"{each.place}: {error}", f"{each.place}.unit = {toml(nearest(each.source.unit, each.dimension))}") from error
-    for number, time in enumerate(given.time):
+            raise refusal(
+                where, f"{each.place}: {error}", f"{each.place}.unit = {toml(nearest(each.source.unit, each.dimension))}"
+            ) from error
+    for time in given.time:
         if time.unit != ISO:
             try:
                 factor(time.unit, "time")
             except InputError as error:
-                entry = f"time.unit = {toml(nearest(time.unit, 'time'))}"
-                raise refusal(where, f"time entry {number + 1}: {error}, iso", entry) from error
+                entry = time_with(given, time, unit=nearest(time.unit, "time"))
+                raise refusal(where, f"time: {error}, iso", entry) from error
     targets = [target for each in found for target in each.targets]
     if twice := sorted({target for target in targets if targets.count(target) > 1} | ({TIME} & set(targets))):
         raise InputError(f"{where}: {', '.join(twice)} filled twice; valid: once each, extra columns under other names")
@@ -300,13 +317,19 @@ def _columns(quantity: Quantity, place: str, fields: list[dict[str, Any]], valid
         if unknown:
             shown = re.sub(r"\{[^}]*\}?", "{n}", given)
             known = ", ".join(f"{{{name}}}" for name in fields[0])
-            raise refusal(where, f"{place}.columns = {given!r}: {unknown[0]!r} is no placeholder; valid: {known}", f"{place}.columns = {toml(shown)}")
+            raise refusal(
+                where, f"{place}.columns = {given!r}: {unknown[0]!r} is no placeholder; valid: {known}", f"{place}.columns = {toml(shown)}"
+            )
         return tuple(given.format(**each) for each in fields)
     columns = tuple(given) if isinstance(given, list) else (given,)
     if len(columns) == len(fields):
         return columns
     each = 3 if place == "position" else 1
-    entry = f"{place}.of = {toml(list(valid)[-(len(columns) // each):])}" if len(columns) % each == 0 and len(columns) < each * len(valid) else ""
+    entry = (
+        f"{place}.of = {toml(list(valid)[-(len(columns) // each) :])}"
+        if len(columns) % each == 0 and len(columns) < each * len(valid)
+        else ""
+    )
     listed = ", ".join(repr(column) for column in columns)
     what = f"{place}.columns: {len(columns)} columns ({listed}) for {len(fields)} ({', '.join(dict.fromkeys(f['name'] for f in fields))}"
     raise refusal(where, f"{what}{', x, y and z each' if each == 3 else ''})", entry)

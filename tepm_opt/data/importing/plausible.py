@@ -12,6 +12,7 @@ from tepm_opt.data.importing.maps import QUANTITIES, Frame, ImportMap, Wanted
 from tepm_opt.data.importing.refusals import named, refusal, toml
 from tepm_opt.data.importing.runs import ImportedRun
 from tepm_opt.data.importing.units import UNITS
+from tepm_opt.data.setpoints import AXES
 
 FAR, NEAR = 8.0, 0.02  # times the distance from the base that the robot's size lets expect, as the checks of data sets have it
 TILT = np.cos(np.deg2rad(50))  # of the robot at the start of a run, as they have it
@@ -39,7 +40,7 @@ def refuse_implausible(run: ImportedRun, given: ImportMap, wanted: Sequence[Want
         elif each.place.startswith(("pressure", "tension")):
             limit = channels.pressure_max if each.place.startswith("pressure") else channels.tension_max
             _sizes(run, each, values, limit)
-    if given.frame == Frame():
+    if "frame" not in given.model_fields_set:
         _upright(run, next((each for each in wanted if each.place == "position" and each.columns), None), channels)
 
 
@@ -55,15 +56,20 @@ def _units(each: Wanted) -> Iterator[tuple[str, float]]:
 
 def _sizes(run: ImportedRun, each: Wanted, values: np.ndarray, limit: float) -> None:
     largest = float(np.nanmax(np.abs(values), initial=0.0))
-    if not np.isfinite(limit) or largest == 0 or LEAST * limit < largest <= MOST * limit or (each.place.endswith("measured") and largest < 1.2 * limit):
+    if (
+        not np.isfinite(limit)
+        or largest == 0
+        or LEAST * limit < largest <= MOST * limit
+        or (each.place.endswith("measured") and largest < 1.2 * limit)
+    ):
         return
     fitting = {name: times * largest / limit for name, times in _units(each) if 0.02 < times * largest / limit <= MOST}
     if not fitting:
         return  # the check of the data set says more about it
     best = max(fitting, key=fitting.__getitem__)
-    unit = each.source.unit or ("Pa" if each.dimension == "pressure" else "N")
     si = "Pa" if each.dimension == "pressure" else "N"
-    what = f"{each.place} ({', '.join(map(str, each.columns))}) reaches {largest:.4g} {si} if it is in {unit}; the robot's limit is {limit:g} {si}"
+    read = f"reaches {largest:.4g} {si} if it is in {each.source.unit or si}"
+    what = f"{each.place} ({', '.join(map(str, each.columns))}) {read}; the robot's limit is {limit:g} {si}"
     raise refusal(_where(run, each), what, f"{each.place}.unit = {toml(best)}")
 
 
@@ -88,15 +94,16 @@ def _distances(run: ImportedRun, each: Wanted, values: np.ndarray, channels: Cha
     if NEAR <= (found := ratio(1.0)) <= FAR:
         return
     best = min(_units(each), key=lambda unit: abs(np.log(max(ratio(unit[1]), 1e-12))))[0]
-    what = f"position: {named(each.columns)}: {found:.3g} times as far from the base as the robot's size allows if in {each.source.unit or 'm'}"
+    read = f"if in {each.source.unit or 'm'}"
+    what = f"position: {named(each.columns)}: {found:.3g} times as far from the base as the robot's size allows {read}"
     raise refusal(_where(run, each), what, f"position.unit = {toml(best)}")
 
 
 def _upright(run: ImportedRun, each: Wanted | None, channels: Channels) -> None:
-    """The lowest mapped point has to be above the base at the start; else the axes are proposed that put it there."""
+    """The last point has to be above the base at the start; else the axes are proposed that put it there."""
     if each is None or channels.height is None:
         return
-    start = np.array([run.columns[target][:50] for target in each.targets[:3]])
+    start = np.array([run.columns[target][:50] for target in each.targets[-3:]])
     start = start[:, np.isfinite(start).all(axis=0)]
     if not start.size:
         return
@@ -109,12 +116,18 @@ def _upright(run: ImportedRun, each: Wanted | None, channels: Channels) -> None:
 
     if rise(np.eye(3)) >= TILT:
         return
-    frames = [Frame(axes=[sign + one for sign, one in zip(signs, order, strict=True)]) for order in permutations("xyz") for signs in product(("", "-"), repeat=3)]
+    frames = [
+        Frame(axes=[sign + one for sign, one in zip(signs, order, strict=True)])
+        for order in permutations("xyz")
+        for signs in product(("", "-"), repeat=3)
+    ]
     right = [frame for frame in frames if np.linalg.det(frame.rotation) > 0]
     best = max(right, key=lambda frame: (round(rise(frame.rotation), 6), -sum(axis.startswith("-") for axis in frame.axes)))
-    what = f"position: {named(each.columns[:3])}: not above the base at the start, x, y, z = {', '.join(f'{value:.3f}' for value in place)} m"
+    what = (
+        f"position: {named(each.columns[-3:])}: not above the base at the start, x, y, z = {', '.join(f'{value:.3f}' for value in place)} m"
+    )
     entry = f"frame.axes = {toml(best.axes)}" if rise(best.rotation) >= TILT else ""
-    raise refusal(_where(run, each), f"{what}: other axes than G's, or another base in the robot file", entry)
+    raise refusal(_where(run, each), f"{what}: other axes than G's? (frame.axes = {toml(list(AXES))} keeps them)", entry)
 
 
 def notes_of(given: ImportMap, wanted: Sequence[Wanted], channels: Channels | None) -> list[str]:

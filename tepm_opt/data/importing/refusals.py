@@ -8,7 +8,6 @@ from typing import Any
 
 from tepm_opt.errors import InputError
 
-
 PUT, BETWEEN = "; put into the map: ", " and "
 """Before the entries that mend what is refused, and between several of them."""
 

@@ -14,6 +14,7 @@ ATTENUATION = 60.0  # dB beyond half the new rate, and below 0.8 of that within 
 PASS = 0.8  # of half the new rate
 LIKE = 1.1  # times the new rate: up to here there is nothing to filter
 GAP = 1.9  # steps without a sample that count as lost ones
+CLOSE = 1e-3  # steps of the grid that a sample may be off and still be there: what stamps are rounded by
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class Clock:
 
 def grid_of(start: float, end: float, rate: float) -> np.ndarray:
     """Even times in s from `start` that do not pass `end`, (rows,)."""
-    return start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate
+    return start + np.arange(int(np.floor((end - start) * rate + CLOSE)) + 1) / rate
 
 
 def reduction(clock: Clock, rate: float) -> int:
@@ -70,14 +71,14 @@ def reduction(clock: Clock, rate: float) -> int:
 def taps(steps: int) -> np.ndarray:
     """Finite impulse response of the filter for a fine grid of `steps` steps to one of the new: linear phase, sum 1."""
     count, beta = kaiserord(ATTENUATION, (1 - PASS) / steps)
-    return firwin(count | 1, (1 + PASS) / 2 / steps, window=("kaiser", beta))
+    return np.asarray(firwin(count | 1, (1 + PASS) / 2 / steps, window=("kaiser", beta)))  # type: ignore[arg-type]
 
 
 def measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) -> np.ndarray:
     """One measured column on a grid: a cubic spline through the samples, on a fine grid through a filter without delay.
 
-    Below 0.8 of half the new rate 0.999 … 1.001 passes, above half the new rate 0.001 at most. No sample is made up where there was none for 1.9 steps of
-    the samples and a step of the grid.
+    Below 0.8 of half the new rate 0.999 … 1.001 passes, above half the new rate 0.001 at most. No sample is made up where there was
+    none for 1.9 steps of the samples and, where they are filtered, a step of the grid.
 
     Args:
         clock: times of the samples.
@@ -93,10 +94,11 @@ def measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) ->
     known = np.isfinite(values)
     longest = max(GAP * clock.step, 1 / rate if steps > 1 else 0.0) * (1 + 1e-9)
     for time, part in _stretches(clock.time[known], values[known], longest):
-        slack = 1e-6 / rate
+        slack = CLOSE / rate
         first, last = np.searchsorted(grid, [time[0] - slack, time[-1] + slack])
         if first == last:
             continue
+        first, last = int(first), int(last)
         rows = slice(first, last)
         if len(time) == 1:
             found[rows] = part[0]
@@ -105,8 +107,8 @@ def measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) ->
         else:
             fine = grid[first] + np.arange((last - first - 1) * steps + 1) / (rate * steps)
             # before the first and behind the last grid point samples of the stretch go on: take them along
-            before = int(np.floor((fine[0] - time[0]) * rate * steps + 1e-6)) // steps * steps
-            behind = int(np.floor((time[-1] - fine[-1]) * rate * steps + 1e-6))
+            before = int(np.floor((fine[0] - time[0]) * rate * steps + CLOSE)) // steps * steps
+            behind = int(np.floor((time[-1] - fine[-1]) * rate * steps + CLOSE))
             fine = grid[first] + np.arange(-before, len(fine) + max(behind, 0)) / (rate * steps)
             slow = resample_poly(_curve(time, part, fine), 1, steps, window=taps(steps), padtype="antireflect")
             found[rows] = slow[before // steps :][: last - first]

@@ -6,15 +6,14 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase, translate
-from pathlib import Path
 
 import numpy as np
 
 from tepm_opt.data.channels import TIME
-from tepm_opt.data.importing.maps import ImportMap, Wanted
+from tepm_opt.data.importing.maps import ImportMap, Wanted, time_with
 from tepm_opt.data.importing.refusals import refusal, toml
 from tepm_opt.data.importing.resample import commanded, grid_of, measured, reduction
-from tepm_opt.data.importing.samples import Samples
+from tepm_opt.data.importing.samples import Samples, time_map
 from tepm_opt.data.importing.sources import Sheet
 from tepm_opt.data.run import Role
 from tepm_opt.errors import InputError
@@ -82,10 +81,16 @@ def parts_of(given: ImportMap, sheets: Sequence[Sheet], wanted: Sequence[Wanted]
             continue
         fitting = [found for pattern in patterns if (found := re.match(translate(pattern).replace(".*", "(.*)"), name))]
         if not fitting:
-            raise refusal(sheet.path, f"fits none of the map's patterns {', '.join(patterns)}; leave it out, or give its entry the pattern", f"position.file = {toml(_pattern(name))}")
+            raise refusal(
+                sheet.path,
+                f"fits none of the map's patterns {', '.join(patterns)}; leave it out, or give its entry the pattern",
+                f"position.file = {toml(_pattern(name))}",
+            )
         grouped.setdefault("".join(fitting[0].groups()).strip("_- .") or "run", []).append(sheet)
     if not patterns and (twice := [name for name, found in grouped.items() if len(found) > 1]):
-        raise InputError(f"{', '.join(str(s.path) for s in grouped[twice[0]])}: would both become {twice[0]}.csv; valid: files of different names")
+        raise InputError(
+            f"{', '.join(str(s.path) for s in grouped[twice[0]])}: would both become {twice[0]}.csv; valid: files of different names"
+        )
     whole = [Part(name, tuple(found), slice(None)) for name, found in grouped.items()]
     return whole if given.split is None else [part for each in whole for part in _split(given, each, wanted)]
 
@@ -99,11 +104,10 @@ def _pattern(name: str) -> str:
 def _split(given: ImportMap, part: Part, wanted: Sequence[Wanted]) -> list[Part]:
     """A run for each value of the column that splits, or for each time that its time begins anew."""
     assert given.split is not None
-    sheets = [sheet for sheet in part.sheets if sheet.name(given.split)]
-    if len(part.sheets) > 1 or not sheets:
-        names = ", ".join(part.sheets[0].order)
-        raise InputError(f"{part.sheets[0].path}: split = {given.split!r}: valid: a column of the only file of a run; found: {names}")
-    sheet = sheets[0]
+    sheet = part.sheets[0]
+    if len(part.sheets) > 1 or sheet.name(given.split) is None:
+        names = ", ".join(sheet.order)
+        raise InputError(f"{sheet.path}: split = {given.split!r}: valid: a column of the only file of a run; found: {names}")
     values = sheet.columns[str(sheet.name(given.split))]
     times = {sheet.name(entry.column) for entry in given.time if entry.column is not None}
     if sheet.name(given.split) in times and values.dtype.kind in "iufM":
@@ -114,8 +118,13 @@ def _split(given: ImportMap, part: Part, wanted: Sequence[Wanted]) -> list[Part]
         cuts = np.flatnonzero(texts[1:] != texts[:-1]) + 1
         names = [f"{part.name}_{texts[k]}" for k in (0, *cuts)]
         if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise InputError(f"{sheet.path}: split = {given.split!r}: {', '.join(twice)} begin more than once; valid: the rows of a run together")
-    return [Part(re.sub(r"[^\w.+-]", "_", name), part.sheets, rows) for name, rows in zip(names, np.split(np.arange(len(values)), cuts), strict=True)]
+            raise InputError(
+                f"{sheet.path}: split = {given.split!r}: {', '.join(twice)} begin more than once; valid: the rows of a run together"
+            )
+    return [
+        Part(re.sub(r"[^\w.+-]", "_", name), part.sheets, rows)
+        for name, rows in zip(names, np.split(np.arange(len(values)), cuts), strict=True)
+    ]
 
 
 def roles_of(given: ImportMap, names: Sequence[str], where: str) -> dict[str, Role]:
@@ -138,25 +147,33 @@ def rate_of(given: ImportMap, found: Sequence[Samples], where: str) -> float:
     Raises:
         InputError: faster than what is measured; so slow that time must be in another unit; names the entry that mends it.
     """
-    clocks = [(s, s.clock) for s in found if not s.wanted.driven and s.clock is not None and s.wanted.place.partition(".")[0] in ("position", "outputs")]
+    clocks = [
+        (s, s.clock)
+        for s in found
+        if not s.wanted.driven and s.clock is not None and s.wanted.place.partition(".")[0] in ("position", "outputs")
+    ]
     if not clocks:
         raise InputError(f"{where}: nothing measured has a time")
     slowest, clock = min(clocks, key=lambda pair: pair[1].rate)
     concerned = list(dict.fromkeys(s.column for s, other in clocks if other.rate <= 1.01 * clock.rate))
-    path, entry = slowest.sheet.path if slowest.sheet else where, "" if len(given.time) < 2 else " of this file"
+    assert slowest.sheet is not None
+    path = slowest.sheet.path
     texts = f"{slowest.wanted.place} ({', '.join(map(str, concerned))})"
     asked = given.rate_hz
-    for unit, times in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
-        if slowest.wanted.place == "position" and (0.3 < times * clock.rate / asked < 3 if asked else clock.rate < SLOWEST and 3 < times * clock.rate < 3e3):
-            what = f"{texts}: samples would be {clock.step:g} s apart; time{entry} in {unit}?"
-            raise refusal(path, what, f'time.unit = "{unit}"')
+    if slowest.wanted.place == "position" and clock.rate < (min(0.1 * asked, 3 * SLOWEST) if asked else SLOWEST):
+        for unit, times in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+            if (0.5 * asked if asked else 3 * SLOWEST) < times * clock.rate < (100 * asked if asked else 3e3):
+                what = f"{texts}: samples would be {clock.step:g} s apart; time in {unit}?"
+                raise refusal(path, what, time_with(given, time_map(given, slowest.sheet), unit=unit))
     if asked is not None and asked > 1.1 * clock.rate:
         what = f"{texts}: {clock.rate:.4g} samples a second; rate_hz = {asked:g} would invent others"
         raise refusal(path, what, f"rate_hz = {clock.own_rate:g}")
     return asked or clock.own_rate
 
 
-def imported(given: ImportMap, part: Part, wanted: Sequence[Wanted], role: Role, rate: float | None, found: Sequence[Samples]) -> ImportedRun:
+def imported(
+    given: ImportMap, part: Part, wanted: Sequence[Wanted], role: Role, rate: float | None, found: Sequence[Samples]
+) -> ImportedRun:
     """A run on its grid, from the time at which all columns have begun to that at which the first ends.
 
     Args:
@@ -178,7 +195,7 @@ def imported(given: ImportMap, part: Part, wanted: Sequence[Wanted], role: Role,
     grid = grid_of(start, end, rate) if end > start else np.empty(0)
     if len(grid) < 2:
         raise _apart(given, part, starts, ends)
-    columns = {TIME: np.round(grid - start, 12)}
+    columns = {TIME: np.arange(len(grid)) / rate}
     for each in found:
         if each.clock is None:
             columns[each.target] = np.full(len(grid), each.values[0])
@@ -209,9 +226,11 @@ def _apart(given: ImportMap, part: Part, starts: Mapping[str, float], ends: Mapp
     late, early = max(starts, key=starts.__getitem__), min(ends, key=ends.__getitem__)
     alike = {name: [other for other in starts if (starts[other], ends[other]) == (starts[name], ends[name])] for name in (early, late)}
     what = "; ".join(f"{', '.join(alike[name])} from {starts[name]:.6g} to {ends[name]:.6g} s" for name in (early, late))
-    entries = ["time.from_start = true"] if len(given.time) < 2 else [f"time entry {k + 1}: from_start = true" for k in range(len(given.time))]
+    entry = "time.from_start = true"
+    if len(given.time) > 1:
+        entry = f"time = {toml([{**each.model_dump(exclude_defaults=True), 'from_start': True} for each in given.time])}"
     where = ", ".join(str(sheet.path) for sheet in part.sheets)
-    return refusal(where, f"columns have no time in common: {what}. Where each file counts from its own start", *entries)
+    return refusal(where, f"columns have no time in common: {what}. Where each file counts from its own start", entry)
 
 
 def _together(found: Sequence[Samples]) -> dict[str, np.ndarray]:
@@ -219,7 +238,9 @@ def _together(found: Sequence[Samples]) -> dict[str, np.ndarray]:
     lengths = {len(each.values) for each in found if each.column is not None}
     if len(lengths) > 1:
         texts = ", ".join(f"{each.column!r} {len(each.values)}" for each in found if each.column is not None)
-        raise InputError(f"{found[0].sheet.path if found[0].sheet else ''}: columns of different lengths ({texts}); valid: a row an equilibrium")
+        raise InputError(
+            f"{found[0].sheet.path if found[0].sheet else ''}: columns of different lengths ({texts}); valid: a row an equilibrium"
+        )
     rows = lengths.pop() if lengths else 1
     return {each.target: each.values if each.column is not None else np.full(rows, each.values[0]) for each in found}
 
@@ -228,5 +249,3 @@ def filtered(samples: Samples, rate: float | None) -> int:
     """How many steps of the filter's fine grid make one of the data set's; 1 where nothing is filtered."""
     unfiltered = samples.clock is None or samples.wanted.driven or samples.values.dtype.kind == "U" or rate is None
     return 1 if unfiltered or samples.clock is None or rate is None else reduction(samples.clock, rate)
-
-

@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted
+from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted, time_with
 from tepm_opt.data.importing.refusals import lines_of, named, refusal, toml
 from tepm_opt.data.importing.resample import Clock
 from tepm_opt.data.importing.sources import Sheet, optional
@@ -70,7 +70,9 @@ def samples_of(given: ImportMap, wanted: Sequence[Wanted], sheets: Sequence[Shee
         sheet, names = placed[each.place]
         raw = [sheet.columns[name][rows] for name in names]
         numbers = _numbers(each, sheet, names, raw, rows)
-        times = [None if given.static else clock_of(given, each, sheet, name, len(values), rows) for name, values in zip(names, raw, strict=True)]
+        times = [
+            None if given.static else clock_of(given, each, sheet, name, len(values), rows) for name, values in zip(names, raw, strict=True)
+        ]
         _refuse_zeros(each, sheet, names, numbers, rows)
         for target, name, values, timed in zip(each.targets, names, numbers, times, strict=True):
             clock, kept = (None, slice(None)) if timed is None else timed
@@ -90,11 +92,19 @@ def _placed(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tupl
         fitting = [sheet for sheet in sheets if pattern is None or fnmatchcase(sheet.path.name, pattern)]
         if not fitting:
             names = [sheet.path.name for sheet in sheets]
-            raise refusal(sheets[0].path.parent, f"{each.place}.file = {pattern!r} fits none of {', '.join(names)}", f"{each.place}.file = {toml(names[0])}")
+            raise refusal(
+                sheets[0].path.parent,
+                f"{each.place}.file = {pattern!r} fits none of {', '.join(names)}",
+                f"{each.place}.file = {toml(names[0])}",
+            )
         full = [sheet for sheet in fitting if all(sheet.name(column) for column in each.columns)]
         if len(full) > 1:
             names = ", ".join(sheet.path.name for sheet in full)
-            raise refusal(full[0].path, f"{each.place}: {named(each.columns)} in several files of the run: {names}", f"{each.place}.file = {toml(full[0].path.name)}")
+            raise refusal(
+                full[0].path,
+                f"{each.place}: {named(each.columns)} in several files of the run: {names}",
+                f"{each.place}.file = {toml(full[0].path.name)}",
+            )
         if full:
             found[each.place] = (full[0], tuple(str(full[0].name(column)) for column in each.columns))
             continue
@@ -122,13 +132,17 @@ def _refuse_twice(each: Wanted, sheet: Sheet) -> None:
             numbers.append(places[min(counted.get(column, 0), len(places) - 1)])
             counted[column] = counted.get(column, 0) + 1
         else:
-            numbers.append(sheet.order.index(str(column)) + 1 if isinstance(column, str) else column)
+            numbers.append(sheet.order.index(column) + 1 if isinstance(column, str) else column)
     stand = ", ".join(f"{column!r} as {' and '.join(map(str, sheet.twice[str(column)]))}" for column in twice)
-    raise refusal(sheet.path, f"{each.place}: {named(twice)} stand more than once ({stand}): numbers tell them apart", _columns_entry(each, numbers))
+    raise refusal(
+        sheet.path, f"{each.place}: {named(twice)} stand more than once ({stand}): numbers tell them apart", _columns_entry(each, numbers)
+    )
 
 
 def _columns_entry(each: Wanted, columns: Sequence[Name]) -> str:
-    return f"{each.place}.columns = {toml(list(columns))}" if hasattr(each.source, "columns") else f"{each.place}.column = {toml(columns[0])}"
+    return (
+        f"{each.place}.columns = {toml(list(columns))}" if hasattr(each.source, "columns") else f"{each.place}.column = {toml(columns[0])}"
+    )
 
 
 def _nearest(each: Wanted, sheet: Sheet) -> str:
@@ -210,7 +224,7 @@ def _refuse_zeros(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Seq
     zero = np.all(points == 0, axis=1)
     some = (zero.sum(axis=1) > 1) & ~zero.all(axis=1)
     if some.any():
-        concerned = [name for k in np.flatnonzero(some) for name in names[3 * k : 3 * k + 3]]
+        concerned = [name for k in np.flatnonzero(some).tolist() for name in names[3 * k : 3 * k + 3]]
         where = [_line(sheet, int(row), rows) for row in np.flatnonzero(zero[some].any(axis=0))]
         what = f"position: {named(concerned)}: all 0 at times, a code for a lost sample?"
         raise refusal(f"{sheet.path}: {lines_of(where)}", what, f"position.missing = {toml([*each.source.missing, 0])}")
@@ -218,14 +232,18 @@ def _refuse_zeros(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Seq
 
 def _refuse_empty(found: Iterable[Samples], rows: Rows) -> None:
     """Inputs that are empty now and then, where values do not hold."""
-    empty = [s for s in found if s.wanted.needed and s.column is not None and s.values.dtype.kind == "f" and not np.isfinite(s.values).all()]
+    empty = [
+        s for s in found if s.wanted.needed and s.column is not None and s.values.dtype.kind == "f" and not np.isfinite(s.values).all()
+    ]
     if of_hold := [s for s in empty if s.wanted.source.between == "hold" and not np.isfinite(s.values).any()]:
         raise InputError(f"{of_hold[0].sheet.path if of_hold[0].sheet else ''}: {named(s.column for s in of_hold)}: empty in all rows")
     empty = [s for s in empty if s.wanted.source.between != "hold"]
     if empty:
         sheet = empty[0].sheet
         assert sheet is not None
-        where = [_line(sheet, int(row), rows) for row in sorted({int(row) for s in empty for row in np.flatnonzero(~np.isfinite(s.values))})]
+        where = [
+            _line(sheet, int(row), rows) for row in sorted({int(row) for s in empty for row in np.flatnonzero(~np.isfinite(s.values))})
+        ]
         entries = [f'{place}.between = "hold"' for place in dict.fromkeys(s.wanted.place for s in empty)]
         what = f"{named(s.column for s in empty)}: empty; what was put in must be known. Where an empty field means the value before"
         raise refusal(f"{sheet.path}: {lines_of(where)}", what, *entries)
@@ -265,8 +283,8 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     if (stands := np.flatnonzero(steps == 0) + 1).size:
         if entry.repeated is None:
             where = [_line(sheet, int(kept[row]), rows) for row in stands]
-            table = "time" if given.time == [] or len(given.time) == 1 else f"time entry {given.time.index(entry) + 1}"
-            raise refusal(f"{sheet.path}: {lines_of(where)}", f"column {own!r} (time) repeats itself", f'{table}.repeated = "first"')
+            mended = time_with(given, entry, repeated="first")
+            raise refusal(f"{sheet.path}: {lines_of(where)}", f"column {own!r} (time) repeats itself", mended)
         drop = stands if entry.repeated == "first" else stands - 1
         kept = np.delete(kept, drop)
     if len(kept) < 2:
@@ -297,7 +315,11 @@ def seconds(given: ImportMap, sheet: Sheet, name: str, entry: TimeMap) -> np.nda
         pandas = optional("pandas", f"{sheet.path}: dates")
         found = pandas.to_datetime(pandas.Series([str(value) for value in values]), errors="coerce", format="ISO8601", utc=True)
         if found.isna().all():
-            raise refusal(sheet.path, f"column {name!r} (time) holds no date and time such as 2026-11-20T10:00:00.02, but {values[0]!r}", 'time.unit = "s"')
+            raise refusal(
+                sheet.path,
+                f"column {name!r} (time) holds no date and time such as 2026-11-20T10:00:00.02, but {values[0]!r}",
+                time_with(given, entry, unit="s"),
+            )
         return _instants(found.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]"))
     if values.dtype.kind in "iu":
         one = factor(entry.unit, "time")
@@ -310,7 +332,7 @@ def seconds(given: ImportMap, sheet: Sheet, name: str, entry: TimeMap) -> np.nda
         where = [sheet.line(int(row)) for row in wrong]
         text = str(values[wrong[0]])
         date = re.match(r"\d{4}-\d\d-\d\d", text)
-        entry_ = 'time.unit = "iso"' if date else 'csv.decimal = ","' if COMMA.fullmatch(text) else ""
+        entry_ = time_with(given, entry, unit=ISO) if date else 'csv.decimal = ","' if COMMA.fullmatch(text) else ""
         raise refusal(f"{sheet.path}: {lines_of(where)}", f"column {name!r} (time): {text!r} is no number", entry_)
     return parsed * factor(entry.unit, "time")
 
@@ -324,10 +346,10 @@ def _no_time(given: ImportMap, sheet: Sheet, column: Name | None) -> InputError:
     from tepm_opt.data.importing.guess import time_column
 
     found = time_column(sheet)
-    entry = "" if found is None else f"time.column = {toml(found)}"
+    entry = "" if found is None else time_with(given, time_map(given, sheet), column=found)
     if column is None:
         what = f"no time in the map for the columns of this file; found: {', '.join(sheet.order)}"
-        return refusal(sheet.path, what, entry or "time.rate_hz = 100")
+        return refusal(sheet.path, what, entry or time_with(given, time_map(given, sheet), rate_hz=100))
     return refusal(sheet.path, f"time: no {named([column])}; found: {', '.join(sheet.order)}", entry)
 
 
@@ -341,5 +363,3 @@ def _other_rows(each: Wanted, sheet: Sheet, name: str, own: str) -> InputError:
 
 def _increases(values: np.ndarray) -> bool:
     return values.dtype.kind in "iufM" and len(values) > 1 and bool(np.all(np.diff(values.astype(float)) > 0))
-
-

@@ -65,13 +65,15 @@ def text_lines(path: Path, encoding: str) -> list[str]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except LookupError as error:
-        raise refusal(path, f"csv.encoding = {encoding!r} is no encoding; valid: utf-8, latin-1, utf-16 …", 'csv.encoding = "utf-8"') from error
+        raise refusal(
+            path, f"csv.encoding = {encoding!r} is no encoding; valid: utf-8, latin-1, utf-16 …", 'csv.encoding = "utf-8"'
+        ) from error
     except UnicodeError as error:
         raw = path.read_bytes()
         wide = raw[:2] in (b"\xff\xfe", b"\xfe\xff")
         at = getattr(error, "start", 0)
         line = raw[:at].count(b"\n") + 1
-        around = raw.splitlines()[line - 1].decode("latin-1").strip()[:60] if not wide else ""
+        around = raw[max(at - 20, raw.rfind(b"\n", 0, at) + 1) : at + 20].split(b"\n")[0].decode("latin-1").strip() if not wide else ""
         what = f"is not {encoding}" + (f": line {line}: {around!r}" if around else "")
         raise refusal(path, what, f"csv.encoding = {toml('utf-16' if wide else 'latin-1')}") from error
     lines = text.splitlines()
@@ -104,7 +106,8 @@ def text_columns(path: Path, form: Format, pandas: Any) -> TextColumns:
         fields = fields_of(lines[wrong[0] - 1], separator)
         if len(wrong) > len(body) // 2:
             shape.refuse_commas(names, wrong[0], len(fields))
-        raise InputError(f"{path}: line {wrong[0]}: {len(fields)} fields for {count} columns ({', '.join(names[:3])} …); mend or remove {len(wrong)} such line(s)")
+        what = f"line {wrong[0]}: {len(fields)} fields for {count} columns ({', '.join(names)})"
+        raise InputError(f"{path}: {what}; mend or remove such lines, {len(wrong)} in all")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of columns that hold text here and numbers there
         frame = pandas.read_csv(
@@ -210,4 +213,5 @@ class _Shape:
         """Refuse rows with about twice as many fields as columns: decimal commas between commas."""
         if self.separator == "," and fields in (2 * len(names), 2 * len(names) - 1):
             what = f"line {number}: {fields} fields for {len(names)} columns ({', '.join(names)}): decimal commas between separating commas"
-            raise InputError(f"{self.path}: {what}; export with another separator, such as ';', then put into the map: csv = {{ separator = \";\", decimal = \",\" }}")
+            mended = 'csv = { separator = ";", decimal = "," }'
+            raise refusal(self.path, f"{what}; export with another separator, such as ';'", mended)

@@ -12,7 +12,8 @@ from tepm_opt.errors import InputError
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": minute},
     "pressure": {
-        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e-3 * bar, "bar": bar, "psi": psi, "atm": atm, "mmHg": torr, "kgf/cm2": 1e4 * kgf,
+        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e-3 * bar, "bar": bar, "psi": psi, "atm": atm, "mmHg": torr,
+        "kgf/cm2": 1e4 * kgf,
     },
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 1e-3 * kgf, "kgf": kgf, "lbf": lbf},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": inch, "ft": 12 * inch},
