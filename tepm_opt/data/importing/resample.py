@@ -51,10 +51,13 @@ class Clock:
 
     @property
     def own_rate(self) -> float:
-        """A rate in Hz for a grid: the samples' own to six digits where they are regular, else to three."""
+        """A rate in Hz for a grid: the samples' own in as few digits as keep step with them, of irregular ones three digits."""
         if self.jitter > 0.01 or self.gaps.size:
             return float(f"{self.rate:.3g}")
-        return float(f"{(len(self.time) - 1) / (self.time[-1] - self.time[0]):.6g}")
+        steps = len(self.time) - 1
+        exact = steps / float(self.time[-1] - self.time[0])
+        rounded = (float(f"{exact:.{digits}g}") for digits in range(3, 17))
+        return next(rate for rate in rounded if abs(rate / exact - 1) * steps < CLOSE)
 
 
 def grid_of(start: float, end: float, rate: float) -> np.ndarray:
@@ -105,14 +108,20 @@ def measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) ->
         elif steps == 1:
             found[rows] = _curve(time, part, grid[rows])
         else:
-            fine = grid[first] + np.arange((last - first - 1) * steps + 1) / (rate * steps)
-            # before the first and behind the last grid point samples of the stretch go on: take them along
-            before = int(np.floor((fine[0] - time[0]) * rate * steps + CLOSE)) // steps * steps
-            behind = int(np.floor((time[-1] - fine[-1]) * rate * steps + CLOSE))
-            fine = grid[first] + np.arange(-before, len(fine) + max(behind, 0)) / (rate * steps)
-            slow = resample_poly(_curve(time, part, fine), 1, steps, window=taps(steps), padtype="antireflect")
-            found[rows] = slow[before // steps :][: last - first]
+            # the stretch may go on before the first of its rows and behind the last: the filter takes that along
+            before = int(np.floor((grid[first] - time[0]) * rate * steps + CLOSE))
+            behind = int(np.floor((time[-1] - grid[last - 1]) * rate * steps + CLOSE))
+            fine = grid[first] + np.arange(-before, (last - first - 1) * steps + behind + 1) / (rate * steps)
+            found[rows] = _filtered(_curve(time, part, fine), steps, before)[: last - first]
     return found
+
+
+def _filtered(fine: np.ndarray, steps: int, first: int) -> np.ndarray:
+    """Every so many steps of a fine grid through the filter, from the row `first` on; the ends go on mirrored through their last values."""
+    beyond = steps * -(-(len(taps(steps)) // 2) // steps)
+    beyond += -(first + beyond) % steps
+    whole = np.pad(fine, beyond, mode="reflect", reflect_type="odd")
+    return resample_poly(whole, 1, steps, window=taps(steps))[(first + beyond) // steps :]
 
 
 def _stretches(time: np.ndarray, values: np.ndarray, longest: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
