@@ -21,6 +21,7 @@ from tepm_opt.data.importing.guess import guess_map, orientations, triples
 from tepm_opt.data.importing.maps import ImportMap, Wanted, read_map, wanted
 from tepm_opt.data.importing.plausible import left_out, notes_of, refuse_implausible
 from tepm_opt.data.importing.refusals import key, refusal, toml
+from tepm_opt.data.importing.resample import GAP
 from tepm_opt.data.importing.runs import ImportedRun, filtered, imported, parts_of, rate_of, roles_of
 from tepm_opt.data.importing.samples import samples_of, time_map
 from tepm_opt.data.importing.sources import Sheet, read_sheet
@@ -33,6 +34,7 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 
 LOG = "import.json"
+UNKNOWN = 0.5  # s without samples in which inputs may have been anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,6 +259,7 @@ def _notes(
             found.append(
                 f"{run.file}: {before:.3g} s at its start and {behind:.3g} s at its end left out: not all columns have samples there"
             )
+        found += _unknown(run)
     unused, turned = {}, []
     for sheet in sheets:
         used = {sheet.name(column) for each in asked for column in each.columns} | {
@@ -267,6 +270,21 @@ def _notes(
         unused[sheet.path.name] = [name for name in sheet.order if name not in used]
         turned += orientations(sheet)
     return found + left_out(unused, turned)
+
+
+def _unknown(run: ImportedRun) -> list[str]:
+    """Words about inputs that changed while nobody recorded them."""
+    found: dict[str, float] = {}
+    for each in run.samples:
+        if each.clock is None or not each.wanted.driven or each.wanted.source.between == "hold":
+            continue
+        steps, changed = np.diff(each.clock.time), np.diff(each.values) != 0
+        if (long := (steps >= max(UNKNOWN, GAP * each.clock.step)) & changed).any():
+            found[each.wanted.place] = max(found.get(each.wanted.place, 0.0), float(steps[long].max()))
+    return [
+        f"{run.file}: {place} changes within gaps of up to {gap:.2g} s, nobody knows how: straight lines there"
+        for place, gap in found.items()
+    ]
 
 
 def _description(given: ImportMap, runs: Sequence[ImportedRun], folder: str) -> str:

@@ -13,6 +13,7 @@ from tepm_opt.jobs.import_data import ImportRun
 from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
 
 MOST = 3  # runs that are drawn
+WIDE = 4.0  # times the usual step, from which on steps are drawn on a logarithmic scale
 SCALES = {"pressure": (1e-3, "kPa"), "force": (1.0, "N"), "length": (1e3, "mm")}
 COLOURS = (PRESSURE, TENSION, REACHED)
 STYLES = ("-", "--", ":", "-.")
@@ -32,9 +33,9 @@ def preview_figure(run: ImportRun) -> Figure:
     grid = np.asarray(figure.subplots(count, len(shown), squeeze=False, sharex="col" if timed else False))
     for column, each in enumerate(shown):
         for row, panel in enumerate(panels):
-            _values(grid[row, column], each, panel, timed, last=column == len(shown) - 1)
+            _values(grid[row, column], each, panel, timed, (column == 0, column == len(shown) - 1))
         if timed:
-            _steps(grid[-1, column], each)
+            _steps(grid[-1, column], each, first=column == 0)
         grid[0, column].set_title(f"{each.file} ({each.role}), {each.rows} rows", fontsize=10)
         grid[-1, column].set_xlabel("time in s" if timed else "row")
         grid[-1, column].set_xlim(left=0)
@@ -45,7 +46,7 @@ def preview_figure(run: ImportRun) -> Figure:
     return figure
 
 
-def _values(axes: Axes, run: ImportedRun, panel: str, timed: bool, last: bool) -> None:
+def _values(axes: Axes, run: ImportedRun, panel: str, timed: bool, outer: tuple[bool, bool]) -> None:
     own = [s for s in run.samples if s.column is not None and s.values.dtype.kind == "f" and s.wanted.place.partition(".")[0] == panel]
     if panel == "position":
         own = own[-3:]  # of the last point, as it moves away from its first row
@@ -60,9 +61,9 @@ def _values(axes: Axes, run: ImportedRun, panel: str, timed: bool, last: bool) -
         # of the files' axes, as the dots are: the frame is turned later
         axes.plot(time, scale * (run.columns[each.target] - zero), style, marker=marker, color=colour, linewidth=1.1, label=_label(each))
     name = "from the first\nrow on" if panel == "position" else panel
-    axes.set_ylabel(f"{name}\nin {unit}" if unit else name)
+    axes.set_ylabel((f"{name}\nin {unit}" if unit else name) if outer[0] else "")
     axes.grid(alpha=0.3)
-    if last and own:
+    if outer[1] and own:
         axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
 
 
@@ -71,7 +72,7 @@ def _label(each: Samples) -> str:
     return each.target if "." in each.wanted.place else each.target.rpartition("_")[0].replace("pressure_", "").replace("tension_", "")
 
 
-def _steps(axes: Axes, run: ImportedRun) -> None:
+def _steps(axes: Axes, run: ImportedRun, first: bool) -> None:
     """Steps between samples of each clock, so that jitter and gaps are seen."""
     clocks = {}
     for each in run.samples:
@@ -80,7 +81,7 @@ def _steps(axes: Axes, run: ImportedRun) -> None:
     for k, (each, clock) in enumerate(clocks.values()):
         steps = 1e3 * np.diff(clock.time)
         wide = steps > 1.9e3 * clock.step
-        name = each.wanted.place if len(clocks) > 1 else "steps"
+        name = each.wanted.place if len(clocks) > 1 else None
         axes.plot(clock.time[1:][~wide] - run.start, steps[~wide], ".", markersize=2.5, color=(TARGET, *COLOURS)[k % 4], label=name)
         axes.plot(
             clock.time[1:][wide] - run.start,
@@ -90,8 +91,12 @@ def _steps(axes: Axes, run: ImportedRun) -> None:
             color=MISSED,
             label=f"{wide.sum()} gaps" if wide.any() else None,
         )
-    axes.set_ylim(0, 1.2 * max((float(1e3 * np.diff(clock.time).max()) for _, clock in clocks.values()), default=1.0))
-    axes.set_ylabel("step between\nsamples in ms")
+    longest = max((float(1e3 * np.diff(clock.time).max()) for _, clock in clocks.values()), default=1.0)
+    if longest > WIDE * max((1e3 * clock.step for _, clock in clocks.values()), default=1.0):
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(0, 1.2 * longest)
+    axes.set_ylabel("step between\nsamples in ms" if first else "")
     axes.grid(alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=7, loc="lower right")
+        axes.legend(fontsize=7, loc="best")

@@ -43,8 +43,27 @@ def _rises(values: np.ndarray) -> bool:
 
 
 def orientations(sheet: Sheet) -> list[str]:
-    """Columns whose names say that they hold quaternions, rotation matrices or angles of turning."""
-    return [name for name in sheet.order if _TURN.fullmatch(name) and not _TIME.fullmatch(name)]
+    """Columns that hold quaternions, rotation matrices or angles of turning: by their names, or by values that nothing else has."""
+    found = {name for name in sheet.order if _TURN.fullmatch(name) and not _TIME.fullmatch(name)}
+    for count, is_turn in ((4, _quaternion), (9, _rotation)):
+        for k in range(len(sheet.order) - count + 1):
+            names = sheet.order[k : k + count]
+            values = [sheet.columns[name] for name in names]
+            if len({len(each) for each in values}) == 1 and all(each.dtype.kind == "f" for each in values) and is_turn(np.array(values)):
+                found |= set(names)
+    return [name for name in sheet.order if name in found]
+
+
+def _quaternion(values: np.ndarray) -> bool:
+    """Whether rows (4, rows) all have the length 1."""
+    values = values[:, np.isfinite(values).all(axis=0)]
+    return values.shape[1] > 1 and bool(np.allclose((values**2).sum(axis=0), 1, atol=3e-5))
+
+
+def _rotation(values: np.ndarray) -> bool:
+    """Whether rows (9, rows) are all rotation matrices."""
+    matrices = values[:, np.isfinite(values).all(axis=0)].T.reshape(-1, 3, 3)
+    return len(matrices) > 1 and bool(np.allclose(matrices @ matrices.transpose(0, 2, 1), np.eye(3), atol=1e-3))
 
 
 def open_sheet(path: Path) -> tuple[Sheet, Format]:
