@@ -260,6 +260,8 @@ def _notes(
                 f"{run.file}: {before:.3g} s at its start and {behind:.3g} s at its end left out: not all columns have samples there"
             )
         found += _unknown(run)
+        for file, dropped in {s.sheet.path.name: s.dropped for s in run.samples if s.sheet is not None and s.dropped}.items():
+            found.append(f"{run.file}: {dropped} rows of {file} left out: no time, or that of another row")
     unused, turned = {}, []
     for sheet in sheets:
         used = {sheet.name(column) for each in asked for column in each.columns} | {

@@ -11,6 +11,7 @@ import numpy as np
 from tepm_opt.errors import InputError
 
 TIME = "time"  # of a topic: when its messages were written
+LONGEST = 256  # numbers in a list; what is longer is a picture
 
 
 def bag_columns(path: Path, highlevel: Any) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -28,10 +29,17 @@ def bag_columns(path: Path, highlevel: Any) -> tuple[dict[str, np.ndarray], dict
     from rosbags.typesys import Stores, get_typestore
 
     rows: dict[str, list[dict[str, float]]] = {}
+    foreign: set[str] = set()  # topics of types that the bag does not describe
     try:
         with highlevel.AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             for connection, stamp, raw in reader.messages():
-                message = reader.deserialize(raw, connection.msgtype)
+                if connection.topic in foreign:
+                    continue
+                try:
+                    message = reader.deserialize(raw, connection.msgtype)
+                except Exception:
+                    foreign.add(connection.topic)
+                    continue
                 rows.setdefault(connection.topic, []).append({TIME: stamp // 10**9 + stamp % 10**9 / 1e9, **dict(_fields(message))})
     except Exception as error:  # a library's readers raise whatever damaged bytes make them
         raise InputError(f"{path}: is not a ROS bag that can be read: {' '.join(str(error).split())[:120]}") from error
@@ -42,7 +50,8 @@ def bag_columns(path: Path, highlevel: Any) -> tuple[dict[str, np.ndarray], dict
             columns[f"{topic}/{name}"] = np.array([message.get(name, np.nan) for message in messages])
             clocks[f"{topic}/{name}"] = f"{topic}/{TIME}"
     if not columns:
-        raise InputError(f"{path}: holds no messages with numbers")
+        unknown = f"; messages of unknown types: {', '.join(sorted(foreign))}" if foreign else ""
+        raise InputError(f"{path}: holds no messages with numbers{unknown}")
     return columns, clocks
 
 
@@ -58,6 +67,8 @@ def _fields(message: Any, before: str = "") -> Iterator[tuple[str, float]]:
         if isinstance(value, bool | int | float | np.number):
             yield place, float(value)
         elif isinstance(value, list | np.ndarray):
+            if len(value) > LONGEST:
+                continue
             for k, each in enumerate(value):
                 yield from (
                     [(f"{place}/{k + 1}", float(each))] if isinstance(each, int | float | np.number) else _fields(each, f"{place}/{k + 1}/")

@@ -204,6 +204,12 @@ class Wanted:
         return factor(self.source.unit, self.dimension)
 
 
+def fits(pattern: str, name: str) -> tuple[str, ...] | None:
+    """What stands for each `*` of a pattern in a file's name; None where it does not fit."""
+    found = re.fullmatch("(.*)".join(map(re.escape, pattern.split("*"))), name)
+    return None if found is None else found.groups()
+
+
 def time_with(given: ImportMap, entry: TimeMap, **changed: Any) -> str:
     """The line of TOML that changes an entry of time: its keys, or all entries where there are several."""
     if len(given.time) < 2:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase, translate
+from fnmatch import fnmatchcase
 
 import numpy as np
 
 from tepm_opt.data.channels import TIME
-from tepm_opt.data.importing.maps import ImportMap, Wanted, time_with
+from tepm_opt.data.importing.maps import ImportMap, Wanted, fits, time_with
 from tepm_opt.data.importing.refusals import refusal, toml
 from tepm_opt.data.importing.resample import commanded, grid_of, measured, reduction
 from tepm_opt.data.importing.samples import Samples, time_map
@@ -79,14 +79,14 @@ def parts_of(given: ImportMap, sheets: Sequence[Sheet], wanted: Sequence[Wanted]
         if not patterns:
             grouped.setdefault(sheet.path.stem, []).append(sheet)
             continue
-        fitting = [found for pattern in patterns if (found := re.match(translate(pattern).replace(".*", "(.*)"), name))]
+        fitting = [found for pattern in patterns if (found := fits(pattern, name)) is not None]
         if not fitting:
             raise refusal(
                 sheet.path,
                 f"fits none of the map's patterns {', '.join(patterns)}; leave it out, or give its entry the pattern",
                 f"position.file = {toml(_pattern(name))}",
             )
-        grouped.setdefault("".join(fitting[0].groups()).strip("_- .") or "run", []).append(sheet)
+        grouped.setdefault("".join(fitting[0]).strip("_- .") or "run", []).append(sheet)
     if not patterns and (twice := [name for name, found in grouped.items() if len(found) > 1]):
         raise InputError(
             f"{', '.join(str(s.path) for s in grouped[twice[0]])}: would both become {twice[0]}.csv; valid: files of different names"

@@ -6,11 +6,10 @@ import difflib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 
 import numpy as np
 
-from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted, time_with
+from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted, fits, time_with
 from tepm_opt.data.importing.refusals import lines_of, named, refusal, toml
 from tepm_opt.data.importing.resample import Clock
 from tepm_opt.data.importing.sources import Sheet, optional
@@ -31,6 +30,7 @@ class Samples:
         sheet: the file; None where its value is constant.
         clock: times of the samples in s; None in equilibria and where the value is constant.
         values: (rows,) in SI, or text; one value where it is constant.
+        dropped: rows of the file that have no time, or that of another row.
     """
 
     wanted: Wanted
@@ -39,6 +39,7 @@ class Samples:
     sheet: Sheet | None
     clock: Clock | None
     values: np.ndarray
+    dropped: int = 0
 
     def __repr__(self) -> str:
         return f"Samples({self.target}: {len(self.values)} of {self.column!r})"
@@ -75,9 +76,9 @@ def samples_of(given: ImportMap, wanted: Sequence[Wanted], sheets: Sequence[Shee
         ]
         _refuse_zeros(each, sheet, names, numbers, rows)
         for target, name, values, timed in zip(each.targets, names, numbers, times, strict=True):
-            clock, kept = (None, slice(None)) if timed is None else timed
+            clock, kept = (None, np.arange(len(values))) if timed is None else timed
             scaled = values if values.dtype.kind == "U" else each.si * (each.source.scale * values + each.source.offset)
-            found.append(Samples(each, target, name, sheet, clock, scaled[kept]))
+            found.append(Samples(each, target, name, sheet, clock, scaled[kept], len(values) - len(kept)))
     _refuse_empty(found, rows)
     return found
 
@@ -89,14 +90,11 @@ def _placed(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tupl
         if not each.columns:
             continue
         pattern = each.source.file
-        fitting = [sheet for sheet in sheets if pattern is None or fnmatchcase(sheet.path.name, pattern)]
+        fitting = [sheet for sheet in sheets if pattern is None or fits(pattern, sheet.path.name) is not None]
         if not fitting:
-            names = [sheet.path.name for sheet in sheets]
-            raise refusal(
-                sheets[0].path.parent,
-                f"{each.place}.file = {pattern!r} fits none of {', '.join(names)}",
-                f"{each.place}.file = {toml(names[0])}",
-            )
+            names = ", ".join(sheet.path.name for sheet in sheets)
+            what = f"{each.place}.file = {pattern!r} fits none of a run's files, {names}; valid: all files of each run"
+            raise InputError(f"{sheets[0].path.parent}: {what}")
         full = [sheet for sheet in fitting if all(sheet.name(column) for column in each.columns)]
         if len(full) > 1:
             names = ", ".join(sheet.path.name for sheet in full)
@@ -278,8 +276,10 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     if (back := np.flatnonzero(steps < 0) + 1).size:
         where = [_line(sheet, int(kept[row]), rows) for row in back]
         first = int(back[0])
-        what = f"column {own!r} (time) goes back from {time[kept[first - 1]]:g} to {time[kept[first]]:g} s; where a new run begins there"
-        raise refusal(f"{sheet.path}: {lines_of(where)}", what, f"split = {toml(own)}")
+        what = f"column {own!r} (time) goes back from {time[kept[first - 1]]:g} to {time[kept[first]]:g} s"
+        if np.any(time[kept[back]] > (time[kept[0]] + time[kept[back - 1]]) / 2):  # not to the start
+            raise InputError(f"{sheet.path}: {lines_of(where)}: {what}; valid: rows in the order of time")
+        raise refusal(f"{sheet.path}: {lines_of(where)}", f"{what}; where a new run begins there", f"split = {toml(own)}")
     if (stands := np.flatnonzero(steps == 0) + 1).size:
         if entry.repeated is None:
             where = [_line(sheet, int(kept[row]), rows) for row in stands]
@@ -295,13 +295,19 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
 
 def time_map(given: ImportMap, sheet: Sheet) -> TimeMap:
     """The entry of the map for the time of a file."""
-    own = [each for each in given.time if each.file is not None and fnmatchcase(sheet.path.name, each.file)]
+    own = [each for each in given.time if each.file is not None and fits(each.file, sheet.path.name) is not None]
     rest = [each for each in given.time if each.file is None]
     return next(iter(own + rest), TimeMap())
 
 
 def seconds(given: ImportMap, sheet: Sheet, name: str, entry: TimeMap) -> np.ndarray:
     """A column of times in s, (rows,); NaN where it is empty.
+
+    Args:
+        given: the map.
+        sheet: the file.
+        name: of the column.
+        entry: of the map, for this file's time.
 
     Raises:
         InputError: text that is no time; names the entry that mends it.

@@ -334,7 +334,7 @@ def _bag(folder: Path, storage: str) -> Path:
         commands = np.array([signals(slow)[n] for n in COMMANDS]).T
         places = np.array([signals(fast)[n] for n in PLACES]).T.reshape(-1, len(POINTS), 3).tolist()
         for moment, values in zip(slow, commands, strict=True):
-            message = array(layout=layout_of(dim=[], data_offset=0), data=values)
+            message = array(layout=layout_of(dim=[], data_offset=0), data=values.copy())
             bag.write(valves, origin + round(1e9 * moment), store.serialize_cdr(message, array.__msgtype__))
         for moment, at in zip(fast, places, strict=True):
             when = origin + round(1e9 * moment)
