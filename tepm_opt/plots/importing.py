@@ -12,6 +12,7 @@ from tepm_opt.data.importing.samples import Samples
 from tepm_opt.jobs.import_data import ImportRun
 from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
 
+NAMED = 12  # lines that a legend names
 MOST = 3  # runs that are drawn
 WIDE = 4.0  # times the usual step, from which on steps are drawn on a logarithmic scale
 SCALES = {"pressure": (1e-3, "kPa"), "force": (1.0, "N"), "length": (1e3, "mm")}
@@ -63,7 +64,7 @@ def _values(axes: Axes, run: ImportedRun, panel: str, timed: bool, outer: tuple[
     name = "from the first\nrow on" if panel == "position" else panel
     axes.set_ylabel((f"{name}\nin {unit}" if unit else name) if outer[0] else "")
     axes.grid(alpha=0.3)
-    if outer[1] and own:
+    if outer[1] and 0 < len(own) <= NAMED:
         axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
 
 

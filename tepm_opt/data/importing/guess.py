@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.importing.maps import Format
 from tepm_opt.data.importing.refusals import PUT, toml
 from tepm_opt.data.importing.sources import TEXT, Sheet, read_sheet
-from tepm_opt.data.importing.units import UNITS
+from tepm_opt.data.importing.units import UNITS, USUAL, likely
 from tepm_opt.errors import InputError
 
 _TIME = re.compile(r"(?:.*[/._])?(?:t|time|timestamp|stamp|seconds?|zeit|datetime)(?:[ _(\[/]*(s|ms|us|µs|ns|sec|min)?[)\]]*)", re.I)
@@ -21,10 +21,9 @@ _TURN = re.compile(
     re.I,
 )
 _UNIT = re.compile(r"[ _(\[/]([A-Za-zµ]+)[)\]]?$")
-_PRESSURE = re.compile(
-    r"(?:.*[/._ -])?(?:p|pressure|druck|valve|muscle|regulator|cmd_?p|p_?cmd)[ _/]*(?:(?:data|set|cmd|des)[/_ ]?)?\d", re.I
-)
-_TENSION = re.compile(r"(?:.*[/._ -])?(?:tension|tendon|cable|wire|lambda|load_?cell|f|t)[ _/]*\d", re.I)
+_PRESSURE = re.compile(r"(?:.*[/._ -])?(?:pressures?|druck|valves?|muscles?|regulators?|p)(?![a-z]).*\d.*", re.I)
+_TENSION = re.compile(r"(?:.*[/._ -])?(?:tensions?|tendons?|cables?|wires?|lambda|load_?cells?|f|t)(?![a-z]).*\d.*", re.I)
+_PLACE = re.compile(r"(.*(?:pos|place|marker|point|tip|xyz)[a-z]*[/._])(\d+)", re.I)
 _AXIS = re.compile(r"(?<![A-Za-z])([xyz])(?![A-Za-z])", re.I)
 
 
@@ -102,7 +101,7 @@ def guess_map(paths: Sequence[Path], channels: Channels, robot: str) -> str:
         sheet = read_sheet(paths[0], form)
     used: set[str] = set()
     lines = [
-        f"# A guess by the columns of {paths[0].name}: look at every line, then: tepm data import FILE … --map FILE --preview",
+        f"# A guess by the columns of {paths[0].name}: look at every line, then: tepm data import FILE… --map MAP --preview look.png",
         f"robot = {toml(robot)}",
     ]
     given = form.model_dump(exclude_defaults=True)
@@ -121,21 +120,26 @@ def guess_map(paths: Sequence[Path], channels: Channels, robot: str) -> str:
     points = triples(free)
     measured = [name for name in free if re.search(r"meas|sens|actual|fb|_m\d|ist", name, re.I)]
     flat = [name for names in points for name in names]
+    limits = {"pressure": channels.pressure_max, "tension": channels.tension_max, "position": 3.0}
     for place, pattern, dimension in (("pressure", _PRESSURE, "pressure"), ("tension", _TENSION, "force")):
         names = [name for name in free if pattern.match(name) and name not in measured and name not in flat and name not in used][
             : len(channels.actuators)
         ]
         used |= set(names)
-        lines.append(_entry(place, names, channels.actuators, dimension, sheet) if names else f"# {place}: none found, taken as 0")
+        lines.append(
+            _entry(place, names, channels.actuators, dimension, sheet, limits[place]) if names else f"# {place}: none found, taken as 0"
+        )
     points = points[-len(channels.points) :]
     used |= {name for names in points for name in names}
     lines.append(
-        _entry("position", [n for names in points for n in names], channels.points, "length", sheet, 3)
+        _entry("position", [n for names in points for n in names], channels.points, "length", sheet, limits["position"])
         if points
         else "# position = { columns = … }: no x, y, z found"
     )
     if rest := [name for name in sheet.order if name not in used]:
         lines.append(f"# not in this map: {', '.join(rest)}")
+    if others := [path.name for path in paths[1:] if open_sheet(path)[0].order != sheet.order]:
+        lines.append(f"# other columns, which are not in this map: {', '.join(others)}")
     return "\n".join(lines) + "\n"
 
 
@@ -150,12 +154,22 @@ def triples(names: Iterable[str]) -> list[tuple[str, str, str]]:
         if (found := list(_AXIS.finditer(name.replace("_", " ")))) or (found := list(re.finditer(r"([xyz])(?=\d*$)", name, re.I))):
             axis = found[-1]
             groups.setdefault(name[: axis.start(1)] + "*" + name[axis.end(1) :], {})[axis[1].lower()] = name
-    return [(found["x"], found["y"], found["z"]) for found in groups.values() if len(found) == 3]
+    found = [(each["x"], each["y"], each["z"]) for each in groups.values() if len(each) == 3]
+    return found or _columns_of_matrix(names)
 
 
-def _entry(place: str, names: Sequence[str], valid: Sequence[str], dimension: str, sheet: Sheet, each: int = 1) -> str:
-    keys = {"columns": list(names), "unit": _unit(names[0], dimension, sheet)}
-    count = len(names) // each
+def _columns_of_matrix(names: Iterable[str]) -> list[tuple[str, str, str]]:
+    """Columns of a matrix of positions, three a point: `pos_1`, `pos_2` …"""
+    matrices: dict[str, list[str]] = {}
+    for name in names:
+        if found := _PLACE.fullmatch(name):
+            matrices.setdefault(found[1], []).append(name)
+    return [(each[k], each[k + 1], each[k + 2]) for each in matrices.values() if len(each) % 3 == 0 for k in range(0, len(each), 3)]
+
+
+def _entry(place: str, names: Sequence[str], valid: Sequence[str], dimension: str, sheet: Sheet, limit: float) -> str:
+    keys = {"columns": list(names), "unit": _unit(names, dimension, sheet, limit)}
+    count = len(names) // (3 if place == "position" else 1)
     if count < len(valid):
         keys |= {"of": list(valid[-count:] if place == "position" else valid[:count])}
     return f"{place} = {toml(keys)}"
@@ -172,16 +186,14 @@ def _time_unit(sheet: Sheet, name: str) -> str:
     return next((unit for unit, one in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if step * one < 1.0), "ns")
 
 
-def _unit(name: str, dimension: str, sheet: Sheet) -> str:
-    """The unit that the name ends with, else the one that makes the values plausible."""
-    units: Mapping[str, float] = UNITS[dimension]
+def _unit(names: Sequence[str], dimension: str, sheet: Sheet, limit: float) -> str:
+    """The unit that the first name ends with, else the usual one that fits the robot's limit (positions: 3 m)."""
+    units = UNITS[dimension]
     alike = {unit.lower(): unit for unit in reversed(list(units))}
-    if (found := _UNIT.search(name)) and found[1].lower() in alike:
+    if (found := _UNIT.search(names[0])) and found[1].lower() in alike:
         return alike[found[1].lower()]
-    values = sheet.columns[name]
-    largest = float(np.nanmax(np.abs(values.astype(float)), initial=0.0)) if values.dtype.kind in "iuf" else 0.0
+    values = [sheet.columns[name].astype(float) for name in names if sheet.columns[name].dtype.kind in "iuf"]
+    largest = max((float(np.nanmax(np.abs(each), initial=0.0)) for each in values), default=0.0)
     if dimension == "length":
-        return "m" if largest < 3 else "mm"
-    if dimension == "pressure":
-        return "bar" if largest < 10 else "psi" if largest < 50 else "kPa" if largest < 2000 else "Pa"
-    return "N"
+        return "m" if largest < limit else "mm"
+    return likely(largest, limit, dimension) or USUAL[dimension][0]

@@ -248,7 +248,9 @@ def wanted(given: ImportMap, channels: Channels | None, where: str) -> list[Want
             factor(each.source.unit, each.dimension)
         except InputError as error:
             raise refusal(
-                where, f"{each.place}: {error}", f"{each.place}.unit = {toml(nearest(each.source.unit, each.dimension))}"
+                where,
+                f"{each.place}: {error}",
+                f"{each.place}.unit = {toml(nearest(each.source.unit, each.dimension) if each.dimension else '')}",
             ) from error
     for time in given.time:
         if time.unit != ISO:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import permutations, product
+from operator import eq
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.importing.maps import QUANTITIES, Frame, ImportMap, Wanted
 from tepm_opt.data.importing.refusals import named, refusal, toml
 from tepm_opt.data.importing.runs import ImportedRun
-from tepm_opt.data.importing.units import UNITS
+from tepm_opt.data.importing.units import UNITS, USUAL, likely
 from tepm_opt.data.setpoints import AXES
 
 FAR, NEAR = 8.0, 0.02  # times the distance from the base that the robot's size lets expect, as the checks of data sets have it
@@ -48,12 +49,6 @@ def _where(run: ImportedRun, each: Wanted) -> str:
     return ", ".join(dict.fromkeys(str(s.sheet.path) for s in run.samples if s.wanted.place == each.place and s.sheet is not None))
 
 
-def _units(each: Wanted) -> Iterator[tuple[str, float]]:
-    """Units of the entry's dimension, and by what its values would grow if they were in it."""
-    assert each.dimension is not None
-    yield from ((name, value / each.si) for name, value in UNITS[each.dimension].items())
-
-
 def _sizes(run: ImportedRun, each: Wanted, values: np.ndarray, limit: float) -> None:
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     if (
@@ -63,10 +58,10 @@ def _sizes(run: ImportedRun, each: Wanted, values: np.ndarray, limit: float) -> 
         or (each.place.endswith("measured") and largest < 1.2 * limit)
     ):
         return
-    fitting = {name: times * largest / limit for name, times in _units(each) if 0.02 < times * largest / limit <= MOST}
-    if not fitting:
+    assert each.dimension is not None
+    best = likely(largest / each.si, limit, each.dimension)
+    if best is None:
         return  # the check of the data set says more about it
-    best = max(fitting, key=fitting.__getitem__)
     si = "Pa" if each.dimension == "pressure" else "N"
     read = f"reaches {largest:.4g} {si} if it is in {each.source.unit or si}"
     what = f"{each.place} ({', '.join(map(str, each.columns))}) {read}; the robot's limit is {limit:g} {si}"
@@ -93,7 +88,7 @@ def _distances(run: ImportedRun, each: Wanted, values: np.ndarray, channels: Cha
 
     if NEAR <= (found := ratio(1.0)) <= FAR:
         return
-    best = min(_units(each), key=lambda unit: abs(np.log(max(ratio(unit[1]), 1e-12))))[0]
+    best = min(USUAL["length"], key=lambda unit: abs(np.log(max(ratio(UNITS["length"][unit] / each.si), 1e-12))))
     read = f"if in {each.source.unit or 'm'}"
     what = f"position: {named(each.columns)}: {found:.3g} times as far from the base as the robot's size allows {read}"
     raise refusal(_where(run, each), what, f"position.unit = {toml(best)}")
@@ -122,12 +117,18 @@ def _upright(run: ImportedRun, each: Wanted | None, channels: Channels) -> None:
         for signs in product(("", "-"), repeat=3)
     ]
     right = [frame for frame in frames if np.linalg.det(frame.rotation) > 0]
-    best = max(right, key=lambda frame: (round(rise(frame.rotation), 6), -sum(axis.startswith("-") for axis in frame.axes)))
+    best = max(
+        right, key=lambda frame: (round(rise(frame.rotation), 6), sum(map(eq, frame.axes, AXES)), "".join(frame.axes).count("-") == 0)
+    )
     what = (
         f"position: {named(each.columns[-3:])}: not above the base at the start, x, y, z = {', '.join(f'{value:.3f}' for value in place)} m"
     )
     entry = f"frame.axes = {toml(best.axes)}" if rise(best.rotation) >= TILT else ""
-    raise refusal(_where(run, each), f"{what}: other axes than G's? (frame.axes = {toml(list(AXES))} keeps them)", entry)
+    raise refusal(
+        _where(run, each),
+        f"{what}: other axes than G's? ({toml(list(AXES))} keeps them; how they lie about the vertical is yours to know)",
+        entry,
+    )
 
 
 def notes_of(given: ImportMap, wanted: Sequence[Wanted], channels: Channels | None) -> list[str]:
@@ -161,7 +162,11 @@ def left_out(sheets: Mapping[str, Sequence[str]], orientations: Sequence[str]) -
     names = list(dict.fromkeys(name for columns in sheets.values() for name in columns))
     found = []
     if turned := [name for name in names if name in orientations]:
-        found.append(f"left out, a data set has no place for orientations: {', '.join(turned)}")
+        found.append(f"left out, a data set has no place for orientations: {_some(turned)}")
     if others := [name for name in names if name not in orientations]:
-        found.append(f"left out, not in the map: {', '.join(others)}")
+        found.append(f"left out, not in the map: {_some(others)}")
     return found
+
+
+def _some(names: Sequence[str], most: int = 24) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -19,7 +19,29 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": inch, "ft": 12 * inch},
     "angle": {"rad": 1.0, "deg": degree, "°": degree, "mrad": 1e-3},
 }  # fmt: skip
-"""By dimension: what one of a unit is in SI. Those of one dimension stand from the usual to the rare."""
+"""By dimension: what one of a unit is in SI."""
+USUAL: Mapping[str, tuple[str, ...]] = {
+    "pressure": ("Pa", "kPa", "MPa", "bar", "psi"),
+    "force": ("N", "mN", "gf", "kgf"),
+    "length": ("m", "cm", "mm", "in"),
+}
+"""Units that values without one are taken to be in."""
+
+
+def likely(largest: float, limit: float, dimension: str) -> str | None:
+    """The usual unit in which a value comes nearest to its limit from below.
+
+    Args:
+        largest: of the values, as they are written.
+        limit: of the robot in SI.
+        dimension: a key of `USUAL`.
+
+    Returns:
+        The unit; None where the value is more than the limit, or below 2 % of it, in all of them.
+    """
+    parts = {unit: UNITS[dimension][unit] * largest / limit for unit in USUAL[dimension]}
+    fitting = {unit: part for unit, part in parts.items() if 0.02 < part <= 1 + 1e-6}
+    return max(fitting, key=fitting.__getitem__) if fitting else None
 
 
 def factor(unit: str, dimension: str | None) -> float:

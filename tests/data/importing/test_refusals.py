@@ -153,25 +153,27 @@ def zeros_for_lost_samples(folder: Path) -> Malformed:
 @case
 def positions_in_mm(folder: Path) -> Malformed:
     columns = {name: 1e3 * values if name in PLACES else values for name, values in table().items()}
-    return Malformed([text(folder / "a.csv", columns)], given(), PLACES, ["if in m"])
+    return Malformed([text(folder / "a.csv", columns)], given(), PLACES, ["if in m", 'position.unit = "mm"'])
 
 
 @case
 def pressures_in_bar(folder: Path) -> Malformed:
     columns = {name: values / 1e5 if name in PRESSURES else values for name, values in table().items()}
-    return Malformed([text(folder / "a.csv", columns)], given(), PRESSURES, ["if it is in Pa", "limit is 500000 Pa"])
+    return Malformed(
+        [text(folder / "a.csv", columns)], given(), PRESSURES, ["if it is in Pa", "limit is 500000 Pa", 'pressure.unit = "bar"']
+    )
 
 
 @case
 def tensions_in_mn(folder: Path) -> Malformed:
     columns = {name: values * 1e3 if name in TENSIONS else values for name, values in table().items()}
-    return Malformed([text(folder / "a.csv", columns)], given(), TENSIONS, ["limit is 7 N"])
+    return Malformed([text(folder / "a.csv", columns)], given(), TENSIONS, ["limit is 7 N", 'tension.unit = "mN"'])
 
 
 @case
 def time_in_ms(folder: Path) -> Malformed:
     columns = table()
-    return Malformed([text(folder / "a.csv", columns | {"t": 1e3 * columns["t"]})], given(), PLACES, ["20 s apart"])
+    return Malformed([text(folder / "a.csv", columns | {"t": 1e3 * columns["t"]})], given(), PLACES, ["20 s apart", 'time.unit = "ms"'])
 
 
 @case
@@ -244,7 +246,7 @@ def axes_of_another_frame(folder: Path) -> Malformed:
     for name in POINTS:
         x, y, z = (columns[f"{name}_{axis}_m"] for axis in "xyz")
         columns |= {f"{name}_x_m": x, f"{name}_y_m": z, f"{name}_z_m": -y}
-    return Malformed([text(folder / "a.csv", columns)], given(), PLACES[9:], ["not above the base"])
+    return Malformed([text(folder / "a.csv", columns)], given(), PLACES[9:], ["not above the base", 'frame.axes = ["x", "-z", "y"]'])
 
 
 @case
