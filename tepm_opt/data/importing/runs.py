@@ -18,6 +18,7 @@ from tepm_opt.data.importing.sources import Sheet
 from tepm_opt.data.run import Role
 from tepm_opt.errors import InputError
 
+EMPTY = 30.0  # rows a sample: more are no gaps
 SLOWEST = 1.0  # Hz; a robot's motion sampled below that is taken for another unit of time
 
 
@@ -192,6 +193,12 @@ def imported(
         return ImportedRun(part.name, role, files, _together(found), tuple(found))
     starts, ends = _spans(found)
     start, end = max(starts.values()), min(ends.values())
+    most = max(len(each.values) for each in found)
+    if (end - start) * rate > EMPTY * most:
+        texts = f"{start:.6g} to {end:.6g} s at {rate:g} Hz would be {(end - start) * rate:.3g} rows of {most} samples"
+        raise InputError(
+            f"{', '.join(files)}: {texts}: a wrong time among them, or time in another unit; valid: time.unit, or rows without it"
+        )
     grid = grid_of(start, end, rate) if end > start else np.empty(0)
     if len(grid) < 2:
         raise _apart(given, part, starts, ends)

@@ -181,13 +181,12 @@ def _numbers(each: Wanted, sheet: Sheet, names: Sequence[str], raw: Sequence[np.
         found.append(np.where(np.isinf(parsed), np.nan, parsed))
     if bad:
         _refuse_text(each, sheet, bad, rows)
-    values = np.array([each for each in found if each.dtype.kind == "f"])
-    if lost_numbers and values.size and len(values) == len(found):
-        lost = np.isin(values, lost_numbers)
-        if each.place == "position":
-            lost = np.repeat(lost.reshape(-1, 3, values.shape[1]).all(axis=1), 3, axis=0)
-        found = list(np.where(lost, np.nan, values))
-    return found
+    if not lost_numbers or any(values.dtype.kind != "f" for values in found):
+        return found
+    lost = [np.isin(values, lost_numbers) for values in found]
+    if each.place == "position" and len({len(values) for values in found}) == 1:
+        lost = list(np.repeat(np.array(lost).reshape(-1, 3, len(found[0])).all(axis=1), 3, axis=0))
+    return [np.where(gone, np.nan, values) for gone, values in zip(lost, found, strict=True)]
 
 
 def _parsed(text: str, lost: Sequence[str]) -> float:

@@ -68,7 +68,12 @@ RECORDINGS = [
 ]
 
 
-@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda each: each.file)
+QUICK = RECORDINGS[1]
+
+
+@pytest.mark.parametrize(
+    "recording", [pytest.param(each, marks=[] if each is QUICK else pytest.mark.slow, id=each.file) for each in RECORDINGS]
+)
 def test_a_soft_arm(recording: Recording, tmp_path: Path) -> None:
     """Of one module, without tendons; the tip alone, with quaternions; 45 to 60 samples a second, with gaps."""
     path = source(f"{ARM}/{recording.file}")
@@ -95,6 +100,7 @@ def test_a_soft_arm(recording: Recording, tmp_path: Path) -> None:
     assert np.nanmax(only.extra["pressure_11_measured_Pa"]) == pytest.approx(PSI * table[:, 4].max(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_drive(tmp_path: Path) -> None:
     """MAT files of two runs at 1 kHz, filtered to 500 Hz; read as the search for missing effects reads it."""
     files = [source(f"{DRIVE}/{name}.mat") for name in ("DATA_EMPS", "DATA_EMPS_PULSES")]

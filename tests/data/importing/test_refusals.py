@@ -384,6 +384,14 @@ def test_what_is_not_installed_is_told(suffix: str, module: str, tmp_path: Path,
     assert message.endswith(f'needs {module.partition(".")[0]}, which is not installed: pip install "tepm-opt[data]"')
 
 
+def test_one_wrong_time_makes_no_endless_grid(tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
+    columns = table()
+    columns["t"][-1] = 1.7e9
+    message = refused([text(tmp_path / "a.csv", columns)], write_map(tmp_path / "map.toml", GOOD))
+    assert "8.5e+10 rows of 301 samples: a wrong time among them" in message
+
+
 def test_no_actuator_is_left_out_silently(tmp_path: Path) -> None:
     pytest.importorskip("pandas")
     path = text(tmp_path / "a.csv", table())
