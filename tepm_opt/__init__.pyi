@@ -49,12 +49,16 @@ from .jobs.identify import open_datasets as open_datasets
 from .jobs.identify import run_identify as run_identify
 from .jobs.ik import IkRun as IkRun
 from .jobs.ik import run_ik as run_ik
+from .jobs.import_data import ImportRun as ImportRun
+from .jobs.import_data import run_import as run_import
+from .jobs.import_data import suggest_map as suggest_map
 from .jobs.machines import Family as Family
 from .jobs.machines import MachinesRun as MachinesRun
 from .jobs.machines import run_machines as run_machines
 from .jobs.modes import ModesRun as ModesRun
 from .jobs.modes import run_modes as run_modes
 from .jobs.mpc import run_closed_loop as run_closed_loop
+from .jobs.new_data import new_dataset as new_dataset
 from .jobs.next_run import NextRun as NextRun
 from .jobs.next_run import run_next as run_next
 from .jobs.paper import run_study as run_study

@@ -17,6 +17,7 @@ from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.jobs.gain import GainRun
 from tepm_opt.jobs.ik import IkRun
+from tepm_opt.jobs.import_data import ImportRun
 from tepm_opt.jobs.machines import MachinesRun
 from tepm_opt.jobs.modes import ModesRun
 from tepm_opt.jobs.paper import Study
@@ -30,6 +31,7 @@ from tepm_opt.plots.discrepancy import discovery_figures
 from tepm_opt.plots.figure import save
 from tepm_opt.plots.gain import gain_figure
 from tepm_opt.plots.ik import ik_figure
+from tepm_opt.plots.importing import preview_figure
 from tepm_opt.plots.law import law_figure
 from tepm_opt.plots.linear import modes_figures
 from tepm_opt.plots.machines import machines_figure
@@ -124,6 +126,7 @@ FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     Discovery: discovery_figures,
     Invention: lambda law: {law.written.name: law_figure(law)},
     MachinesRun: lambda run: {"machines": machines_figure(run) if run.drives else None},
+    ImportRun: lambda run: {"import": preview_figure(run)},
     RoundsRun: lambda run: {"rounds": rounds_figure(run)},
     BlindRun: lambda run: blind_figures(run.analysis),
 }

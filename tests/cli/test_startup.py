@@ -60,7 +60,11 @@ def test_help_of_every_command() -> None:
     groups = [
         "robot",
         "robot new",
+        "data",
         "data check",
+        "data import",
+        "data map",
+        "data new",
         "hw",
         "hw check",
         "hw jog",
