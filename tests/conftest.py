@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterator
 
 # threads that share matrices of 100 x 100 wait for each other: three times slower on two cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -13,6 +14,7 @@ from hypothesis import settings
 
 from tepm_opt.models.backends.compiler import find_compiler
 from tepm_opt.models.compile import CompiledModel, compile_model
+from tests.browser import Browser, chromium
 
 settings.register_profile("suite", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("suite")
@@ -56,3 +58,10 @@ def compiler() -> None:
     """Skips tests that need a C compiler where there is none."""
     if find_compiler() is None:
         pytest.skip("no C compiler on this machine")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Headless Chromium, one for all pages; skips where it is missing."""
+    with chromium() as opened:
+        yield opened
