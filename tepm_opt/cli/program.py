@@ -34,6 +34,7 @@ from tepm_opt.cli import (
     robot,
     simulate,
     statics,
+    studio,
 )
 from tepm_opt.cli.common import WRONG_INPUT, stderr
 from tepm_opt.cli.groups import spread
@@ -100,6 +101,7 @@ COMMANDS = {
     "next": next_run.next_run,
     "close": close.close,
     "blind": blind.blind,
+    "studio": studio.studio,
 }
 for name, command in COMMANDS.items():
     app.command(name)(spread(command))
