@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -179,11 +181,11 @@ def _of_verdict(folder: Path, model: Model | None) -> Recordings:
     return Recordings(dataset.name, runs, {"as known": nominal, "corrected": read_model(file)}, dataset.static, _words(content))
 
 
-def _words(content: object) -> str:
-    assert isinstance(content, dict)
+def _words(content: Mapping[str, Any]) -> str:
+    """A verdict as Markdown, without pictures: the page would open what they name."""
     effects = [
-        f"{effect.get('name', '?')}{' ' + effect['detail'] if effect.get('detail') else ''} ({effect.get('probability') or 0:.2f})"
+        f"{effect.get('name', '?')}{' ' + str(effect['detail']) if effect.get('detail') else ''} ({effect.get('probability') or 0:.2f})"
         for effect in content.get("effects", ())
     ]
     head = f"**{str(content.get('status', '?')).replace('_', ' ')}**" + (f": {', '.join(effects)}" if effects else "")
-    return "\n\n".join([head, str(content.get("paragraph", ""))]).strip()
+    return "\n\n".join([head, str(content.get("paragraph", ""))]).strip().replace("![", "[")
