@@ -17,6 +17,7 @@ from tepm_opt.hw.simulation.rigfile import DEFAULT
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
 from tepm_opt.jobs.mpc import run_closed_loop
+from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending
 from tepm_opt.progress import Progress, silent
@@ -118,12 +119,16 @@ class LiveLoop:
         show: given every moment, in the loop's thread.
 
     Raises:
-        InputError: the rig is not simulated.
+        InputError: the rig is not simulated, or has another robot.
     """
 
     def __init__(self, model: CompiledModel, rig: SimulatedRig, show: Callable[[Moment], None]) -> None:
         if not isinstance(rig, SimulatedRig):
             raise InputError(f"{rig!r} is not simulated; the studio moves nothing else")
+        if channels_of(rig.robot) != channels_of(model.robot):
+            raise InputError(
+                f"the rig's robot is {rig.robot.name!r}, the model's {model.robot.name!r}; name a rig that has it (--rig sim:FILE)"
+            )
         self._model, self._rig, self._show = model, rig, show
         self._stopped = threading.Event()
         self._asked: tuple[np.ndarray, float] | None = None  # force, for how long
@@ -152,7 +157,7 @@ class LiveLoop:
             progress: told what is done.
 
         Raises:
-            InputError: a trajectory out of reach, or a rig of another robot.
+            InputError: a trajectory out of reach.
             Stopped: before the loop was closed.
         """
 

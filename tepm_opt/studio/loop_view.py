@@ -128,8 +128,8 @@ class LoopView:
             self._worker.ask("stage", lambda: setattr(self._words, "content", f"{stage}: {done:.0f} of {of:.0f}"))
 
     def _ended(self, said: str) -> None:
-        self._button.label, self._push.disabled = "start", True
         self._words.content = said
+        self._button.label, self._push.disabled = "start", True
 
     def _disturb(self) -> None:
         if (loop := self.loop) is not None:

@@ -1,4 +1,4 @@
-"""The operating point: dragged tips against statics from rest, inputs against the specification's values, ellipsoids against differences."""
+"""The operating point: dragged tips against statics from rest, inputs against known values, ellipsoids against differences."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OUTSIDE = np.array([0.30, 0.20, 0.35])
 def test_a_dragged_tip_is_reached(kang: CompiledModel, mode: ActuationMode) -> None:
     """Also when statics starts from rest, and from one place to the next."""
     last = None
-    for target in (BESIDE, BESIDE + [0.01, 0.02, 0.0]):
+    for target in (BESIDE, BESIDE + np.array([0.01, 0.02, 0.0])):
         last = drag_tip(kang, target, mode, last)
         assert last.asked is not None
         assert last.asked.solved
