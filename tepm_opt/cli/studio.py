@@ -30,17 +30,15 @@ def studio(
 
     The page is on this computer only, behind an address that opens once, and asks nothing of any network. Ctrl-C ends it.
     """
-    from tepm_opt.models.model import Model, read_model
+    from tepm_opt.models.compile import compile_model
     from tepm_opt.studio.page import Studio
     from tepm_opt.studio.recordings import open_recordings
 
-    given = read_model(model) if model else Model.of(robot) if robot else None
-    recordings = None if what is None else open_recordings(what, given)
-    if recordings is None or given is not None:
+    if what is None or robot or model:
         compiled = load(robot, model)
+        recordings = None if what is None else open_recordings(what, compiled.model)
     else:
-        from tepm_opt.models.compile import compile_model
-
+        recordings = open_recordings(what)
         compiled = compile_model(next(iter(recordings.models.values())))
     with Studio(compiled, recordings, rig, port) as page:
         open_page(page.address, browser)

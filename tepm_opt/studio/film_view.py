@@ -30,6 +30,7 @@ class FilmView:
         server: viser's.
         worker: that simulates and draws.
         recordings: what there is to see.
+        known: compiled models that may be among its.
 
     Attributes:
         film: that is shown; None before the first one is ready.
@@ -37,14 +38,14 @@ class FilmView:
 
     name = "recording"
 
-    def __init__(self, server: viser.ViserServer, worker: Worker, recordings: Recordings) -> None:
+    def __init__(self, server: viser.ViserServer, worker: Worker, recordings: Recordings, *known: CompiledModel) -> None:
         self._server, self._worker, self._recordings = server, worker, recordings
         robot = next(iter(recordings.models.values())).robot
         self._base, size = np.array(robot.mount.base_position_m), robot.parameters.r / 0.04
         self._arm = ArmNode(server.scene, "modelled", Layout.of(robot), robot.parameters.r)
         self._measured = line_node(server.scene, "/measured/backbone", 0.005 * size, MEASURED)
         self._points = server.scene.add_point_cloud(
-            "/measured/points", np.zeros((1, 3)), MEASURED, point_size=0.012 * size, point_shape="circle", precision="float32",
+            "/measured/points", np.zeros((1, 3)), MEASURED, point_size=0.007 * size, point_shape="circle", precision="float32",
             visible=False,
         )  # fmt: skip
         self._target = server.scene.add_icosphere("/measured/target", 0.007 * size, GHOST, visible=False)
@@ -52,7 +53,7 @@ class FilmView:
             "/residuals", np.zeros((1, 2, 3)), GAP, shaft_radius=0.0025 * size, head_radius=0.007 * size, head_length=0.015 * size,
             visible=False,
         )  # fmt: skip
-        self._models: dict[str, CompiledModel] = {}
+        self._models = {name: one for name, model in recordings.models.items() for one in known if one.model == model}
         self._films: dict[tuple[str, str], Film] = {}
         self.film: Film | None = None
         self._on, self._playing, self._since = False, False, 0.0
@@ -95,11 +96,10 @@ class FilmView:
         chosen = self._model.value, self._run.value
         if chosen not in self._films:
             self._words.content = "simulating …"
-            model = self._models.get(chosen[0])
-            if model is None:
-                model = self._models[chosen[0]] = compile_model(self._recordings.models[chosen[0]])
+            if chosen[0] not in self._models:
+                self._models[chosen[0]] = compile_model(self._recordings.models[chosen[0]])
             run = next(run for run in self._recordings.runs if run.file == chosen[1])
-            self._films[chosen] = film(model, run, self._recordings.static)
+            self._films[chosen] = film(self._models[chosen[0]], run, self._recordings.static)
         same = self.film is not None and self.film.run is self._films[chosen].run
         self.film = self._films[chosen]
         self._time.max = max(float(self.film.time[-1]), 0.01)

@@ -80,7 +80,7 @@ class Film:
         return self.run.inputs[row] / self.model.input_max
 
     def arrows(self, row: int, magnified: float = 1.0) -> np.ndarray:
-        """From the model's reference points towards the measured ones, where both are known, (arrows, 2, 3) in m.
+        """Arrows from the model's reference points towards the measured ones, where both are known, (arrows, 2, 3) in m.
 
         Args:
             row: of the run.

@@ -22,7 +22,14 @@ NOWHERE = np.zeros((1, 2, 3), dtype=np.float32)
 
 
 def line_node(scene: viser.SceneApi, name: str, thickness: float, color: Color = GHOST) -> viser.LineSegmentsHandle:
-    """A node for lines of one colour, with none yet."""
+    """A node for lines of one colour, with none yet.
+
+    Args:
+        scene: viser's.
+        name: of the node.
+        thickness: of the lines in m.
+        color: of the lines.
+    """
     return scene.add_line_segments(name, NOWHERE, color, thickness=thickness, visible=False)
 
 
@@ -134,7 +141,7 @@ def prepare(server: viser.ViserServer, robot: Robot) -> None:
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     server.gui.main_panel.dock_right()
     scene.configure_environment_map(hdri=None)
-    scene.configure_default_lights(True)
+    scene.configure_default_lights(True, cast_shadow=False)
     scene.add_light_ambient("/light", intensity=1.2)
     lowest = min(float(base[2]), float((base + 1.5 * length * up)[2]))
     scene.add_grid(
