@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.layout import Layout
 from tepm_opt.solvers.backbone import backbone
@@ -50,7 +51,7 @@ class FilmView:
         )  # fmt: skip
         self._target = server.scene.add_icosphere("/measured/target", 0.007 * size, GHOST, visible=False)
         self._arrows = server.scene.add_arrows(
-            "/residuals", np.zeros((1, 2, 3)), GAP, shaft_radius=0.0025 * size, head_radius=0.007 * size, head_length=0.015 * size,
+            "/residuals", np.zeros((1, 2, 3)), GAP, shaft_radius=0.0035 * size, head_radius=0.009 * size, head_length=0.015 * size,
             visible=False,
         )  # fmt: skip
         self._models = {name: one for name, model in recordings.models.items() for one in known if one.model == model}
@@ -99,7 +100,11 @@ class FilmView:
             if chosen[0] not in self._models:
                 self._models[chosen[0]] = compile_model(self._recordings.models[chosen[0]])
             run = next(run for run in self._recordings.runs if run.file == chosen[1])
-            self._films[chosen] = film(self._models[chosen[0]], run, self._recordings.static)
+            try:
+                self._films[chosen] = film(self._models[chosen[0]], run, self._recordings.static)
+            except InputError as error:
+                self._words.content = f"✗ {error}"
+                return
         same = self.film is not None and self.film.run is self._films[chosen].run
         self.film = self._films[chosen]
         self._time.max = max(float(self.film.time[-1]), 0.01)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +146,14 @@ def open_recordings(path: str | Path, model: Model | None = None) -> Recordings:
     Raises:
         InputError: nothing of the kind is there, or it cannot be read.
     """
-    path = Path(path)
+    found = _found(Path(path), model)
+    empty = [run.file for run in found.runs if not run.rows]
+    if empty or not found.runs:
+        raise InputError(f"{path}: {f'{empty[0]} has no rows' if empty else 'there are no runs'}; valid: runs of at least one row")
+    return found
+
+
+def _found(path: Path, model: Model | None) -> Recordings:
     if (path / VERDICT).is_file():
         return _of_verdict(path, model)
     if (path / DESCRIPTION).is_file():
@@ -174,10 +181,11 @@ def _of_verdict(folder: Path, model: Model | None) -> Recordings:
     if not data or not file.is_file():
         lacking = "does not say which data it is about" if file.is_file() else f"has no {MODEL}: it is of a plant file's machine"
         raise InputError(f"{folder / VERDICT}: {lacking}; valid: what tepm discrepancy made of a robot's data set")
-    dataset = open_dataset(folder / data[0])
+    dataset, *added = (open_dataset(folder / each) for each in data)
     known = content.get("model")
     nominal = model or (read_model(folder / known) if known else Model.of(dataset.robot))
-    runs = dataset.validation + dataset.fit
+    later = (replace(run, file=f"{Path(each).name}/{run.file}") for each, more in zip(data[1:], added, strict=True) for run in more.runs)
+    runs = (*dataset.validation, *dataset.fit, *later)
     return Recordings(dataset.name, runs, {"as known": nominal, "corrected": read_model(file)}, dataset.static, _words(content))
 
 

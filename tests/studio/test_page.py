@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,8 @@ from tepm_opt.studio import arm_view, loop_view, page
 from tepm_opt.studio.live import LiveView
 from tepm_opt.studio.loop import simulated_rig
 from tepm_opt.studio.page import Studio
-from tepm_opt.studio.recordings import open_recordings
-from tests.studio.recorded import write
+from tepm_opt.studio.recordings import Recordings, open_recordings
+from tests.studio.recorded import bend, write
 from tests.tools import variant
 
 
@@ -146,6 +147,14 @@ def test_the_film(studio: Studio) -> None:
     studio.show("arm")
     assert studio.settle()
     assert not view._arrows.visible
+
+
+def test_a_run_beyond_the_limits_says_so(kang: CompiledModel) -> None:
+    far = replace(bend(), inputs=bend().inputs + 1e6)
+    with Studio(kang, Recordings("far", (far,), {"model": kang.model})) as opened:
+        assert opened.settle()
+        assert opened.film is not None
+        assert "valid: 0 … 500000 Pa" in opened.film._words.content
 
 
 def test_the_closed_loop(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> None:

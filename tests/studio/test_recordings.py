@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,14 @@ def test_a_verdict(tmp_path: Path) -> None:
     assert "![" not in found.verdict
 
 
+def test_data_that_were_added(tmp_path: Path) -> None:
+    """A verdict on several data sets has the runs of all, the later ones by their folder."""
+    found = write(tmp_path)
+    shutil.copytree(tmp_path / "bench", tmp_path / "more")
+    (found / "verdict.json").write_text(json.dumps({**VERDICT, "data": ["../bench", "../more"]}), encoding="utf-8")
+    assert [run.file for run in open_recordings(found).runs] == ["other.csv", "bend.csv", "more/bend.csv", "more/other.csv"]
+
+
 def test_a_dataset_and_a_run_of_it(tmp_path: Path) -> None:
     write(tmp_path)
     whole, one = open_recordings(tmp_path / "bench"), open_recordings(tmp_path / "bench" / "other.csv")
@@ -117,6 +126,10 @@ def test_what_cannot_be_shown(tmp_path: Path) -> None:
     (found / "model.toml").unlink()
     with pytest.raises(InputError, match=r"has no model\.toml"):
         open_recordings(found)
+    header = (tmp_path / "bench" / "bend.csv").read_text(encoding="utf-8").splitlines()[0]
+    (tmp_path / "empty.csv").write_text(header + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"empty\.csv"):
+        open_recordings(tmp_path / "empty.csv")
     text = (tmp_path / "bench" / "bend.csv").read_text(encoding="utf-8").replace("s4_x_m", "s9_x_m")
     (tmp_path / "log.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="s4_x_m"):
