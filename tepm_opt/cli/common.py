@@ -77,6 +77,22 @@ def given_inputs(model: CompiledModel, pressures: str | None, tensions: str | No
     return model.check_inputs(np.concatenate(given), "inputs")
 
 
+def open_page(address: str, wanted: bool = True) -> bool:
+    """Say where a page is, on the error stream, and open it where that is wanted; whether there is a browser to open it."""
+    stderr.print(f"opens once, in a browser on this computer: [bold]{escape(address)}[/]", soft_wrap=True, highlight=False)
+    if not wanted:
+        return False
+    import threading
+    import webbrowser
+
+    try:
+        found = webbrowser.get()
+    except webbrowser.Error:
+        return False
+    threading.Thread(target=found.open, args=(address,), daemon=True).start()  # some do not return until they are closed
+    return True
+
+
 @contextmanager
 def folder_for(out: Path) -> Iterator[Path]:
     """The output folder; if it is new and stays empty (wrong input, interrupted at once) it goes again."""

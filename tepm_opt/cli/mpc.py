@@ -14,12 +14,14 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
-from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, folder_for, load, report, warn
+from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, folder_for, load, open_page, report, stderr, warn
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions, WorkerOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from tepm_opt.control.timing import PaceSettings
     from tepm_opt.hw.rig import Command, Rig, Sample
     from tepm_opt.jobs.closed_loop import ClosedLoop
@@ -34,25 +36,25 @@ CONTROLLERS = f"{CONTROLLER}: the predictive controller; lqg: its plain peer; mo
 
 @contextmanager
 def live(wanted: bool, rig: Rig) -> Iterator[Observer | None]:
-    """The live view in rerun, where it is wanted.
+    """The live view in the browser, where it is wanted.
 
     Raises:
-        InputError: rerun is not installed.
+        InputError: viser is not installed.
     """
     if not wanted:
         yield None
         return
-    from tepm_opt.hw.simulation.view import RerunStream
+    from tepm_opt.studio.live import LiveView
 
-    stream = RerunStream("tepm mpc")
+    with LiveView(rig.robot, rig.simulated is not None) as view:
+        if open_page(view.address):
+            with stderr.status("waiting for the browser"):
+                view.wait_for_somebody()
 
-    def observer(sample: Sample, command: Command) -> None:
-        stream.show(sample, command, nodes=None if rig.simulated is None else rig.simulated.true_nodes)
+        def observer(sample: Sample, command: Command, target: np.ndarray) -> None:
+            view.show(sample, command, target, nodes=None if rig.simulated is None else rig.simulated.true_nodes)
 
-    try:
         yield observer
-    finally:
-        stream.close()
 
 
 def error_line(told: dict[str, Any]) -> str:
@@ -227,7 +229,7 @@ def mpc(
     nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False,
     rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
     use: Annotated[str | None, typer.Option("--use", help="MPC: both, tension or pressure.", show_default="both")] = None,
-    view: Annotated[bool, typer.Option("--view", help="Live 3-D view in rerun.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Watch it in the browser: a page that shows and has nothing to press.")] = False,
     machines: Annotated[
         int | None, typer.Option("--machines", min=1, metavar="N", help="On N random machines around the robot file; --seed draws them.")
     ] = None,

@@ -37,6 +37,7 @@ from tepm_opt.cli import (
     robot,
     simulate,
     statics,
+    studio,
 )
 from tepm_opt.cli.common import WRONG_INPUT, stderr, warn
 from tepm_opt.cli.groups import spread
@@ -103,6 +104,7 @@ COMMANDS = {
     "next": next_run.next_run,
     "close": close.close,
     "blind": blind.blind,
+    "studio": studio.studio,
 }
 for name, command in COMMANDS.items():
     app.command(name)(spread(command))

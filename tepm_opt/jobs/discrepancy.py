@@ -15,6 +15,7 @@ import numpy as np
 
 from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.datasets import DataSet
+from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.trials import read_trials
@@ -106,6 +107,24 @@ def run_discrepancy(
     result = advised(result, asked)
     _write(result, out, warnings, {"data": [_seen_from(out, each) for each in (folder, *add)], "model": _seen_from(out, model)})
     return result
+
+
+def read_verdict(folder: str | Path) -> Mapping[str, Any]:
+    """Content of the verdict.json in a folder.
+
+    Raises:
+        InputError: it is not there, or damaged.
+    """
+    path = Path(folder) / VERDICT
+    if not path.is_file():
+        raise InputError(f"{path} is not there; valid: the folder that tepm discrepancy wrote (--out)")
+    try:
+        content = json.loads(read_text(path))
+    except ValueError as error:
+        raise InputError(f"{path}: is damaged: {error}; run tepm discrepancy again") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: is damaged; run tepm discrepancy again")
+    return content
 
 
 def _seen_from(out: Path, path: str | Path | None) -> str | None:

@@ -29,8 +29,8 @@ from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.measure import GOOD, STATUS, journal_path
 
-Observer = Callable[[Sample, Command], None]
-"""Callback of a live view: takes every sample and what was commanded then."""
+Observer = Callable[[Sample, Command, np.ndarray], None]
+"""Callback of a live view: takes every sample, what was commanded then, and the tip's target, (3,) in m."""
 
 GATHER = 0.05
 """Seconds for which rows of the journal are gathered: that much is lost at most where the program is killed."""
@@ -116,7 +116,7 @@ def run_closed_loop(
         folder: for the results; None writes nothing. While the loop runs a journal is there, named log-….unfinished.csv.
         guard: when to stop.
         progress: told the stage and how much of it is done, in s.
-        observer: given every sample with what was commanded then.
+        observer: given every sample with what was commanded then and the tip's target.
 
     Raises:
         InputError: unknown controller; the rig has another robot, or disagrees with the model before the loop is closed; a folder that
@@ -145,7 +145,7 @@ def run_closed_loop(
             statuses.append(sample.status)
             keep(len(done.rows) - 1)
             if observer is not None:
-                observer(sample, done.commands[-1])
+                observer(sample, done.commands[-1], target)
 
         try:
             close_loop(rig, controller, model.robot, guard, progress, watched, done)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.datasets import DataSet
-from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.discrepancy.contenders import contenders
@@ -24,7 +22,7 @@ from tepm_opt.discrepancy.separation import separation
 from tepm_opt.discrepancy.workflow import FINEST_STEP
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_setpoints
-from tepm_opt.jobs.discrepancy import MODEL, VERDICT, checked_datasets
+from tepm_opt.jobs.discrepancy import MODEL, VERDICT, checked_datasets, read_verdict
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model, read_model
@@ -251,7 +249,7 @@ def run_next(
     found = Path(found)
     if not SHORTEST <= seconds <= LONGEST:
         raise InputError(f"--seconds {seconds:g}; valid: {SHORTEST:g} … {LONGEST:g} s")
-    content = _verdict(found)
+    content = read_verdict(found)
     folders = [Path(each) for each in data] or [found / each for each in content.get("data", [])]
     if not folders:
         raise InputError(f"{found / VERDICT}: does not say which data it is about; name them with --data")
@@ -273,19 +271,6 @@ def run_next(
     estimates = [hypothesis.estimate for hypothesis in hypotheses]
     best = best_run(rig, estimates, seed, progress)
     return NextRun(tuple(hypotheses), best, any_run(rig, estimates, seed), rig, dataset)
-
-
-def _verdict(folder: Path) -> Mapping[str, Any]:
-    path = folder / VERDICT
-    if not path.is_file():
-        raise InputError(f"{path} is not there; valid: the folder that tepm discrepancy wrote (--out)")
-    try:
-        content = json.loads(read_text(path))
-    except ValueError as error:
-        raise InputError(f"{path}: is damaged: {error}; run tepm discrepancy again") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: is damaged; run tepm discrepancy again")
-    return content
 
 
 def _corrected(folder: Path, known: Model, network: SearchableNetwork) -> set[str]:

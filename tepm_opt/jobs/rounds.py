@@ -125,7 +125,7 @@ def run_rounds(
         settings: how it learns.
         guard: when to stop.
         progress: told the stage and how much of it is done.
-        observer: given every sample with what was commanded then.
+        observer: given every sample with what was commanded then and the tip's target.
 
     Raises:
         InputError: see `run_closed_loop`; `learned` is of another path.

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import sys
+import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ import pytest
 from tepm_opt.cli import rigs
 from tepm_opt.data.run import read_run
 from tepm_opt.hw.board.link import LinkError
-from tepm_opt.hw.simulation import view
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tepm_opt.jobs import mpc as running
@@ -25,6 +25,7 @@ from tepm_opt.jobs.compare import LoopTask, compare
 from tepm_opt.jobs.course import Course
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.trajectories import circle
+from tepm_opt.studio import live
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import input_columns, names_in, shape_columns, summary, write_rows
 
@@ -365,30 +366,41 @@ def test_wrong_input(tepm: Command, here: Path, arguments: tuple[object, ...], m
 
 
 def test_the_live_view(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("viser", reason="viser is not installed (extra view)")
     shown: list[Any] = []
 
-    class Stream:
-        def __init__(self, title: str) -> None:
-            pass
+    def none() -> Any:
+        raise webbrowser.Error
 
-        def show(self, sample: Any, command: Any, nodes: Any) -> None:
-            shown.append((sample.points.shape, command.pressures.shape, nodes.shape))
+    class View(live.LiveView):
+        def __init__(self, robot: Any, paced: bool) -> None:
+            assert paced
+            super().__init__(robot, paced=False)
+
+        def show(self, sample: Any, command: Any, target: Any, nodes: Any = None) -> None:
+            super().show(sample, command, target, nodes)
+            shown.append((sample.points.shape, command.pressures.shape, target.shape, nodes.shape))
 
         def close(self) -> None:
-            shown.append("closed")
+            assert self.settle()
+            shown.append(self._words.content)
+            super().close()
 
-    monkeypatch.setattr(view, "RerunStream", Stream)
-    assert tepm("mpc", *SHORT, "--controller", "mode1", "--view", "--out", "out").status == 0
-    assert shown[-1] == "closed"
-    assert len(shown) - 1 == summary(here / "out", "mpc")["samples"]
-    assert set(shown[:-1]) == {((4, 3), (6,), (13, 3, 3))}
+    monkeypatch.setattr(live, "LiveView", View)
+    monkeypatch.setattr(webbrowser, "get", none)
+    done = tepm("mpc", *SHORT, "--controller", "mode1", "--view", "--out", "out", "--json")
+    assert done.status == 0
+    assert "?token=" in done.err
+    assert done.json()["samples"] == len(shown) - 1
+    assert "off its target" in shown[-1]
+    assert set(shown[:-1]) == {((4, 3), (6,), (3,), (13, 3, 3))}
 
 
-def test_the_live_view_needs_rerun(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rerun", None)
+def test_the_live_view_needs_viser(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
     done = tepm("mpc", *SHORT, "--view")
     assert (done.status, done.err.count("\n")) == (2, 1)
-    assert "pip install rerun-sdk" in done.err
+    assert "pip install 'tepm-opt[view]'" in done.err
     assert names_in(here) == set()
 
 

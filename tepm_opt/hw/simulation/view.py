@@ -1,15 +1,12 @@
-"""A rig in pictures: MuJoCo's renderer where it works without a screen, matplotlib elsewhere; live 3-D in rerun (optional)."""
+"""A rig in pictures: MuJoCo's renderer where it works without a screen, matplotlib elsewhere."""
 
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tepm_opt.errors import InputError
-from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 from tepm_opt.hw.simulation.rig import SimulatedRig
 
@@ -107,47 +104,3 @@ def _drawn(rig: SimulatedRig, width: int, height: int, azimuth: float) -> np.nda
     axes.view_init(elev=12, azim=azimuth)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-class RerunStream:
-    """Samples as they come, in the rerun viewer: reference points, the nodes of a simulated rig, and time series.
-
-    Args:
-        title: of the recording.
-        path: of an `.rrd` file to write; where absent a viewer is started.
-
-    Raises:
-        InputError: rerun is not installed.
-    """
-
-    def __init__(self, title: str = "tepm_opt", path: str | Path | None = None) -> None:
-        try:
-            import rerun  # type: ignore[import-not-found]
-        except ModuleNotFoundError as error:
-            raise InputError("the live view needs rerun, which is not installed: pip install rerun-sdk") from error
-        self._rerun: Any = rerun
-        self._stream: Any = rerun.RecordingStream(title)
-        if path is None:
-            self._stream.spawn()
-        else:
-            self._stream.save(str(path))
-
-    def show(self, sample: Sample, command: Command | None = None, nodes: np.ndarray | None = None) -> None:
-        """Add a sample; `nodes` (n + 1, actuators, 3) in m are those of `SimulatedRig.true_nodes`."""
-        rerun, stream = self._rerun, self._stream
-        stream.set_time("time", duration=sample.time)
-        stream.log("robot/points", rerun.Points3D(sample.points[np.isfinite(sample.points).all(axis=1)], radii=0.006))
-        if nodes is not None:
-            stream.log("robot/muscles", rerun.LineStrips3D(list(nodes.swapaxes(0, 1)), radii=0.004))
-            stream.log("robot/levels", rerun.LineStrips3D([np.vstack([level, level[:1]]) for level in nodes], radii=0.001))
-        stream.log("tip_m", rerun.Scalars(sample.points[-1]))
-        series = {"pressure_measured_Pa": sample.pressures, "tension_measured_N": sample.tensions}
-        if command is not None:
-            series |= {"pressure_Pa": command.pressures, "tension_N": command.tensions}
-        for name, values in series.items():
-            if values is not None:
-                stream.log(name, rerun.Scalars(values))
-
-    def close(self) -> None:
-        """Write out what is still in memory."""
-        self._stream.flush()
