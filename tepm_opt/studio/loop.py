@@ -13,12 +13,14 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.guard import Stopped
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
-from tepm_opt.hw.simulation.rigfile import DEFAULT
+from tepm_opt.hw.simulation.rigfile import DEFAULT, builtin_rigs, load_rig_file
+from tepm_opt.hw.simulation.scaling import fitted
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
 from tepm_opt.jobs.mpc import run_closed_loop
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.robot import Robot
 from tepm_opt.outcome import Ending
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.trajectories import Trajectory
@@ -94,12 +96,13 @@ class Pace:
             self._sleep(self._due - now)
 
 
-def simulated_rig(text: str = SIM, wait: Callable[[float], None] | None = None) -> SimulatedRig:
+def simulated_rig(text: str = SIM, wait: Callable[[float], None] | None = None, robot: Robot | None = None) -> SimulatedRig:
     """The simulated rig that a text names.
 
     Args:
         text: "sim", or "sim:FILE" with a rig file or the name of a built-in one.
         wait: called with the time in s until each next sample; real time where absent.
+        robot: to which built-in rigs are scaled; their own where absent.
 
     Raises:
         InputError: another kind of rig, or no such file.
@@ -107,7 +110,9 @@ def simulated_rig(text: str = SIM, wait: Callable[[float], None] | None = None) 
     kind, colon, name = text.partition(":")
     if kind != SIM or bool(colon) != bool(name):
         raise InputError(f"--rig {text!r}: the studio moves simulated rigs only; valid: {SIM}, {SIM}:FILE")
-    return SimulatedRig(name or DEFAULT, wait or Pace())
+    name = name or DEFAULT
+    file = load_rig_file(name)
+    return SimulatedRig(fitted(file, robot) if robot and name in builtin_rigs() else file, wait or Pace())
 
 
 class LiveLoop:

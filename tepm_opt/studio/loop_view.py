@@ -16,6 +16,7 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.course import Course
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.sized import path_for
 from tepm_opt.solvers.text import quantity
 from tepm_opt.solvers.trajectories import SHAPES
 from tepm_opt.studio.loop import LiveLoop, Moment
@@ -111,9 +112,9 @@ class LoopView:
 
     def _run(self, loop: LiveLoop) -> None:
         """The loop, in a thread of its own, and how it ended in words."""
-        trajectory = SHAPES[self._path.value].make()
-        course = Course(laps=float(self._laps.value) if trajectory.closed else 1.0)
         try:
+            trajectory = path_for(self._model, self._path.value)
+            course = Course(laps=float(self._laps.value) if trajectory.closed else 1.0)
             self.done = loop.run(trajectory, course, self._controller.value, self._prepared)
             said = ending(self.done)
         except Stopped as stop:

@@ -57,7 +57,7 @@ class Studio:
         self._choice = self._server.gui.add_dropdown("show", names, initial_value=names[0])
         self.arm = ArmView(self._server, self.worker, self.slow, model)
         self.film = None if recordings is None else FilmView(self._server, self.worker, recordings, model)
-        self.loop = LoopView(self._server, self.worker, model, lambda: simulated_rig(rig))
+        self.loop = LoopView(self._server, self.worker, model, lambda: simulated_rig(rig, robot=model.robot))
         views: list[View] = [self.arm, self.loop, *([] if self.film is None else [self.film])]
         self._views = {view.name: view for view in views}
         self._choice.on_update(asks(self.worker, "view", lambda: self._show(self._views[self._choice.value])))

@@ -18,6 +18,7 @@ from tepm_opt.hw.replay import ReplayRig
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.course import Course
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.trajectories import Trajectory
 from tepm_opt.studio.loop import LiveLoop, Moment, Pace, simulated_rig
@@ -43,6 +44,14 @@ def followed(model: CompiledModel, at: float = 9.0, force: float = 0.0, stop: fl
     loop = LiveLoop(model, simulated_rig("sim:perfect", wait=lambda seconds: None), show)
     place = Trajectory(np.array([0.0, 0.7]), np.array([[0.0, 0.0, 0.35], [0.001, 0.0, 0.35]]), closed=False)
     return loop.run(place, SHORT, "mode1"), moments
+
+
+def test_the_rig_is_the_robot_that_is_shown() -> None:
+    """A rig that comes along is scaled to it; a file's stays what the file says."""
+    robot = load_robot("one_module")
+    assert simulated_rig("sim", robot=robot).robot.modules == 1
+    assert simulated_rig("sim:perfect", robot=robot).robot.modules == 1
+    assert simulated_rig("sim").robot.modules == 2
 
 
 def test_a_push_moves_the_tip_along_it(kang: CompiledModel) -> None:
