@@ -93,7 +93,8 @@ class Browser:
 
     def open(self, address: str | Path, width: int = DESK, dark: bool = False, height: int = 900) -> Browser:
         """Load an address or a file, in a window of that size and light or dark."""
-        self.messages()  # those of the page before
+        self.driver.get("about:blank")  # the page before has nothing more to say
+        self.messages()
         self.width = width
         self.command("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         self.media(dark)

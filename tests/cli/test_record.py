@@ -17,6 +17,7 @@ from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.run import read_run
 from tepm_opt.data.setpoints import SetPoints, write_setpoints
 from tepm_opt.errors import InputError
+from tepm_opt.hw import registry
 from tests.cli.conftest import Command, hear_ctrl_c
 from tests.data.made import ACTUATORS
 from tests.recording.fake_rig import FakeRig, FakeSimulation, write_plan
@@ -24,8 +25,10 @@ from tests.recording.fake_rig import FakeRig, FakeSimulation, write_plan
 SLOW = """
 import sys
 from tepm_opt.cli import main, rigs
+from tepm_opt.hw import registry
 from tests.recording.fake_rig import FakeRig
 rigs.open_rig = lambda text, robot: FakeRig(wait=0.002)
+registry.robot_of = lambda text: "kang2017"
 main(sys.argv[1:])
 """
 
@@ -40,6 +43,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[FakeRig]:
         return opened[-1]
 
     monkeypatch.setattr(rigs, "open_rig", open_fake)
+    monkeypatch.setattr(registry, "robot_of", lambda text: "kang2017")
     return opened
 
 

@@ -209,7 +209,7 @@ def test_what_fails_is_told(studio: Studio) -> None:
 
 
 def test_another_robot() -> None:
-    """One module of four muscles, hanging, without tendons; the rig's robot is another, which its loop says."""
+    """One module of four muscles, hanging: it is dragged, and the loop's rig and path are its own."""
     robot = variant(
         geometry={"modules": 1, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0), "segments_per_module": 3},
         mount={"base_rotation_deg": (180.0, 0.0, 0.0)},
@@ -220,7 +220,7 @@ def test_another_robot() -> None:
         assert opened.arm.point.held.solved
         opened.show("closed loop")
         pressed(opened.loop._button)
-        assert waited(lambda: "the rig's robot is" in opened.loop._words.content)
+        assert waited(lambda: "inverse kinematics" in opened.loop._words.content)
 
 
 def test_wrong_rig_is_refused_before_anything_is_served(kang: CompiledModel, monkeypatch: pytest.MonkeyPatch) -> None:
