@@ -1,0 +1,2 @@
+def names(): return []
+def pages(): return {"effects/index.md": "# Effects\n"}
