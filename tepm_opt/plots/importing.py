@@ -10,13 +10,14 @@ from tepm_opt.data.channels import TIME
 from tepm_opt.data.importing.runs import ImportedRun
 from tepm_opt.data.importing.samples import Samples
 from tepm_opt.jobs.import_data import ImportRun
-from tepm_opt.plots.figure import MISSED, PRESSURE, REACHED, STYLE, TARGET, TENSION
+from tepm_opt.plots.figure import STYLE
+from tepm_opt.plots.palette import ACTUATORS, AXES, BAD, TARGET
 
 NAMED = 12  # lines that a legend names
 MOST = 3  # runs that are drawn
 WIDE = 4.0  # times the usual step, from which on steps are drawn on a logarithmic scale
 SCALES = {"pressure": (1e-3, "kPa"), "force": (1.0, "N"), "length": (1e3, "mm")}
-COLOURS = (PRESSURE, TENSION, REACHED)
+DIRECTIONS = tuple(role.color for role in AXES.values())
 STYLES = ("-", "--", ":", "-.")
 
 
@@ -54,7 +55,7 @@ def _values(axes: Axes, run: ImportedRun, panel: str, timed: bool, outer: tuple[
     scale, unit = SCALES.get(own[0].wanted.dimension or "", (1.0, "")) if own else (1.0, "")
     time = run.columns[TIME] if timed else np.arange(1, run.rows + 1)
     for k, each in enumerate(own):
-        colour, style = COLOURS[k % 3], STYLES[k // 3 % 4]
+        colour, style = (DIRECTIONS if panel == "position" else ACTUATORS)[k % 3], STYLES[k // 3 % 4]
         zero = float(np.nan_to_num(run.columns[each.target][0])) if panel == "position" else 0.0
         if each.clock is not None:
             axes.plot(each.clock.time - run.start, scale * (each.values - zero), ".", color=colour, markersize=2.5, alpha=0.35)
@@ -83,13 +84,13 @@ def _steps(axes: Axes, run: ImportedRun, first: bool) -> None:
         steps = 1e3 * np.diff(clock.time)
         wide = steps > 1.9e3 * clock.step
         name = each.wanted.place if len(clocks) > 1 else None
-        axes.plot(clock.time[1:][~wide] - run.start, steps[~wide], ".", markersize=2.5, color=(TARGET, *COLOURS)[k % 4], label=name)
+        axes.plot(clock.time[1:][~wide] - run.start, steps[~wide], ".", markersize=2.5, color=(TARGET.color, *ACTUATORS)[k % 4], label=name)
         axes.plot(
             clock.time[1:][wide] - run.start,
             steps[wide],
             "x",
             markersize=5,
-            color=MISSED,
+            color=BAD.color,
             label=f"{wide.sum()} gaps" if wide.any() else None,
         )
     longest = max((float(1e3 * np.diff(clock.time).max()) for _, clock in clocks.values()), default=1.0)

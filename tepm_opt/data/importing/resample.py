@@ -19,9 +19,15 @@ CLOSE = 1e-3  # steps of the grid that a sample may be off and still be there: w
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Times of samples in s, (rows,), increasing."""
+    """Times of samples.
+
+    Attributes:
+        time: in s, (rows,), increasing.
+        known: rate in Hz where it is known, not measured.
+    """
 
     time: np.ndarray
+    known: float | None = None
 
     def __repr__(self) -> str:
         return f"Clock({len(self.time)} rows, {self.rate:.4g} Hz)"
@@ -52,6 +58,8 @@ class Clock:
     @property
     def own_rate(self) -> float:
         """A rate in Hz for a grid: the samples' own in as few digits as keep step with them, of irregular ones three digits."""
+        if self.known is not None:
+            return self.known
         if self.jitter > 0.01 or self.gaps.size:
             return float(f"{self.rate:.3g}")
         steps = len(self.time) - 1

@@ -263,7 +263,7 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     entry = time_map(given, sheet)
     column: Name | None = each.source.time if each.source.time is not None else entry.column
     if column is None and entry.rate_hz is not None:
-        return Clock(np.arange(count) / entry.rate_hz), np.arange(count)
+        return Clock(np.arange(count) / entry.rate_hz, entry.rate_hz), np.arange(count)
     own = sheet.clocks.get(name) if column is None else sheet.name(column)
     if own is None:
         raise _no_time(given, sheet, column)
