@@ -23,6 +23,7 @@ from tepm_opt.plots.palette import CORRECTED, NOMINAL
 
 ALIKE = 0.9
 """Cosine from which two effects are called alike in the motion of these pages."""
+DETAILS = {"actuator": "actuator", "point": "reference point"}
 BEGAN = 20.0
 """Time in the session at which that motion begins, in s: what drifts has drifted by then."""
 
@@ -32,10 +33,10 @@ What a model can be given beside the network of [the theory](../theory.md), and 
 effect itself when the site is built: its words, the equations that its code computes, its parameters with the values at which it vanishes,
 and what it does to a motion of the robot `kang2017`.
 
-How to read them: primes mark what an effect makes of something; $p_{hj}$ is the pressure and $\\lambda_{hj}$ the tension of actuator $j$ of module
-$h$, $\\ell$ the length of a muscle's segment and $\\ell_0$ its rest length, $k$, $c$ and $m$ stiffness, damping and mass, $F$ a force on a level in the base's
-frame, $t$ the time in the session and $t_0$ when the run began. An effect that acts on one actuator or reference point is shown on the third. A
-memory $y$ is a state of its own. What is longer than a line is left to the words and to the code.
+How to read them: primes mark what an effect makes of something; $p_{hj}$ is the pressure and $\\lambda_{hj}$ the tension of actuator $j$ of
+module $h$, $\\ell$ the length of a muscle's segment and $\\ell_0$ its rest length, $k$, $c$ and $m$ stiffness, damping and mass, $F$ a force on
+a level in the base's frame, $t$ the time in the session and $t_0$ when the run began. An effect that acts on one actuator or reference
+point is shown on the third. A memory $y$ is a state of its own. What is longer than a line is left to the words and to the code.
 
 The motion lasts 6 s: four muscles are filled, two tendons pulled, then all of it is let go. *Looks like* compares, over all four reference
 points, what effects add to it: 1.00 means that this motion cannot tell them apart (others may), and no number says that about your data:
@@ -134,8 +135,12 @@ def _rivals(name: str, seen: dict[str, Seen]) -> list[tuple[str, float]]:
 def _page(effect: Effect, seen: Seen, like: str) -> str:
     model = Model.of("kang2017")
     layout = Layout.of(model.robot)
-    where = {None: "", "actuator": " Acts on one actuator, which a verdict names.", "point": " Acts on one reference point, which a verdict names."}
-    text = [f"# {effect.name}", "", f"{effect.explains[0].upper()}{effect.explains[1:]}.{where[effect.detail]}", ""]
+    where = {
+        None: "",
+        "actuator": " Acts on one actuator, which a verdict names.",
+        "point": " Acts on one reference point, which a verdict names.",
+    }
+    text = [f"# {effect.name}", "", f"{effect.explains[0].upper()}{effect.explains[1:]}.{acts}", ""]
     text += ["## Physics", "", inspect.cleandoc(type(effect).__doc__ or ""), "", f"Reference: {effect.reference}.", ""]
     shown = list(Hooks(effect, model).equations())
     text += ["## Equations", ""]
@@ -149,7 +154,11 @@ def _page(effect: Effect, seen: Seen, like: str) -> str:
     for each in effect.parameters_of(layout):
         kind = " (shape)" if each.is_shape else ""
         text.append(f"| `{each.name}`{kind} | {each.unit} | {each.null:g} | {each.probe:g} | {each.low:g} … {each.high:g} |")
-    text += ["", "At its null values the effect vanishes; a shape parameter says how it acts, not how strongly. A probe is small but visible.", ""]
+    text += [
+        "",
+        "At its null values the effect vanishes; a shape parameter says how it acts, not how strongly. A probe is small but visible.",
+        "",
+    ]
     rms = ", ".join(f"s_{k + 1} {1e3 * value:.2g}" for k, value in enumerate(seen.rms))
     text += ["## What it does to data", "", f"![Tip with and without it over the motion, and what it adds]({effect.name}.png)", ""]
     text += [f"At its probe values it moves the reference points of `kang2017` by (root mean square, mm): {rms}.", ""]

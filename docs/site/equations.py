@@ -90,7 +90,9 @@ def applied(code: int, terms: list[Term]) -> Term:
         return Term(sign.join(each.within(tightness) for each in terms).replace("+ -", "- "), tightness)
     if code in NAMED:
         return Term(rf"{NAMED[code]}\left({', '.join(each.text for each in terms)}\right)", WHOLE)
-    minus = f"-{x.within(PRODUCT)}" if not x.text.startswith("-") else x.text[1:] if NUMBER.fullmatch(x.text) else rf"-\left({x.text}\right)"
+    minus = (
+        f"-{x.within(PRODUCT)}" if not x.text.startswith("-") else x.text[1:] if NUMBER.fullmatch(x.text) else rf"-\left({x.text}\right)"
+    )
     forms = {
         ca.OP_ASSIGN: x,
         ca.OP_NEG: Term(minus, SUM),
@@ -238,7 +240,9 @@ class Hooks:
         value = state[0, 0]
         for hook, what in (("pressure_memory", "pressure, to which y is added"), ("tension_memory", "tension, to which y is added")):
             if self.effect.has(hook):
-                yield from _of_memory(what, getattr(self.effect, hook)(signal, change, state, self.parameters, self.context), self.at, value)
+                yield from _of_memory(
+                    what, getattr(self.effect, hook)(signal, change, state, self.parameters, self.context), self.at, value
+                )
         if self.effect.has("edge_memory"):
             edge = next(each for each in self.layout.edges if each.kind == VERTICAL)
             own = {name: self._symbol(shown) for name, shown in OF_EDGE.items()}

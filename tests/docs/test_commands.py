@@ -14,8 +14,17 @@ from pathlib import Path
 
 import pytest
 
+from tepm_opt.cli import rigs, run
+from tepm_opt.cli.hw import shared as hw_shared
+from tepm_opt.hw.board.rig import SerialRig
+from tepm_opt.hw.service.line import Line
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.models.robot import load_robot
 from tests.docs.texts import ROOT, Step, steps
 from tests.hw.conftest import *  # noqa: F403  its fixtures
+from tests.hw.emulator import Board
+from tests.hw.emulator.world import World
+from tests.hw.test_loop import hurry
 
 LONG = ("tepm identify", "tepm discrepancy", "tepm close", "tepm paper", "tepm demo", "tepm blind")
 LACKING = ("tepm identify", "tepm discrepancy", "tepm close", "tepm hw check")
@@ -55,25 +64,22 @@ def followed(step: Step, folder: Path, environment: dict[str, str]) -> tuple[int
     return process.returncode, out, time.monotonic() - began
 
 
-def follow(document: Path, folder: Path, environment: dict[str, str], long: bool, board: str = "") -> None:
-    """All commands of a document in order.
+def follow(document: Path, folder: Path, environment: dict[str, str], long: bool) -> None:
+    """All commands of a document in order, but for those that set up and those that need the board.
 
     Args:
         document: README or tutorial.
         folder: where; empty.
         environment: of the commands.
         long: whether those that take minutes are run, and what needs their results.
-        board: device of the emulated board; without one what needs it is left out.
     """
     done = 0
     for step in steps(document):
-        text = step.text.replace("/dev/ttyACM0", board)
-        needs_board = any(word in text for word in BOARD)
-        if "pip install" in text or (needs_board and not board) or (not long and (text.startswith(LONG) or FROM_VERDICT in step.words[1:])):
+        text = step.text
+        takes_minutes = text.startswith(LONG) or f"{FROM_VERDICT}/" in text or FROM_VERDICT in step.words
+        if "pip install" in text or any(word in text for word in BOARD) or (takes_minutes and not long):
             continue
-        if not long and f"{FROM_VERDICT}/" in text:
-            continue
-        status, out, seconds = followed(Step(text), folder, environment)
+        status, out, seconds = followed(step, folder, environment)
         print(f"{seconds:7.1f} s  {text.partition(chr(10))[0]}")
         assert status in ((0, 1) if text.startswith(LACKING) else (0,)), f"{text}\n{out}"
         done += 1
@@ -94,3 +100,20 @@ def test_all_commands_in_order(name: str, environment: dict[str, str], tmp_path:
     folder = tmp_path / "folder"
     folder.mkdir()
     follow(ROOT / name, folder, environment, long=True)
+
+
+@pytest.mark.slow
+def test_commands_that_need_the_board(board: Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """README's, on the emulated board with the virtual prototype behind it, in virtual time."""
+    monkeypatch.chdir(tmp_path)
+    hurry(monkeypatch)
+    needing = [step.words[1:] for step in steps(ROOT / "README.md") if any(word in step.text for word in BOARD)]
+    assert [words[0] for words in needing] == ["play", "hw"]
+    assert run(["ik", "circle", "--points", "4", "--out", "run"]) == 0
+    world = World(board, SimulatedRig())
+    robot = load_robot("kang2017")
+    monkeypatch.setattr(rigs, "open_rig", lambda text, _: SerialRig(world.port, robot, world.tracker, clock=world.clock, threaded=False))
+    monkeypatch.setattr(hw_shared, "open_line", lambda *_, **__: Line(world.port, world.clock, threaded=False))
+    statuses = [run(words) for words in needing]
+    assert statuses[0] == 0
+    assert statuses[1] in (0, 1)  # commissioning of an emulated board is not over
