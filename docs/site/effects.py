@@ -135,11 +135,7 @@ def _rivals(name: str, seen: dict[str, Seen]) -> list[tuple[str, float]]:
 def _page(effect: Effect, seen: Seen, like: str) -> str:
     model = Model.of("kang2017")
     layout = Layout.of(model.robot)
-    where = {
-        None: "",
-        "actuator": " Acts on one actuator, which a verdict names.",
-        "point": " Acts on one reference point, which a verdict names.",
-    }
+    acts = f" Acts on one {DETAILS[effect.detail]}, which a verdict names." if effect.detail else ""
     text = [f"# {effect.name}", "", f"{effect.explains[0].upper()}{effect.explains[1:]}.{acts}", ""]
     text += ["## Physics", "", inspect.cleandoc(type(effect).__doc__ or ""), "", f"Reference: {effect.reference}.", ""]
     shown = list(Hooks(effect, model).equations())

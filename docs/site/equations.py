@@ -90,9 +90,9 @@ def applied(code: int, terms: list[Term]) -> Term:
         return Term(sign.join(each.within(tightness) for each in terms).replace("+ -", "- "), tightness)
     if code in NAMED:
         return Term(rf"{NAMED[code]}\left({', '.join(each.text for each in terms)}\right)", WHOLE)
-    minus = (
-        f"-{x.within(PRODUCT)}" if not x.text.startswith("-") else x.text[1:] if NUMBER.fullmatch(x.text) else rf"-\left({x.text}\right)"
-    )
+    minus = rf"-\left({x.text}\right)" if x.text.startswith("-") else f"-{x.within(PRODUCT)}"
+    if NUMBER.fullmatch(x.text):
+        minus = f"-{x.text}".removeprefix("--")
     forms = {
         ca.OP_ASSIGN: x,
         ca.OP_NEG: Term(minus, SUM),
@@ -240,9 +240,8 @@ class Hooks:
         value = state[0, 0]
         for hook, what in (("pressure_memory", "pressure, to which y is added"), ("tension_memory", "tension, to which y is added")):
             if self.effect.has(hook):
-                yield from _of_memory(
-                    what, getattr(self.effect, hook)(signal, change, state, self.parameters, self.context), self.at, value
-                )
+                memory = getattr(self.effect, hook)(signal, change, state, self.parameters, self.context)
+                yield from _of_memory(what, memory, self.at, value)
         if self.effect.has("edge_memory"):
             edge = next(each for each in self.layout.edges if each.kind == VERTICAL)
             own = {name: self._symbol(shown) for name, shown in OF_EDGE.items()}
