@@ -20,6 +20,7 @@ html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sphinx = False
+html_show_copyright = False
 default_role = "code"
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"

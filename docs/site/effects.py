@@ -36,7 +36,8 @@ and what it does to a motion of the robot `kang2017`.
 How to read them: primes mark what an effect makes of something; $p_{hj}$ is the pressure and $\\lambda_{hj}$ the tension of actuator $j$ of
 module $h$, $\\ell$ the length of a muscle's segment and $\\ell_0$ its rest length, $k$, $c$ and $m$ stiffness, damping and mass,
 $F$ a force on a level in the base's frame, $t$ the time in the session and $t_0$ when the run began. An effect that acts on one
-actuator or reference point is shown on the third. A memory $y$ is a state of its own. What is longer than a line is left to the words and to the code.
+actuator or reference point is shown on the third. A memory $y$ is a state of its own. What is longer than a
+line is left to the words and to the code.
 
 The motion lasts 6 s: four muscles are filled, two tendons pulled, then all of it is let go. *Looks like* compares, over all four reference
 points, what effects add to it: 1.00 means that this motion cannot tell them apart (others may), and no number says that about your data:
