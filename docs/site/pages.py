@@ -1,0 +1,57 @@
+"""All pages of the site, put into a folder for Sphinx: those of docs/ as they are, those of the root, and those that are made."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+from docs.site import commands, effects, names
+
+ROOT = Path(__file__).resolve().parents[2]
+FROM_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+"""Files of the repository's root, and the pages they are on the site."""
+
+CONTENTS: dict[str, tuple[str, ...]] = {
+    "Begin": ("tutorial",),
+    "How to": ("gallery", "importing", "recording", "discrepancy", "control", "hardware", "studio", "exporting", "any_machine"),
+    "Be safe": ("safety",),
+    "Understand": ("theory", "effects/index", "convergence", "architecture", "comparison"),
+    "Look up": ("commands", *(f"api/{name}" for name in names.TITLES)),
+    "Judge": ("blind", "paper", "measured", "speed", "spoiling"),
+    "Take part": ("contributing", "changelog"),
+}
+"""The site's contents: pages by section, in the order in which one needs them."""
+
+
+def write(folder: Path) -> None:
+    """Write all pages, and what they show, into a folder."""
+    docs = ROOT / "docs"
+    for path in (*docs.glob("*.md"), *docs.glob("*.toml")):
+        _write(folder / path.name, path.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/"))
+    shutil.copytree(docs / "images", folder / "images")
+    shutil.copytree(ROOT / "notebooks", folder / "notebooks", ignore=shutil.ignore_patterns(".*"))
+    for source, page in FROM_ROOT.items():
+        _write(folder / page, from_root((ROOT / source).read_text(encoding="utf-8")))
+    with (folder / "index.md").open("a", encoding="utf-8") as index:
+        index.write(contents())
+    _write(folder / "commands.md", commands.page())
+    for name, page in {**names.pages(), **effects.pages()}.items():
+        _write(folder / name, page)
+
+
+def from_root(text: str) -> str:
+    """A page of the root as one of docs/: links to docs/ lose it, and a page or notebook that is only named is a link."""
+    text = text.replace("](docs/", "](")
+    return re.sub(r"(?<!\[)`docs/(\w+\.md)`", r"[`docs/\1`](\1)", text)
+
+
+def contents() -> str:
+    """What Sphinx makes the sidebar from."""
+    section = "\n```{{toctree}}\n:caption: {}\n:hidden:\n\n{}\n```\n"
+    return "".join(section.format(title, "\n".join(pages)) for title, pages in CONTENTS.items())
+
+
+def _write(path: Path, content: str | bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())

@@ -1,0 +1,119 @@
+"""README and tutorial as a reader follows them: every command in order, in one folder; how long each took is printed (`-s`).
+
+What needs the board speaks to the emulated one. What takes minutes is left to `-m study`, with what it needs from there on.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tepm_opt.cli import rigs, run
+from tepm_opt.cli.hw import shared as hw_shared
+from tepm_opt.hw.board.rig import SerialRig
+from tepm_opt.hw.service.line import Line
+from tepm_opt.hw.simulation.rig import SimulatedRig
+from tepm_opt.models.robot import load_robot
+from tests.docs.texts import ROOT, Step, steps
+from tests.hw.conftest import *  # noqa: F403  its fixtures
+from tests.hw.emulator import Board
+from tests.hw.emulator.world import World
+from tests.hw.test_loop import hurry
+
+LONG = ("tepm identify", "tepm discrepancy", "tepm close", "tepm paper", "tepm demo", "tepm blind")
+LACKING = ("tepm identify", "tepm discrepancy", "tepm close", "tepm hw check")
+"""Those whose status 1 is an answer: the model lacks something, commissioning is not over."""
+SERVING = ("tepm studio",)
+BOARD = ("serial:", "tepm hw")
+FROM_VERDICT = "found"
+"""Folder that only a long command makes."""
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    """An environment whose `tepm` is this one."""
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    (programs / "tepm").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tepm_opt "$@"\n')
+    (programs / "tepm").chmod(0o755)
+    return {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+
+
+def followed(step: Step, folder: Path, environment: dict[str, str]) -> tuple[int, str, float]:
+    """Status, output and duration of a command; one that serves a page is ended by Ctrl-C once it has said where."""
+    began = time.monotonic()
+    process = subprocess.Popen(
+        ["bash", "-c", f"exec {step.text}" if step.text.startswith(SERVING) else step.text], cwd=folder, env=environment, text=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    if step.text.startswith(SERVING) and process.stdout:
+        first = process.stdout.readline()
+        while first and "http://127.0.0.1" not in first:
+            first = process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        rest, _ = process.communicate(timeout=120)
+        return (0 if process.returncode in (0, 130) and first else 1), first + rest, time.monotonic() - began
+    out, _ = process.communicate()
+    return process.returncode, out, time.monotonic() - began
+
+
+def follow(document: Path, folder: Path, environment: dict[str, str], long: bool) -> None:
+    """All commands of a document in order, but for those that set up and those that need the board.
+
+    Args:
+        document: README or tutorial.
+        folder: where; empty.
+        environment: of the commands.
+        long: whether those that take minutes are run, and what needs their results.
+    """
+    done = 0
+    for step in steps(document):
+        text = step.text
+        takes_minutes = text.startswith(LONG) or f"{FROM_VERDICT}/" in text or FROM_VERDICT in step.words
+        if "pip install" in text or any(word in text for word in BOARD) or (takes_minutes and not long):
+            continue
+        status, out, seconds = followed(step, folder, environment)
+        print(f"{seconds:7.1f} s  {text.partition(chr(10))[0]}")
+        assert status in ((0, 1) if text.startswith(LACKING) else (0,)), f"{text}\n{out}"
+        done += 1
+    assert done > 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+def test_commands_in_order(name: str, environment: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    follow(ROOT / name, folder, environment, long=False)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+def test_all_commands_in_order(name: str, environment: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    follow(ROOT / name, folder, environment, long=True)
+
+
+@pytest.mark.slow
+def test_commands_that_need_the_board(board: Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """README's, on the emulated board with the virtual prototype behind it, in virtual time."""
+    monkeypatch.chdir(tmp_path)
+    hurry(monkeypatch)
+    needing = [step.words[1:] for step in steps(ROOT / "README.md") if any(word in step.text for word in BOARD)]
+    assert [words[0] for words in needing] == ["play", "hw"]
+    assert run(["ik", "circle", "--points", "4", "--out", "run"]) == 0
+    world = World(board, SimulatedRig())
+    robot = load_robot("kang2017")
+    monkeypatch.setattr(rigs, "open_rig", lambda text, _: SerialRig(world.port, robot, world.tracker, clock=world.clock, threaded=False))
+    monkeypatch.setattr(hw_shared, "open_line", lambda *_, **__: Line(world.port, world.clock, threaded=False))
+    statuses = [run(words) for words in needing]
+    assert statuses[0] == 0
+    assert statuses[1] in (0, 1)  # commissioning of an emulated board is not over
