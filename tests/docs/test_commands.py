@@ -31,8 +31,8 @@ LACKING = ("tepm identify", "tepm discrepancy", "tepm close", "tepm hw check")
 """Those whose status 1 is an answer: the model lacks something, commissioning is not over."""
 SERVING = ("tepm studio",)
 BOARD = ("serial:", "tepm hw")
-FROM_VERDICT = "found"
-"""Folder that only a long command makes."""
+FROM_VERDICT = ("found", "corrected")
+"""Folders that there are only after a long command."""
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def follow(document: Path, folder: Path, environment: dict[str, str], long: bool
     done = 0
     for step in steps(document):
         text = step.text
-        takes_minutes = text.startswith(LONG) or f"{FROM_VERDICT}/" in text or FROM_VERDICT in step.words
+        takes_minutes = text.startswith(LONG) or any(f"{folder}/" in text or folder in step.words for folder in FROM_VERDICT)
         if "pip install" in text or any(word in text for word in BOARD) or (takes_minutes and not long):
             continue
         status, out, seconds = followed(step, folder, environment)
