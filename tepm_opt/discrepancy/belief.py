@@ -215,7 +215,7 @@ def _beside(effect: Candidate, believed: Mapping[Candidate, float], explanation:
 
     The more of the structure they take away alone, the more it depends on them.
     """
-    left = explanation.best.excess
+    left = max(explanation.best.excess, 1e-12)
     taken = {other: min(explanation.shares[other] * left / max(explanation.without.excess, 1e-12), 1.0) for other in believed}
     return float(np.prod([1 - (1 - believed[other]) * taken[other] for other in believed if other != effect]))
 

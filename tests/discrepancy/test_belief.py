@@ -196,3 +196,13 @@ def test_what_gauges_show_does_not_explain_what_it_leaves() -> None:
 
     assert status(100.0) is VerdictStatus.PARTIAL
     assert status(1.0) is VerdictStatus.NAMED
+
+
+def test_what_gauges_show_casts_no_doubt_where_nothing_is_left() -> None:
+    """A model that is right to the noise leaves an excess of 0; the share of what gauges show is infinite."""
+    best, without, begun = hypothesis((LAG, LOAD), 0.0), hypothesis((), 10.0), hypothesis((LAG,), 3.0)
+    groups = {effect: [(best, 1.0)] for effect in best.effects}
+    found = Explanation(without, best, best, [without, begun, best], [], {LAG: float("inf"), LOAD: 5e4}, groups, begun)
+    told = judged(found, SHRUNK, SETTINGS, True, {}, {})
+    assert told.status is VerdictStatus.NAMED
+    assert told.cause[LOAD] > 0.99
