@@ -103,7 +103,8 @@ class TestIdentify:
         spoilt(data)
         write_model(NOMINAL.with_effect("sensor_offset", "s3", x=0.0, y=0.0, z=0.0), here / "m.toml")
         names = [f"sensor_offset[s3].{axis}" for axis in "xyz"]
-        assert tepm("identify", "data", "--model", "m.toml", "--free", ",".join(["K_a", *names]), "--out", "out").status == 1  # K_a at its end
+        done = tepm("identify", "data", "--model", "m.toml", "--free", ",".join(["K_a", *names]), "--out", "out")
+        assert done.status == 1, "K_a is at its end"
         found = read_model(here / "out" / "model.toml").values
         assert [found[name] for name in names] == pytest.approx(OFFSET, abs=3e-4)
 

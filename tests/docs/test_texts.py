@@ -50,7 +50,7 @@ def test_python_does_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest
     """Blocks of Python run, and examples with a prompt give what stands below them."""
     monkeypatch.chdir(tmp_path)
     text = (ROOT / name).read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", text, re.S | re.M)
+    blocks = re.findall(r"^```(?:python|pycon)\n(.*?)^```", text, re.S | re.M)
     assert blocks
     for block in blocks:
         if ">>>" in block:
