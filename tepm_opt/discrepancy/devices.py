@@ -24,6 +24,7 @@ FINE = 4e-3  # s, of the simulated regulators
 FIRST, MOST = (0.01, 0.1, 0.1), (0.5, 10.0, 10.0)  # delay, filling and exhausting time in s: where the fit begins, and bounds
 CLEARER = 0.9  # part of the squares that a further property of a device must leave at most to be there
 ONLY_NOISE = 1.3  # times the gauge's noise, as differences from sample to sample show it, that may be left
+EXACT = 1e-3  # part of the deviation without a lag that may be left however little noise there is
 RANGE = 5.0  # standard deviations, and
 NEARLY = 0.02  # part of a time constant, within which it is sought on
 AT_ONCE = 1e-3  # s, below which a delay is none, and by which it may be longer than gauges show: the body's sluggishness looks like one
@@ -72,7 +73,8 @@ def devices_seen(dataset: RunSet, network: SearchableNetwork) -> DevicesSeen | N
     plain = max(fits, key=lambda fit: fit.squares)
     best = best if best.squares < CLEARER * plain.squares else next(fit for fit in fits if not fit.grid)
     noise = _white(dataset.fit, columns, network.signals)
-    if best.squares > CLEARER * best.unlagged or not best.rms < ONLY_NOISE * noise:
+    exact = best.squares < EXACT**2 * best.unlagged
+    if best.squares > CLEARER * best.unlagged or not (exact or best.rms < ONLY_NOISE * noise):
         return None
     names = [f"{lag.label}.{name}" for name in ("filling_time", "exhausting_time")]
     ranges = {

@@ -34,11 +34,15 @@ class Uncompiled:
     signals: Signals = CHANNELS.signals
 
 
-def gauged(device: Callable[[np.ndarray], np.ndarray], delay: float = DELAY, lag: tuple[float, float] = (FILLING, EXHAUSTING)) -> RunSet:
-    """Runs with readings of a device's outputs behind a lag (Euler's method at 1 ms)."""
+def gauged(
+    device: Callable[[np.ndarray], np.ndarray], delay: float = DELAY, lag: tuple[float, float] = (FILLING, EXHAUSTING),
+    white: float = NOISE, rest: int = 0,
+) -> RunSet:  # fmt: skip
+    """Runs with readings of a device's outputs behind a lag (Euler's method at 1 ms), and rows of rest at their ends."""
     random, found = np.random.default_rng(3), []
     for asked in planned(("single_pressure.csv", "elongation.csv")):
-        time, inputs = asked.setpoints.time, asked.setpoints.inputs
+        time, inputs = asked.setpoints.time, np.pad(asked.setpoints.inputs, ((0, rest), (0, 0)), "edge")
+        time = np.concatenate([time, time[-1] + (time[1] - time[0]) * np.arange(1, rest + 1)])
         fine = np.arange(time[0], time[-1], 1e-3)
         extra = {}
         for k, name in enumerate(CHANNELS.signals.inputs):
@@ -49,10 +53,10 @@ def gauged(device: Callable[[np.ndarray], np.ndarray], delay: float = DELAY, lag
                 for row, value in enumerate(goal):
                     state += 1e-3 / (lag[0] if value > state else lag[1]) * (value - state)
                     followed[row] = state
-            noise = NOISE if name.endswith("_Pa") else 0.01
+            noise = white if name.endswith("_Pa") else 0.01
             stem, unit = name.rsplit("_", 1)
             extra[f"{stem}_measured_{unit}"] = np.interp(time, fine, followed) + noise * random.normal(size=len(time))
-        run = Run(asked.file, "fit", time, inputs, asked.setpoints.tip_force, np.zeros((len(time), 4, 3)), extra)
+        run = Run(asked.file, "fit", time, inputs, np.zeros((len(time), 3)), np.zeros((len(time), 4, 3)), extra)
         found.append(run)
     return RunSet.of("gauged", found)
 
@@ -115,6 +119,12 @@ def test_a_gauge_with_a_gain_and_an_offset_of_its_own_shows_the_same_lag() -> No
     columns = {name: 1.02 * v + 3e3 if name.endswith("_Pa") else v for name, v in data.runs[0].extra.items()}
     found = seen(data.with_runs([replace(data.runs[0], extra=columns), data.runs[1]]))
     assert found is None or found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.03)
+
+
+def test_gauges_without_noise_show_it_too() -> None:
+    """Mostly at rest, their readings do not differ from row to row, and what any program leaves is more than that."""
+    found = seen(gauged(lambda values: values, white=0.0, rest=2000))
+    assert found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.02)
 
 
 def test_nothing_is_said_where_gauges_show_something_else_besides() -> None:
