@@ -2,6 +2,8 @@
 
 No machine is its model, so the two are not compared as such: what sets them apart (strengths, friction, masses, where markers sit, and what
 comes back at every place of the path) is estimated as the run goes on, and a change from some time on has to explain what that does not.
+Points tell of a change only where the arm has been before: how a machine differs at a place that is new to it is not known. Gauges do
+anywhere.
 """
 
 from __future__ import annotations
@@ -120,7 +122,7 @@ class Monitor:
         self._weighed = Weighed(self._causes, columns)
         self._count, self._coordinates = len(first.tensions), 3 * layout.points
         self._white = ((tracker.noise_rms_m if tracker else 1e-3) ** 2 / 3 / BLOCK) * np.eye(self._coordinates)
-        self._places = np.zeros((0, 6))
+        self._places, self._at, self._new = np.zeros((0, 6)), -1, True
         self._zero: float | None = None
         self.changes: list[Changed] = []
         self.evidence = 0.0
@@ -168,9 +170,10 @@ class Monitor:
         white = self._white + settings.force_noise**2 * pulled
         own = settings.place_force**2 * pulled + settings.place_points**2 * np.eye(outputs)
         seen = np.hstack([rows.gain, np.eye(outputs)])
-        self._sums[BODY].add(
-            self._coloured.whitened(rows.points, seen, white, self._place(rows.place), own, settings.again_force**2 * pulled)[None]
-        )
+        place, learning = self._place(rows.place), not self._times
+        whitened = self._coloured.whitened(rows.points, seen, white, place, own, settings.again_force**2 * pulled)
+        if learning or not self._new:
+            self._sums[BODY].add(whitened[None])
         if (rise := rows.pressures) is not None:
             late = settings.pressure_late * np.abs(rise[:, 1] + rise[:, 2])
             self._sums[REGULATOR].add((rise / np.hypot(settings.pressure_noise, late)[:, None])[:, None])
@@ -178,13 +181,16 @@ class Monitor:
             self._sums[MOTOR].add((beside / np.hypot(settings.tension_noise, settings.tension_late * beside[:, 2])[:, None])[:, None])
 
     def _place(self, place: np.ndarray) -> int:
-        """Number of a place, a new one where none is near."""
+        """Number of a place, a new one where none is near; it is new until it is left."""
         scaled = place * np.repeat([1.0, self.settings.place_time], 3)
         apart = np.linalg.norm(self._places - scaled, axis=1)
-        if not len(apart) or apart.min() > self.settings.place_size:
+        known = len(apart) > 0 and bool(apart.min() <= self.settings.place_size)
+        number = int(np.argmin(apart)) if known else len(apart)
+        if not known:
             self._places = np.vstack([self._places, scaled])
-            return len(apart)
-        return int(np.argmin(apart))
+        if number != self._at:
+            self._at, self._new = number, not known
+        return number
 
     def _look(self, now: float) -> None:
         """Whether something changed, by a time in s of the run."""

@@ -13,14 +13,15 @@ from tepm_opt.control.change import Coloured, Left, Sums
 from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.monitor import DEFAULT, EVIDENCE, Watched, watched
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.reference import Reference, approach, point_by_point, reference_of
 from tepm_opt.control.signatures import BLOCK, Signatures
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.trajectories import circle
 from tests.control.changes import Changing, change_of, path
-from tests.control.study import model
+from tests.control.study import APPROACH, model
 
 SPREADS = np.array([1.0, 2.0])
 
@@ -161,6 +162,19 @@ def test_nothing_is_told_of_a_machine_that_stays_and_commands_are_the_same(quick
     rig.reseed(1)
     alone = close_loop(rig, Mpc(model(), quick), model().robot)
     assert all(np.array_equal(a.tensions, b.tensions) for a, b in zip(done.commands, alone.commands, strict=True))
+
+
+@pytest.mark.slow
+def test_places_that_are_new_tell_of_no_change() -> None:
+    """Thirty-two stops on the virtual prototype, none of them twice: how it differs there from its model is news, not a change."""
+    stops, *_ = point_by_point(circle(32).positions, 1.0, 3.0, 1.0)
+    reference = reference_of(model(), np.vstack([approach(model(), stops[0], APPROACH), stops]))
+    controller = watched(Mpc(model(), reference), model())
+    assert isinstance(controller, Watched)
+    rig = SimulatedRig()
+    rig.reseed(0)
+    close_loop(rig, controller, model().robot)
+    assert not controller.monitor.changes
 
 
 @pytest.mark.slow

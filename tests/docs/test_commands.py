@@ -27,9 +27,8 @@ from tests.hw.emulator.world import World
 from tests.hw.test_loop import hurry
 
 LONG = ("tepm identify", "tepm discrepancy", "tepm close", "tepm paper", "tepm demo", "tepm blind")
-LACKING = ("tepm identify", "tepm discrepancy", "tepm close", "tepm hw check", "tepm mpc circle --points 32")
-"""Those whose status 1 is an answer: the model lacks something, commissioning is not over; of the last, the monitor is wrong, see
-docs/control.md."""
+LACKING = ("tepm identify", "tepm discrepancy", "tepm close", "tepm hw check")
+"""Those whose status 1 is an answer: the model lacks something, commissioning is not over."""
 SERVING = ("tepm studio",)
 BOARD = ("serial:", "tepm hw")
 FROM_VERDICT = ("found", "corrected")
