@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from tepm_opt.cli import INTERRUPTED
-from tepm_opt.data.files import output_folder
+from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -103,6 +103,25 @@ def folder_for(out: Path) -> Iterator[Path]:
         for path in new:
             with suppress(OSError):  # it holds something
                 path.rmdir()
+
+
+def write_new(path: Path, text: str, kind: str, as_json: bool) -> int:
+    """Write a file to edit, which must not be there yet, and tell how it is checked; the exit status.
+
+    Args:
+        path: of the file.
+        text: its content.
+        kind: that has a command `tepm KIND check`.
+        as_json: whether the path alone is printed.
+
+    Raises:
+        InputError: the file is there, or cannot be written.
+    """
+    if path.exists():
+        raise InputError(f"{path} exists; name another file")
+    write_atomically(path, text)
+    print(json.dumps({"file": str(path)})) if as_json else print(f"wrote {path}: edit it, then run tepm {kind} check {path}")
+    return SOLVED
 
 
 def warn(text: str) -> None:

@@ -12,8 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import tepm_opt as tepm
-from tepm_opt.cli.common import JsonOption, RobotOption, stdout
-from tepm_opt.data.files import write_atomically
+from tepm_opt.cli.common import JsonOption, RobotOption, stdout, write_new
 from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -74,16 +73,12 @@ def new(
     from tepm_opt.hw.simulation.rigtext import rig_text
     from tepm_opt.models.robot import builtin_robots
 
-    if path.exists():
-        raise InputError(f"{path} exists; name another file")
     if template not in builtin_rigs():
         raise InputError(f"--from {template}: no built-in rig; valid: {', '.join(builtin_rigs())}")
     named = robot or "kang2017"
     file = scaled(template, named).model_copy(update={"name": path.stem})
     seen = named if named in builtin_robots() else Path(os.path.relpath(named, path.parent)).as_posix()
-    write_atomically(path, rig_text(file, seen, f"--rig sim:{path.name}"))
-    print(json.dumps({"file": str(path)})) if as_json else print(f"wrote {path}: edit it, then run tepm rig check {path}")
-    return 0
+    return write_new(path, rig_text(file, seen, f"--rig sim:{path.name}"), "rig", as_json)
 
 
 @app.command()

@@ -10,9 +10,7 @@ import typer
 from rich.table import Table
 
 import tepm_opt as tepm
-from tepm_opt.cli.common import JsonOption, stdout
-from tepm_opt.data.files import write_atomically
-from tepm_opt.errors import InputError
+from tepm_opt.cli.common import JsonOption, stdout, write_new
 
 app = typer.Typer(help="Robot files: show, start a new one, check.", no_args_is_help=True)
 
@@ -45,12 +43,8 @@ def new(
     """Write a commented robot file to edit."""
     from tepm_opt.models.robot import robot_text
 
-    if path.exists():
-        raise InputError(f"{path} exists; name another file")
     name = f"name = {json.dumps(path.stem, ensure_ascii=False)}"
-    write_atomically(path, robot_text(template).replace(f'name = "{template}"', name, 1))
-    print(json.dumps({"file": str(path)})) if as_json else print(f"wrote {path}: edit it, then run tepm robot check {path}")
-    return 0
+    return write_new(path, robot_text(template).replace(f'name = "{template}"', name, 1), "robot", as_json)
 
 
 @app.command()

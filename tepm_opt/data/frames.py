@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,12 +26,12 @@ def _pandas() -> Any:
         raise InputError("data frames need pandas, which is not installed: pip install pandas") from error
 
 
-class Tabular:
+class Tabular(ABC):
     """A result that is a table, too: its columns, and these as a data frame."""
 
+    @abstractmethod
     def columns(self) -> Mapping[str, np.ndarray]:
         """Columns by name, (rows,) each, of numbers or text; names end with the unit."""
-        raise NotImplementedError
 
     def to_frame(self) -> Any:
         """The columns as a pandas frame.

@@ -14,16 +14,13 @@ from tepm_opt.models.channels import check
 from tepm_opt.outcome import Ending, Outcome
 
 
-@dataclass(frozen=True)
-class CheckRun(Tabular):
-    """What a check of a data set finds.
+class Checked:
+    """A data set that was looked at.
 
     Attributes:
-        folder: of the data set.
         findings: errors and warnings.
     """
 
-    folder: Path
     findings: tuple[Finding, ...]
 
     @property
@@ -45,6 +42,19 @@ class CheckRun(Tabular):
     def ok(self) -> bool:
         """Whether the data can be used."""
         return self.outcome.solved
+
+
+@dataclass(frozen=True)
+class CheckRun(Checked, Tabular):
+    """What a check of a data set finds.
+
+    Attributes:
+        folder: of the data set.
+        findings: errors and warnings.
+    """
+
+    folder: Path
+    findings: tuple[Finding, ...]
 
     def __repr__(self) -> str:
         return f"<CheckRun {self.outcome}; {self.folder}, {self.warnings} warnings>"

@@ -28,9 +28,9 @@ from tepm_opt.data.importing.sources import Sheet, read_sheet
 from tepm_opt.data.run import run_of
 from tepm_opt.data.tables import Table, write_columns
 from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.jobs.check import Checked
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import load_robot
-from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 
 LOG = "import.json"
@@ -38,7 +38,7 @@ UNKNOWN = 0.5  # s without samples in which inputs may have been anything
 
 
 @dataclass(frozen=True, eq=False)
-class ImportRun:
+class ImportRun(Checked):
     """Runs read from other programs' files, not yet written.
 
     Attributes:
@@ -56,21 +56,6 @@ class ImportRun:
     rate: float | None
     notes: tuple[str, ...]
     findings: tuple[Finding, ...]
-
-    @property
-    def errors(self) -> int:
-        """Number of findings by which a fit to the data would be misled."""
-        return sum(finding.severity == "error" for finding in self.findings)
-
-    @property
-    def outcome(self) -> Outcome:
-        """Solved where the check of a robot's data finds no error."""
-        return Outcome(Ending.FAILED, f"{self.errors} errors") if self.errors else Outcome()
-
-    @property
-    def ok(self) -> bool:
-        """Whether the data can be used."""
-        return self.outcome.solved
 
     def __repr__(self) -> str:
         rate = "equilibria" if self.rate is None else f"{self.rate:g} Hz"

@@ -64,8 +64,8 @@ def followed(step: Step, folder: Path, environment: dict[str, str]) -> tuple[int
     return process.returncode, out, time.monotonic() - began
 
 
-def follow(document: Path, folder: Path, environment: dict[str, str], long: bool) -> None:
-    """All commands of a document in order, but for those that set up and those that need the board.
+def follow(document: Path, folder: Path, environment: dict[str, str], long: bool) -> int:
+    """Run all commands of a document in order, but for those that set up and those that need the board; how many there were.
 
     Args:
         document: README or tutorial.
@@ -83,23 +83,16 @@ def follow(document: Path, folder: Path, environment: dict[str, str], long: bool
         print(f"{seconds:7.1f} s  {text.partition(chr(10))[0]}")
         assert status in ((0, 1) if text.startswith(LACKING) else (0,)), f"{text}\n{out}"
         done += 1
+    return done
+
+
+@pytest.mark.parametrize("long", [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.study)])
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+def test_commands_in_order(name: str, long: bool, environment: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    done = follow(ROOT / name, folder, environment, long)
     assert done > 5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
-def test_commands_in_order(name: str, environment: dict[str, str], tmp_path: Path) -> None:
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    follow(ROOT / name, folder, environment, long=False)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
-def test_all_commands_in_order(name: str, environment: dict[str, str], tmp_path: Path) -> None:
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    follow(ROOT / name, folder, environment, long=True)
 
 
 @pytest.mark.slow

@@ -15,8 +15,8 @@ from tepm_opt.models.dynamics import Dynamics
 
 KERNELS = ("input_motion", "properties", "observe", "segment_motion", "segment_tangent")
 LOOPS = (
-    "real.c", "rotations.c", "time_stepping.c", "motion_many_network.c", "motion_newton.c", "motion_steps.c", "motion_adaptive.c",
-    "motion_rounds.c", "motion_many.c",
+    "real.c", "rotations.c", "time_stepping.c", "motion_alone.c", "motion_many_network.c", "motion_newton.c", "motion_steps.c",
+    "motion_adaptive.c", "motion_rounds.c", "motion_many.c",
 )  # fmt: skip
 SYMBOLS = ("pool_lanes", "pool_size", "pool_open", "pool_enter", "pool_move", "pool_look", "pool_leave")
 ALIGNED = 64  # bytes of the widest vectors

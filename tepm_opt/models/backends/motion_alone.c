@@ -1,4 +1,4 @@
-/* In place of motion_tangents.c where nothing is differentiated: a motion without directions, and without the code for them. */
+/* In place of motion_tangents.c where nothing is differentiated: motions without directions, and without the code for them. */
 #define move_inputs_along(m, w, arg, at, duration, left) ((void)0)
 #define keep_actuation_along(m, i) ((void)0)
 #define stage_along(m, w, i, t, step, before, a, v_0) NONE

@@ -1,13 +1,5 @@
 /* Forces and matrices of many motions side by side, which have no directions. A segment's tangent, columns of the lower
    and the upper level, is the front in which its lower level is eliminated; what is left for the upper one goes on to the next front. */
-#define copy(m, to, from) ((void)0)
-#define move_inputs_along(m, w, arg, at, duration, left) ((void)0)
-#define keep_actuation_along(m, i) ((void)0)
-#define stage_along(m, w, i, t, step, before, a, v_0) NONE
-#define step_along(m, h) ((void)0)
-#define begin_along(m, t) ((void)0)
-#define rest_along(m, w, s, t) NONE
-#define record_along(m, w, arg, d, k) ((void)0)
 #define weigh_along(m, by, p) ((void)0)
 #define pack(w) ((void)0)
 #define know_time(w) ((void)0)
