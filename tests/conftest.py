@@ -24,6 +24,12 @@ FIRST = ("tests/test_notebooks.py", "tests/models/")
 """What takes longest alone, and what compiles the models that many tests share."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--turn N`."""
+    told = "begin with the tests' third number N modulo 3, so that what a limit of time cuts off has its turn"
+    parser.addoption("--turn", type=int, default=0, help=told)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is slow unless markers are asked for; begin with what takes longest."""
     if not config.getoption("-m"):
@@ -32,6 +38,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             config.hook.pytest_deselected(items=left_out)
             items[:] = [item for item in items if item not in set(left_out)]
     items.sort(key=lambda item: next((k for k, folder in enumerate(FIRST) if item.nodeid.startswith(folder)), len(FIRST)))
+    begin = config.getoption("--turn") % 3 * len(items) // 3
+    items[:] = items[begin:] + items[:begin]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

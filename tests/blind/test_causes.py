@@ -47,6 +47,7 @@ def test_noise_comes_behind_what_acts_on_points() -> None:
     assert run.points.std(axis=0) == pytest.approx(np.full((4, 3), NOISE), rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_misfit_is_what_recalibration_cannot_take() -> None:
     """A parameter within its prior leaves nothing, however it bends; one beyond it no more than what is beyond."""
     pilot = Pilot.of(ROBOT, Deviation(), SHORT, NOISE)

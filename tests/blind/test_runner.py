@@ -45,6 +45,7 @@ def test_families_take_turns() -> None:
         Trial.numbered(0, 0, "opne")
 
 
+@pytest.mark.slow
 def test_a_trial_that_kills_its_process_or_fails_is_a_result(tmp_path: Path) -> None:
     run = run_blind(tmp_path, 6, seed=7, jobs=2, examine=dangerous)
     assert run.ok
@@ -53,6 +54,7 @@ def test_a_trial_that_kills_its_process_or_fails_is_a_result(tmp_path: Path) -> 
     assert [result["seed"] for result in run.results] == [7] * 6
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_repeated(tmp_path: Path) -> None:
     path = tmp_path / RESULTS
     with ThreadPoolExecutor(1) as executor:
@@ -79,6 +81,7 @@ def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path) -> None:
         run_blind(tmp_path, 1, examine=answered)
 
 
+@pytest.mark.slow
 def test_a_trial_depends_on_seed_number_and_family_alone() -> None:
     one, same, other = (make(Trial(seed, 1, "null")) for seed in (3, 3, 4))
     assert json.dumps(one.label) == json.dumps(same.label)

@@ -14,6 +14,7 @@ from tests.blind.test_analysis import result
 from tests.cli.conftest import Command
 
 
+@pytest.mark.slow
 def test_data_sets_are_written_with_their_labels(tepm: Command, here: Path) -> None:
     done = tepm("blind", "--trials", "1", "--family", "null", "--data", "data")
     assert (done.status, done.out) == (0, "1 data sets in data\n"), done.err

@@ -74,6 +74,7 @@ class TestIdentify:
         assert done.json() == json.loads((here / "identified" / "identified.json").read_text())
         assert list(done.json()["parameters"]) == ["K_a", "m_d"]
 
+    @pytest.mark.slow
     def test_what_parameters_do_not_explain(self, tepm: Command, here: Path, data: Path) -> None:
         """A holder that is off: status 1, why, and the command that finds out; the model is written all the same."""
         spoilt(data)
@@ -90,6 +91,7 @@ class TestIdentify:
         assert done.out.endswith("\nNext: find out what the model lacks: tepm discrepancy data --out found\n")
         assert read_model(here / "out" / "model.toml").parameters
 
+    @pytest.mark.slow
     def test_a_parameter_at_its_bound(self, tepm: Command, here: Path, data: Path) -> None:
         """Mass that is not there: the fit is not asked for stiffness, so that the mass goes as far as its prior lets it."""
         write_model(NOMINAL.with_parameters(K_a=345.0), here / "stiff.toml")
@@ -158,6 +160,7 @@ class TestDiscrepancy:
         assert "sensor_offset" in (here / "out" / "report.html").read_text()
         assert tepm("statics", "--model", "out/model.toml", "--out", "still").status == 0
 
+    @pytest.mark.slow
     def test_unexplained_is_status_1(self, tepm: Command, here: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Points that leap about: no effect does that, none is looked for."""
         for path in data.glob("*.csv"):

@@ -73,6 +73,7 @@ def test_map(tepm: Command, here: Path, solved_circle: Path) -> None:
     np.testing.assert_allclose(found[:, 2:5], found[:, 5:8] * 0.5e6 * 50.27e-6 / 7.0, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_other_jobs_of_the_folder_stay(tepm: Command, here: Path, solved_circle: Path) -> None:
     shutil.copytree(solved_circle, here / "out")
     before = summary(here / "out", "ik"), (here / "out" / "inputs.csv").read_bytes()

@@ -115,6 +115,7 @@ class TestCheck:
         assert "tepm hw jog board 11 --tension 1 --no-tendon" in done.out
         assert bench.world.board.safe
 
+    @pytest.mark.slow
     def test_bad_board(self, tepm: Command, bench: Bench, here: Path) -> None:
         (here / "board").touch()
         bench.world.board.estop(True)
@@ -163,6 +164,7 @@ class TestLimits:
 
 
 class TestJog:
+    @pytest.mark.slow
     def test_tension(self, tepm: Command, bench: Bench) -> None:
         done = tepm("hw", "jog", "x", "12", "--tension", "1.5", "--seconds", "2", "--yes")
         assert (done.status, done.err) == (0, "")
@@ -183,6 +185,7 @@ class TestJog:
         assert not peak[:5].any()
         assert not bench.world.board.step_counts.any()
 
+    @pytest.mark.slow
     def test_no_tendon(self, tepm: Command, bench: Bench) -> None:
         bench.world.board.counts_per_step(0.0)
         done = tepm("hw", "jog", "x", "11", "--tension", "1", "--seconds", "2", "--no-tendon", "--yes")
@@ -341,6 +344,7 @@ class TestCalibrate:
         assert "this board has no inputs for pressure monitors" in done.err
         assert not bench.world.board.dac_peak.any()
 
+    @pytest.mark.slow
     def test_pressure_with_gauge(self, tepm: Command, bench: Bench) -> None:
         bench.answers = ["2", "much", "104"]
         done = tepm("hw", "calibrate", "pressure", "x", "--actuator", "11", "--at-kPa", "0,100", "--gauge", "--yes")
@@ -351,6 +355,7 @@ class TestCalibrate:
         assert part["V_per_MPa"][0] == pytest.approx(slope, rel=1e-5)
         assert part["zero_V"][0] == pytest.approx(-0.002 * slope, abs=1e-6)
 
+    @pytest.mark.slow
     def test_interrupted(self, tepm: Command, bench: Bench) -> None:
         bench.port.at(2.0, raising(KeyboardInterrupt()))
         done = tepm("hw", "calibrate", "pressure", "x", "--actuator", "11", "--at-kPa", "100,200", "--yes")
@@ -444,6 +449,7 @@ class TestBase:
         values = np.hstack([random.uniform(5e4, 3e5, (count, 6)), random.uniform(0, 1.5, (count, 6))])
         write_setpoints(here / "inputs.csv", SetPoints(np.arange(count, dtype=float), values, np.zeros((count, 3))), ACTUATORS)
 
+    @pytest.mark.slow
     def test_found(self, tepm: Command, here: Path, posed: PosedRig) -> None:
         self.rows(here, 10)
         done = tepm("hw", "calibrate", "base", "x", "inputs.csv", "--robot", "robot.toml", "--hold", "0.5", "--yes", "--out", "base.toml")

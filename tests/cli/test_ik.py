@@ -128,6 +128,7 @@ class TestCircle:
         np.testing.assert_allclose(inputs[:, 0], [0, 0.4, 0.8, 1.2, 1.6], rtol=1e-12)
         assert np.abs(inputs[:, 7:] - 2).max() <= 0.5 * PRESSURE_STEP * 50.27e-6 + 1e-9
 
+    @pytest.mark.slow
     def test_tip_force_is_held_against(self, tepm: Command, here: Path) -> None:
         assert tepm("ik", "circle", "--points", 3, "--tip-force", "0.3,-0.2,0.1", "--out", "out").status == 0
         header, inputs = table(here / "out" / "inputs.csv")
@@ -355,6 +356,7 @@ class TestRobots:
 
 
 class TestModels:
+    @pytest.mark.slow
     def test_payload_and_dead_zone(self, tepm: Command, here: Path) -> None:
         (here / "m.toml").write_text(
             'robot = "kang2017"\n\n[[effects]]\nname = "payload"\nparameters = {mass = 0.02}\n\n'

@@ -34,6 +34,7 @@ def test_table(tepm: Command, here: Path) -> None:
     assert names_in(here) == set()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn")
 def test_files(tepm: Command, here: Path) -> None:
     sticky = with_dynamics(

@@ -124,6 +124,7 @@ def test_files_log_and_summary(tepm: Command, here: Path) -> None:
     assert f"{1e3 * told['errors']['true']['rms_m']:.3g} mm rms" in done.out
 
 
+@pytest.mark.slow
 def test_the_log_is_a_recording_to_play_back(tepm: Command, here: Path) -> None:
     assert tepm("mpc", *SHORT, "--out", "out").status == 0
     done = tepm("mpc", *SHORT, "--rig", "replay:out/log.csv", "--out", "again")
@@ -132,6 +133,7 @@ def test_the_log_is_a_recording_to_play_back(tepm: Command, here: Path) -> None:
     assert not (here / "again").exists()
 
 
+@pytest.mark.slow
 def test_json_and_nothing_else(tepm: Command, here: Path) -> None:
     done = tepm("mpc", *SHORT, "--controller", "mode2", "--out", "out", "--json")
     assert (done.status, done.err) == (0, "")
@@ -140,6 +142,7 @@ def test_json_and_nothing_else(tepm: Command, here: Path) -> None:
     assert "program" not in (here / "out" / "log.csv").read_text().splitlines()[0]
 
 
+@pytest.mark.slow
 def test_a_gauge_that_lies_is_told(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the terminal, in the summary and by the exit status; the path is followed all the same."""
     monkeypatch.setattr("tepm_opt.jobs.course.FULL", Course(approach=2.0, pause=0.02))
@@ -154,6 +157,7 @@ def test_a_gauge_that_lies_is_told(tepm: Command, here: Path, monkeypatch: pytes
     assert told["doubts"]["dynamometer 12"]["from_s"] < 2.0
 
 
+@pytest.mark.slow
 def test_random_machines(tepm: Command, here: Path) -> None:
     """A row a run, a figure, and the figures of all in a line; with a rig of one's own it makes no sense."""
     done = tepm("mpc", *SHORT, "--machines", 2, "--noises", 1, "--seed", 3, "--bound", 50)
@@ -181,6 +185,7 @@ def test_point_by_point(tepm: Command, here: Path) -> None:
     assert summary(here / "out", "mpc")["counted_samples"] == 2 * 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("option", "enabled"), [(("--rule",), None), (("--use", "pressure"), 0.0), (("--use", "tension"), 1.0)])
 def test_options_of_the_predictive_controller(tepm: Command, here: Path, option: tuple[str, ...], enabled: float | None) -> None:
     path = ("line", "--from", "0.0,0,0.35", "--to", "0.001,0,0.35", "--duration", 0.05)
@@ -190,6 +195,7 @@ def test_options_of_the_predictive_controller(tepm: Command, here: Path, option:
     assert enabled is None or told["motors_enabled"] == enabled
 
 
+@pytest.mark.slow
 def test_a_plan_keeps_its_own_timing(tepm: Command, here: Path) -> None:
     part = np.linspace(0, 1, 41)
     smooth = part**3 * (10 - 15 * part + 6 * part**2)
@@ -201,6 +207,7 @@ def test_a_plan_keeps_its_own_timing(tepm: Command, here: Path) -> None:
 
 
 class TestEarlyEnds:
+    @pytest.mark.slow
     def test_an_interruption_keeps_what_was_done(self, tepm: Command, here: Path, in_rig: Any) -> None:
         opened = in_rig(40, raises(KeyboardInterrupt()))
         done = tepm("mpc", *SHORT, "--out", "out")
@@ -213,6 +220,7 @@ class TestEarlyEnds:
         assert read_run(here / "out" / "log.csv").rows == 39
         assert opened[0].stops >= 1
 
+    @pytest.mark.slow
     def test_an_interruption_before_anything_counts(self, tepm: Command, here: Path, in_rig: Any) -> None:
         in_rig(4, raises(KeyboardInterrupt()))
         done = tepm("mpc", *SHORT, "--out", "out", "--json")
@@ -226,6 +234,7 @@ class TestEarlyEnds:
         assert done.status == 130
         assert not (here / "out").exists()
 
+    @pytest.mark.slow
     def test_a_rig_that_fails_keeps_the_log(self, tepm: Command, here: Path, in_rig: Any) -> None:
         opened = in_rig(30, raises(LinkError("the board does not answer")))
         done = tepm("mpc", *SHORT, "--out", "out")
@@ -365,6 +374,7 @@ def test_wrong_input(tepm: Command, here: Path, arguments: tuple[object, ...], m
     assert names_in(here) == set()
 
 
+@pytest.mark.slow
 def test_the_live_view(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("viser", reason="viser is not installed (extra view)")
     shown: list[Any] = []
@@ -404,6 +414,7 @@ def test_the_live_view_needs_viser(tepm: Command, here: Path, monkeypatch: pytes
     assert names_in(here) == set()
 
 
+@pytest.mark.slow
 def test_a_second_run_into_the_same_folder(tepm: Command, here: Path) -> None:
     assert tepm("mpc", *SHORT, "--controller", "mode1", "--out", "out").status == 0
     shutil.copytree(here / "out", here / "before")
@@ -413,6 +424,7 @@ def test_a_second_run_into_the_same_folder(tepm: Command, here: Path) -> None:
     assert json.loads((here / "out" / "summary.json").read_text()).keys() == {"mpc"}
 
 
+@pytest.mark.slow
 def test_rounds_of_learning_and_what_was_learned(tepm: Command, here: Path) -> None:
     done = tepm("mpc", *SHORT, "--learn", 2, "--out", "out", "--seed", 3)
     assert (done.status, done.err) == (0, "")
@@ -450,6 +462,7 @@ def test_learning_that_makes_no_sense(tepm: Command, here: Path, options: tuple,
     assert message in done.err
 
 
+@pytest.mark.slow
 def test_a_round_that_ends_early_teaches_nothing_and_loses_nothing(tepm: Command, here: Path) -> None:
     """A recording that is too short for the path."""
     assert tepm("mpc", *SHORT, "--out", "out").status == 0
@@ -472,6 +485,7 @@ margin_m = 0.001
 """
 
 
+@pytest.mark.slow
 def test_keeping_out_with_free_progress(tepm: Command, here: Path) -> None:
     """Log, summary and words: how near the arm came, how far from the path it was."""
     (here / "o.toml").write_text(OBSTACLES, encoding="utf-8")

@@ -39,6 +39,7 @@ def test_files_of_a_move(tepm: Command, here: Path, drawn: None) -> None:
     assert names_in(folder) == {"summary.json"}, "files of an earlier plan are not those of this one"
 
 
+@pytest.mark.slow
 def test_a_path_from_a_file(tepm: Command, here: Path) -> None:
     along = np.linspace(0.15, 0.1, 7)
     (here / "way.csv").write_text("x,y,z\n" + "".join(f"{x},0,0.35\n" for x in along))
@@ -50,6 +51,7 @@ def test_a_path_from_a_file(tepm: Command, here: Path) -> None:
     assert np.abs(reference.positions[:, 1:] - [0, 0.35]).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_room_and_doubts_are_options(tepm: Command, here: Path) -> None:
     fast, roomy = (
         tepm("plan", *MOVE, *more, "--json").json() for more in ((), ("--loop", "--frequency-doubt", "0", "--friction-doubt", "0.5"))

@@ -47,6 +47,7 @@ class Page(HTMLParser):
 
 
 class TestJson:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("command", "keys"),
         [
@@ -139,6 +140,7 @@ class TestDemo:
         assert f"{1e3 * told['largest_rounded_tip_error_m']:#.3g} mm" in words
         assert "358.86" in words
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("quick")
     def test_a_robot_that_cannot_reach_the_circle(self, tepm: Command, here: Path) -> None:
         tepm("robot", "new", "short.toml")
@@ -152,6 +154,7 @@ class TestDemo:
         assert "Not run: not all points of the circle were solved." in page.text
         assert not {name for name in names_in(here / "out") if name.startswith("loop_")}
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("quick")
     def test_a_point_that_fails(self, tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         solve = job.each_configuration
@@ -186,6 +189,7 @@ class TestReproducibility:
         first, again = ({path.name: path.read_bytes() for path in (here / name).iterdir()} for name in "ab")
         assert first == again
 
+    @pytest.mark.slow
     def test_installed_script_writes_the_same_bytes(self, here: Path, solved_circle: Path) -> None:
         done = script("ik", "circle", "--out", "out")
         assert (done.status, done.err) == (0, "")
@@ -194,6 +198,7 @@ class TestReproducibility:
             assert (here / "out" / name).read_bytes() == (solved_circle / name).read_bytes(), name
         assert summary(here / "out", "ik") == summary(solved_circle, "ik")
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("drawn")
     def test_second_run_into_the_same_folder(self, tepm: Command, here: Path, solved_circle: Path) -> None:
         shutil.copytree(solved_circle, here / "out")

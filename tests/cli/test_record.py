@@ -187,6 +187,7 @@ class TestSignals:
         assert tepm("record", "plan.toml", "--out", "set", "--rig", "fake").status == 0
         np.testing.assert_array_equal(read_dataset(here / "set").runs[0].points[: journal.rows], journal.points)
 
+    @pytest.mark.slow
     def test_play(self, here: Path, inputs: Path) -> None:
         process = self.begin(here, "play", "inputs.csv", "--rig", "fake", "--out", "played")
         self.wait_for(here, "played/measured-1.unfinished.csv", process)

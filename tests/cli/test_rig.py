@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tests.cli.conftest import Command
 
@@ -52,6 +54,7 @@ def test_what_is_wrong_is_one_line(tepm: Command, here: Path) -> None:
         assert says in done.err
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_not_the_papers_is_played_and_followed(tepm: Command, here: Path) -> None:
     """Set points of one module on `--rig sim`, and from a rig file whose robot nobody has to name again."""
     names = ["time_s", *(f"pressure_1{k}_Pa" for k in (1, 2, 3)), *(f"tension_1{k}_N" for k in (1, 2, 3))]

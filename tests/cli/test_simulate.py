@@ -93,6 +93,7 @@ def test_the_trajectory_is_a_run_of_a_data_set(tepm: Command, here: Path) -> Non
     assert (done.status, done.json()["errors"]) == (0, 0), done.out
 
 
+@pytest.mark.slow
 def test_sparse_and_dense_files_of_one_motion_agree(tepm: Command, here: Path) -> None:
     """Between rows the inputs are linear, however many rows say so."""
     inputs(here / "in.csv", (0.0, 0.5, 2.0))
@@ -105,6 +106,7 @@ def test_sparse_and_dense_files_of_one_motion_agree(tepm: Command, here: Path) -
     np.testing.assert_allclose(values(here / "out" / "trajectory.csv")[[50, 200], -12:], sparse[1:, -12:], atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_rk4_and_implicit_agree(tepm: Command, here: Path) -> None:
     assert plain(tepm).status == 0
@@ -127,6 +129,7 @@ def test_hold(tepm: Command, here: Path) -> None:
     assert summary(here / "out", "simulate")["inputs_between_rows"] == "held"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_sensitivities_against_differences(tepm: Command, here: Path) -> None:
     assert plain(tepm, "--sensitivities", "K_a,pressure_11").status == 0
@@ -144,6 +147,7 @@ def test_sensitivities_against_differences(tepm: Command, here: Path) -> None:
     assert names_in(here / "out") == FILES, "sensitivities of an earlier run must not stay"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn")
 def test_a_recorded_run_is_compared_and_two_runs_give_the_same_bytes(tepm: Command, here: Path) -> None:
     """Points shifted by 3 mm, one of them missing: Eq. (5) is 3 mm. With all figures, sensitivities and a film."""
@@ -183,6 +187,7 @@ def partial(*arguments: Any, **options: Any) -> Any:
     return simulate(model, cut, *rest, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_a_motion_that_leaves_all_bounds_is_kept_until_then(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(*arguments: Any, **options: Any) -> Any:
@@ -238,6 +243,7 @@ def test_interrupted_film_keeps_its_pictures(tepm: Command, here: Path, monkeypa
     assert summary(here / "out", "simulate")["interrupted"] is False
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ctrl_c_on_the_program(here: Path) -> None:
     """A real SIGINT while the film of a minute is drawn: status 130, tables whole, no temporary files."""

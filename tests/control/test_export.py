@@ -33,6 +33,7 @@ def samples(kang: CompiledModel, short: Reference) -> list[Sample]:
     return found
 
 
+@pytest.mark.slow
 def test_the_same_commands_without_python(kang: CompiledModel, short: Reference, samples: list[Sample], tmp_path: Path, compiler) -> None:
     """From the folder alone, without optimisation; commands as those of the step in Python."""
     controller = Mpc(kang, short, MpcSettings(backend="python"))

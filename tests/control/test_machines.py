@@ -101,6 +101,7 @@ class TestLqg:
 
 
 class TestRun:
+    @pytest.mark.slow
     def test_two_machines_with_two_noises(self, tmp_path) -> None:
         """A row each, the same whichever machines are asked for; table, summary and figure."""
         task = (Model.of("kang2017"), circle(100, duration=4.0), QUICK, LoopSetup("lqg"), Family(2, 2, 6))

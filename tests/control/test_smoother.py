@@ -126,6 +126,7 @@ def test_better_than_the_filter(circle_points):
     assert (np.array(parts) < [0.7, 0.95, 0.5]).all(), parts
 
 
+@pytest.mark.slow
 def test_dropout_is_filled_from_both_sides(circle_points):
     """0.3 s without any point and an outlier: the tip within them is several times as near as the filter's, which only foresees."""
     recorded, _, truth = simulated(circle_points[:1], 100, 5)

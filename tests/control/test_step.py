@@ -122,6 +122,7 @@ def spoiled(samples: list[Sample], seed: int) -> Iterator[Sample]:
             yield replace(given, time=zero)  # from long ago
 
 
+@pytest.mark.slow
 def test_the_same_whatever_is_measured(kang, quick, recorded):
     """Prepared for the next period, which does not always come."""
     pair = both(kang, quick, MpcSettings())

@@ -46,6 +46,7 @@ def named(verdict: dict[str, Any]) -> dict[str, dict[str, float]]:
     }
 
 
+@pytest.mark.slow
 def test_friction_of_the_drive_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     status, verdict = answer(tmp_path, LISTINGS[0], drive(tmp_path / "data", friction=8.0), monkeypatch)
     assert (status, verdict["status"]) == (0, "named"), verdict["paragraph"]
@@ -84,6 +85,7 @@ def test_friction_of_the_elbow_is_named(tmp_path: Path, monkeypatch: pytest.Monk
     assert verdict["recalibrated"]["upper_mass"]["value"] == pytest.approx(1.55, rel=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_is_named_on_an_arm_in_which_nothing_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     status, verdict = answer(tmp_path, LISTINGS[1], arm(tmp_path / "data"), monkeypatch)
     assert (status, verdict["status"], verdict["effects"]) == (0, "no_discrepancy", []), verdict["paragraph"]

@@ -242,7 +242,7 @@ CASES = [
     Case("inputs stand while the robot moves", every(lambda run: {**at_rest(run), "points": run.points}), says=("excites anything",)),
     Case("one run stands", first(at_rest), slow=True),
     Case("positions of another run", copied, says=("same positions as in",)),
-    Case("positions of another run measured anew", pasted),
+    Case("positions of another run measured anew", pasted, slow=True),
     # sensors
     Case(
         "a sensor without samples",
@@ -255,7 +255,7 @@ CASES = [
     Case("four in ten samples missing", every(some(0.4, np.nan)), status=VerdictStatus.NO_DISCREPANCY, slow=True),
     Case("zeros for missing samples", every(some(0.1, 0.0)), says=("all coordinates are 0",)),
     Case("a frozen sensor", first(sensor(3, lambda p: np.where(np.arange(len(p))[:, None] > 100, p[100], p))), says=("s4", "frozen")),
-    Case("few spikes", every(some(0.02, 0.5)), status=VerdictStatus.NO_DISCREPANCY, notes=("Outliers: .* are left out",)),
+    Case("few spikes", every(some(0.02, 0.5)), status=VerdictStatus.NO_DISCREPANCY, notes=("Outliers: .* are left out",), slow=True),
     Case("many spikes", every(some(0.1, 0.5)), says=("spikes", "samples stray")),
     Case(
         "a sensor frozen for a moment",
@@ -268,6 +268,7 @@ CASES = [
         every(points(lambda p: p + 0.75**0.5 * NOISE * np.random.default_rng(1).normal(size=p.shape))),
         status=VerdictStatus.NO_DISCREPANCY,
         notes=("3[0-9] % above the 0.3 mm assumed",),
+        slow=True,
     ),
     Case(
         "a table that vibrates",
@@ -277,7 +278,9 @@ CASES = [
     ),
     Case("noise only", every(lambda run: {"points": at_rest(run)["points"]}), slow=True),
     Case(
-        "noise of 20 mm", lambda m: replace(m.dataset, runs=tuple(cut(noisy(run, 20e-3), SECONDS) for run in m.clean), position_noise=20e-3)
+        "noise of 20 mm",
+        lambda m: replace(m.dataset, runs=tuple(cut(noisy(run, 20e-3), SECONDS) for run in m.clean), position_noise=20e-3),
+        slow=True,
     ),
     Case(
         "noise of 20 mm undeclared", lambda m: replace(m.dataset, runs=tuple(cut(noisy(run, 20e-3), SECONDS) for run in m.clean)), slow=True

@@ -121,12 +121,14 @@ def test_a_gauge_with_a_gain_and_an_offset_of_its_own_shows_the_same_lag() -> No
     assert found is None or found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.03)
 
 
+@pytest.mark.slow
 def test_gauges_without_noise_show_it_too() -> None:
     """Mostly at rest, their readings do not differ from row to row, and what any program leaves is more than that."""
     found = seen(gauged(lambda values: values, white=0.0, rest=2000))
     assert found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_gauges_show_something_else_besides() -> None:
     """No gauges; no lag; pressure that stops at half of what is asked."""
     data = gauged(on_grid)

@@ -48,6 +48,7 @@ class TestLeaveOut:
         assert found.excess < 0.05
         assert 3 * count <= len(found.squares) <= 3 * 4 * max(count, 2), "blocks of about a second"
 
+    @pytest.mark.slow
     def test_is_what_refits_say(self, kang: CompiledModel, runs: list[Run]) -> None:
         """The step from the fit to all runs against fits to two of them."""
         found = leave_out(fitted(kang, runs)).squares
@@ -111,6 +112,7 @@ class TestLeaveOut:
             leave_out(estimated, names)
             assert len(folds) == count
 
+    @pytest.mark.slow
     def test_missing_samples_do_not_count(self, kang: CompiledModel, runs: list[Run]) -> None:
         holey = [replace(run, points=np.where(np.arange(4)[:, None] == 1, np.nan, run.points)) for run in runs]
         holey[0].points[50:120] = np.nan  # a second and a half in which nothing is seen

@@ -130,6 +130,7 @@ class TestAlternatives:
         law, truth = shape @ found.coefficients, -kang.values["A"] * pressures**2 / 2e6
         assert np.sqrt(np.mean((law - truth) ** 2)) < 0.1 * np.sqrt(np.mean(truth**2))
 
+    @pytest.mark.slow
     def test_a_tracker_that_drifts_is_told_from_forces(self, kang: CompiledModel, true: CompiledModel) -> None:
         runs, began = [], 0.0
         for run in measured(true, planned(FILES)):

@@ -96,6 +96,7 @@ def closes(answer: Answer, key: str, least: float) -> None:
 
 
 class TestFewRuns:
+    @pytest.mark.slow
     def test_a_pair(self, few: Callable[[str], Answer]) -> None:
         answer = few(key := "base_tilt_and_pressure_dead_zone")
         assert answer.right, answer.line(key)

@@ -65,6 +65,7 @@ def law(kang: CompiledModel, true: CompiledModel, tmp_path_factory: pytest.TempP
     unload_effect(found.written.name)
 
 
+@pytest.mark.slow
 def test_place_formula_and_curve_are_those_of_the_machine(law: Invention, kang: CompiledModel) -> None:
     assert law.formula.place.label == "axial[22](pressure)"
     pressures = np.linspace(0, 3e5, 50)

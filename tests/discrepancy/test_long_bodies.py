@@ -86,11 +86,12 @@ def test_what_laws_make_of_a_signal(name: str, p: dict[str, float], expected: li
     np.testing.assert_allclose(acted(LAWS[name], p), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "value"),
     [
-        pytest.param("", 0.0, marks=pytest.mark.slow),
-        pytest.param("tendon_slack[tension].slack", 1.2, marks=pytest.mark.slow),
+        ("", 0.0),
+        ("tendon_slack[tension].slack", 1.2),
         ("capstan_friction[tension].friction", 0.4),
     ],
 )

@@ -142,6 +142,7 @@ def sliding(time: np.ndarray, force: np.ndarray, mass: float, damping: float) ->
 
 
 class TestWithoutASpring:
+    @pytest.mark.slow
     @pytest.mark.parametrize("backend", ["auto", "python"])
     @pytest.mark.parametrize("how", [{}, {"step": 0.01}, {"method": "rk4"}], ids=["adaptive", "steps", "rk4"])
     def test_moves_as_a_mass_on_a_damper(self, springless: Path, backend: Literal["auto", "python"], how: dict[str, Any]) -> None:
@@ -152,6 +153,7 @@ class TestWithoutASpring:
         assert found.tip[:, 2] == pytest.approx(expected, abs=2e-4)
         assert expected[-1] > 0.25
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("backend", ["auto", "python"])
     def test_its_motion_has_derivatives(self, springless: Path, backend: Literal["auto", "python"]) -> None:
         model, asked, h = compile_model(springless, backend=backend), pushed(0.3), 1e-3
@@ -161,6 +163,7 @@ class TestWithoutASpring:
             way = [simulate(changed(model, **{name: model.values[name] + d}), asked, step=STEP).tip[:, 2] for d in (h, -h)]
             assert by == pytest.approx((way[0] - way[1]) / (2 * h), abs=1e-4 * np.abs(by).max())
 
+    @pytest.mark.slow
     def test_has_no_stable_equilibrium(self, springless: Path) -> None:
         model = compile_model(springless, backend="python")
         for force in (0.0, 1.0):
@@ -172,6 +175,7 @@ class TestWithoutASpring:
         with pytest.raises(InputError, match="row 1: no stable equilibrium to start from: nothing holds the robot"):
             simulate(model, SetPoints(asked.time, asked.inputs, asked.tip_force + 0.1))
 
+    @pytest.mark.slow
     def test_an_arm_without_stiffness_says_so(self) -> None:
         found = solve_statics(compile_model(Model.of("kang2017").with_parameters(K_a=0.0), backend="python"), np.zeros(12))
         assert "nothing holds the robot" in found.outcome.message

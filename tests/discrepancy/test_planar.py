@@ -26,6 +26,7 @@ def folder(kang: CompiledModel, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return write(dataset_of(kang, flat), tmp_path_factory.mktemp("planar"))
 
 
+@pytest.mark.slow
 def test_errors_of_two_axes_are_numbers(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert tepm(["discrepancy", str(folder), "--out", str(out), "--json"]) in (0, 1)
@@ -39,6 +40,7 @@ def test_errors_of_two_axes_are_numbers(folder: Path, tmp_path: Path, capsys: py
     assert not re.search(r"\bnan\b", json.dumps(verdict) + " ".join(words), re.IGNORECASE)
 
 
+@pytest.mark.slow
 def test_identification_tells_errors_of_two_axes(folder: Path, tmp_path: Path) -> None:
     assert tepm(["identify", str(folder), "--out", str(tmp_path)]) in (0, 1)
     found = json.loads((tmp_path / "identified.json").read_text(encoding="utf-8"))

@@ -176,6 +176,7 @@ def test_figures_of_runs(tmp_path: Path, static: bool) -> None:
         assert shown.max() < 21.0
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_figures_of_numbers(tmp_path: Path) -> None:
     errors = {"noise floor": 5e-4, "nominal": 5e-3, "recalibrated": 4e-3, "corrected": 5.5e-4, "black box": float("nan")}

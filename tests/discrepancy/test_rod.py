@@ -90,6 +90,7 @@ def test_points_of_cross_sections_go_along() -> None:
     assert middle[1] == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_heavy_bodies_and_strong_pulls_find_their_shape() -> None:
     """Many of them do not by Newton's steps alone."""
     lost = []

@@ -96,6 +96,7 @@ class TestLibrary:
         labels = {candidate.label for candidate in candidates(known)}
         assert {candidate.label for candidate in candidates(NOMINAL)} - labels == {"payload", "actuator_gain[13]"}
 
+    @pytest.mark.slow
     def test_all_effects_at_their_null_values_change_nothing(self, kang: CompiledModel, library: CompiledModel, runs: list[Run]) -> None:
         for static in (False, True):
             run = cut(runs[0], 0.5 if static else 3.0)
@@ -238,6 +239,7 @@ class TestFits:
         assert last.excess == pytest.approx(wrong.excess, rel=1e-4)
         assert hasty.finished(last) is last
 
+    @pytest.mark.slow
     def test_that_end_early_do_not_change_the_winner(
         self, library: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -297,6 +299,7 @@ class TestAnswer:
         assert set(verdict["rmse_m"]) == {"noise_floor", "nominal", "recalibrated", "corrected", "black_box"}
         assert read_model(out / MODEL) == result.verdict.model
 
+    @pytest.mark.slow
     def test_is_the_same_after_an_interruption(self, folder: Path, out: Path, result: Discovery, lines: list[str], tmp_path: Path) -> None:
         work = [line for line in lines if line.startswith(("fitting", "screening", "judging"))]
         assert len(work) >= 4, work
@@ -315,6 +318,7 @@ class TestAnswer:
         assert contents(tmp_path) == contents(out)
         assert not (tmp_path / FITS).exists()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("cores", [1, 3])
     def test_is_the_same_again_on_so_many_cores(
         self, folder: Path, out: Path, result: Discovery, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cores: int

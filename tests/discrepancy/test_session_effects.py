@@ -32,7 +32,6 @@ HIDDEN: dict[str, tuple[str, dict[str, Any], dict[str, float]]] = {
     "a clock that gains more and more": ("clock_skew", {"rate": 0.005, "bend_per_s": 5e-5}, {"rate": 0.005}),
 }  # fmt: skip
 """By what it is: the effect, the rig's sizes, and parameters that mean the same."""
-EVERY_DAY = ("a tendon that slides",)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +44,8 @@ def excess(estimate: ParameterEstimate) -> float:
     return sum(r.squares for r in estimate.residuals) / sum(r.count for r in estimate.residuals) - 1
 
 
-@pytest.mark.parametrize("what", [pytest.param(what, marks=() if what in EVERY_DAY else pytest.mark.slow) for what in HIDDEN])
+@pytest.mark.slow
+@pytest.mark.parametrize("what", HIDDEN)
 def test_it_is_explained_from_what_the_residuals_suggest(company: CompiledModel, what: str) -> None:
     name, sizes, same = HIDDEN[what]
     hidden = Deviation({name: sizes})

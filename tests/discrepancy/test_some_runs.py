@@ -92,6 +92,7 @@ class TestFirstOrder:
         alone = [linear.gain([c])[0] for c in network.candidates]
         assert linear.gain(network.candidates)[0] >= max(alone) - 1e-9
 
+    @pytest.mark.slow
     def test_an_effect_of_the_fit_can_be_taken_back(self, fits: Fits, without: Hypothesis, network: SearchableNetwork) -> None:
         """What a fit leaves without its effect is what was left before it, up to the second order."""
         with_it = fits.fit((LIMITED,), {"payload.mass": 0.01})

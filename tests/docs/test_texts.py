@@ -82,6 +82,7 @@ def spelling(text: str) -> str:
     return subprocess.run([tool, "-"], input=text, cwd=ROOT, capture_output=True, text=True, check=False).stdout
 
 
+@pytest.mark.slow
 def test_spelling() -> None:
     texts = {path.name: path.read_text(encoding="utf-8") for path in DOCUMENTS} | {"docstrings": docstrings()}
     assert {name: found for name, text in texts.items() if (found := spelling(text))} == {}

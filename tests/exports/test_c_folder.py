@@ -119,6 +119,7 @@ def test_the_numbers_of_the_reference(nominal: Path, kang_python: CompiledModel)
     check(nominal, kang_python, 1)
 
 
+@pytest.mark.slow
 def test_another_robot_whose_commands_act_late(of_late: Path, late: CompiledModel) -> None:
     """By more than a row, so that the motion looks back."""
     check(of_late, late, 2)

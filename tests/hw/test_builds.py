@@ -107,10 +107,9 @@ def combinations() -> list[tuple[str, str, str, int, str]]:
 
 
 FAST = (
-    ("mega", "MCP4922", "AD7606", 250000, "make"),
     ("mega", "MCP4728", "AD7606", 250000, "arduino"),  # the slowest
     ("mega", "MCP4922", "INTERNAL", 115200, "platformio"),
-    ("uno", "MCP4922", "INTERNAL", 250000, "arduino"),
+    ("uno", "MCP4922", "INTERNAL", 250000, "make"),
 )
 
 

@@ -265,6 +265,7 @@ class TestTracker:
         assert found["tracker"].mark is Mark.RIGHT
         assert found["tracker's sensors"].says.startswith("s1, s2, s3, s4 are seen, poses are ")
 
+    @pytest.mark.slow
     def test_unreachable(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         with PlusServer() as server:
             port = server.port

@@ -100,6 +100,7 @@ def test_slower_pressure_slew(armed: Host) -> None:
     assert np.all(armed.board.dac >= 0.1 * SLEW * 0.08)
 
 
+@pytest.mark.slow
 def test_tension_set_points(armed: Host) -> None:
     """Tensions over the whole range on all six channels: measured within one step of the motor (3.4 counts), whichever way they came."""
     armed.hold(0.05)
@@ -125,6 +126,7 @@ def test_small_tension_steps(armed: Host) -> None:
     assert np.array_equal(armed.board.step_counts, before)
 
 
+@pytest.mark.slow
 def test_position_set_points(armed: Host) -> None:
     """In position mode every motor goes exactly to its step, over the whole range and by single steps."""
     armed.board.counts_per_step(0)
@@ -141,6 +143,7 @@ def test_position_set_points(armed: Host) -> None:
     assert np.array_equal(armed.board.step_counts, before)
 
 
+@pytest.mark.slow
 def test_step_timing(armed: Host) -> None:
     """10^5 steps at full rate, back and forth, all six motors at once, while the host sends 200 set points a second.
 
@@ -310,6 +313,7 @@ def converse(host: Host, duration: float, period: float) -> None:
     assert host.state is State.ARMED
 
 
+@pytest.mark.slow
 def test_200_hz(host: Host) -> None:
     """Set points and STATUS 200 times a second at 250,000 baud, for 2 s: more of them than there are sequence numbers."""
     converse(host, 2, 0.005)
@@ -428,6 +432,7 @@ RESOLUTION = 0.003 / 5 * 32768
 """3 mV in counts: what the processor's own converter and the tension loop reach."""
 
 
+@pytest.mark.slow
 def test_other_parts(board_factory: Callable[..., Board], build: Callable[[str, str], Path]) -> None:
     """Firmware for a slow line, DACs on the two-wire bus and the processor's own converter, built without warnings.
 

@@ -214,6 +214,7 @@ def test_limits_that_are_not_what_their_crc_says() -> None:
         SerialRig(port, load_robot("kang2017"), clock=port.clock, threaded=False)
 
 
+@pytest.mark.slow
 def test_firmware_of_another_robot(tmp_path: Path, library: Path, board_factory: Callable[..., Board]) -> None:
     """The header of a stronger robot, compiled: the board arms for that robot, and not for the one that ships."""
     strong = robot_with(1.0e6, 14.0, **STRONG)

@@ -123,6 +123,7 @@ def session_of(host: Host) -> int:
     return host.session
 
 
+@pytest.mark.slow
 def test_sessions_never_come_twice(host: Host) -> None:
     """Over 60 starts of every kind, with arming and clearing in between: all different, thanks to the counter in the EEPROM.
 

@@ -131,6 +131,7 @@ def test_same_seed_same_draws() -> None:
         assert sorted(map(repr, first)) == sorted(map(repr, other))
 
 
+@pytest.mark.slow
 def test_draws_are_other_programs(tmp_path: Path) -> None:
     """No draw is what the compiler makes the same of; different numbers are different draws."""
     assert code_of("a = 1\n\n\nb = (a)") == code_of("a = 1\nb = a  # the same")
@@ -152,6 +153,7 @@ def codes(text: str) -> Spoiling:
     return Slip("codes", f"{BOARD}/protocol.py", "\nDAC_CODES = 4096\n", f"\nDAC_CODES = {text}\n").find()
 
 
+@pytest.mark.slow
 def test_caught_or_survived(tmp_path: Path) -> None:
     """A test that fails on the spoilt copy catches it; where none fails, it has survived; tests that hang are told apart."""
     test = tmp_path / "test_tiny.py"
@@ -163,6 +165,7 @@ def test_caught_or_survived(tmp_path: Path) -> None:
     assert "\nDAC_CODES = 4096\n" in source(f"{BOARD}/protocol.py")
 
 
+@pytest.mark.slow
 def test_no_tests_are_no_catch(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="cannot be run"):
         try_out(codes("4095"), tmp_path / "run", ["tests/hw/test_that_does_not_exist.py"])

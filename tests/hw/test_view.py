@@ -7,6 +7,7 @@ from tepm_opt.hw.simulation.view import RigView
 from tests.hw.rigs import rig_of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plain", [True, False])
 def test_picture_shows_the_bend(plain):
     """Seen along y, pulled to +x: ink moves to one side; MuJoCo's renderer is skipped where it does not work."""

@@ -34,6 +34,7 @@ def test_a_compiler_that_fails_is_no_obstacle(empty_cache, monkeypatch):
     assert list(empty_cache.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_cache_that_cannot_be_made_is_no_obstacle(tmp_path, empty_cache, monkeypatch, compiler):
     (tmp_path / "file").touch()
     monkeypatch.setenv(store.CACHE_VARIABLE, str(tmp_path / "file" / "cache"))
@@ -41,6 +42,7 @@ def test_a_cache_that_cannot_be_made_is_no_obstacle(tmp_path, empty_cache, monke
         assert compile_model(SMALL).is_c
 
 
+@pytest.mark.slow
 def test_the_cache_is_keyed_by_the_network_not_by_its_parameters(empty_cache, monkeypatch, compiler):
     model = Model.of(SMALL)
     assert compile_model(model, backend="c").is_c
@@ -51,6 +53,7 @@ def test_the_cache_is_keyed_by_the_network_not_by_its_parameters(empty_cache, mo
     assert list(empty_cache.iterdir()) == libraries
 
 
+@pytest.mark.slow
 def test_who_comes_while_it_is_compiled_waits_for_it(empty_cache, monkeypatch, compiler):
     compiled, compile_text, together = [], c_compiler._compile, Barrier(2)
 

@@ -390,6 +390,7 @@ def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
     assert damping[0] > -1e-12 * damping[-1]
 
 
+@pytest.mark.slow
 def test_in_motion_it_vanishes_at_its_null_values(null, kang, excitation):
     begin = SetPoints(excitation.time[:21], excitation.inputs[:21], excitation.tip_force[:21])  # its small steps take long
     for points, settings in ((excitation, {"step": 0.01, "tolerance": 1e-10}), (begin, {"method": "rk4", "step": 3e-4})):
@@ -441,6 +442,7 @@ def test_in_motion_it_recovers_its_own_parameters(moving, excitation):
     np.testing.assert_allclose(found.x * probe, truth, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_what_it_declares_to_a_controller_vanishes_at_its_null_values(subject):
     effect, still = subject.effect, (None, 0.0, (0.0, 0.0))
     assert (subject.compiled.pressure_lag not in still) == effect.has("lag")

@@ -146,6 +146,7 @@ def test_a_weak_actuator_loses_a_share_of_its_pressure():
     np.testing.assert_allclose(model.statics.actuation(u, model.theta), u * [1, 1, 1.1, 0.75, 1, 1, 1, 1, 1, 1, 1, 1], rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_muscles_offset_is_a_rest_length_that_is_off(kang):
     """The network of another route with longer rest lengths; the force is there at no pressure, behind a dead zone, and pulls, too."""
     network = Network()
@@ -160,6 +161,7 @@ def test_a_muscles_offset_is_a_rest_length_that_is_off(kang):
             assert abs(solve_statics(model, u).points - network.points(nodes)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_regulator_gives_no_less_than_nothing(kang):
     """One-sided, an offset below 0 takes no more than there is; above 0 it is the same."""
     for pressure, at, left in ((-5e3, 2e3, 0.0), (-5e3, 8e3, 3e3), (5e3, 0.0, 5e3)):
@@ -182,6 +184,7 @@ def test_regulators_whose_zero_is_off_leave_the_robot_within_its_reach(pressure)
     assert abs(solve_statics(model, found.allocation.inputs).tip - target).max() < 1e-3  # set points are on a grid
 
 
+@pytest.mark.slow
 def test_scatter_is_gains_and_offsets_of_all_at_once():
     gains, offsets = 0.01 * np.arange(-3, 3), 1e3 * np.arange(6)
     names = Layout.of(NOMINAL.robot).actuator_names
@@ -254,6 +257,7 @@ def test_a_valve_opens_in_proportion_to_the_error_and_then_no_further():
     np.testing.assert_allclose(left[1:] / left[:-1], np.exp(-1e-3 / 0.06), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_choked_valve_empties_the_slower_the_less_is_inside():
     """At 1 / choke at 125 kPa, by sqrt(P² - P_a²) elsewhere, down to a tenth of the atmosphere's flow."""
     model = in_python(NOMINAL.with_effect("regulator_lag", filling_time=0.0, exhausting_time=0.0, exhausting_choke=5e-6, opening=0.0))
@@ -274,6 +278,7 @@ def test_a_hysteresis_may_be_uneven():
     assert found[-1] - path[-1] == pytest.approx(1e3, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_hysteresis_that_sticks_leaves_the_force_where_it_is():
     """On a reversal, over most of the loop's width; without sticking it comes back at once. One play is all three of no spread."""
     path = np.concatenate([np.linspace(0, 2e5, 201), np.linspace(2e5, 1e5, 101)[1:]])

@@ -42,6 +42,7 @@ def at(model: CompiledModel, values: dict[str, float]) -> CompiledModel:
     return model.with_theta([({**model.values, **null, **values})[name] for name in model.network.parameter_names])
 
 
+@pytest.mark.slow
 def test_a_drift_is_a_shift_in_proportion_to_the_session_s_time(company, setpoints):
     rate = np.array([1e-5, -2e-5, 3e-5])
     drifting = at(company, {f"tracker_drift.shift_{axis}": value for axis, value in zip("xyz", rate, strict=True)})
@@ -119,6 +120,7 @@ def test_a_base_that_moves_faster_than_the_robot_sways_leaves_the_tip_behind(com
     assert late.std() < 0.5 * wave.std()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", [False, True])
 def test_both_backends_and_many_at_once_tell_the_same_time(compiler, setpoints, hold):
     names = ("warm_up", "tracker_drift", "clock_skew", "base_vibration", "regulator_lag")

@@ -75,6 +75,7 @@ def evil(tmp_path) -> tuple[bytes, Path]:
     return library(tmp_path / "evil.so", text), trace
 
 
+@pytest.mark.slow
 def test_it_is_closed_to_others_from_the_start(empty_cache, compilations):
     mask = os.umask(0)
     try:

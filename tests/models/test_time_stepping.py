@@ -45,6 +45,7 @@ def test_both_backends_step_alike(pair, hold):
     assert (first.effort.steps, first.effort.halvings) == (second.effort.steps, second.effort.halvings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", [False, True])
 def test_both_backends_adapt_alike(pair, hold):
     c, python = pair

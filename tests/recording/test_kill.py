@@ -1,6 +1,6 @@
 """`tepm record` killed at random moments: nothing that was finished is lost, and going on gives what an undisturbed recording gives.
 
-Four kills in every run of the tests, twenty and twenty of the installed program on the default rig by `pytest -m slow`.
+Twenty kills, and twenty of the installed program on the default rig, by `pytest -m slow`.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from tepm_opt.models.channels import open_dataset
 from tests.recording.fake_rig import RAMP, FakeRig, record_slowly, write_plan
 
 RATE = 50
+KILLS = 20
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
 
 
@@ -73,13 +74,13 @@ def check_left(folder: Path, truth: Path, log: Path, before: int) -> int:
     return len(dataset.runs)
 
 
-@pytest.mark.parametrize("kills", [4, pytest.param(20, marks=pytest.mark.slow)])
-def test_killed_at_random_moments(tmp_path: Path, fake: None, kills: int) -> None:
+@pytest.mark.slow
+def test_killed_at_random_moments(tmp_path: Path, fake: None) -> None:
     plan, truth = write_plan(tmp_path), tmp_path / "truth"
     assert run(["record", str(plan), "--out", str(truth), "--rig", "fake", "--json"]) == 0
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["tepm_opt.cli"])
-    random = np.random.default_rng(kills)
+    random = np.random.default_rng(KILLS)
 
     def start(folder: Path, log: Path) -> BaseProcess:
         process = context.Process(target=record_slowly, args=(str(plan), str(folder), str(log), 1e-4))
@@ -89,8 +90,8 @@ def test_killed_at_random_moments(tmp_path: Path, fake: None, kills: int) -> Non
     start(tmp_path / "undisturbed", tmp_path / "whole-log").join()
     whole = (tmp_path / "whole-log").stat().st_size
     folder, finished, killed, amid = tmp_path / "set-0", 0, 0, 0
-    for attempt in range(10 * kills):
-        if killed == kills:
+    for attempt in range(10 * KILLS):
+        if killed == KILLS:
             break
         log = tmp_path / f"log-{attempt}"
         process = start(folder, log)
@@ -105,8 +106,8 @@ def test_killed_at_random_moments(tmp_path: Path, fake: None, kills: int) -> Non
             assert run(["record", str(plan), "--out", str(folder), "--rig", "fake", "--json"]) == 0
             assert files(folder) == files(truth)
             folder, finished = tmp_path / f"set-{attempt + 1}", 0
-    assert killed == kills
-    assert amid > kills / 3, "too few kills in the middle of a run to prove something"
+    assert killed == KILLS
+    assert amid > KILLS / 3, "too few kills in the middle of a run to prove something"
 
 
 def _wait_for(log: Path, length: float, process: BaseProcess, patience: float = 60.0) -> None:
@@ -128,7 +129,7 @@ def test_the_program_killed_on_the_default_rig(tmp_path: Path) -> None:
     subprocess.run([*command, str(truth)], check=True, capture_output=True)
     duration = time.monotonic() - begin
     random, killed, rounds, amid = np.random.default_rng(2017), 0, 0, 0
-    while killed < 20:
+    while killed < KILLS:
         process = subprocess.Popen([*command, str(folder)], stdout=subprocess.DEVNULL)
         time.sleep(random.uniform(0.0, duration))
         before = sizes(folder)

@@ -168,6 +168,7 @@ class TestRecovery:
         assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
         assert max(found.std / found.values) < 0.02, found.std / found.values
 
+    @pytest.mark.slow
     def test_an_effect_beside_the_robot(self, kang: CompiledModel) -> None:
         model = compile_model(in_company(payload={"mass": 0.0}))
         truth = {"payload.mass": 0.008, "K_a": 1.01 * kang.values["K_a"]}

@@ -87,6 +87,7 @@ def test_small_motion_is_that_of_the_simulation(name, rising):
         assert abs(found[:, rows] - expected[:, rows]).max() < 0.01 * abs(expected[:, rows]).max()
 
 
+@pytest.mark.slow
 def test_sticking_friction_is_a_spring():
     linear = linearise(held("friction"))
     kinds = linear.kinds[linear.held].tolist()

@@ -104,6 +104,7 @@ def test_damping_never_adds_energy(kang, settings):
     assert np.diff(energy).max() < 1e-9 * (energy[0] - energy[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{}, {"method": "rk4"}])
 def test_friction_and_creep_dissipate_over_a_closed_cycle(kang, settings):
     """The work of a slow cyclic tip force, beyond what the viscous damping takes."""
@@ -120,6 +121,7 @@ def test_friction_and_creep_dissipate_over_a_closed_cycle(kang, settings):
     assert works["creep"] > 1.2 * works["none"]
 
 
+@pytest.mark.slow
 def test_pressure_hysteresis_dissipates_over_a_closed_cycle(kang):
     """Air pushed in minus air pushed out: the loop of pressure against length encloses work, whatever the rate."""
     model = compile_model(in_company(pressure_hysteresis={"width": 1e4, "distance": 1e4}))
@@ -136,6 +138,7 @@ def test_pressure_hysteresis_dissipates_over_a_closed_cycle(kang):
     assert works[1] == pytest.approx(works[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_delay_shifts_the_motion(kang):
     plain = gentle(kang, 0.6, 31)
     plain = SetPoints(plain.time, plain.inputs, 0 * plain.tip_force)
@@ -145,6 +148,7 @@ def test_a_delay_shifts_the_motion(kang):
         np.testing.assert_allclose(found.points[2:], expected.points[:-2], rtol=0, atol=close)
 
 
+@pytest.mark.slow
 def test_a_lag_follows_its_time_constants():
     """Pressure in the muscle after a jump, against exponentials: full when held, filling and exhausting differ."""
     model = compile_model(in_company(regulator_lag={"filling_time": 0.1, "exhausting_time": 0.3}))
@@ -161,6 +165,7 @@ def test_a_lag_follows_its_time_constants():
         assert abs(held.points - expected.points[::10]).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_creep_is_a_stiffness_that_fades(kang):
     """Right after a jump of load the muscles are stiffer by the share; long after they are as without creep."""
     model = compile_model(in_company(creep={"share": 0.5, "relaxation_time": 20.0}))

@@ -69,6 +69,7 @@ def test_each_is_as_it_is_alone(kang, one_core, how, held):
     assert max(abs(one.levels[-1] - found[0].levels[-1]).max() for one in found[1:]) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [{"step": 0.01}, {}, {"hold": True}, {"method": "rk4", "hold": True}], ids=str)
 def test_effects_with_memory(one_core, how):
     model = compile_model(
