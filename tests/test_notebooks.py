@@ -120,6 +120,6 @@ def test_a_small_figure_looks_the_same() -> None:
     before, after = (np.asarray(Image.open(BytesIO(each)).convert("RGB"), dtype=int) for each in (drawn.getvalue(), png))
     assert len(png) < 0.6 * len(drawn.getvalue())
     assert after.shape == before.shape
-    assert np.abs(after - before).mean() < 2
+    assert np.abs(after - before).mean() < 1
     assert np.abs(after - before).max() < 40
     assert (after[0, 0] == 255).all()
