@@ -11,6 +11,8 @@ from typing import Any
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NAMES = tuple(sorted(path.stem for path in FOLDER.glob("*.ipynb")))
+TABLE = 120
+"""Characters that a printed table is wide at most."""
 
 
 def pages() -> dict[str, str | bytes]:
@@ -35,7 +37,7 @@ def _blocks(name: str, cells: list[dict[str, Any]], figures: dict[str, bytes]) -
             heading = (re.findall(r"^#+ (.+)$", source, re.M) or [heading])[-1]
             yield re.sub(r"`docs/(\w+\.md)`", r"[`docs/\1`](../\1)", source)
             continue
-        yield _fenced("python", source)
+        yield f"```python\n{source}\n```"
         for output in cell["outputs"]:
             shown = output.get("data", {})
             if "image/png" in shown:
@@ -43,8 +45,10 @@ def _blocks(name: str, cells: list[dict[str, Any]], figures: dict[str, bytes]) -
                 figures[figure] = b64decode("".join(shown["image/png"]))
                 yield f"![Figure {len(figures)}: {heading}]({figure})"
             else:
-                yield _fenced("text", "".join(output.get("text") or shown["text/plain"]).rstrip())
+                yield _printed("".join(output.get("text") or shown["text/plain"]).rstrip())
 
 
-def _fenced(language: str, text: str) -> str:
-    return f"```{language}\n{text}\n```"
+def _printed(text: str) -> str:
+    """A block of what was printed: sentences are wrapped, tables scroll."""
+    kind = "{code-block} text\n:class: sentences\n" if max(map(len, text.splitlines()), default=0) > TABLE else "text"
+    return f"```{kind}\n{text}\n```"
