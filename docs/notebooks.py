@@ -82,7 +82,7 @@ def faults(notebook: NotebookNode) -> list[str]:
     found += [f"error: {output.ename}" for output in outputs if output.output_type == "error"]
     found += [f"on stderr: {output.text}" for output in outputs if output.get("name") == "stderr"]
     found += [f"a path of this machine: {place}" for output in outputs for text in texts(output) for place in PLACES.findall(text)]
-    if (size := len(nbformat.writes(notebook))) > LARGEST:
+    if (size := len(nbformat.writes(notebook).encode())) > LARGEST:
         found.append(f"{size} bytes, more than {LARGEST}")
     return found
 
