@@ -6,7 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
-from docs.site import commands, effects, names
+from docs.site import commands, effects, names, notebooks
 
 ROOT = Path(__file__).resolve().parents[2]
 FROM_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
@@ -14,6 +14,7 @@ FROM_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHA
 
 CONTENTS: dict[str, tuple[str, ...]] = {
     "Begin": ("tutorial",),
+    "See it run": tuple(f"notebooks/{name}" for name in notebooks.NAMES),
     "How to": ("gallery", "importing", "recording", "discrepancy", "control", "hardware", "studio", "exporting", "any_machine"),
     "Be safe": ("safety",),
     "Understand": ("theory", "effects/index", "convergence", "architecture", "comparison"),
@@ -28,16 +29,20 @@ def write(folder: Path) -> None:
     """Write all pages, and what they show, into a folder."""
     docs = ROOT / "docs"
     for path in (*docs.glob("*.md"), *docs.glob("*.toml")):
-        _write(folder / path.name, path.read_text(encoding="utf-8").replace("](../notebooks/", "](notebooks/"))
+        _write(folder / path.name, to_notebooks(path.read_text(encoding="utf-8")))
     shutil.copytree(docs / "images", folder / "images")
-    shutil.copytree(ROOT / "notebooks", folder / "notebooks", ignore=shutil.ignore_patterns(".*"))
     for source, page in FROM_ROOT.items():
-        _write(folder / page, from_root((ROOT / source).read_text(encoding="utf-8")))
+        _write(folder / page, to_notebooks(from_root((ROOT / source).read_text(encoding="utf-8"))))
     with (folder / "index.md").open("a", encoding="utf-8") as index:
         index.write(contents())
     _write(folder / "commands.md", commands.page())
-    for name, page in {**names.pages(), **effects.pages()}.items():
+    for name, page in {**names.pages(), **effects.pages(), **notebooks.pages()}.items():
         _write(folder / name, page)
+
+
+def to_notebooks(text: str) -> str:
+    """A page whose links to notebooks lead to their pages."""
+    return re.sub(r"\]\((?:\.\./)?notebooks/(\w+)\.ipynb\)", r"](notebooks/\1.md)", text)
 
 
 def from_root(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +17,7 @@ from tests.docs.texts import ROOT
 if lacking := [name for name in ("sphinx", "myst_parser", "furo", "latex2mathml") if find_spec(name) is None]:
     pytest.skip(f"not installed: {', '.join(lacking)} (extra docs)", allow_module_level=True)
 
-from docs.site import commands, names, pages
+from docs.site import commands, names, notebooks, pages
 from docs.site.equations import Hooks, tex
 
 FOREIGN = re.compile(
@@ -31,6 +32,7 @@ def test_builds_without_a_warning_and_fetches_nothing(tmp_path: Path) -> None:
     assert build(tmp_path) == 0
     html = {path.relative_to(tmp_path).as_posix(): path.read_text(encoding="utf-8") for path in tmp_path.rglob("*.html")}
     assert {f"effects/{effect.name}.html" for effect in effects()} <= html.keys()
+    assert {f"notebooks/{name}.html" for name in notebooks.NAMES} <= html.keys()
     assert [name for name, text in html.items() if FOREIGN.search(text)] == []
     assert [path.name for path in tmp_path.rglob("*.css") if FOREIGN.search(path.read_text(encoding="utf-8"))] == []
     assert html["theory.html"].count('<span class="number"') == 22
@@ -84,3 +86,24 @@ def test_terms_are_written_as_one_would(expression: object, text: str) -> None:
 
 def test_pages_of_the_root_lose_the_folder() -> None:
     assert pages.from_root("![x](docs/images/a.png) `docs/control.md`") == "![x](images/a.png) [`docs/control.md`](control.md)"
+
+
+def test_links_to_notebooks_lead_to_their_pages() -> None:
+    assert pages.to_notebooks("[a](../notebooks/03_x.ipynb), [`b`](notebooks/04.ipynb)") == "[a](notebooks/03_x.md), [`b`](notebooks/04.md)"
+
+
+def test_every_notebook_is_a_page_with_its_words_code_and_figures() -> None:
+    written = notebooks.pages()
+    assert {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")} == set(notebooks.NAMES)
+    for name in notebooks.NAMES:
+        page = written[f"notebooks/{name}.md"]
+        assert isinstance(page, str)
+        cells = json.loads((ROOT / "notebooks" / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+        assert [cell["id"] for cell in cells if cell["cell_type"] == "code" and "".join(cell["source"]) not in page] == []
+        printed = [
+            "".join(output["text"]).strip() for cell in cells for output in cell.get("outputs", []) if output["output_type"] == "stream"
+        ]
+        assert [text for text in printed if text not in page] == []
+        shown = re.findall(r"^!\[Figure \d+: .+\]\((.+)\)$", page, re.M)
+        assert len(shown) == sum("image/png" in output.get("data", {}) for cell in cells for output in cell.get("outputs", []))
+        assert all(written[f"notebooks/{figure}"][:4] == b"\x89PNG" for figure in shown)
