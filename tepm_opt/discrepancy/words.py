@@ -18,6 +18,7 @@ from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus, shrinks
 from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.text import with_deviation
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {
@@ -304,7 +305,7 @@ def _values(named: Named) -> str:
         factor, unit = SHOWN.get(value.unit, (1.0, value.unit))
         if factor * abs(value.value) >= LONG:
             factor, unit = 1.0, value.unit
-        parts.append(f"{name.replace('_', ' ')} {factor * value.value:.3g} ± {factor * value.std:.2g} {unit}")
+        parts.append(f"{name.replace('_', ' ')} {with_deviation(factor * value.value, factor * value.std)} {unit}")
     parts += [f"{' and '.join(names)} not significantly different from {nominal}" for nominal, names in null.items()]
     return ", ".join(parts)
 

@@ -26,15 +26,15 @@ def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> N
     """
     if run.hybrid is None or run.gains is None:
         raise ValueError(f"no page of {run!r}")
-    hybrid, pressure = run.hybrid.summary(), run.pressure.summary()
+    hybrid, pressure, model = run.hybrid.summary(), run.pressure.summary(), run.pressure.model.model
     loops = {name: run.loops[name].summary(timing=False) for name in sorted(run.loops, key=lambda name: name != NAMES[DEFAULT])}
     write(
         path, "demo.html", figures, robot_chart(run.hybrid) | distance_chart(run.loops),
         ok=run.ok,
         verdict=_verdict(run, hybrid, loops),
         groups=_groups(run, pressure, hybrid, loops),
-        robot=run.pressure.model.robot,
-        values=run.pressure.model.values,
+        robot=model.robot,
+        parameters=[Group("Parameter", ["value", "from"], [Row(name, unit, [value, source]) for name, value, unit, source in model.table()])],
         hybrid=hybrid,
         pressure=pressure,
         loops=loops,
@@ -94,7 +94,7 @@ def _groups(
         Row("points solved", f"of {hybrid['points']}", [str(each["solved"]) for each in both]),
         Row("tip error on the actuators' grids, rms", "mm", [digits(each["rounded_tip_error_rms_m"], 1e3) for each in both]),
         Row("tip error on the actuators' grids, largest", "mm", [digits(each["largest_rounded_tip_error_m"], 1e3) for each in both]),
-        Row("tip error, exact set points, largest", "mm", [digits(each["largest_tip_error_m"], 1e3, ".1e") for each in both]),
+        Row("tip error, exact set points, largest", "nm", [digits(each["largest_tip_error_m"], 1e9, "#.2g") for each in both]),
     ]
     groups.append(Group("Set points", ["pressure alone", "pressure and tension"], rows))
     spans = run.gains.spans() if run.gains else {}
