@@ -117,7 +117,12 @@ def sized(value: float, unit: str) -> str:
 
 def with_unit(text: str, unit: str) -> str:
     """A number with its unit, alone where it has none."""
-    return text if unit in NONE else f"{text} {unit}"
+    return text if unit in NONE else f"{text} {symbol(unit)}"
+
+
+def symbol(unit: str) -> str:
+    """A unit as tables have it: powers raised, 1 of pure numbers."""
+    return "1" if unit in NONE else unit.replace("^2", "²").replace("^3", "³")
 
 
 def percent(part: float | None) -> str:

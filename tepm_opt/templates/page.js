@@ -158,7 +158,12 @@ function robot(figure, data) {
     const axis = (k, at) => {
       drawn([at(low[k]), at(high[k])], {class: 'grid', style: 'stroke:#00000060'});
       for (const v of ticks(low[k], high[k], 4)) if (k === 2 || Math.abs(v - middle[k]) < 0.45 * (high[k] - low[k])) { const [x, y] = seen(at(v)); put(svg, 'circle', {cx: x, cy: y, r: 1.6, fill: '#55595e'}); put(svg, 'text', {x: x - 6, y: y + 12, 'text-anchor': 'end'}, shown(v)); }
-      const [x, y] = seen(at(high[k] + 0.12 * size)); put(svg, 'text', {x, y: y + 4, 'text-anchor': 'middle', 'font-weight': 600}, `${'xyz'[k]} in mm`);
+      let [x, y] = seen(at(high[k] + 0.12 * size));
+      if (k < 2) {  // beside the middle of its edge, away from the floor's
+        const [cx, cy] = seen([middle[0], middle[1], floor]); [x, y] = seen(at(middle[k]));
+        const far = Math.hypot(x - cx, y - cy) || 1; [x, y] = [x + 44 * (x - cx) / far, y + 24 * (y - cy) / far + 20];
+      }
+      put(svg, 'text', {x, y: y + 4, 'text-anchor': 'middle', 'font-weight': 600}, `${'xyz'[k]} in mm`);
     };
     const near = corner.reduce((a, c) => seen(c)[1] > seen(a)[1] ? c : a), left = corner.reduce((a, c) => seen(c)[0] < seen(a)[0] ? c : a);
     axis(0, v => [v, near[1], floor]); axis(1, v => [near[0], v, floor]); axis(2, v => [left[0], left[1], v]);

@@ -46,7 +46,7 @@ VERDICT = Verdict(
         *(Rival(candidate("sensor_offset", f"s{k}"), 0.0, "no gain to first order", None) for k in (1, 2, 3)),
     ),
     where=PLACES,
-    recalibrated={"K_a": Value(364.2, 0.8, "N/m", 358.86), "c_a": Value(2.4, 0.0, "N s/m", 2.583)},
+    recalibrated={"K_a": Value(364.2, 0.8, "N/m", 358.86), "c_a": Value(2.4, 0.0, "N s/m", 2.583), "alpha_2": Value(0.98, 0.002, "-", 1.0)},
     errors=Errors(0.52e-3, 5.2e-3, 4.1e-3, 0.55e-3, 0.8e-3),
     model=Model.of("kang2017").with_effect("actuator_gain", "13", loss=0.1203),
     notes=("c_a and alpha_2 cannot be told apart by these runs", "3 samples of s2 were doubtful"),
@@ -85,7 +85,7 @@ def test_key_facts(tmp_path: Path) -> None:
         "actuator_gain[13]", "actuator 13", "loss", "0.1203 ± 0.0007", "> 99 %", "94 %",
         "pressure_crosstalk", "closes 55 % <less> than half the rest", "sensor_offset[s4]",
         "noise alonemm0.520", "model as it wasmm5.20", "recalibratedmm4.10", "correctedmm0.550", "black box without physicsmm0.800",
-        "K_a", "358.86", "364.2 ± 0.8 N/m", "+1.49 %", "2.4 N s/m",
+        "K_a", "358.86 N/m", "364.2 ± 0.8 N/m", "+1.49 %", "2.4 N s/m", "alpha_210.98 ± 0.002 −2.00 %",
         *VERDICT.notes, "--model model.toml", "bench <b>bold</b>", "kang2017", "83 s",
     )  # fmt: skip
     assert not [fact for fact in facts if fact not in words]

@@ -144,9 +144,13 @@ def test_the_film(studio: Studio) -> None:
     moved(view._speed, "10")
     pressed(view._button)
     assert waited(lambda: view._time.value == view._time.max and view._button.label == "play")
+    moved(view._speed, "0.25")
+    pressed(view._button)
+    assert waited(lambda: view._button.label == "pause")
     studio.show("arm")
     assert studio.settle()
     assert not view._arrows.visible
+    assert view._button.label == "play"
 
 
 def test_a_run_beyond_the_limits_says_so(kang: CompiledModel) -> None:
