@@ -1,12 +1,13 @@
 """Make the screenshots of docs/images in headless Chromium: `python -m docs.screenshots [FOLDER]`, from the repository's root.
 
-What is shown is computed first, in FOLDER (else a temporary one), by the commands that a reader would give; what is there already is kept:
-the demo, a data set of a machine that carries a payload which its model does not know, and the verdict on it. Some minutes on two cores.
+What is shown is computed first, in FOLDER (else a temporary one), by README's and the tutorial's commands; what is there already is
+kept: the demo, the data set of the tutorial's machine, which carries what its model does not know, and the verdict on it. Minutes on two cores.
 """
 
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 import tempfile
 import time
@@ -16,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tepm_opt.cli import run
 from tepm_opt.models.compile import compile_model
 from tepm_opt.studio.page import Studio
 from tepm_opt.studio.recordings import open_recordings
 from tests.browser import DESK, PHONE, Browser, chromium
+from tests.docs.texts import steps
 
 IMAGES = Path(__file__).resolve().parent / "images"
 LARGEST = 150_000  # bytes of a picture
@@ -28,24 +29,10 @@ COLORS = (256, 128, 64, 32)  # of its palette: the most that its size allows
 DESK_HEIGHT, PHONE_HEIGHT = 860, 844  # px
 STUDIO_SIZE = 1280, 800  # px
 
-MACHINE = """\
-name = "hidden payload"
-robot = "kang2017"
-seed = 1
-
-[tracker]
-rate_hz = 100
-noise_rms_m = 3e-4
-
-[imperfections.payload]
-mass_kg = 0.03
-"""
-COMMANDS = {
-    "demo": "demo --out {0}/demo",
-    "bench": "record standard --rig sim:{0}/payload.toml --out {0}/bench",
-    "found": "discrepancy {0}/bench --out {0}/found",
-}
-"""By the folder that each leaves, in order."""
+TUTORIAL = Path(__file__).resolve().parent / "tutorial.md"
+MACHINE = ("tepm rig new", "sed ", "cat ", "tepm record")  # how the tutorial's commands begin that make its data
+VERDICT = ("tepm discrepancy",)
+TEPM = f'tepm() {{ "{sys.executable}" -m tepm_opt "$@"; }}'
 
 FAR = np.array([0.26, 0.10, 0.37])  # m, out of the arm's reach
 LONG, DRAWN = 120.0, 5.0  # s: for what a processor without a graphics card draws, and until its last frame is there
@@ -57,13 +44,18 @@ def prepare(folder: Path) -> None:
     """Compute what is not there yet.
 
     Raises:
-        RuntimeError: a command failed.
+        CalledProcessError: a command failed.
     """
-    (folder / "payload.toml").write_text(MACHINE, encoding="utf-8")
-    for name, command in COMMANDS.items():
-        words = [word.format(folder) for word in command.split()]
-        if not (folder / name).exists() and run(words) != 0:
-            raise RuntimeError(f"tepm {' '.join(words)}")
+    told = [step.text for step in steps(TUTORIAL)]
+    commands = {
+        "demo": ["tepm demo --out demo"],
+        "bench": [text for text in told if text.startswith(MACHINE)],
+        "found": [text for text in told if text.startswith(VERDICT)],
+    }
+    for name, texts in commands.items():
+        if not (folder / name).exists():
+            for text in texts:
+                subprocess.run(["bash", "-c", f"{TEPM}\n{text}"], cwd=folder, check=True)
 
 
 def shrunk(picture: Image.Image) -> bytes:

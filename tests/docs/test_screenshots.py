@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import re
-from typing import Any
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,12 +46,17 @@ def test_as_many_colours_as_fit() -> None:
         screenshots.shrunk(Image.fromarray(np.tile(noise, (4, 4, 1))[:1600, :1600] ^ np.arange(1600, dtype=np.uint8)[:, None, None]))
 
 
-def test_what_is_there_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[list[str]] = []
-    monkeypatch.setattr(screenshots, "run", lambda words: asked.append(words) or 0)
+def test_the_tutorial_makes_what_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its machine, its data, its verdict, in order; what is there is kept, what fails is told."""
+    asked: list[str] = []
+    monkeypatch.setattr(screenshots.subprocess, "run", lambda words, **_: asked.append(words[-1].partition("\n")[2]))
     (tmp_path / "demo").mkdir()
     screenshots.prepare(tmp_path)
-    assert [words[0] for words in asked] == ["record", "discrepancy"]
-    monkeypatch.setattr(screenshots, "run", lambda words: 2)
-    with pytest.raises(RuntimeError, match="tepm record standard"):
+    assert [text.partition(" machine.toml")[0][:20] for text in asked] == [
+        "tepm rig new", "sed -i 's/^noise_rms", "cat >>", "tepm record standard", "tepm discrepancy ben",
+    ]  # fmt: skip
+    assert "[imperfections.payload]" in asked[2]
+    monkeypatch.undo()
+    monkeypatch.setattr(screenshots, "TEPM", "tepm() { return 2; }")
+    with pytest.raises(subprocess.CalledProcessError):
         screenshots.prepare(tmp_path)
