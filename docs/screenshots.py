@@ -1,7 +1,7 @@
 """Make the screenshots of docs/images in headless Chromium: `python -m docs.screenshots [FOLDER]`, from the repository's root.
 
-What is shown is computed first, in FOLDER (else a temporary one), by README's and the tutorial's commands; what is there already is
-kept: the demo, the data set of the tutorial's machine, which carries what its model does not know, and the verdict on it. Minutes on two cores.
+What is shown is computed first, in FOLDER (else a temporary one), by README's and the tutorial's commands; what is there already is kept:
+the demo, the data set of the tutorial's machine, which carries what its model does not know, the verdict on it. Minutes on two cores.
 """
 
 from __future__ import annotations
