@@ -13,9 +13,11 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
+from selenium.webdriver import Keys
 
 from tepm_opt.models.compile import compile_model
 from tepm_opt.studio.page import Studio
@@ -91,7 +93,7 @@ def studio(browser: Browser, folder: Path) -> Iterator[str]:
     """Open the studio: an arm dragged out of reach within its workspace, and a run beside the model without its payload."""
     with Studio(compile_model("kang2017")) as page:
         opened(browser, page)
-        switched(browser, "workspace")
+        beside(browser, "workspace", "checkbox").click()
         page.worker.ask("arm", lambda: page.arm.drag(FAR))
         drawn(browser, page, "out of reach")
         yield "studio_arm"
@@ -99,9 +101,9 @@ def studio(browser: Browser, folder: Path) -> Iterator[str]:
     with Studio(compile_model(next(iter(recordings.models.values()))), recordings) as page:
         opened(browser, page)
         drawn(browser, page, "rms of the run")
-        typed(browser, "time, s", "3")
-        typed(browser, "arrows ×", "5")
-        drawn(browser, page, "3.00 s")
+        typed(browser, "time, s", "12")
+        typed(browser, "arrows ×", "2")
+        drawn(browser, page, "12.00 s")
         yield "studio_verdict"
 
 
@@ -113,16 +115,14 @@ def opened(browser: Browser, page: Studio) -> None:
     browser.wait(f"{CANVAS} && !{NOTICE}", LONG)
 
 
-def switched(browser: Browser, label: str) -> None:
-    """Click what stands beside a label in the studio's panel."""
-    browser.driver.find_element("xpath", f"//label[normalize-space()='{label}']/following::input[1]").click()
+def beside(browser: Browser, label: str, kind: str) -> Any:
+    """The field of a kind, as HTML calls it, that stands beside a label in the studio's panel."""
+    return browser.driver.find_element("xpath", f"//label[normalize-space()='{label}']/following::input[@type='{kind}'][1]")
 
 
 def typed(browser: Browser, label: str, value: str) -> None:
     """Type a number beside a slider of the studio's panel."""
-    field = browser.driver.find_element("xpath", f"//label[normalize-space()='{label}']/following::input[1]")
-    field.clear()
-    field.send_keys(value, "\n")
+    beside(browser, label, "text").send_keys(Keys.CONTROL, "a", Keys.NULL, value, Keys.ENTER)
 
 
 def drawn(browser: Browser, page: Studio, said: str) -> None:

@@ -231,7 +231,8 @@ def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
     if left > AS_MUCH * there:
         reasons.append(f"what it leaves is {np.sqrt(left):.2g} times the noise, the answer {np.sqrt(there):.2g} times")
     elif hypothesis.evidence.parameters > best.evidence.parameters:
-        reasons.append(f"it needs {hypothesis.evidence.parameters - best.evidence.parameters} parameters more to leave as little")
+        more = hypothesis.evidence.parameters - best.evidence.parameters
+        reasons.append(f"it needs {more} parameter{'s' if more > 1 else ''} more to leave as little")
     return "".join(f"; {reason}" for reason in reasons)
 
 
@@ -254,7 +255,7 @@ def _needs(best: Hypothesis, hypothesis: Hypothesis) -> list[str]:
 def _with_unit(value: float, unit: str) -> str:
     """A value as people say it."""
     factor, shown = SHOWN.get(unit, (1.0, unit))
-    return f"{factor * value:.3g} {shown}".strip()
+    return f"{factor * value:.3g} {'' if shown == '-' else shown}".strip()
 
 
 def unfitted(score: Score) -> str:

@@ -108,7 +108,8 @@ function curves(figure, data) {
     svg.tell = part => {
       const x = x0 + part * (x1 - x0); let k = p.x.findIndex(v => v >= x); k = k < 0 ? p.x.length - 1 : k;
       cursor.setAttribute('d', `M${X(p.x[k])} ${t}V${height - b}`);
-      told.textContent = `${p.across} ${shown(p.x[k])}: ` + drawn.filter(s => s.values[k] !== null).map(s => `${s.name} ${shown(s.values[k])}`).join(', ');
+      const [name, unit] = p.across.split(' in ');
+      told.textContent = `${name} ${shown(p.x[k])}${unit ? ` ${unit}` : ''}; ${p.label}: ` + drawn.filter(s => s.values[k] !== null).map(s => `${s.name} ${shown(s.values[k])}`).join(', ');
     };
     const cursor = put(svg, 'path', {class: 'cursor', d: ''});
     svg.forget = () => cursor.setAttribute('d', '');

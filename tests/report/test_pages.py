@@ -250,9 +250,9 @@ def test_plots_take_keys(chart: Browser) -> None:
     """Values at a place, which a line marks; zoom and back."""
     chart.run("document.querySelector('[data-of=over_time] svg.plot').focus()")
     chart.press("HOME")
-    assert told(chart, "over_time").startswith("time in s 0: nominal ")
+    assert told(chart, "over_time").startswith("time 0 s; Eq. (5) in mm: nominal ")
     chart.press("ARROW_RIGHT", "ARROW_RIGHT")
-    assert told(chart, "over_time").startswith("time in s 1.")
+    assert told(chart, "over_time").startswith("time 1.")
     left = "return document.querySelector('[data-of=over_time] .cursor').getBBox().x"
     before = chart.run(left)
     chart.press("END")

@@ -167,6 +167,10 @@ def test_the_closed_loop(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(loop_view, "Course", lambda laps: Course(approach=0.2, pause=0.1, laps=laps))
     monkeypatch.setattr(view, "_open", lambda: simulated_rig("sim:perfect", wait=lambda seconds: time.sleep(0.002)))
     studio.show("closed loop")
+    assert studio.settle()
+    at_rest = view._node._arm._muscles
+    assert at_rest.visible
+    np.testing.assert_allclose(at_rest.points[-3:, 1, :2].mean(axis=0), 0.0, atol=1e-6)
     moved(view._controller, "mode1")
     assert view._push.disabled
     pressed(view._button)
