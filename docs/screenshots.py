@@ -90,7 +90,7 @@ def pages(browser: Browser, folder: Path) -> Iterator[str]:
 
 
 def studio(browser: Browser, folder: Path) -> Iterator[str]:
-    """Open the studio: an arm dragged out of reach within its workspace, and a run beside the model without its payload."""
+    """Open the studio: an arm dragged out of reach within its workspace, and a run beside the model as it was known."""
     with Studio(compile_model("kang2017")) as page:
         opened(browser, page)
         beside(browser, "workspace", "checkbox").click()

@@ -14,6 +14,7 @@ from PIL import Image
 from tests.docs.texts import DOCUMENTS, ROOT
 
 pytest.importorskip("viser", reason="viser is not installed (extra view)")
+pytest.importorskip("selenium", reason="selenium is not installed (extra test)")
 
 from docs import screenshots
 
