@@ -7,6 +7,7 @@ the demo, the data set of the tutorial's machine, which carries what its model d
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import sys
 import tempfile
@@ -23,15 +24,15 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.studio.page import Studio
 from tepm_opt.studio.recordings import open_recordings
 from tests.browser import DESK, PHONE, Browser, chromium
-from tests.docs.texts import steps
+from tests.docs.texts import ROOT, steps
 
-IMAGES = Path(__file__).resolve().parent / "images"
+IMAGES = ROOT / "docs" / "images"
 LARGEST = 150_000  # bytes of a picture
 COLORS = (256, 128, 64, 32)  # of its palette: the most that its size allows
 DESK_HEIGHT, PHONE_HEIGHT = 860, 844  # px
 STUDIO_SIZE = 1280, 800  # px
 
-TUTORIAL = Path(__file__).resolve().parent / "tutorial.md"
+TUTORIAL = ROOT / "docs" / "tutorial.md"
 MACHINE = ("tepm rig new", "sed ", "cat ", "tepm record")  # how the tutorial's commands begin that make its data
 VERDICT = ("tepm discrepancy",)
 TEPM = f'tepm() {{ "{sys.executable}" -m tepm_opt "$@"; }}'
@@ -57,7 +58,7 @@ def prepare(folder: Path) -> None:
     for name, texts in commands.items():
         if not (folder / name).exists():
             for text in texts:
-                subprocess.run(["bash", "-c", f"{TEPM}\n{text}"], cwd=folder, check=True)
+                subprocess.run(["bash", "-c", f"{TEPM}\n{text}"], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
 
 
 def shrunk(picture: Image.Image) -> bytes:
