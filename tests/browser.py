@@ -168,7 +168,7 @@ class Browser:
     def unnamed_images(self) -> list[str]:
         """Images, and drawings that say they are one, without an alternative text."""
         text = "(e.getAttribute('alt') || e.getAttribute('aria-label') || '').trim()"
-        chosen = "document.querySelectorAll('img, svg[role=img], canvas, [role=img]')"
+        chosen = "document.querySelectorAll('img, svg[role], canvas, [role=img]')"
         return self.run(f"return [...{chosen}].filter(e => !e.closest('[aria-hidden=true]') && !{text}).map(e => e.outerHTML.slice(0, 80))")
 
     def unreached(self) -> list[str]:

@@ -17,6 +17,7 @@ from tepm_opt.plots.discrepancy import _label
 from tepm_opt.plots.gain import gain_figure
 from tepm_opt.plots.ik import ik_figure
 from tepm_opt.plots.motion import _driven_axes
+from tepm_opt.plots.paper import _fig9
 from tepm_opt.plots.plan import _way
 from tepm_opt.solvers.trajectories import circle
 from tests.cli.conftest import thin_map
@@ -66,6 +67,15 @@ def test_inputs_fill_their_panel(low: float, high: float, from_null: bool) -> No
     assert bottom <= low
     assert high <= top
     assert from_null or top - bottom < 0.08 * high
+
+
+def test_points_of_a_bend_are_told_without_colour() -> None:
+    time, random = np.linspace(0, 3, 31), np.random.default_rng(0)
+    data = {"time": time, "model": random.normal(size=(31, 4, 3)), "prototype": random.normal(size=(31, 4, 3)), "errors": np.ones((31, 4))}
+    result: Any = SimpleNamespace(data=data, numbers={"fig9_largest": 1.0})
+    bend, errors = _fig9(result, np.zeros(3)).axes
+    assert len({line.get_linestyle() for line in errors.get_lines()[:4]}) == 4
+    assert len({(line.get_marker(), line.get_linestyle()) for line in bend.get_lines()[:8]}) == 8
 
 
 def test_many_effects_at_once_have_a_short_name() -> None:

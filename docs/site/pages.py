@@ -15,7 +15,7 @@ FROM_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHA
 CONTENTS: dict[str, tuple[str, ...]] = {
     "Begin": ("tutorial",),
     "See it run": tuple(f"notebooks/{name}" for name in notebooks.NAMES),
-    "How to": ("gallery", "importing", "recording", "discrepancy", "control", "hardware", "studio", "exporting", "any_machine"),
+    "How to": ("gallery", "importing", "recording", "discrepancy", "control", "hardware", "studio", "pages", "exporting", "any_machine"),
     "Be safe": ("safety",),
     "Understand": ("theory", "effects/index", "convergence", "architecture", "comparison"),
     "Look up": ("commands", *(f"api/{name}" for name in names.TITLES)),

@@ -18,6 +18,7 @@ from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus, shrinks
 from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.text import with_deviation
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 SHOWN = {
@@ -230,7 +231,8 @@ def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
     if left > AS_MUCH * there:
         reasons.append(f"what it leaves is {np.sqrt(left):.2g} times the noise, the answer {np.sqrt(there):.2g} times")
     elif hypothesis.evidence.parameters > best.evidence.parameters:
-        reasons.append(f"it needs {hypothesis.evidence.parameters - best.evidence.parameters} parameters more to leave as little")
+        more = hypothesis.evidence.parameters - best.evidence.parameters
+        reasons.append(f"it needs {more} parameter{'s' if more > 1 else ''} more to leave as little")
     return "".join(f"; {reason}" for reason in reasons)
 
 
@@ -253,7 +255,7 @@ def _needs(best: Hypothesis, hypothesis: Hypothesis) -> list[str]:
 def _with_unit(value: float, unit: str) -> str:
     """A value as people say it."""
     factor, shown = SHOWN.get(unit, (1.0, unit))
-    return f"{factor * value:.3g} {shown}".strip()
+    return f"{factor * value:.3g} {'' if shown == '-' else shown}".strip()
 
 
 def unfitted(score: Score) -> str:
@@ -304,7 +306,7 @@ def _values(named: Named) -> str:
         factor, unit = SHOWN.get(value.unit, (1.0, value.unit))
         if factor * abs(value.value) >= LONG:
             factor, unit = 1.0, value.unit
-        parts.append(f"{name.replace('_', ' ')} {factor * value.value:.3g} ± {factor * value.std:.2g} {unit}")
+        parts.append(f"{name.replace('_', ' ')} {with_deviation(factor * value.value, factor * value.std)} {unit}")
     parts += [f"{' and '.join(names)} not significantly different from {nominal}" for nominal, names in null.items()]
     return ", ".join(parts)
 

@@ -65,6 +65,10 @@ class Model:
 
     def _repr_html_(self) -> str:
         """Every parameter with its value and unit, and where it comes from, for notebooks."""
+        return html_table(("parameter", "value", "unit", ""), self.table(), f"model of {self.robot.name}")
+
+    def table(self) -> list[tuple[str, str, str, str]]:
+        """Every parameter in words: its full name, value, unit, and where it comes from."""
         rows = []
         for name, nominal in self.robot.parameters.model_dump().items():
             value = self.parameters.get(name, nominal)
@@ -73,7 +77,7 @@ class Model:
             kind = find_effect(effect.name)
             own = kind.parameters_of(Layout.of(self.robot))
             rows += [(f"{effect.label}.{p.name}", f"{effect.parameters[p.name]:g}", p.unit, kind.explains) for p in own]
-        return html_table(("parameter", "value", "unit", ""), rows, f"model of {self.robot.name}")
+        return rows
 
     @property
     def timed(self) -> bool:

@@ -73,6 +73,11 @@ class Setting:
     clock: Clock = field(default_factory=Clock)
     workers: int = 1
 
+    @property
+    def repeated(self) -> str:
+        """How many runs there are, in words."""
+        return f"{self.runs} run{'s' if self.runs > 1 else ''}"
+
     def prototype(self, noise: int) -> SimulatedRig:
         """The virtual prototype with the noise of one run."""
         rig = SimulatedRig(self.rig)

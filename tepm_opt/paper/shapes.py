@@ -60,7 +60,7 @@ def _static(setting: Setting, figure: str, title: str, inputs: np.ndarray) -> Ex
     numbers = {f"{figure}_rmse": 1e3 * errors[shown], f"{figure}_s1": float(each[0]), f"{figure}_s4": float(each[-1])}
     method = (
         f"From rest the inputs rise within {RISE:g} s and stay for {HOLD:g} s; points are means over the last {SWAY:g} s. "
-        f"The model is the nominal network's equilibrium. Shown is the middle of {setting.runs} runs by Eq. (5)."
+        f"The model is the nominal network's equilibrium. Shown is the middle of {setting.repeated} by Eq. (5)."
     )
     tables = {figure: shape_table(setting, model, runs[shown])}
     checks = {"the error grows from the base to the tip": bool((np.diff(each) > 0).all())}
@@ -87,7 +87,7 @@ def dynamic_bend(setting: Setting) -> ExperimentResult:
     numbers = {"fig9_largest": float(errors.max()), "fig9_time": float(time[instant]), "fig9_point": float(point + 1)}
     method = (
         f"The inputs are ramps from 0 to {BEND:g} s on model and prototype; errors are taken at the tracker's frames. The model moves "
-        f"without delays and lags. Shown is the middle of {setting.runs} runs by Eq. (5) over time."
+        f"without delays and lags. Shown is the middle of {setting.repeated} by Eq. (5) over time."
     )
     names = setting.model.layout.point_names
     columns = {"time_s": time, **{f"error_{name}_m": 1e-3 * errors[:, k] for k, name in enumerate(names)}}

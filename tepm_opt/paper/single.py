@@ -138,7 +138,7 @@ def set_points(setting: Setting) -> ExperimentResult:
         tables[f"fig6_mode{use.value}"] = columns
         data[f"mode{use.value}"] = rounds
     method = (
-        f"Length PID on the bench, {STAY:g} s a set point, {setting.runs} runs. Mean error is the mean of |length − set point| over the "
+        f"Length PID on the bench, {STAY:g} s a set point, {setting.repeated}. Mean error is the mean of |length − set point| over the "
         f"last {TAKEN:g} s of all runs, SD that of the length in the same time. The length is measured between two sensors of the "
         f"tracker, whose noise alone has an SD of {1e3 * setting.rig.tracker.noise_rms_m * np.sqrt(2 / 3):.2f} mm in it."
     )

@@ -96,7 +96,7 @@ def tracking(setting: Setting, points: int = 32) -> ExperimentResult:
     method = (
         f"Length PID of every actuator; set points are the lengths of the equal-curvature inverse kinematics, feed-forward its axial "
         f"forces, lengths those of the nominal equilibrium that fits s1 … s4 best. {STAY:g} s a point; the error is that of every tracker "
-        f"frame of the last {TAKEN:g} s, its root mean square over {points} points, averaged over {setting.runs} runs. In mode 2 the "
+        f"frame of the last {TAKEN:g} s, its root mean square over {points} points, averaged over {setting.repeated}. In mode 2 the "
         f"motors were enabled {100 * share[TendonUse.ADJUSTS]:.0f} % of that time."
     )
     checks = {"mode 2 tracks better than mode 1": numbers["fig12_mode2"] < numbers["fig12_mode1"]}

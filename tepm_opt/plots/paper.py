@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from tepm_opt.paper.published import PUBLISHED
 from tepm_opt.paper.result import ExperimentResult
 from tepm_opt.plots.figure import STYLE
-from tepm_opt.plots.palette import AXES, INPUTS, MEASURED, NOMINAL, ROBOT, TARGET, actuator
+from tepm_opt.plots.palette import AXES, INPUTS, LINES, MARKERS, MEASURED, NOMINAL, ROBOT, TARGET, actuator
 from tepm_opt.solvers.backbone import backbone
 
 MODEL, PROTOTYPE = NOMINAL, MEASURED
@@ -106,12 +106,13 @@ def _fig9(result: ExperimentResult, base: np.ndarray) -> Figure:
         at = int(np.argmin(np.abs(time - instant)))
         for points, style, name in ((model, "-", "model"), (prototype, "--", "prototype")):
             curve = 1e3 * backbone(base, points[at])
-            left.plot(curve[:, 1], curve[:, 2], style, color=actuator(k), label=f"{name}, {instant:.0f} s" if name == "model" else None)
+            label = f"{name}, {instant:.0f} s" if name == "model" else None
+            left.plot(curve[:, 1], curve[:, 2], style, color=actuator(k), marker=MARKERS[k], markevery=[-1], markersize=5, label=label)
     left.plot([], [], "k--", label="prototype")
     _label(left, "y in mm", "z in mm", "whole-arm bend")
     left.set_aspect("equal", adjustable="datalim")
     for k in range(model.shape[1]):
-        right.plot(time, result.data["errors"][:, k], color=actuator(k), linewidth=1.2, label=f"s{k + 1}")
+        right.plot(time, result.data["errors"][:, k], LINES[k % len(LINES)], color=actuator(k), linewidth=1.2, label=f"s{k + 1}")
     entry = PUBLISHED["fig9_largest"].value
     right.plot(PUBLISHED["fig9_time"].value, entry, "D", color="black", label=f"published largest: {entry:g} mm (s2)")
     _label(right, "time in s", "error in mm", f"largest {result.numbers['fig9_largest']:.1f} mm", legend=False)

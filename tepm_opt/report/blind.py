@@ -41,7 +41,7 @@ def write_blind_page(path: str | Path, run: BlindRun, figures: Mapping[str, Path
             )
         )
         missed += [f"calibration error {calibration.error:.3f}, wanted ≤ {CALIBRATION}"] * (not kept)
-    groups = [Group("Trials", ["rate", "wanted", "of", "95 % interval"], rows)]
+    groups = [Group("Trials", ["rate", "wanted", "of", "95 % interval"], rows)]
     spread = [
         Row(name, unit, [f"{value:.0f}" for value in np.percentile(values, [50, 5, 95])])
         for name, unit, values in (
@@ -50,7 +50,7 @@ def write_blind_page(path: str | Path, run: BlindRun, figures: Mapping[str, Path
         )
         if len(values)
     ]
-    groups += [Group("Over all trials", ["median", "5 %", "95 %"], spread)] * bool(spread)
+    groups += [Group("Over all trials", ["median", "5 %", "95 %"], spread)] * bool(spread)
     of = len(judged) + (calibration is not None)
     sentence = (
         f"{of - len(missed)} of {of} limits are kept in {len(found.judged)} trials." if of else f"{len(found.judged)} trials, none judged."

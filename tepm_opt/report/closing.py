@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.jobs.close import Closing
-from tepm_opt.report.discrepancy import HEADINGS, error_rows
+from tepm_opt.report.discrepancy import error_rows, heading
 from tepm_opt.report.template import Group, Row, digits, write
 
 
@@ -35,6 +35,6 @@ def write_closing_page(path: str | Path, done: Closing) -> None:
         summary=summary,
         groups=groups,
         status=status.value,
-        heading=HEADINGS[status],
+        heading=heading(status, len(last["effects"])),
         paragraph=last["paragraph"],
     )  # fmt: skip

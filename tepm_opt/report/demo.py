@@ -8,8 +8,9 @@ from typing import Any
 
 from tepm_opt.control.controllers import DEFAULT
 from tepm_opt.jobs.demo import NAMES, DemoRun
+from tepm_opt.models.model import Model
 from tepm_opt.report.charts import distance_chart, robot_chart
-from tepm_opt.report.template import Group, Row, digits, sized, write
+from tepm_opt.report.template import Group, Row, digits, sized, symbol, write
 
 
 def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> None:
@@ -26,15 +27,15 @@ def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> N
     """
     if run.hybrid is None or run.gains is None:
         raise ValueError(f"no page of {run!r}")
-    hybrid, pressure = run.hybrid.summary(), run.pressure.summary()
+    hybrid, pressure, model = run.hybrid.summary(), run.pressure.summary(), run.pressure.model.model
     loops = {name: run.loops[name].summary(timing=False) for name in sorted(run.loops, key=lambda name: name != NAMES[DEFAULT])}
     write(
         path, "demo.html", figures, robot_chart(run.hybrid) | distance_chart(run.loops),
         ok=run.ok,
         verdict=_verdict(run, hybrid, loops),
         groups=_groups(run, pressure, hybrid, loops),
-        robot=run.pressure.model.robot,
-        values=run.pressure.model.values,
+        robot=model.robot,
+        parameters=[_parameters(model)],
         hybrid=hybrid,
         pressure=pressure,
         loops=loops,
@@ -63,6 +64,16 @@ def _verdict(run: DemoRun, hybrid: Mapping[str, Any], loops: Mapping[str, Mappin
     )
     ended = [f"{name} ended early: {loop['message']}." for name, loop in loops.items() if loop.get("message")]
     return [said, f"{solved}.", *ended]
+
+
+def _parameters(model: Model) -> Group:
+    """Every parameter with its unit and where it comes from."""
+    return Group("Parameter", ["value", "from"], [Row(name, symbol(unit), [value, source]) for name, value, unit, source in model.table()])
+
+
+def _tiny(error: float | None) -> str:
+    """An error in mm that a solver leaves: below what anybody measures its size says nothing."""
+    return "< 0.001" if error is not None and error < 1e-6 else digits(error, 1e3)
 
 
 def _groups(
@@ -94,7 +105,7 @@ def _groups(
         Row("points solved", f"of {hybrid['points']}", [str(each["solved"]) for each in both]),
         Row("tip error on the actuators' grids, rms", "mm", [digits(each["rounded_tip_error_rms_m"], 1e3) for each in both]),
         Row("tip error on the actuators' grids, largest", "mm", [digits(each["largest_rounded_tip_error_m"], 1e3) for each in both]),
-        Row("tip error, exact set points, largest", "mm", [digits(each["largest_tip_error_m"], 1e3, ".1e") for each in both]),
+        Row("tip error, exact set points, largest", "mm", [_tiny(each["largest_tip_error_m"]) for each in both]),
     ]
     groups.append(Group("Set points", ["pressure alone", "pressure and tension"], rows))
     spans = run.gains.spans() if run.gains else {}

@@ -17,6 +17,7 @@ HEADINGS = {
     VerdictStatus.PARTIAL: "A known effect explains a part",
     VerdictStatus.UNEXPLAINED: "Not explained by any known effect",
 }
+SEVERAL = {VerdictStatus.NAMED: "The missing effects are named", VerdictStatus.PARTIAL: "Known effects explain a part"}
 MODELS = {
     "nominal": "model as it was",
     "recalibrated": "recalibrated",
@@ -53,12 +54,23 @@ def write_discrepancy_page(
         verdict=verdict,
         groups=[_errors(verdict)],
         status=verdict.status.value,
-        heading=HEADINGS[verdict.status],
+        heading=heading(verdict.status, len(verdict.effects)),
         localisation=localisation,
         places=localisation.places[: localisation.telling],
         rivals=verdict.rivals[:RIVALS],
         provenance=provenance,
     )  # fmt: skip
+
+
+def heading(status: VerdictStatus, effects: int) -> str:
+    """What a verdict says, in a line.
+
+    Args:
+        status: kind of answer.
+        effects: how many it names.
+    """
+    several = effects > 1 and status in (VerdictStatus.NAMED, VerdictStatus.PARTIAL)
+    return SEVERAL[status] if several else HEADINGS[status]
 
 
 def error_rows(errors: Mapping[str, float], unit: str) -> Sequence[Row]:

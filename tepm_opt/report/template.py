@@ -16,8 +16,10 @@ from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.verdict import Value
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.report.charts import Chart
+from tepm_opt.solvers.text import with_deviation
 
 CSS_PIXELS = 96  # an inch of a page
+NONE = ("", "1", "-")  # units of pure numbers
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def write(
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"sized": sized, "percent": percent, "spread": _spread, "size": _size}
+    environment.filters |= {"sized": sized, "percent": percent, "spread": _spread, "size": _size, "with_unit": with_unit}
     drawn = charts or {}
     images = {name: Picture.of(figure) for name, figure in (figures or {}).items() if name not in drawn}
     page = environment.get_template(template).render(images=images, charts=drawn, version=version("tepm-opt"), **values)
@@ -113,6 +115,16 @@ def sized(value: float, unit: str) -> str:
     return text if text == "–" else f"{text} {shown}"
 
 
+def with_unit(text: str, unit: str) -> str:
+    """A number with its unit, alone where it has none."""
+    return text if unit in NONE else f"{text} {symbol(unit)}"
+
+
+def symbol(unit: str) -> str:
+    """A unit as tables have it: powers raised, 1 of pure numbers."""
+    return "1" if unit in NONE else unit.replace("^2", "²").replace("^3", "³")
+
+
 def percent(part: float | None) -> str:
     """A part of one in percent; what is nearly all or nothing is not rounded to it."""
     if part is None or not np.isfinite(part):
@@ -124,14 +136,10 @@ def percent(part: float | None) -> str:
 
 def _size(value: Value) -> str:
     """Value and standard deviation of an effect's parameter, and whether that differs from null."""
-    null = "0" if value.nominal == 0 else f"{value.nominal:.4g}{f' {value.unit}' if value.unit not in ('', '1') else ''}"
+    null = "0" if value.nominal == 0 else with_unit(f"{value.nominal:.4g}", value.unit)
     return _spread(value) + ("" if value.clear else f" (not significantly different from {null})")
 
 
 def _spread(value: Value) -> str:
     """Value and standard deviation, to two digits of the latter, with the unit."""
-    unit = f" {value.unit}" if value.unit not in ("", "1") else ""
-    if not np.isfinite(value.std) or value.std <= 0:
-        return f"{value.value:.6g}{unit}"
-    most = max(2, min(9, 2 + int(np.floor(np.log10(max(abs(value.value) / value.std, 1.0))))))
-    return f"{value.value:.{most}g} ± {value.std:.2g}{unit}"
+    return with_unit(with_deviation(value.value, value.std), value.unit)

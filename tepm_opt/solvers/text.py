@@ -20,6 +20,14 @@ def quantity(value: float, unit: str) -> str:
     return f"{1e3 * value:.1f} mm" if value >= 1e-3 else f"{1e3 * value:.2g} mm"
 
 
+def with_deviation(value: float, std: float) -> str:
+    """A value and its standard deviation, as many digits of the one as the other knows: "9.9974 ± 0.0037"; alone where that is none."""
+    if not (np.isfinite(std) and std > 0):
+        return f"{value:.6g}"
+    known = max(2, min(9, 2 + int(np.floor(np.log10(max(abs(value) / std, 1.0))))))
+    return f"{value:.{known}g} ± {std:.2g}"
+
+
 def listed(names: Sequence[str], most: int = 4) -> str:
     """Names by commas, the first ones only where there are more: "K_a, c_a, r and 3 more"."""
     return ", ".join(names) if len(names) <= most else f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"

@@ -87,7 +87,8 @@ class ArmView:
         layout = self._model.layout
         self._folder = gui.add_folder("arm", visible=False)
         with self._folder:
-            self._words = gui.add_markdown(HELP)
+            gui.add_markdown(HELP)
+            self._words = gui.add_markdown("")
             modes = tuple(mode.value for mode in ActuationMode)
             self._mode_choice = gui.add_dropdown("dragged with", modes, initial_value=MODE.value, hint="how axial forces are made")
             self._shown = {

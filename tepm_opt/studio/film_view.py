@@ -14,7 +14,7 @@ from tepm_opt.solvers.backbone import backbone
 from tepm_opt.solvers.text import quantity
 from tepm_opt.studio.recordings import Film, Recordings, film
 from tepm_opt.studio.scene import ArmNode, line_node, set_lines
-from tepm_opt.studio.shapes import GAP, GHOST, MEASURED, polyline
+from tepm_opt.studio.shapes import GAP, MEASURED, TARGET, polyline
 from tepm_opt.studio.worker import Worker, asks
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class FilmView:
             "/measured/points", np.zeros((1, 3)), MEASURED, point_size=0.007 * size, point_shape="circle", precision="float32",
             visible=False,
         )  # fmt: skip
-        self._target = server.scene.add_icosphere("/measured/target", 0.007 * size, GHOST, visible=False)
+        self._target = server.scene.add_icosphere("/measured/target", 0.009 * size, TARGET, visible=False)
         self._arrows = server.scene.add_arrows(
             "/residuals", np.zeros((1, 2, 3)), GAP, shaft_radius=0.0035 * size, head_radius=0.009 * size, head_length=0.015 * size,
             visible=False,
@@ -68,6 +68,7 @@ class FilmView:
     def leave(self) -> None:
         """Stop and go out of sight."""
         self._on = self._folder.visible = self._playing = False
+        self._button.label = "play"
         self._arm.hide()
         for handle in (self._measured, self._points, self._target, self._arrows):
             handle.visible = False
@@ -174,7 +175,7 @@ def told(film: Film, row: int, verdict: str) -> str:
     layout, rms = film.model.layout, film.rms()
     gaps = np.linalg.norm(film.run.points[row] - film.points[row], axis=1)
     at = f"row {row + 1} of {len(film.time)}" + (f", {film.time[row]:.2f} s" if np.isfinite(film.run.time).all() else "")
-    head = f"{at}. Green: measured; purple arrows: from the model to it.\n\n| | now | rms of the run |\n|---|---|---|\n"
+    head = f"{at}. Green: measured; purple arrows: from the model to it.\n\n| | now | rms of the run |\n|:---|---:|---:|\n"
 
     def cell(value: float) -> str:
         return quantity(float(value), "m") if np.isfinite(value) else "–"

@@ -57,14 +57,19 @@ class LoopView:
         self._controls(server.gui)
 
     def enter(self) -> None:
-        """Come into sight."""
+        """Come into sight, with the arm at rest until a loop moves it."""
         self._on = self._folder.visible = True
+        self._worker.ask("rest", self._rest)
 
     def leave(self) -> None:
         """Stop the loop and go out of sight."""
         self._on = self._folder.visible = False
         self.close()
         self._node.hide()
+
+    def _rest(self) -> None:
+        if self._on and self.loop is None:
+            self._node.rest(self._model)
 
     def close(self) -> None:
         """Stop the loop that runs."""
@@ -85,13 +90,14 @@ class LoopView:
             with gui.add_folder("disturbance"):
                 self._direction = gui.add_dropdown("direction", tuple(DIRECTIONS), initial_value="+x")
                 self._newtons = gui.add_slider("force, N", 0.05, 2.0, 0.05, 0.2)
-                self._seconds = gui.add_slider("for s", 0.1, 5.0, 0.1, 1.0)
+                self._seconds = gui.add_slider("duration, s", 0.1, 5.0, 0.1, 1.0)
                 self._push = gui.add_button("push the tip", disabled=True)
             self._words = gui.add_markdown("The rig is simulated, always: this page has no way to a real one.")
             self._plot = gui.add_uplot(
                 (np.zeros(1), np.zeros(1)),
                 ({"label": "s"}, {"label": "tip off its target, mm", "stroke": "rgb({}, {}, {})".format(*MEASURED), "width": 2}),
-                scales={"x": {"time": False}, "y": {"auto": True}}, aspect=1.6, visible=False,
+                scales={"x": {"time": False}, "y": {"auto": True}}, legend={"live": False}, padding=(14, 14, 0, 0), aspect=1.6,
+                visible=False,
             )  # fmt: skip
         self._button.on_click(asks(self._worker, "start or stop", self._start_or_stop))
         self._push.on_click(lambda event: self._disturb())

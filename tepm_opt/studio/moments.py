@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 from tepm_opt.solvers.backbone import backbone
+from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.studio.loop import Moment
 from tepm_opt.studio.scene import ArmNode, line_node, set_lines
-from tepm_opt.studio.shapes import BOUND, GAP, MEASURED, polyline
+from tepm_opt.studio.shapes import BOUND, MEASURED, TARGET, nodes_in_g, polyline
 
 if TYPE_CHECKING:
     import viser
@@ -83,11 +85,16 @@ class MomentNode:
         size = radius / 0.04
         self._backbone = line_node(scene, "/rig/backbone", 0.006 * size, MEASURED)
         self._trace = line_node(scene, "/rig/trace", 0.0025 * size, MEASURED)
-        self._target = scene.add_icosphere("/rig/target", 0.009 * size, GAP, visible=False)
+        self._target = scene.add_icosphere("/rig/target", 0.009 * size, TARGET, visible=False)
         self._force = scene.add_arrows(
             "/rig/force", np.zeros((1, 2, 3)), BOUND, shaft_radius=0.003 * size, head_radius=0.008 * size,
             head_length=0.02 * size, visible=False,
         )  # fmt: skip
+
+    def rest(self, model: CompiledModel) -> None:
+        """Draw a model's arm without inputs."""
+        inputs = np.zeros(model.layout.inputs)
+        self._arm.show(nodes_in_g(model.robot, solve_statics(model, inputs).x), inputs)
 
     def show(self, moment: Moment, path: Path) -> None:
         """Draw a moment and the way to it."""

@@ -20,6 +20,7 @@ RING: Color = (150, 156, 164)
 GHOST: Color = (150, 156, 164)
 MEASURED: Color = (27, 127, 75)
 GAP: Color = (140, 30, 140)
+TARGET: Color = (25, 25, 25)
 FAINT = 0.5  # exponent of the used part of a range, so that a little of it can be seen
 OUTSIDE = 1.28  # of a muscle's distance from the backbone, at which its tendon is drawn
 

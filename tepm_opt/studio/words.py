@@ -50,8 +50,8 @@ def _limits(point: OperatingPoint) -> str:
 def _gains(point: OperatingPoint) -> list[str]:
     if point.gain is None:
         return []
-    head = "**G**: the tip's way over an actuation's full range, singular values in mm\n\n| | largest | | smallest |\n|---|---|---|---|\n"
-    rows = []
+    head = "**G**: the tip's way over an actuation's full range, singular values in mm\n\n"
+    rows = ["| | largest | middle | smallest |", "|:---|---:|---:|---:|"]
     for kind in KINDS:
         values = point.gain.singular_values(kind)
         lost = " (not driven)" if values[0] > 0 and values[-1] < BEYOND * values[0] else ""

@@ -13,6 +13,13 @@ const button = (parent, text, label, action) => {
   b.addEventListener('click', action);
   return b;
 };
+const remark = figure => put(figure, 'div', {class: 'told', 'aria-live': 'polite'});
+// What keys do on a plot, by their names.
+const keyed = (svg, keys) => {
+  svg.setAttribute('tabindex', '0');
+  svg.addEventListener('keydown', e => { if (keys[e.key] && !e.ctrlKey && !e.altKey && !e.metaKey) { keys[e.key](); e.preventDefault(); } });
+};
+const COARSE = matchMedia('(pointer: coarse)').matches;
 const shown = value => Number(value.toPrecision(4)).toString().replace('-', '−');
 const ticks = (low, high, most) => {
   const rough = (high - low) / most, ten = 10 ** Math.floor(Math.log10(rough)), step = ten * ([1, 2, 5].find(k => k * ten >= rough) ?? 10), all = [];
@@ -55,8 +62,10 @@ function curves(figure, data) {
   button(tools, '+', 'zoom in', () => zoom(0.5)); button(tools, '−', 'zoom out', () => zoom(2));
   button(tools, '←', 'earlier', () => move(-0.5)); button(tools, '→', 'later', () => move(0.5));
   button(tools, 'all', 'show all', () => view(0, 1));
-  const plots = data.panels.map((_, k) => put(figure, 'svg', {class: 'plot', role: 'img', 'aria-label': data.panels[k].title ? `${data.alt}; ${data.panels[k].title}` : data.alt}));
-  const told = put(figure, 'div', {class: 'told'}, 'Drag across the curves to zoom, double-click for all.');
+  const plots = data.panels.map((_, k) => put(figure, 'svg', {class: 'plot', role: 'application', 'aria-label': data.panels[k].title ? `${data.alt}; ${data.panels[k].title}` : data.alt}));
+  const told = remark(figure);
+  told.textContent = COARSE ? 'Move a finger across the curves for their values; the buttons zoom.'
+    : 'Drag across the curves to zoom, double-click for all. Keys: arrows for values, + and − to zoom, 0 for all.';
   const panel = (svg, p, whole) => {
     const width = Math.max(280, svg.clientWidth), height = Math.round(Math.min(300, 150 + 0.12 * width)), [l, r, t, b] = [56, 10, p.title ? 22 : 10, 40];
     svg.setAttribute('viewBox', `0 0 ${width} ${height}`); svg.replaceChildren();
@@ -98,8 +107,12 @@ function curves(figure, data) {
     svg.at = event => { const box = svg.getBoundingClientRect(), x = (event.clientX - box.left) * width / box.width; return Math.min(1, Math.max(0, (x - l) / (width - l - r))); };
     svg.tell = part => {
       const x = x0 + part * (x1 - x0); let k = p.x.findIndex(v => v >= x); k = k < 0 ? p.x.length - 1 : k;
-      told.textContent = `${p.across} ${shown(p.x[k])}: ` + drawn.filter(s => s.values[k] !== null).map(s => `${s.name} ${shown(s.values[k])}`).join(', ');
+      cursor.setAttribute('d', `M${X(p.x[k])} ${t}V${height - b}`);
+      const [name, unit] = p.across.split(' in ');
+      told.textContent = `${name} ${shown(p.x[k])}${unit ? ` ${unit}` : ''}; ${p.label}: ` + drawn.filter(s => s.values[k] !== null).map(s => `${s.name} ${shown(s.values[k])}`).join(', ');
     };
+    const cursor = put(svg, 'path', {class: 'cursor', d: ''});
+    svg.forget = () => cursor.setAttribute('d', '');
     svg.mark = (a, z) => { svg.querySelector('.marked')?.remove(); if (z !== undefined) put(svg, 'rect', {class: 'marked', x: l + Math.min(a, z) * inner.width, y: t, width: Math.abs(z - a) * inner.width, height: inner.height, fill: '#1f5fa830'}); };
   };
   const draw = () => plots.forEach((svg, k) => panel(svg, data.panels[k], wholes[k]));
@@ -112,7 +125,14 @@ function curves(figure, data) {
       const [a, z] = [start, svg.at(e)].sort((x, y) => x - y); start = null; svg.mark();
       if (z - a > 0.01) view(from + a * (to - from), from + z * (to - from));
     });
+    svg.addEventListener('pointerleave', () => svg.forget());
     svg.addEventListener('dblclick', () => view(0, 1));
+    let place = 0.5;  // of what is shown
+    const step = by => { place = Math.min(1, Math.max(0, place + by)); svg.tell(place); };
+    keyed(svg, {
+      ArrowLeft: () => step(-0.02), ArrowRight: () => step(0.02), Home: () => step(-1), End: () => step(1),
+      '+': () => zoom(0.5), '=': () => zoom(0.5), '-': () => zoom(2), '−': () => zoom(2), '0': () => view(0, 1),
+    });
   }
   return draw;
 }
@@ -125,7 +145,7 @@ function robot(figure, data) {
   button(tools, '↑', 'from higher', () => turn(0, 0.15)); button(tools, '↓', 'from lower', () => turn(0, -0.15));
   const label = put(tools, 'label', {}, 'point'), slider = put(label, 'input', {type: 'range', min: 1, max: data.arms.length, value: 1});
   slider.addEventListener('input', () => { chosen = slider.value - 1; draw(); });
-  const svg = put(figure, 'svg', {class: 'plot', role: 'img', 'aria-label': data.alt}), told = put(figure, 'div', {class: 'told'});
+  const svg = put(figure, 'svg', {class: 'plot', role: 'application', 'aria-label': data.alt}), told = remark(figure);
   const every = [...data.arms.flat(), ...data.targets], low = [0, 1, 2].map(k => Math.min(...every.map(p => p[k]))), high = [0, 1, 2].map(k => Math.max(...every.map(p => p[k])));
   const middle = low.map((v, k) => (v + high[k]) / 2), size = Math.max(...high.map((v, k) => v - low[k]));
   function draw() {
@@ -133,24 +153,30 @@ function robot(figure, data) {
     svg.setAttribute('viewBox', `0 0 ${width} ${height}`); svg.replaceChildren();
     const [ca, sa, ce, se] = [Math.cos(azimuth), Math.sin(azimuth), Math.cos(elevation), Math.sin(elevation)];
     const seen = p => { const [x, y, z] = p.map((v, k) => v - middle[k]), side = ca * x + sa * y, deep = -sa * x + ca * y; return [width / 2 + scale * side, height / 2 - scale * (ce * z + se * deep)]; };
-    const line = (points, attributes) => put(svg, 'path', {d: 'M' + points.map(p => seen(p).map(v => v.toFixed(1)).join(' ')).join('L'), fill: 'none', ...attributes});
+    const drawn = (points, attributes) => put(svg, 'path', {d: 'M' + points.map(p => seen(p).map(v => v.toFixed(1)).join(' ')).join('L'), fill: 'none', ...attributes});
     const floor = low[2], corner = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]].map(([x, y]) => [x, y, floor]);
-    line(corner, {class: 'grid', style: 'stroke:#00000060'});
+    drawn(corner, {class: 'grid', style: 'stroke:#00000060'});
     const axis = (k, at) => {
-      line([at(low[k]), at(high[k])], {class: 'grid', style: 'stroke:#00000060'});
+      drawn([at(low[k]), at(high[k])], {class: 'grid', style: 'stroke:#00000060'});
       for (const v of ticks(low[k], high[k], 4)) if (k === 2 || Math.abs(v - middle[k]) < 0.45 * (high[k] - low[k])) { const [x, y] = seen(at(v)); put(svg, 'circle', {cx: x, cy: y, r: 1.6, fill: '#55595e'}); put(svg, 'text', {x: x - 6, y: y + 12, 'text-anchor': 'end'}, shown(v)); }
-      const [x, y] = seen(at(high[k] + 0.12 * size)); put(svg, 'text', {x, y: y + 4, 'text-anchor': 'middle', 'font-weight': 600}, `${'xyz'[k]} in mm`);
+      let [x, y] = seen(at(high[k] + 0.12 * size));
+      if (k < 2) {  // beside the middle of its edge, away from the floor's
+        const [cx, cy] = seen([middle[0], middle[1], floor]); [x, y] = seen(at(middle[k]));
+        const far = Math.hypot(x - cx, y - cy) || 1; [x, y] = [x + 44 * (x - cx) / far, y + 24 * (y - cy) / far + 20];
+      }
+      put(svg, 'text', {x, y: y + 4, 'text-anchor': 'middle', 'font-weight': 600}, `${'xyz'[k]} in mm`);
     };
     const near = corner.reduce((a, c) => seen(c)[1] > seen(a)[1] ? c : a), left = corner.reduce((a, c) => seen(c)[0] < seen(a)[0] ? c : a);
     axis(0, v => [v, near[1], floor]); axis(1, v => [near[0], v, floor]); axis(2, v => [left[0], left[1], v]);
-    data.arms.forEach((arm, k) => k === chosen || line(arm, {stroke: data.robot.color, 'stroke-width': 1, opacity: 0.35}));
-    line(data.targets, {stroke: data.target.color, 'stroke-dasharray': DASH[data.target.line], 'stroke-width': 1.4});
-    line(data.arms[chosen], {stroke: data.robot.color, 'stroke-width': 5, 'stroke-linecap': 'round'});
+    data.arms.forEach((arm, k) => k === chosen || drawn(arm, {stroke: data.robot.color, 'stroke-width': 1, opacity: 0.35}));
+    drawn(data.targets, {stroke: data.target.color, 'stroke-dasharray': DASH[data.target.line], 'stroke-width': 1.4});
+    drawn(data.arms[chosen], {stroke: data.robot.color, 'stroke-width': 5, 'stroke-linecap': 'round'});
     const tip = data.arms[chosen].at(-1), [x, y] = seen(tip); symbol(svg, 'o', x, y, data.reached.color, 6);
     const [tx, ty, tz] = tip.map(v => shown(Math.round(10 * v) / 10 + 0));
     told.textContent = `point ${chosen + 1}: tip at x ${tx}, y ${ty}, z ${tz} mm`;
     slider.setAttribute('aria-valuetext', told.textContent);
   }
+  keyed(svg, {ArrowLeft: () => turn(-0.2, 0), ArrowRight: () => turn(0.2, 0), ArrowUp: () => turn(0, 0.15), ArrowDown: () => turn(0, -0.15)});
   let last = null;
   svg.addEventListener('pointerdown', e => { if (e.pointerType !== 'touch') { last = [e.clientX, e.clientY]; svg.setPointerCapture(e.pointerId); e.preventDefault(); } });
   svg.addEventListener('pointermove', e => { if (last) { turn(-0.008 * (e.clientX - last[0]), 0.008 * (e.clientY - last[1])); last = [e.clientX, e.clientY]; } });

@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.verdict import Errors, Named, Place, Rival, Value, Ver
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure
-from tepm_opt.report.discrepancy import write_discrepancy_page
+from tepm_opt.report.discrepancy import heading, write_discrepancy_page
 
 PNG = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg==")
 FIGURES = ("heat", "gap", "points", "over_time", "evidence", "tip")
@@ -46,7 +46,7 @@ VERDICT = Verdict(
         *(Rival(candidate("sensor_offset", f"s{k}"), 0.0, "no gain to first order", None) for k in (1, 2, 3)),
     ),
     where=PLACES,
-    recalibrated={"K_a": Value(364.2, 0.8, "N/m", 358.86), "c_a": Value(2.4, 0.0, "N s/m", 2.583)},
+    recalibrated={"K_a": Value(364.2, 0.8, "N/m", 358.86), "c_a": Value(2.4, 0.0, "N s/m", 2.583), "alpha_2": Value(0.98, 0.002, "-", 1.0)},
     errors=Errors(0.52e-3, 5.2e-3, 4.1e-3, 0.55e-3, 0.8e-3),
     model=Model.of("kang2017").with_effect("actuator_gain", "13", loss=0.1203),
     notes=("c_a and alpha_2 cannot be told apart by these runs", "3 samples of s2 were doubtful"),
@@ -85,7 +85,7 @@ def test_key_facts(tmp_path: Path) -> None:
         "actuator_gain[13]", "actuator 13", "loss", "0.1203 ± 0.0007", "> 99 %", "94 %",
         "pressure_crosstalk", "closes 55 % <less> than half the rest", "sensor_offset[s4]",
         "noise alonemm0.520", "model as it wasmm5.20", "recalibratedmm4.10", "correctedmm0.550", "black box without physicsmm0.800",
-        "K_a", "358.86", "364.2 ± 0.8 N/m", "+1.49 %", "2.4 N s/m",
+        "K_a", "358.86 N/m", "364.2 ± 0.8 N/m", "+1.49 %", "2.4 N s/m", "alpha_210.98 ± 0.002 −2.00 %",
         *VERDICT.notes, "--model model.toml", "bench <b>bold</b>", "kang2017", "83 s",
     )  # fmt: skip
     assert not [fact for fact in facts if fact not in words]
@@ -116,6 +116,12 @@ def test_every_status(tmp_path: Path, status: VerdictStatus) -> None:
     assert f'class="verdict {status.value}"' in text
     assert ("No effect was added" in text) == (not effects)
     assert ("no gap" in text) == (status is VerdictStatus.NO_DISCREPANCY)
+
+
+def test_several_effects_are_not_one() -> None:
+    assert [heading(VerdictStatus.NAMED, count) for count in (1, 2)] == ["The missing effect is named", "The missing effects are named"]
+    assert [heading(VerdictStatus.PARTIAL, count) for count in (1, 3)] == ["A known effect explains a part", "Known effects explain a part"]
+    assert heading(VerdictStatus.INDISTINGUISHABLE, 2) == "Several effects explain the data equally well"
 
 
 def test_what_is_not_there_is_left_out(tmp_path: Path) -> None:

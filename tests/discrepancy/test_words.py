@@ -16,7 +16,7 @@ from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Named, Value, VerdictStatus
-from tepm_opt.discrepancy.words import _names, _values, alone, next_step, repeats, unfitted
+from tepm_opt.discrepancy.words import _names, _values, _with_unit, alone, next_step, repeats, unfitted
 from tepm_opt.solvers.plant import Free
 
 
@@ -62,6 +62,9 @@ def test_sizes_that_are_not_told_from_null_are_not_given() -> None:
     assert _values(holders) == "plates 24 ± 6.5 %, holders not significantly different from 0"
     delay = Named(candidate("time_delay"), 1.0, {"delay": Value(0.031, 0.002, "s", 0.03)}, 1.0)
     assert _values(delay) == "delay not significantly different from 30 ms"
+    loss = Named(candidate("actuator_gain", "13"), 1.0, {"loss": Value(0.099974, 3.7e-5, "1", 0.0)}, 1.0)
+    assert _values(loss) == "loss 9.9974 ± 0.0037 %", "as many digits as are known"
+    assert [_with_unit(0.95, unit) for unit in ("-", "1", "kg")] == ["0.95", "95 %", "950 g"]
     bend = Named(candidate("pressure_crosstalk"), 1.0, {"bend": Value(-6e-7, 1e-8, "1/Pa", 0.0)}, 1.0)
     assert _values(bend) == "bend -0.06 ± 0.001 %/kPa"
 

@@ -57,6 +57,7 @@ def test_quick_study_leaves_a_page_and_the_same_bytes_twice(tmp_path, capsys):
         assert [file.name for file in files] == ["fig7.csv", "fig7.png", "index.html", "paper.json"]
         digests.append([hashlib.sha256(file.read_bytes()).hexdigest() for file in files])
     assert digests[0] == digests[1]
+    assert "the middle of 1 run by Eq. (5)" in (tmp_path / "one" / "index.html").read_text(encoding="utf-8")
     capsys.readouterr()
     summary = json.loads((folder / "paper.json").read_text(encoding="utf-8"))
     rows = {row["key"]: row for row in summary["rows"]}

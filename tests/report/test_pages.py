@@ -241,6 +241,28 @@ def test_the_tip_is_shown_where_correction_matters_first(chart: Browser) -> None
     assert max(across(chart, "tip")) < 22.0
 
 
+def told(browser: Browser, name: str) -> str:
+    """What is said below a chart."""
+    return browser.run(f"return document.querySelector('[data-of={name}] .told').textContent")
+
+
+def test_plots_take_keys(chart: Browser) -> None:
+    """Values at a place, which a line marks; zoom and back."""
+    chart.run("document.querySelector('[data-of=over_time] svg.plot').focus()")
+    chart.press("HOME")
+    assert told(chart, "over_time").startswith("time 0 s; Eq. (5) in mm: nominal ")
+    chart.press("ARROW_RIGHT", "ARROW_RIGHT")
+    assert told(chart, "over_time").startswith("time 1.")
+    left = "return document.querySelector('[data-of=over_time] .cursor').getBBox().x"
+    before = chart.run(left)
+    chart.press("END")
+    assert chart.run(left) > before + 500
+    chart.press("+")
+    assert max(across(chart)) < 25.0
+    chart.press("0")
+    assert (min(across(chart)), max(across(chart))) == (0.0, 25.0)
+
+
 def test_curves_can_be_hidden(chart: Browser) -> None:
     count = "return document.querySelectorAll('[data-of=over_time] svg.plot')[0].querySelectorAll('g path').length"
     before = chart.run(count)
@@ -259,10 +281,13 @@ def test_the_robot_can_be_turned(browser: Browser, pages: Callable[[str], Path])
     left, top, _, _ = box(browser, "robot")
     browser.drag((left + 300, top + 100), (left + 350, top + 120))
     seen.append(browser.run(drawn))
+    browser.run("document.querySelector('[data-of=robot] svg.plot').focus()")
+    browser.press("ARROW_UP")
+    seen.append(browser.run(drawn))
     browser.run("document.querySelector('[data-of=robot] input').focus()")
     browser.press("ARROW_RIGHT")
     seen.append(browser.run(drawn))
-    assert len(set(seen)) == 4
+    assert len(set(seen)) == 5
     assert browser.run("return document.querySelector('[data-of=robot] .told').textContent").startswith("point 2: tip at x ")
 
 
@@ -294,4 +319,6 @@ def test_a_job_without_loops_says_why(tmp_path: Path, kang: CompiledModel) -> No
     write_page(tmp_path / "demo.html", run, pictures(tmp_path, "ik", "gain"))
     text = (tmp_path / "demo.html").read_text(encoding="utf-8")
     assert '<div class="verdict bad">' in text
+    assert '<td>A</td><td class="unit">m²</td><td>5.027e-05</td><td>robot file</td>' in text
+    assert "<td>&lt; 0.001</td>" in text, "what a solver leaves has no size"
     assert "No closed loop: no &lt;rig&gt;." in text

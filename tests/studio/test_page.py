@@ -144,9 +144,13 @@ def test_the_film(studio: Studio) -> None:
     moved(view._speed, "10")
     pressed(view._button)
     assert waited(lambda: view._time.value == view._time.max and view._button.label == "play")
+    moved(view._speed, "0.25")
+    pressed(view._button)
+    assert waited(lambda: view._button.label == "pause")
     studio.show("arm")
     assert studio.settle()
     assert not view._arrows.visible
+    assert view._button.label == "play"
 
 
 def test_a_run_beyond_the_limits_says_so(kang: CompiledModel) -> None:
@@ -163,6 +167,10 @@ def test_the_closed_loop(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(loop_view, "Course", lambda laps: Course(approach=0.2, pause=0.1, laps=laps))
     monkeypatch.setattr(view, "_open", lambda: simulated_rig("sim:perfect", wait=lambda seconds: time.sleep(0.002)))
     studio.show("closed loop")
+    assert studio.settle()
+    at_rest = view._node._arm._muscles
+    assert at_rest.visible
+    np.testing.assert_allclose(at_rest.points[-3:, 1, :2].mean(axis=0), 0.0, atol=1e-6)
     moved(view._controller, "mode1")
     assert view._push.disabled
     pressed(view._button)

@@ -20,7 +20,7 @@ class Payload(Effect):
 
     name = "payload"
     explains = "unmodelled mass at the tip"
-    reference = "rigid point mass; SPEC section 5"
+    reference = "rigid point mass"
     parameters = (
         Parameter("mass", "kg", null=0.0, probe=0.01, low=0.0, high=10.0),
         Parameter("beside_x", "1", null=0.0, probe=0.0, low=-1.0, high=1.0, change=0.1),
