@@ -23,6 +23,7 @@ from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.jobs.discrepancy import VERDICT, run_discrepancy
 from tepm_opt.jobs.identify import open_datasets, run_identify
 from tepm_opt.jobs.record import record
+from tepm_opt.solvers.text import with_deviation
 
 GALLERY = ("one_module", "hanging", "four_muscles", "slim")
 SHARE = 0.05  # of the robot's mass, of the hidden payload
@@ -147,7 +148,7 @@ def rows(name: str, told: Told) -> dict[str, str]:
         found, true = told["explained"], 1e3 * payload(name)
         named = [f"{e['name']} {e['probability']:.3f}" for e in found["effects"]]
         sizes = [e["parameters"]["mass"] for e in found["effects"] if "mass" in e["parameters"]]
-        size = "; ".join(f"{1e3 * each['value']:.1f} ± {1e3 * each['std']:.1f}" for each in sizes) or "-"
+        size = "; ".join(with_deviation(1e3 * each["value"], 1e3 * each["std"]) for each in sizes) or "-"
         errors = found["rmse_m"]
         gap = " → ".join(f"{1e3 * errors[key]:.2f}" for key in ("nominal", "corrected"))
         shown["`discrepancy`: status, effects with their probability"] = f"{found['status']}: {', '.join(named) or 'nothing'}"
