@@ -133,6 +133,7 @@ class TestLibrary:
         assert stages["payload"] == stages["sensor_offset"] == "body"
 
 
+@pytest.mark.slow
 class TestScreening:
     @pytest.mark.parametrize("apart", [0.0, 0.04])
     def test_what_is_missing_promises_most(self, library: CompiledModel, runs: list[Run], apart: float) -> None:
@@ -171,6 +172,7 @@ class TestScreening:
         assert all(other == pytest.approx(one, abs=0.02) for one, other in gains.values()), gains
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -188,6 +190,7 @@ def test_a_search_that_may_not_try_fits_known_parameters_only(library: CompiledM
     assert found.without.excess > 1
 
 
+@pytest.mark.slow
 class TestFits:
     def test_are_done_once(self, library: CompiledModel, runs: list[Run], tmp_path: Path) -> None:
         said: list[str] = []
@@ -239,7 +242,6 @@ class TestFits:
         assert last.excess == pytest.approx(wrong.excess, rel=1e-4)
         assert hasty.finished(last) is last
 
-    @pytest.mark.slow
     def test_that_end_early_do_not_change_the_winner(
         self, library: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
     ) -> None:
