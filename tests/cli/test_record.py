@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from tests.cli.conftest import Command, hear_ctrl_c
 from tests.data.made import ACTUATORS
 from tests.recording.fake_rig import FakeRig, FakeSimulation, write_plan
 
+ROOT = Path(__file__).parents[2]
 SLOW = """
 import sys
 from tepm_opt.cli import main, rigs
@@ -161,6 +163,7 @@ class TestSignals:
         return subprocess.Popen(
             [sys.executable, "-c", SLOW, *arguments],
             cwd=here,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
