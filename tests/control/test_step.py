@@ -21,7 +21,7 @@ from tepm_opt.solvers.trajectories import lissajous
 from tests.tools import variant
 
 CLOSE = 1e-9  # N, and m
-PLANNED = 3e-7  # N, of later stages: DAQP lets rows of the Python step's program be off by 1e-9 of their scaled length (seen: 1.4e-7)
+PLANNED = 3e-7  # N, of later stages: DAQP lets rows of the Python step's program be off by 1e-9 of their length, which is 3e4 at most
 
 
 @pytest.fixture(scope="module")
