@@ -1,6 +1,6 @@
 """Figures over the versions: `python -m benchmarks.history FILE` adds those of `python -m benchmarks --json FILE` to history.csv.
 
-Each version has one figure of a name, the last one measured. docs/speed.md and its picture are written anew, also without a FILE.
+Each version has one figure of a name, the last one measured. docs/results/speed.md and its picture are written anew, also without a FILE.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import Annotated
 import typer
 
 ROOT = Path(__file__).parent.parent
-HISTORY, PAGE, PICTURE = Path(__file__).with_name("history.csv"), ROOT / "docs" / "speed.md", ROOT / "docs" / "images" / "speed.png"
+HISTORY = Path(__file__).with_name("history.csv")
+PAGE, PICTURE = ROOT / "docs" / "results" / "speed.md", ROOT / "docs" / "images" / "speed.png"
 START, END = "<!-- figures -->", "<!-- end of figures -->"
 HEADER = ("version", "name", "figure")
 
@@ -41,7 +42,7 @@ def write_history(figures: Mapping[str, Mapping[str, float]]) -> None:
 
 
 def page_text(figures: Figures) -> str:
-    """docs/speed.md with a table of the figures."""
+    """docs/results/speed.md with a table of the figures."""
     from benchmarks.parts import goals
     from benchmarks.report import text_of
 

@@ -65,4 +65,4 @@ def data_sets(folder: Path | None) -> tuple[Path, ...]:
 
 def _described(folder: Path, option: str) -> None:
     if not (folder / DESCRIPTION).is_file():
-        raise InputError(f"{option} {folder}: no {DESCRIPTION} there; valid: the folder of a data set (docs/recording.md)")
+        raise InputError(f"{option} {folder}: no {DESCRIPTION} there; valid: the folder of a data set (docs/how-to/recording.md)")

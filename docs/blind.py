@@ -1,4 +1,4 @@
-"""Write the table and figures of docs/blind.md from a finished `tepm blind`.
+"""Write the table and figures of docs/results/blind.md from a finished `tepm blind`.
 
 Run: python docs/blind.py FOLDER, the folder that --out named.
 """
@@ -30,7 +30,7 @@ def main(folder: Path) -> None:
         if (folder / f"{name}.png").exists():
             shutil.copy(folder / f"{name}.png", DOCS / "images" / f"blind_{name}.png")
             lines += [f"![{title}](images/blind_{name}.png)", ""]
-    page = DOCS / "blind.md"
+    page = DOCS / "results" / "blind.md"
     before, rest = page.read_text(encoding="utf-8").split(BEGIN)
     page.write_text("\n".join([f"{before}{BEGIN}", *lines, END + rest.split(END)[1]]), encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""Print the convergence table of docs/convergence.md: how results depend on the number of segments n_e.
+"""Print the convergence table of docs/results/convergence.md: how results depend on the number of segments n_e.
 
 Run: python docs/convergence.py
 """

@@ -1,4 +1,4 @@
-"""Draw docs/images/gallery_*.png, the robots of docs/gallery.md at rest and bent: `python docs/gallery.py [ROBOT …]`."""
+"""Draw docs/images/gallery_*.png, the robots of docs/how-to/own_robot.md at rest and bent: `python docs/gallery.py [ROBOT …]`."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def described(text: str) -> Iterator[tuple[str, str, list[ast.arg]]]:
 
 
 def test_the_page_on_verdicts_lists_every_effect() -> None:
-    page = (ROOT / "docs" / "discrepancy.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "discrepancy.md").read_text(encoding="utf-8")
     _, _, known = page.partition("## What it knows")
     listed = known.partition("\n## ")[0]
     assert [effect.name for effect in effects() if f"`{effect.name}`" not in listed] == []
@@ -138,7 +138,7 @@ def test_four_arguments_are_described() -> None:
 def test_documents_name_what_exists() -> None:
     """Files, dotted names and imports in README, CONTRIBUTING and docs/; two dotted names are groups of entry points, not modules."""
     missing = []
-    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))):
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")
         missing += [
             (path.name, name) for name in re.findall(r"\b(?:tepm_opt|tests|benchmarks)/[\w/]+\.\w+", text) if not (ROOT / name).exists()
@@ -162,7 +162,7 @@ def test_documents_name_tests_that_exist() -> None:
         there |= set(re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.M))
     named = {
         (path.name, name)
-        for path in sorted((ROOT / "docs").glob("*.md"))
+        for path in sorted((ROOT / "docs").rglob("*.md"))
         for name in re.findall(r"\b(test_\w+(?:\.py)?)", path.read_text(encoding="utf-8"))
     }
     assert {(path, name) for path, name in named if name not in there} == set()

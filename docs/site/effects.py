@@ -29,9 +29,9 @@ BEGAN = 20.0
 
 INDEX = """# Effects
 
-What a model can be given beside the network of [the theory](../theory.md), and what a verdict can name. Each page is made from the
-effect itself when the site is built: its words, the equations that its code computes, its parameters with the values at which it vanishes,
-and what it does to a motion of the robot `kang2017`.
+Physical effects that a model can be given beside the network of [the theory](../explanation/theory.md), and that a verdict can name.
+Each page is made from the effect itself when the site is built: its words, the equations that its code computes,
+its parameters with the values at which it vanishes, and what it does to a motion of the robot `kang2017`.
 
 How to read them: primes mark what an effect makes of something; $p_{hj}$ is the pressure and $\\lambda_{hj}$ the tension of actuator $j$ of
 module $h$, $\\ell$ the length of a muscle's segment and $\\ell_0$ its rest length, $k$, $c$ and $m$ stiffness, damping and mass,
@@ -41,7 +41,7 @@ line is left to the words and to the code.
 
 The motion lasts 6 s: four muscles are filled, two tendons pulled, then all of it is let go. *Looks like* compares, over all four reference
 points, what effects add to it: 1.00 means that this motion cannot tell them apart (others may), and no number says that about your data:
-a verdict's own rivals do, see [how to find out what is missing](../discrepancy.md).
+a verdict's own rivals do, see [how to find out what is missing](../how-to/discrepancy.md).
 
 | effect | what it explains | moves the tip by (mm) | looks like |
 | --- | --- | --- | --- |

@@ -35,7 +35,7 @@ def _blocks(name: str, cells: list[dict[str, Any]], figures: dict[str, bytes]) -
         source = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
             heading = (re.findall(r"^#+ (.+)$", source, re.M) or [heading])[-1]
-            yield re.sub(r"`docs/(\w+\.md)`", r"[`docs/\1`](../\1)", source)
+            yield re.sub(r"`docs/([\w/-]+\.md)`", r"[`docs/\1`](../\1)", source)
             continue
         yield f"```python\n{source}\n```"
         for output in cell["outputs"]:

@@ -13,13 +13,25 @@ FROM_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHA
 """Files of the repository's root, and the pages they are on the site."""
 
 CONTENTS: dict[str, tuple[str, ...]] = {
-    "Begin": ("tutorial",),
-    "See it run": tuple(f"notebooks/{name}" for name in notebooks.NAMES),
-    "How to": ("gallery", "importing", "recording", "discrepancy", "control", "hardware", "studio", "pages", "exporting", "any_machine"),
-    "Be safe": ("safety",),
-    "Understand": ("theory", "effects/index", "convergence", "architecture", "comparison"),
-    "Look up": ("commands", *(f"api/{name}" for name in names.TITLES)),
-    "Judge": ("blind", "paper", "measured", "speed", "spoiling"),
+    "Tutorial": ("tutorial", *(f"notebooks/{name}" for name in notebooks.NAMES)),
+    "How to": tuple(
+        f"how-to/{name}"
+        for name in (
+            "own_robot",
+            "control",
+            "recording",
+            "importing",
+            "discrepancy",
+            "any_machine",
+            "hardware",
+            "studio",
+            "pages",
+            "exporting",
+        )
+    ),
+    "Reference": ("reference/command_line", "effects/index", *(f"api/{name}" for name in names.TITLES)),
+    "Explanation": tuple(f"explanation/{name}" for name in ("theory", "safety", "architecture", "comparison")),
+    "Results": tuple(f"results/{name}" for name in ("blind", "paper", "measured", "speed", "convergence", "spoiling")),
     "Take part": ("contributing", "changelog"),
 }
 """The site's contents: pages by section, in the order in which one needs them."""
@@ -28,27 +40,27 @@ CONTENTS: dict[str, tuple[str, ...]] = {
 def write(folder: Path) -> None:
     """Write all pages, and what they show, into a folder."""
     docs = ROOT / "docs"
-    for path in (*docs.glob("*.md"), *docs.glob("*.toml")):
-        _write(folder / path.name, to_notebooks(path.read_text(encoding="utf-8")))
+    for path in (*docs.rglob("*.md"), *docs.glob("*.toml")):
+        _write(folder / path.relative_to(docs), to_notebooks(path.read_text(encoding="utf-8")))
     shutil.copytree(docs / "images", folder / "images")
     for source, page in FROM_ROOT.items():
         _write(folder / page, to_notebooks(from_root((ROOT / source).read_text(encoding="utf-8"))))
     with (folder / "index.md").open("a", encoding="utf-8") as index:
         index.write(contents())
-    _write(folder / "commands.md", commands.page())
+    _write(folder / "reference" / "command_line.md", commands.page())
     for name, page in {**names.pages(), **effects.pages(), **notebooks.pages()}.items():
         _write(folder / name, page)
 
 
 def to_notebooks(text: str) -> str:
     """A page whose links to notebooks lead to their pages."""
-    return re.sub(r"\]\((?:\.\./)?notebooks/(\w+)\.ipynb\)", r"](notebooks/\1.md)", text)
+    return re.sub(r"\]\((?:\.\./)?((?:\.\./)*)notebooks/(\w+)\.ipynb\)", r"](\1notebooks/\2.md)", text)
 
 
 def from_root(text: str) -> str:
     """A page of the root as one of docs/: links to docs/ lose it, and a page or notebook that is only named is a link."""
     text = text.replace("](docs/", "](")
-    return re.sub(r"(?<!\[)`docs/(\w+\.md)`", r"[`docs/\1`](\1)", text)
+    return re.sub(r"(?<!\[)`docs/([\w/-]+\.md)`", r"[`docs/\1`](\1)", text)
 
 
 def contents() -> str:

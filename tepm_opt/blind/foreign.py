@@ -1,6 +1,6 @@
 """Causes outside the library of effects: foreign in place or in variables. No name is right for any of them.
 
-What each is, and why no effect does it (docs/blind.md has the same list):
+What each is, and why no effect does it (docs/results/blind.md has the same list):
 
 | cause | what acts | foreign in |
 | --- | --- | --- |

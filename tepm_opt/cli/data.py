@@ -62,7 +62,7 @@ def first_map(
 @app.command("import")
 def import_tables(
     files: Files,
-    map_file: Annotated[Path, typer.Option("--map", metavar="MAP", help="Map file (.toml): which columns are which, docs/importing.md.")],
+    map_file: Annotated[Path, typer.Option("--map", metavar="MAP", help="Map of the columns (.toml); docs/how-to/importing.md.")],
     out: Annotated[Path | None, typer.Option("--out", metavar="FOLDER", help="Data set to write; without it nothing is.")] = None,
     preview: Annotated[Path | None, typer.Option("--preview", metavar="PNG", help="Draw the preview's figure into this file.")] = None,
     as_json: JsonOption = False,

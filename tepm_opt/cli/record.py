@@ -23,7 +23,7 @@ STANDARD, DEFAULT = "standard", "kang2017"
 
 
 def record(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (.toml), see docs/recording.md; or the word standard.")],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (.toml), see docs/how-to/recording.md; or the word standard.")],
     out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the data set; runs it has are kept.")],
     rig: RigOption = "sim",
     seed: SeedOption = 0,

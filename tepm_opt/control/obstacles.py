@@ -161,7 +161,7 @@ class Obstacles:
 
 
 def read_obstacles(path: str | Path) -> Obstacles:
-    """Obstacles from a TOML file (docs/control.md has one with comments).
+    """Obstacles from a TOML file (docs/how-to/control.md has one with comments).
 
     Raises:
         InputError: unreadable file, no TOML (with the line), unknown or missing key, a value out of its range, a name given twice, nothing

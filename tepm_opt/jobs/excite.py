@@ -31,7 +31,7 @@ SHARES = (1.0, 0.8, 0.6, 0.45, 0.3)
 """Of the levels of a plan, tried one after the other until the model bears all runs."""
 HEAD = (
     "A recording plan for identification and the search for missing effects: tepm record PLAN --rig RIG --out DATASET.",
-    "Every input alone and all together, up and back, slow and quick, with and without loads. docs/recording.md explains every key.",
+    "Every input alone and all together, up and back, slow and quick, with and without loads. docs/how-to/recording.md explains every key.",
 )
 
 

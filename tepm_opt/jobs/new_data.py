@@ -39,7 +39,7 @@ role = "fit"                  # parameters and effects are found from these …
 #   {points:<26}m, reference points in the tracker frame G (z up along the robot); empty where a sample is
 #                             lost, or all along where a point is not measured (tip alone: only {tip} filled)
 #   pressure_{first}_measured_Pa … optional: what gauges show
-# Tables that look otherwise (units, names, several clocks) need no editing: `tepm data import`, docs/importing.md
+# Tables that look otherwise (units, names, several clocks) need no editing: `tepm data import`, docs/how-to/importing.md
 """
 
 

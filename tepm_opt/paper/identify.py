@@ -3,7 +3,7 @@
 Two groups of sizes, because two groups of numbers show them:
 
 - Frictions and hysteresis act only in motion. They are those of the rig file given, chosen by hand from Fig. 10b's loop and Fig. 12's two
-  modes (docs/paper.md).
+  modes (docs/results/paper.md).
 - Parameter errors, plates, uneven mass and unequal muscles decide where the robot rests. They are fitted to the seven published errors of
   Figs. 7, 8 and 10a. A rest is computed by `Machine.settle`, which knows no dry friction, so what friction adds to the same experiment on
   the whole rig is put on top and renewed after every fit.

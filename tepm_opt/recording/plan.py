@@ -1,4 +1,4 @@
-"""Recording plans: which runs to record, in which roles, under which inputs (TOML). `docs/recording.md` describes the file."""
+"""Recording plans: which runs to record, in which roles, under which inputs (TOML). `docs/how-to/recording.md` describes the file."""
 
 from __future__ import annotations
 

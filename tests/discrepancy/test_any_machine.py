@@ -1,4 +1,4 @@
-"""Machines of docs/any_machine.md, from its own listings in an empty folder: what is hidden is named, and nothing where nothing is."""
+"""Listings of docs/how-to/any_machine.md, run in an empty folder: what is hidden is named, and nothing where nothing is."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.cli.conftest import script
 from tests.discrepancy.machines import arm, drive
 
 ROOT = Path(__file__).resolve().parents[2]
-LISTINGS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "any_machine.md").read_text(encoding="utf-8"), re.DOTALL)
+LISTINGS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "how-to" / "any_machine.md").read_text(encoding="utf-8"), re.DOTALL)
 NAMES = ("linear_drive", "two_link_arm", "motor")
 
 

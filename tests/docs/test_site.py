@@ -35,14 +35,14 @@ def test_builds_without_a_warning_and_fetches_nothing(tmp_path: Path) -> None:
     assert {f"notebooks/{name}.html" for name in notebooks.NAMES} <= html.keys()
     assert [name for name, text in html.items() if FOREIGN.search(text)] == []
     assert [path.name for path in tmp_path.rglob("*.css") if FOREIGN.search(path.read_text(encoding="utf-8"))] == []
-    assert html["theory.html"].count('<span class="number"') == 22
+    assert html["explanation/theory.html"].count('<span class="number"') == 22
     assert "<math" in html["effects/payload.html"]
     assert all("merror" not in text for text in html.values())
 
 
 def test_contents_have_every_page_of_docs() -> None:
     listed = {page for section in pages.CONTENTS.values() for page in section}
-    assert {path.stem for path in (ROOT / "docs").glob("*.md")} - listed == set()
+    assert {path.relative_to(ROOT / "docs").with_suffix("").as_posix() for path in (ROOT / "docs").rglob("*.md")} - listed == set()
 
 
 def test_every_command_and_its_options_are_told() -> None:
@@ -85,7 +85,10 @@ def test_terms_are_written_as_one_would(expression: object, text: str) -> None:
 
 
 def test_pages_of_the_root_lose_the_folder() -> None:
-    assert pages.from_root("![x](docs/images/a.png) `docs/control.md`") == "![x](images/a.png) [`docs/control.md`](control.md)"
+    assert (
+        pages.from_root("![x](docs/images/a.png) `docs/how-to/control.md`")
+        == "![x](images/a.png) [`docs/how-to/control.md`](how-to/control.md)"
+    )
 
 
 def test_links_to_notebooks_lead_to_their_pages() -> None:

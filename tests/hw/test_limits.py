@@ -24,7 +24,7 @@ from tests.hw.emulator import FIRMWARE, Board, build_firmware
 from tests.hw.emulator.world import World
 from tests.hw.lines import FakeBoard
 
-GUIDE = Path(__file__).parents[2] / "docs" / "safety.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "explanation" / "safety.md"
 
 
 def constant(name: str) -> float:
@@ -40,7 +40,7 @@ def spaced(number: float) -> str:
 
 
 def test_the_guide_has_the_numbers_of_the_firmware() -> None:
-    """Ramps, rates and times in docs/safety.md are those that are compiled in."""
+    """Ramps, rates and times in docs/explanation/safety.md are those that are compiled in."""
     text = GUIDE.read_text(encoding="utf-8")
     for number in (
         f"{constant('STEP_RATE_HZ'):g} steps/s (10 N/s), {spaced(constant('STEP_ACCELERATION_HZ_S'))} steps/s² "

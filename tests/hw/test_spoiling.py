@@ -66,10 +66,10 @@ def test_there_are_enough() -> None:
 
 
 def test_the_page_has_them() -> None:
-    """docs/spoiling.md names all slips by hand, and for each a test that exists."""
+    """docs/results/spoiling.md names all slips by hand, and for each a test that exists."""
     for slip in BY_HAND.values():
         caught = caught_last_time(slip.find())
-        assert caught or slip.name in CRASHES, f"{slip.name}: python -m tests.hw.spoil --table > docs/spoiling.md"
+        assert caught or slip.name in CRASHES, f"{slip.name}: python -m tests.hw.spoil --table > docs/results/spoiling.md"
         for test in caught:
             file, *_, name = test.split("::")
             assert f"def {name}(" in (ROOT / "tests" / "hw" / file).read_text(encoding="utf-8"), test

@@ -116,7 +116,7 @@ def _print_end(made: list[Check], steps: list[str]) -> None:
     marks = f"{counts[Mark.RIGHT]} right, {counts[Mark.WRONG]} wrong, {counts[Mark.OPEN]} not yet"
     first = next((entry for entry in made if entry.mark is Mark.WRONG), None)
     say(f"\n{marks}{f'; begin with: {first.name}' if first else ''}.", "bold")
-    say("\nThen by hand, in this order (docs/hardware.md says more):", "bold")
+    say("\nThen by hand, in this order (docs/how-to/hardware.md says more):", "bold")
     for number, step in enumerate(steps, start=1):
         say(f"{number:2d}. {step}")
 

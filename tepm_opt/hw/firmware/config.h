@@ -64,7 +64,7 @@ constexpr uint16_t REGULATOR_MS = 1500;          // a monitor further off its se
 constexpr uint16_t MONITOR_MS = 50;              // a monitor above LIMITS.monitor_trip, or broken
 constexpr uint16_t BUS_MS = 20;                  // the two-wire bus of the MCP4728
 
-// ---------------------------------------------------------------- pins (port letters, bits). docs/hardware.md has the drawing
+// ---------------------------------------------------------------- pins (port letters, bits). docs/how-to/hardware.md has the drawing
 
 #if defined(__AVR_ATmega2560__)
 constexpr uint8_t MOTORS = 6, DACS = 6, MONITORS = 6;

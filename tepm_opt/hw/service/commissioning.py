@@ -224,7 +224,7 @@ class Commissioning:
         self.button(True)
         if not link.wait(lambda: last(link).state is State.ESTOP, BUTTON_S):
             return wrong(
-                name, f"the board saw nothing in {BUTTON_S:g} s.", "is the contact wired to the pin of docs/hardware.md, and opens?"
+                name, f"the board saw nothing in {BUTTON_S:g} s.", "is the contact wired to the pin of docs/how-to/hardware.md, and opens?"
             )
         self.button(False)
         end = f"the board stays in ESTOP: release it, then tepm hw check {self.port} --clear"

@@ -119,7 +119,7 @@ class PythonStatics:
     def statics(
         self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
     ) -> Solution:
-        """See `StaticsBackend.statics`; the algorithm is described in docs/architecture.md."""
+        """See `StaticsBackend.statics`; the algorithm is described in docs/explanation/architecture.md."""
         status, x, *info = self._newton(x, *self.prepare(u, mapped, external, theta)[1:], theta, tolerance, max_iterations)
         return Solution(status, x, self.observe(x, theta), *info)
 

@@ -1,4 +1,4 @@
-"""The maps of docs/importing.md are maps; the guide names every key there is."""
+"""The maps of docs/how-to/importing.md are maps; the guide names every key there is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tepm_opt.data.importing.maps import Format, ImportMap, Quantity, TimeMap, w
 from tepm_opt.data.importing.units import UNITS
 from tests.data.made import CHANNELS, NAMES
 
-PAGE = (Path(__file__).parents[3] / "docs" / "importing.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "how-to" / "importing.md").read_text(encoding="utf-8")
 MAPS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 
 

@@ -1,4 +1,4 @@
-"""A small model of what the board may do, written from docs/hardware.md: which states it can be in, given all that was seen of it.
+"""A small model of what the board may do, written from docs/how-to/hardware.md: which states it can be in, given all that was seen of it.
 
 What happens within a pass has an order; when something is noticed often has not. So there are several states that the board may be in, and
 each answer, status and pin that is seen rules some out. An episode in which none is left is one that the model does not allow.

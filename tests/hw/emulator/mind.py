@@ -1,4 +1,4 @@
-"""A state that the board may be in, and what moves it to another: from docs/hardware.md, not from the firmware."""
+"""A state that the board may be in, and what moves it to another: from docs/how-to/hardware.md, not from the firmware."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the draws ({SEED})")
     parser.add_argument("--draws", type=int, help="only draws, so many from each file")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="at the same time (as many as there are cores)")
-    parser.add_argument("--table", action="store_true", help="write docs/spoiling.md to the standard output")
+    parser.add_argument("--table", action="store_true", help="write docs/results/spoiling.md to the standard output")
     options = parser.parse_args()
     todo, rows, begin = [Job(NOTHING.name), *jobs(options)], {}, time.monotonic()
     with ThreadPoolExecutor(options.jobs) as pool:

@@ -1,4 +1,4 @@
-"""docs/spoiling.md: what was tried out, and which test caught it. The runner begins with that test the next time."""
+"""docs/results/spoiling.md: what was tried out, and which test caught it. The runner begins with that test the next time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.hw.spoil.spoiling import ROOT, Spoiling, source
 
-PAGE = ROOT / "docs" / "spoiling.md"
+PAGE = ROOT / "docs" / "results" / "spoiling.md"
 
 
 @dataclass(frozen=True)
