@@ -8,16 +8,19 @@ from collections.abc import Iterator
 
 # threads that share matrices of 100 x 100 wait for each other: three times slower on two cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# tests compile more than they compute; `test_backends.py` compiles once as users do
+os.environ.setdefault("TEPM_OPT_CFLAGS", "-O1")
 
 import pytest
 from hypothesis import settings
 
 from tepm_opt.models.backends.compiler import find_compiler
 from tepm_opt.models.compile import CompiledModel, compile_model
+from tests import durations
 from tests.browser import Browser, chromium
 
-settings.register_profile("suite", deadline=None, derandomize=True, max_examples=50)
-settings.load_profile("suite")
+settings.register_profile("fast", deadline=None, derandomize=True, max_examples=20)
+settings.register_profile("slow", deadline=None, derandomize=True, max_examples=50)
 
 
 FIRST = ("tests/test_notebooks.py", "tests/models/")
@@ -25,9 +28,15 @@ FIRST = ("tests/test_notebooks.py", "tests/models/")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--turn N`."""
-    told = "begin with the tests' third number N modulo 3, so that what a limit of time cuts off has its turn"
-    parser.addoption("--turn", type=int, default=0, help=told)
+    """Declare `--turn N` and `--store-durations`."""
+    turn = "begin with the tests' third number N modulo 3, so that tests beyond a time limit have their turn"
+    parser.addoption("--turn", type=int, default=0, help=turn)
+    parser.addoption("--store-durations", action="store_true", help="write tests/durations.csv from this run of the whole fast suite")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Choose how many examples property tests try."""
+    settings.load_profile("slow" if config.getoption("-m") else "fast")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -43,7 +52,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """One line for each reason to skip, with how often it held."""
+    """Print each reason to skip with its count; store durations where that was asked for."""
+    if terminalreporter.config.getoption("--store-durations"):
+        reports = [each for kind in ("passed", "failed", "") for each in terminalreporter.stats.get(kind, [])]
+        durations.store((each.nodeid, each.duration) for each in reports if hasattr(each, "duration"))
     reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", []))
     for reason, count in reasons.most_common():
         terminalreporter.write_line(f"skipped {count}: {reason}")

@@ -134,7 +134,7 @@ class TestWithoutBoard:
             "Hook",
             "--pressure-kPa 50",
             "calibrate pressure",
-            "base",
+            "calibrate base",
         ]
         text = " ".join(steps)
         assert [text.index(word) for word in order] == sorted(text.index(word) for word in order)

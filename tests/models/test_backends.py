@@ -1,11 +1,17 @@
 """The same answer compiled or not: statics.py is the reference for statics.c, kinematics.py for kinematics.c."""
 
+import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tepm_opt.models.backends import compiler as compiling
+from tepm_opt.models.backends.ccode import FLAGS
 from tepm_opt.models.backends.interface import Allotment, InverseProblem, Status
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
@@ -204,3 +210,27 @@ def test_threads_do_not_disturb_each_other(kang, compiler):
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(solve, inputs))
     np.testing.assert_array_equal(together, [solve(u) for u in inputs])
+
+
+@pytest.mark.parametrize(("variable", "last"), [(None, FLAGS[-1]), ("-O1 -g", "-g")])
+def test_flags_of_the_environment_come_last(
+    compiler: None, empty_cache: Path, monkeypatch: pytest.MonkeyPatch, variable: str | None, last: str
+) -> None:
+    monkeypatch.delenv(compiling.FLAGS_VARIABLE, raising=False)
+    if variable:
+        monkeypatch.setenv(compiling.FLAGS_VARIABLE, variable)
+    used: list[str] = []
+    compile_text = compiling._compile
+    monkeypatch.setattr(compiling, "_compile", lambda command, text, flags: used.extend(flags) or compile_text(command, text, flags))
+    assert compiling.build("int answer(void) { return 42; }", "answer", ("answer",), FLAGS, "nothing") is not None
+    assert used[: len(FLAGS)] == list(FLAGS)
+    assert used[-1] == last
+
+
+@pytest.mark.slow
+def test_the_same_with_the_flags_that_users_have(compiler: None) -> None:
+    """This file's tests of kang2017, compiled without the tests' own flags."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "kang2017"]
+    done = subprocess.run(command, env={**os.environ, compiling.FLAGS_VARIABLE: ""}, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert " passed" in done.stdout
