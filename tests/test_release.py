@@ -1,4 +1,4 @@
-"""What is released: one version and date everywhere, extras that the documents list, a wheel and an sdist with everything and nothing else."""
+"""Releases: one version and date everywhere, every extra documented, wheel and sdist complete and without anything else."""
 
 from __future__ import annotations
 
