@@ -99,7 +99,7 @@ def draw(figures: Figures) -> None:
 
 def main(
     measured: Annotated[Path | None, typer.Argument(help="What `python -m benchmarks --json FILE` wrote.")] = None,
-    version: Annotated[str | None, typer.Option(help="Of the package; the one that CHANGELOG.md begins with otherwise.")] = None,
+    version: Annotated[str | None, typer.Option(help="Of the package; the first one in CHANGELOG.md otherwise.")] = None,
 ) -> None:
     """Add figures to the history and write its page."""
     figures = read_history()
@@ -110,7 +110,7 @@ def main(
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise typer.BadParameter(f"{measured}: not what `python -m benchmarks --json` writes: {error}") from error
         changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-        name = version or re.findall(r"^## (\S+)", changelog, re.MULTILINE)[0]
+        name = version or re.findall(r"^## (\d\S*)", changelog, re.MULTILINE)[0]
         figures.setdefault(name, {}).update(new)
         write_history(figures)
         figures = read_history()  # as the file has them: rounded

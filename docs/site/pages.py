@@ -29,9 +29,16 @@ CONTENTS: dict[str, tuple[str, ...]] = {
             "exporting",
         )
     ),
-    "Reference": ("reference/command_line", "effects/index", *(f"api/{name}" for name in names.TITLES)),
+    "Reference": (
+        "reference/commands",
+        "reference/files",
+        "reference/command_line",
+        "reference/glossary",
+        "effects/index",
+        *(f"api/{name}" for name in names.TITLES),
+    ),
     "Explanation": tuple(f"explanation/{name}" for name in ("theory", "safety", "architecture", "comparison")),
-    "Results": tuple(f"results/{name}" for name in ("blind", "paper", "measured", "speed", "convergence", "spoiling")),
+    "Results": tuple(f"results/{name}" for name in ("blind", "paper", "other_robots", "measured", "speed", "convergence", "spoiling")),
     "Take part": ("contributing", "changelog"),
 }
 """The site's contents: pages by section, in the order in which one needs them."""
@@ -60,6 +67,8 @@ def to_notebooks(text: str) -> str:
 def from_root(text: str) -> str:
     """A page of the root as one of docs/: links to docs/ lose it, and a page or notebook that is only named is a link."""
     text = text.replace("](docs/", "](")
+    for source, page in FROM_ROOT.items():
+        text = text.replace(f"]({source})", f"]({page})")
     return re.sub(r"(?<!\[)`docs/([\w/-]+\.md)`", r"[`docs/\1`](\1)", text)
 
 

@@ -54,7 +54,7 @@ def test_the_tutorial_makes_what_is_shown(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "demo").mkdir()
     screenshots.prepare(tmp_path)
     assert [text.partition(" machine.toml")[0][:20] for text in asked] == [
-        "tepm rig new", "sed -i 's/^noise_rms", "cat >>", "tepm record standard", "tepm discrepancy ben",
+        "tepm hw rig new", "sed -i 's/^noise_rms", "cat >>", "tepm record standard", "tepm discrepancy ben",
     ]  # fmt: skip
     assert "[imperfections.payload]" in asked[2]
     monkeypatch.undo()
