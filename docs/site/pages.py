@@ -37,8 +37,11 @@ CONTENTS: dict[str, tuple[str, ...]] = {
         "effects/index",
         *(f"api/{name}" for name in names.TITLES),
     ),
-    "Explanation": tuple(f"explanation/{name}" for name in ("theory", "safety", "architecture", "comparison")),
-    "Results": tuple(f"results/{name}" for name in ("blind", "paper", "other_robots", "measured", "speed", "convergence", "spoiling")),
+    "Explanation": tuple(f"explanation/{name}" for name in ("theory", "mpc", "verdict", "safety", "architecture", "comparison")),
+    "Results": tuple(
+        f"results/{name}"
+        for name in ("control", "faults", "verdicts", "blind", "paper", "other_robots", "measured", "speed", "convergence", "spoiling")
+    ),
     "Take part": ("contributing", "changelog"),
 }
 """The site's contents: pages by section, in the order in which one needs them."""
