@@ -31,7 +31,7 @@ CONTENTS: dict[str, tuple[str, ...]] = {
     ),
     "Reference": ("reference/command_line", "effects/index", *(f"api/{name}" for name in names.TITLES)),
     "Explanation": tuple(f"explanation/{name}" for name in ("theory", "safety", "architecture", "comparison")),
-    "Results": tuple(f"results/{name}" for name in ("blind", "paper", "measured", "speed", "convergence", "spoiling")),
+    "Results": tuple(f"results/{name}" for name in ("blind", "paper", "measured", "speed", "convergence")),
     "Take part": ("contributing", "changelog"),
 }
 """The site's contents: pages by section, in the order in which one needs them."""
