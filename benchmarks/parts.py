@@ -31,7 +31,7 @@ class Part(StrEnum):
 
 MODULES = {
     Part.STILL: ("statics", "gain", "kinematics"),
-    Part.MOTION: ("dynamics", "many"),
+    Part.MOTION: ("dynamics",),
     Part.CONTROL: ("control",),
     Part.RIG: ("rig",),
     Part.LOOP: ("control_loop",),

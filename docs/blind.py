@@ -1,4 +1,4 @@
-"""Write the table and figures of docs/results/blind.md from a finished `tepm blind`.
+"""Write the table and figures of docs/results/blind.md from a finished `tepm study blind`.
 
 Run: python docs/blind.py FOLDER, the folder that --out named.
 """
@@ -24,7 +24,7 @@ def main(folder: Path) -> None:
     """Put what a run says between the page's marks, and its figures into docs/images."""
     asked = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["blind"]["asked"]
     only = f" --family {asked['family']}" if asked["family"] else ""
-    lines = [f"`tepm blind --trials {asked['trials']} --seed {asked['seed']}{only}`, version {asked['version']}:", ""]
+    lines = [f"`tepm study blind --trials {asked['trials']} --seed {asked['seed']}{only}`, version {asked['version']}:", ""]
     lines += [(folder / "summary.md").read_text(encoding="utf-8").rstrip(), ""]
     for name, title in FIGURES.items():
         if (folder / f"{name}.png").exists():

@@ -8,9 +8,40 @@ held = solve_statics(model, found.allocation.inputs)
 G = solve_gain(held).matrix
 
 `run_<name>` does what the command `tepm <name>` does; the run it returns has `ok`, `summary()` and `save(folder)`, and `plots.draw`
-draws its figures. All names are listed in `__init__.pyi`.
+draws its figures. All names are listed in `__init__.pyi`; the project's own studies are in `tepm_opt.studies`.
 """
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_get_listed, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+RENAMED = {
+    "BlindRun": "studies.BlindRun",
+    "Closing": "ModelUpdate",
+    "Family": "studies.Family",
+    "MachinesRun": "studies.MachinesRun",
+    "run_blind": "studies.run_blind",
+    "run_close": "run_model_update",
+    "run_machines": "studies.run_machines",
+    "run_study": "studies.run_study",
+    "write_blind_page": "studies.write_blind_page",
+    "write_closing_page": "write_model_update_page",
+    "write_paper_page": "studies.write_paper_page",
+}
+"""New names by the old ones, which work until version 0.4."""
+
+
+def __getattr__(name: str) -> object:
+    """Name of the package, imported now; a name of an earlier version gives the renamed object with a DeprecationWarning.
+
+    Raises:
+        AttributeError: no such name.
+    """
+    if name not in RENAMED:
+        return _get_listed(name)
+    import pkgutil
+    import warnings
+
+    new = f"{__name__}.{RENAMED[name]}"
+    warnings.warn(f"{__name__}.{name} is now {new}; the old name goes with version 0.4", DeprecationWarning, stacklevel=2)
+    return pkgutil.resolve_name(new)

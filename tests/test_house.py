@@ -52,7 +52,7 @@ def test_no_effect_is_named_outside_its_folder() -> None:
         package / "models" / "effects",
         package / "hw" / "simulation" / "imperfections",
         package / "discrepancy" / "library",
-        package / "blind",
+        package / "studies" / "blind",
     ]
     named = re.compile(rf"({'|'.join(effect.name for effect in (*effects(), *STANDARD))})(\[.*\])?(\.\w*)?")
     assert named.fullmatch("actuator_gain[13].loss")

@@ -29,14 +29,14 @@ def page() -> str:
 
 
 def commands(path: str, command: Any) -> Iterator[tuple[str, Any]]:
-    """What can be run, groups opened: how it is called, and the command."""
+    """Commands with how each is called, groups opened; old names are left out."""
     inner = getattr(command, "commands", None)
     if inner is None:
         yield path, command
         return
-    for name, each in inner.items():
-        if not each.hidden:
-            yield from commands(f"{path} {name}", each)
+    for name in command.list_commands(None):
+        if not inner[name].hidden:
+            yield from commands(f"{path} {name}", inner[name])
 
 
 def _usage(command: Any, context: Any) -> str:

@@ -40,7 +40,7 @@ CONTENTS: dict[str, tuple[str, ...]] = {
     "Explanation": tuple(f"explanation/{name}" for name in ("theory", "mpc", "verdict", "safety", "architecture", "comparison")),
     "Results": tuple(
         f"results/{name}"
-        for name in ("control", "faults", "verdicts", "blind", "paper", "other_robots", "measured", "speed", "convergence", "spoiling")
+        for name in ("control", "faults", "verdicts", "blind", "paper", "other_robots", "measured", "speed", "convergence")
     ),
     "Take part": ("contributing", "changelog"),
 }

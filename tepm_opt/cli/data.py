@@ -1,4 +1,4 @@
-"""`tepm data new|map|import|check`: data sets."""
+"""`tepm data new|map|import|check|excite|next`: data sets, and plans of runs to record."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from rich.table import Table
 
 import tepm_opt as tepm
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, stdout
+from tepm_opt.cli.excite import excite
+from tepm_opt.cli.groups import spread
+from tepm_opt.cli.next_run import next_run
 from tepm_opt.cli.progress import shown
 from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
     from tepm_opt.data.checks.findings import Finding
 
-app = typer.Typer(help="Data sets of experiments: start one, import tables of other programs, check.", no_args_is_help=True)
+app = typer.Typer(help="Data sets of experiments: start one, import tables, check; plans of runs to record.", no_args_is_help=True)
 
 RobotOption = Annotated[str, typer.Option("--robot", help="Built-in robot or path of a robot file.")]
 Files = Annotated[
@@ -163,3 +166,7 @@ def _show(findings: tuple[Finding, ...], most: int = MOST) -> None:
     stdout.print(table)
     if len(findings) > most:
         stdout.print(f"… and {len(findings) - most} more: tepm data check says all", soft_wrap=True, highlight=False)
+
+
+app.command("excite")(spread(excite))
+app.command("next")(spread(next_run))

@@ -32,7 +32,8 @@ def discrepancy(
     model: Annotated[Path | None, typer.Option("--model", help="Model file instead of the data set's robot as it is.")] = None,
     plant: Annotated[Path | None, typer.Option("--plant", help="Python file of another machine, which the data set is of.")] = None,
     add: Annotated[
-        list[Path] | None, typer.Option("--add", metavar="DATASET", help="More data of the same machine, such as the run of tepm next.")
+        list[Path] | None,
+        typer.Option("--add", metavar="DATASET", help="More data of the same machine, such as a run of tepm data next."),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,

@@ -1,4 +1,4 @@
-"""`tepm excite`: the standard recording plan of a robot, and what it will tell."""
+"""`tepm data excite`: the standard recording plan of a robot, and what it will tell."""
 
 from __future__ import annotations
 

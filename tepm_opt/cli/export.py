@@ -17,7 +17,7 @@ from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 
 app = typer.Typer(
-    help="What other programs read: C, CasADi, MuJoCo, MCAP. (State space: tepm modes --out; tables: to_frame() in Python.)",
+    help="What other programs read: C, CasADi, MuJoCo, MCAP. (State space: tepm robot modes --out; tables: to_frame() in Python.)",
     no_args_is_help=True,
 )
 

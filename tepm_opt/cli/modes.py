@@ -1,4 +1,4 @@
-"""`tepm modes`: small motions about an operating point."""
+"""`tepm robot modes`: small motions about an operating point."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,23 +15,19 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, folder_for, load, open_page, report, stderr, warn
-from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions, WorkerOptions
+from tepm_opt.cli.driving import DriveOptions
+from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, OptionGroup, TrajectoryOptions, WorkerOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from tepm_opt.control.timing import PaceSettings
     from tepm_opt.hw.rig import Command, Rig, Sample
     from tepm_opt.jobs.closed_loop import ClosedLoop
-    from tepm_opt.jobs.machines import MachinesRun
     from tepm_opt.jobs.mpc import Observer
     from tepm_opt.jobs.rounds import RoundsRun
     from tepm_opt.progress import Progress
-
-CONTROLLER = "mpc"
-CONTROLLERS = f"{CONTROLLER}: the predictive controller; lqg: its plain peer; mode1, mode2: the paper's; a wrong name lists all."
 
 
 @contextmanager
@@ -117,20 +113,6 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
     return text
 
 
-def machine_lines(run: MachinesRun, out: Path) -> list[str]:
-    """What a controller reaches on random machines, for people."""
-    told, family = run.summary(), run.family
-    text = [f"[bold]{told['controller']}[/] on {family.machines} random machines of seed {family.seed}, files in {escape(str(out))}"]
-    if told["mean_m"] is not None:
-        text.append(
-            f"error of the true tip, rms: mean [bold]{1e3 * told['mean_m']:.3g} mm[/], worst {1e3 * told['worst_m']:.3g} mm "
-            f"(machine {told['worst_machine']}); {100 * told['share_within']:.0f} % within {1e3 * run.bound:g} mm"
-        )
-    if (least := told["smallest_distance_m"]) is not None:
-        text.append(f"smallest true distance to obstacles: mean {1e3 * least['mean']:.3g} mm, worst {1e3 * least['worst']:.3g} mm")
-    return text if run.ok else [*text, f"[yellow]{escape(run.outcome.message)}[/]"]
-
-
 def round_lines(run: RoundsRun, out: Path) -> list[str]:
     """What rounds of learning came to, for people."""
     told, kind = run.summary(), "true" if run.knows_truth else "tracked"
@@ -168,77 +150,51 @@ def _learned(
     return report(rounds.summary(), round_lines(rounds, out), as_json, rounds.ok and not any(loop.doubts for loop in rounds.loops))
 
 
-def _pace(free: bool, sway: float | None) -> PaceSettings | None:
-    """Settings of free progress; None where the path's time holds."""
-    from tepm_opt.control.timing import PaceSettings
+@dataclass(frozen=True)
+class MachineOptions(OptionGroup):
+    """Options of `tepm study machines` that belonged to this command until version 0.3; they go with version 0.4."""
 
-    if not free:
-        return None
-    return PaceSettings() if sway is None else PaceSettings(sway=sway / 1e3)
+    machines: Annotated[int | None, typer.Option("--machines", min=1, hidden=True)] = None
+    noises: Annotated[int | None, typer.Option("--noises", min=1, hidden=True)] = None
+    bound: Annotated[float | None, typer.Option("--bound", min=0.0, hidden=True)] = None
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, hidden=True)] = None
+    scheduler: Annotated[str | None, typer.Option("--scheduler", hidden=True)] = None
 
+    @property
+    def given(self) -> dict[str, Any]:
+        """Options that were given, by their names."""
+        return {name: value for name, value in vars(self).items() if value is not None}
 
-def _check_together(asked: dict[str, bool]) -> None:
-    """Refuse options that do not go together; `asked` says which were given, by what they are about."""
-    refused = {
-        "--noises, --bound, --jobs and --scheduler belong to --machines N; leave them out, or say how many machines": asked["of machines"]
-        and not asked["machines"],
-        "--machines simulates rigs of its own; leave --rig and --view out": asked["machines"] and asked["rig"],
-        "--learn and --learned are for one rig; leave them or --machines out": asked["machines"] and asked["learning"],
-        "--learn and --learned correct a path; leave --stay out": asked["stay"] and asked["learning"],
-        "--keep-out does not go with --learn and --learned, whose corrections know no obstacles; leave one out": (
-            asked["keep out"] and asked["learning"]
-        ),
-        f"--free-progress is for a path and --controller {CONTROLLER}; leave --learn, --learned and --stay out": (
-            asked["free"] and (asked["another controller"] or asked["learning"] or asked["stay"])
-        ),
-        "--sway belongs to --free-progress; leave it out, or free the progress": asked["sway"] and not asked["free"],
-    }
-    for text, wrong in refused.items():
-        if wrong:
-            raise tepm.InputError(text)
+    def run_study(self, path: str, **options: Any) -> int:
+        """Run `tepm study machines` in the place of this command; its exit status.
+
+        Raises:
+            InputError: no number of machines is given.
+        """
+        from tepm_opt.cli.study.machines import machines
+
+        if self.machines is None:
+            raise tepm.InputError(f"--{' and --'.join(self.given)}: an option of tepm study machines; leave it out, or use that command")
+        warn("`tepm mpc --machines` is now `tepm study machines`; the old name goes with version 0.4")
+        own = {name: self.given[name] for name in ("noises", "bound") if name in self.given}
+        return machines(path, workers=WorkerOptions(self.jobs, self.scheduler), count=self.machines, **own, **options)
 
 
 def mpc(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
     kinematics: IkOptions,
-    workers: WorkerOptions,
+    drive: DriveOptions,
+    older: MachineOptions,
     rig: RigOption = "sim",
-    controller: Annotated[str, typer.Option("--controller", help=CONTROLLERS)] = CONTROLLER,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("mpc"),
-    laps: Annotated[float, typer.Option("--laps", help="How often round a closed path.")] = 1.0,
     learn: Annotated[
         int | None, typer.Option("--learn", min=1, metavar="N", help="Drive it N times, each time corrected by what was missed before.")
     ] = None,
     learned: Annotated[
         Path | None, typer.Option("--learned", metavar="FILE", help="Begin with what was learned of this path: an earlier learned.csv.")
     ] = None,
-    stay: Annotated[
-        float | None, typer.Option("--stay", metavar="S", help="Point by point, S seconds each, of which the last third counts.")
-    ] = None,
-    keep_out: Annotated[
-        Path | None, typer.Option("--keep-out", metavar="FILE", help="Obstacles to keep out of: spheres, boxes, a table (TOML).")
-    ] = None,
-    free: Annotated[
-        bool, typer.Option("--free-progress", help="MPC: as fast along the path as the actuators can follow, whatever its time.")
-    ] = False,
-    sway: Annotated[
-        float | None,
-        typer.Option("--sway", min=0.1, max=200.0, metavar="MM", help="How far inertia may bend the arm then.", show_default="10"),
-    ] = None,
-    nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False,
-    rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False,
-    use: Annotated[str | None, typer.Option("--use", help="MPC: both, tension or pressure.", show_default="both")] = None,
     view: Annotated[bool, typer.Option("--view", help="Watch it in the browser: a page that shows and has nothing to press.")] = False,
-    machines: Annotated[
-        int | None, typer.Option("--machines", min=1, metavar="N", help="On N random machines around the robot file; --seed draws them.")
-    ] = None,
-    noises: Annotated[
-        int | None, typer.Option("--noises", min=1, help="How often each machine is driven, with other noise.", show_default="2")
-    ] = None,
-    bound: Annotated[
-        float | None, typer.Option("--bound", min=0.0, metavar="MM", help="Error within which a run is good.", show_default="3")
-    ] = None,
     seed: SeedOption = 0,
     robot: RobotOption = None,
     model: ModelOption = None,
@@ -250,33 +206,20 @@ def mpc(
     tracker or a tip that is far off, and with Ctrl-C. The exit status is 1 where it ended early, or where a gauge or the tracker did
     not make sense.
     """
-    from tepm_opt.jobs import course
     from tepm_opt.jobs.closed_loop import LOG
-    from tepm_opt.jobs.machines import BOUND, Family
 
-    asked = {
-        "machines": machines is not None, "rig": rig != "sim" or view,
-        "of machines": noises is not None or bound is not None or workers.given,
-        "learning": learn is not None or learned is not None, "stay": stay is not None, "keep out": keep_out is not None,
-        "free": free, "sway": sway is not None, "another controller": controller != CONTROLLER,
-    }  # fmt: skip
-    _check_together(asked)
-    given = {"rule": rule, "nonlinear": nonlinear, "use": use or ""}
-    setup = tepm.LoopSetup.of(controller, rig, seed, {name: value for name, value in given.items() if value})
+    if older.given:
+        if rig != "sim" or view or learn is not None or learned is not None:
+            raise tepm.InputError("--machines simulates rigs of its own; leave --rig, --view, --learn and --learned out")
+        shared: dict[str, Any] = {"seed": seed, "robot": robot, "model": model, "as_json": as_json}
+        return older.run_study(path, which=which, kinematics=kinematics, drive=drive, out=out, **shared)
+    drive.check(learning=learn is not None or learned is not None)
+    setup = drive.setup(rig, seed)
     which.trajectory(path)  # a wrong one is told before anything is compiled
     known = None if learned is None else tepm.read_correction(learned)
     with folder_for(out) as folder:
         compiled = load(robot_there(robot, model, rig), model)
-        targets = which.trajectory(path, compiled)
-        driven = replace(course.FULL, laps=laps, stay=stay, steps=setup.kind.jumps)
-        driven = replace(driven, keep_out=None if keep_out is None else tepm.read_obstacles(keep_out), pace=_pace(free, sway))
-        if machines is not None:
-            family, limit = Family(machines, noises or Family.noises, seed), BOUND if bound is None else bound / 1e3
-            with stopped_by_signals(), workers.opened() as executor, shown(as_json) as bars:
-                run = tepm.run_machines(compiled.model, targets, driven, setup, family, limit, kinematics.settings(), executor, bars)
-            run.save(folder)
-            plots.draw(run, folder)
-            return report(run.summary(), machine_lines(run, out), as_json, run.ok)
+        targets, driven = which.trajectory(path, compiled), drive.course(setup)
         opened = opener(rig, compiled.robot, seed)
         device = opened(seed)
         with shown(as_json) as bars:

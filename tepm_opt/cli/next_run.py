@@ -1,4 +1,4 @@
-"""`tepm next`: which run would best tell apart what is still indistinguishable?"""
+"""`tepm data next`: which run would best tell apart what is still indistinguishable?"""
 
 from __future__ import annotations
 

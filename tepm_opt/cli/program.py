@@ -6,6 +6,7 @@ Command modules import nothing heavy at the top: the help and a typing error are
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -16,8 +17,6 @@ from typer.core import TyperGroup
 
 from tepm_opt.cli import (
     INTERRUPTED,
-    blind,
-    close,
     data,
     demo,
     discrepancy,
@@ -29,19 +28,21 @@ from tepm_opt.cli import (
     modes,
     mpc,
     next_run,
-    paper,
     plan,
     play,
     record,
-    rig,
     robot,
     simulate,
     statics,
     studio,
+    update_model,
 )
 from tepm_opt.cli.common import WRONG_INPUT, stderr, warn
 from tepm_opt.cli.groups import spread
 from tepm_opt.cli.hw import commands as hw
+from tepm_opt.cli.hw import rig
+from tepm_opt.cli.study import blind, paper
+from tepm_opt.cli.study import commands as study
 from tepm_opt.errors import InputError
 
 
@@ -56,7 +57,19 @@ class InterruptedByUserError(Exception):
 
 
 class Program(TyperGroup):
-    """All commands; lets an interruption be told."""
+    """All commands in the order of work; tells what an old name is now, and lets an interruption be told."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names of the commands in the order of work, old names last."""
+        order = [*(name for names in PANELS.values() for name in names), *OLD_NAMES]
+        return sorted(self.commands, key=order.index)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that arguments begin with; an old name is told on the error stream."""
+        found = super().resolve_command(ctx, args)
+        if found[0] in OLD_NAMES:
+            warn(f"`tepm {found[0]}` is now `tepm {OLD_NAMES[found[0]]}`; the old name goes with version 0.4")
+        return found
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command.
@@ -86,33 +99,65 @@ def options(
     """Continuum robots of pneumatic muscles with embedded tendons: inverse kinematics, statics, gain matrix."""
 
 
-COMMANDS = {
+PANELS = {
+    "Robot and path": ("robot", "ik", "statics", "gain", "simulate", "plan"),
+    "Control": ("mpc", "play", "studio"),
+    "Data and verdict": ("record", "data", "identify", "discrepancy", "update-model"),
+    "Hardware": ("hw",),
+    "More": ("demo", "export", "study"),
+}
+"""Commands by the panels of the help, in the order of work."""
+OLD_NAMES = {
+    "modes": "robot modes",
+    "rig": "hw rig",
+    "excite": "data excite",
+    "next": "data next",
+    "close": "update-model",
+    "blind": "study blind",
+    "paper": "study paper",
+}
+"""Commands that go with version 0.4, which the help does not list, and what they are called now."""
+COMMANDS: dict[str, Callable[..., int] | typer.Typer] = {
+    "robot": robot.app,
     "ik": ik.ik,
-    "gain": gain.gain,
     "statics": statics.statics,
+    "gain": gain.gain,
     "simulate": simulate.simulate,
-    "modes": modes.modes,
-    "mpc": mpc.mpc,
-    "demo": demo.demo,
-    "paper": paper.paper,
     "plan": plan.plan,
-    "excite": excite.excite,
-    "record": record.record,
+    "mpc": mpc.mpc,
     "play": play.play,
+    "studio": studio.studio,
+    "record": record.record,
+    "data": data.app,
     "identify": identify.identify,
     "discrepancy": discrepancy.discrepancy,
+    "update-model": update_model.update_model,
+    "hw": hw.app,
+    "demo": demo.demo,
+    "export": export.app,
+    "study": study.app,
+    "modes": modes.modes,
+    "rig": rig.app,
+    "excite": excite.excite,
     "next": next_run.next_run,
-    "close": close.close,
+    "close": update_model.update_model,
     "blind": blind.blind,
-    "studio": studio.studio,
+    "paper": paper.paper,
 }
-for name, command in COMMANDS.items():
-    app.command(name)(spread(command))
-app.add_typer(robot.app, name="robot")
-app.add_typer(rig.app, name="rig")
-app.add_typer(data.app, name="data")
-app.add_typer(export.app, name="export")
-app.add_typer(hw.app, name="hw")
+
+
+def _add_commands() -> None:
+    """Give the program its commands, each in its panel, old names hidden."""
+    panels = {name: panel for panel, names in PANELS.items() for name in names}
+    for name, command in COMMANDS.items():
+        old, panel = name in OLD_NAMES, panels.get(name)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name, hidden=old, rich_help_panel=panel)
+        else:
+            app.command(name, hidden=old, rich_help_panel=panel)(spread(command))
+
+
+_add_commands()
 
 
 def execute(arguments: list[str]) -> int:

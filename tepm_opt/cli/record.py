@@ -32,7 +32,7 @@ def record(
 ) -> int:
     """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted.
 
-    The plan `standard` is the one that `tepm excite` writes for the robot, --robot or the rig's; a plan file names its robot itself.
+    The plan `standard` is the one that `tepm data excite` writes for the robot, --robot or the rig's; a plan file names its robot itself.
     """
     if robot and str(plan) != STANDARD:
         raise InputError(f"--robot {robot}: {plan} names its robot itself; leave the option out, or record the plan {STANDARD!r}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tepm_opt.models.robot import Robot
 
 RigOption = Annotated[
-    str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the robot simulated, a rig file's (tepm rig new), a recording.")
+    str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the robot simulated, a rig file's (tepm hw rig new), a recording.")
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, help="Of the noise on a simulated rig.")]
 

@@ -1,4 +1,4 @@
-"""`tepm robot show|new|check`: robot files."""
+"""`tepm robot show|new|check|modes`: robot files, and small motions of a robot."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from rich.table import Table
 
 import tepm_opt as tepm
 from tepm_opt.cli.common import JsonOption, stdout, write_new
+from tepm_opt.cli.groups import spread
+from tepm_opt.cli.modes import modes
 
-app = typer.Typer(help="Robot files: show, start a new one, check.", no_args_is_help=True)
+app = typer.Typer(help="Robot files: show, start a new one, check; modes of small motions.", no_args_is_help=True)
 
 
 @app.command()
@@ -62,3 +64,6 @@ def check(
     else:
         print(f"{robot} is valid: {found.name}, {found.modules} modules of {found.actuators} actuators, {found.levels} levels")
     return 0
+
+
+app.command("modes")(spread(modes))

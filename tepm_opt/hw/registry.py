@@ -73,7 +73,7 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
     elif robot is not None and channels_of(robot) != channels_of(file.nominal):
         raise InputError(
             f"rig {name}: simulates the robot {file.nominal.name!r}, the model's is {robot.name!r}; name the rig's (--robot {file.robot}), "
-            f"take --rig sim, which simulates any robot, or write a rig file for yours: tepm rig new FILE --robot ROBOT"
+            f"take --rig sim, which simulates any robot, or write a rig file for yours: tepm hw rig new FILE --robot ROBOT"
         )
     try:
         return SimulatedRig(file.with_engine(engine) if engine else file)

@@ -92,7 +92,7 @@ def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
             return OTHERS, asked.again()
         number = str(len(asked.add) + 1) if asked.add else ""  # what was recorded before stays
         run, extra = asked.out / f"run{number}.toml", asked.out / f"extra{number}"
-        commands = _command("next", asked.out, "--out", run), _command("record", run, "--rig", asked.rig, "--out", extra)
+        commands = _command("data", "next", asked.out, "--out", run), _command("record", run, "--rig", asked.rig, "--out", extra)
         return step, " && ".join((*commands, asked.again("--add", extra)))
     if result.law is not None:
         file = result.law.file

@@ -27,7 +27,7 @@ from tepm_opt.solvers.statics import Equilibrium
 
 MOVED = 5e-5  # m at the tip by an input's whole range: less does not count as driven
 TOLERANCE = 1e-3  # m per range: bound of the reduced system where no order is given
-MAT_HEADER = b"MATLAB 5.0 MAT-file, state space of tepm modes".ljust(116)  # instead of one with the time of writing
+MAT_HEADER = b"MATLAB 5.0 MAT-file, state space of tepm robot modes".ljust(116)  # instead of one with the time of writing
 SHOWN = 12
 
 

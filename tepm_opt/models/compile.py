@@ -17,7 +17,6 @@ from tepm_opt.models.backends import ccode
 from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
 from tepm_opt.models.backends.interface import StaticsBackend, TimeStepper
 from tepm_opt.models.backends.kinematics import PythonKinematics
-from tepm_opt.models.backends.many import ManyStepper, many_unit
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
 from tepm_opt.models.dynamics import write_dynamics
 from tepm_opt.models.effect import BEGAN, CLOCK, ActiveEffect, Effect
@@ -81,12 +80,6 @@ class CompiledModel:
         return CompiledTimeStepper(self.reference_stepper.dynamics, library) if library else self.reference_stepper
 
     @cached_property
-    def many(self) -> ManyStepper | None:
-        """Many motions side by side, compiled when first used; None where the motion is not C."""
-        library = ccode.build(many_unit(self.stepper.dynamics)) if self.stepper is not self.reference_stepper else None
-        return ManyStepper(library) if library else None
-
-    @cached_property
     def values(self) -> dict[str, float]:
         """Values of the parameters by full name, SI."""
         return dict(zip(self.network.parameter_names, self.theta.tolist(), strict=True))
@@ -98,7 +91,7 @@ class CompiledModel:
             InputError: wrong number of values, or not finite.
         """
         other = replace(self, theta=finite_array(theta, self.theta.shape, "theta"))
-        other.__dict__.update({name: self.__dict__[name] for name in ("reference_stepper", "stepper", "many") if name in self.__dict__})
+        other.__dict__.update({name: self.__dict__[name] for name in ("reference_stepper", "stepper") if name in self.__dict__})
         return other
 
     def at_time(self, began: float) -> CompiledModel:

@@ -1,4 +1,4 @@
-"""Which figures a run has, and drawing them into its folder."""
+"""Figures of the run of each job, and drawing them into its folder."""
 
 from __future__ import annotations
 
@@ -6,43 +6,33 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from tepm_opt.control.controllers import DEFAULT
 from tepm_opt.discrepancy.freeform.invent import Invention
 from tepm_opt.discrepancy.workflow import Discovery
-from tepm_opt.jobs.blind import BlindRun
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.jobs.gain import GainRun
 from tepm_opt.jobs.ik import IkRun
 from tepm_opt.jobs.import_data import ImportRun
-from tepm_opt.jobs.machines import MachinesRun
 from tepm_opt.jobs.modes import ModesRun
-from tepm_opt.jobs.paper import Study
 from tepm_opt.jobs.plan import PlanRun
 from tepm_opt.jobs.rounds import RoundsRun
 from tepm_opt.jobs.simulate import SimulateRun
 from tepm_opt.jobs.statics import StaticsRun
-from tepm_opt.plots.blind import blind_figures
 from tepm_opt.plots.control import distance_figure, error_figure, inputs_figure, path_figure, times_figure
 from tepm_opt.plots.discrepancy import discovery_figures
-from tepm_opt.plots.figure import save
+from tepm_opt.plots.figure import Figures, save_figures
 from tepm_opt.plots.gain import gain_figure
 from tepm_opt.plots.ik import ik_figure
 from tepm_opt.plots.importing import preview_figure
 from tepm_opt.plots.law import law_figure
 from tepm_opt.plots.linear import modes_figures
-from tepm_opt.plots.machines import machines_figure
 from tepm_opt.plots.motion import lengths_figure, tip_figure
-from tepm_opt.plots.paper import draw as experiment_figure
 from tepm_opt.plots.plan import plan_figure
 from tepm_opt.plots.rounds import rounds_figure
 from tepm_opt.plots.statics import statics_figure
-
-Figures = Mapping[str, Figure | None]
-"""Figures by their names, which are those of their files; None where an earlier one shall go."""
 
 
 def draw(run: Any, folder: str | Path) -> dict[str, Path]:
@@ -61,15 +51,7 @@ def draw(run: Any, folder: str | Path) -> dict[str, Path]:
     """
     if type(run) not in FIGURES:
         raise TypeError(f"{run!r} has no figures; valid: {', '.join(kind.__name__ for kind in FIGURES)}")
-    made = {}
-    for name, figure in FIGURES[type(run)](run).items():
-        path = Path(folder) / f"{name}.png"
-        if figure is None:
-            path.unlink(missing_ok=True)
-        else:
-            save(figure, path)
-            made[name.removeprefix(LOOP)] = path
-    return made
+    return {name.removeprefix(LOOP): path for name, path in save_figures(FIGURES[type(run)](run), folder).items()}
 
 
 LOOP = "loop_"  # before the names of the demo's files of closed loops
@@ -108,11 +90,6 @@ def _loop(run: ClosedLoop) -> Figures:
     return {"path": path, "errors": error_figure(run), "inputs": inputs_figure(run), "times": times_figure(run)}
 
 
-def _study(run: Study) -> Figures:
-    base = np.array(run.setting.model.robot.mount.base_position_m)
-    return {result.figure: experiment_figure(result, base) for result in run.results}
-
-
 FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     IkRun: _ik,
     StaticsRun: lambda run: {"statics": statics_figure(run)},
@@ -122,12 +99,9 @@ FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     PlanRun: _plan,
     DemoRun: _demo,
     ClosedLoop: _loop,
-    Study: _study,
     Discovery: discovery_figures,
     Invention: lambda law: {law.written.name: law_figure(law)},
-    MachinesRun: lambda run: {"machines": machines_figure(run) if run.drives else None},
     ImportRun: lambda run: {"import": preview_figure(run)},
     RoundsRun: lambda run: {"rounds": rounds_figure(run)},
-    BlindRun: lambda run: blind_figures(run.analysis),
 }
 """What is drawn of the run of each job."""

@@ -1,4 +1,4 @@
-"""`tepm excite`, `tepm record standard`, `tepm next` and `tepm discrepancy --add` from outside."""
+"""`tepm data excite`, `tepm record standard`, `tepm data next` and `tepm discrepancy --add` from outside."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 @pytest.mark.slow
 class TestExcite:
     def test_writes_the_plan_and_says_what_it_will_tell(self, tepm: Command, here: Path) -> None:
-        done = tepm("excite", "--robot", DOCS / "one_axis.toml", "--out", "plans/axis.toml", "--json")
+        done = tepm("data", "excite", "--robot", DOCS / "one_axis.toml", "--out", "plans/axis.toml", "--json")
         assert done.err == ""
         summary = done.json()
         assert json.loads((here / "plans" / "axis.json").read_text(encoding="utf-8")) == summary
@@ -32,14 +32,16 @@ class TestExcite:
         assert 0 < entries["time_delay"]["found"]["time_delay.delay"] < entries["time_delay"]["apart"]["time_delay.delay"]
         assert entries["payload"]["cosine"] == pytest.approx(1.0, abs=1e-6)  # one moving mass: on it or of it
         assert entries["payload"]["apart"]["payload.mass"] is None
-        same = tepm("excite", "--robot", DOCS / "one_axis.toml", "--out", "again.toml", "--json")
+        same = tepm("data", "excite", "--robot", DOCS / "one_axis.toml", "--out", "again.toml", "--json")
         assert same.json() == summary
-        noisier = tepm("excite", "--robot", DOCS / "one_axis.toml", "--out", "n.toml", "--noise", 2 * summary["noise_m"], "--json").json()
+        noisier = tepm(
+            "data", "excite", "--robot", DOCS / "one_axis.toml", "--out", "n.toml", "--noise", 2 * summary["noise_m"], "--json"
+        ).json()
         once, twice = (next(e["found"] for e in each["effects"] if e["effect"] == "time_delay") for each in (summary, noisier))
         assert twice["time_delay.delay"] == pytest.approx(2 * once["time_delay.delay"], rel=0.05)
 
     def test_for_people(self, tepm: Command, here: Path) -> None:
-        done = tepm("excite", "--robot", DOCS / "one_axis.toml", "--out", "axis.toml")
+        done = tepm("data", "excite", "--robot", DOCS / "one_axis.toml", "--out", "axis.toml")
         assert "closest" in done.out
         assert "in axis.toml; sway 5.462 Hz; all numbers in axis.json" in done.out
 
@@ -47,13 +49,13 @@ class TestExcite:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("excite", "--robot", "none"), "robot 'none' is neither a file nor built in"),
-        (("excite", "--noise", 0), "noise 0 m; valid: above 0"),
+        (("data", "excite", "--robot", "none"), "robot 'none' is neither a file nor built in"),
+        (("data", "excite", "--noise", 0), "noise 0 m; valid: above 0"),
         (("record", "standard", "--rig", "simm", "--out", "set"), "unknown rig 'simm': did you mean 'sim'?"),
-        (("next", "nowhere"), "nowhere/verdict.json is not there; valid: the folder that tepm discrepancy wrote"),
-        (("next", "found", "--seconds", 1), "--seconds 1; valid: 5 … 600 s"),
-        (("next", "damaged"), "damaged/verdict.json: is damaged"),
-        (("next", "found"), "verdict.json: does not say which data it is about; name them with --data"),
+        (("data", "next", "nowhere"), "nowhere/verdict.json is not there; valid: the folder that tepm discrepancy wrote"),
+        (("data", "next", "found", "--seconds", 1), "--seconds 1; valid: 5 … 600 s"),
+        (("data", "next", "damaged"), "damaged/verdict.json: is damaged"),
+        (("data", "next", "found"), "verdict.json: does not say which data it is about; name them with --data"),
         (("discrepancy", "found", "--plant", "p.py", "--add", "found"), "--add and --plant exclude each other"),
     ],
 )
@@ -98,14 +100,14 @@ def test_a_verdict_is_gone_on_with(tepm: Command, here: Path, heavy: CompiledMod
     assert tepm("discrepancy", "set", "--out", "found").status in (0, 1)
     verdict = json.loads((here / "found" / "verdict.json").read_text(encoding="utf-8"))
     assert (verdict["data"], verdict["model"]) == (["../set"], None)
-    done = tepm("next", "found", "--out", "run.toml", "--seconds", 8, "--json")
+    done = tepm("data", "next", "found", "--out", "run.toml", "--seconds", 8, "--json")
     assert done.status == 0, done.err
     told = done.json()
     assert told["hypotheses"][0] == ["payload"]
     assert len(told["hypotheses"]) >= 2
     assert told["sigmas"] >= told["random_run"]["sigmas"] > 0
     text = (here / "run.toml").read_bytes()
-    assert tepm("next", "found", "--out", "run.toml", "--seconds", 8, "--json").json() == told
+    assert tepm("data", "next", "found", "--out", "run.toml", "--seconds", 8, "--json").json() == told
     assert (here / "run.toml").read_bytes() == text
     (run,) = read_plan(here / "run.toml").runs
     assert run.setpoints.time[-1] == pytest.approx(8.0, rel=0.06)

@@ -1,4 +1,4 @@
-"""`tepm modes`: the table, the files, what is wrong."""
+"""`tepm robot modes`: the table, the files, what is wrong."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BENT = ("--pressures", "1e5,0,2e5,3e5,1e5,0", "--tensions", "1,2,3,4,5,6", "--ti
 
 
 def test_table(tepm: Command, here: Path) -> None:
-    done = tepm("modes")
+    done = tepm("robot", "modes")
     assert (done.status, done.err) == (0, "")
     lines = done.out.splitlines()
     assert "of 216 states about tip (0.0, 0.0, 346.8) mm" in lines[0]
@@ -41,7 +41,7 @@ def test_files(tepm: Command, here: Path) -> None:
         structural_friction={"force": 0.2, "distance": 1e-3}, creep={"share": 0.2, "relaxation_time": 1.0}, time_delay={"delay": 0.005}
     )
     write_model(sticky, here / "m.toml")
-    done = tepm("modes", *BENT, "--model", "m.toml", "--from", "pressure_11,force_s4_x", "--to", "s4,length_11", "--out", "out")
+    done = tepm("robot", "modes", *BENT, "--model", "m.toml", "--from", "pressure_11,force_s4_x", "--to", "s4,length_11", "--out", "out")
     assert (done.status, done.err) == (0, "")
     assert "54 eigenvalues are 0" in done.out
     assert "36 modes, memory of the muscles" in done.out
@@ -77,7 +77,7 @@ def test_files(tepm: Command, here: Path) -> None:
 def test_the_same_twice(tepm: Command, here: Path) -> None:
     contents = []
     for name in ("a", "b"):
-        assert tepm("modes", "--out", name).status == 0
+        assert tepm("robot", "modes", "--out", name).status == 0
         contents.append([(here / name / file).read_bytes() for file in ("state_space.mat", "modes.csv", "summary.json")])
     assert contents[0] == contents[1]
 
@@ -86,16 +86,16 @@ def test_a_row_of_a_file_is_the_operating_point(tepm: Command, here: Path) -> No
     rows = np.zeros((2, 13))
     rows[1] = [1, 1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6]
     write_rows(here / "i.csv", input_columns(), rows)
-    found = tepm("modes", "i.csv", "--row", 2, "--json").json()
-    same = tepm("modes", *BENT[:4], "--json").json()
+    found = tepm("robot", "modes", "i.csv", "--row", 2, "--json").json()
+    same = tepm("robot", "modes", *BENT[:4], "--json").json()
     assert found == same
     assert len(found["modes"]) == 12
-    assert len(tepm("modes", "i.csv", "--json", "--count", 3).json()["modes"]) == 3
+    assert len(tepm("robot", "modes", "i.csv", "--json", "--count", 3).json()["modes"]) == 3
 
 
 def test_no_stable_operating_point_is_explained(tepm: Command, here: Path) -> None:
     (here / "m.toml").write_text('robot = "kang2017"\n\n[[effects]]\nname = "payload"\nparameters = {mass = 1.0}\n')
-    done = tepm("modes", "--model", "m.toml", "--out", "out")
+    done = tepm("robot", "modes", "--model", "m.toml", "--out", "out")
     assert (done.status, done.out) == (1, "")
     assert "no stable operating point" in done.err
     assert "unstable" in done.err
@@ -119,7 +119,7 @@ def test_no_stable_operating_point_is_explained(tepm: Command, here: Path) -> No
 )
 def test_wrong_input_is_one_line(tepm: Command, here: Path, options: tuple[str, ...], says: str) -> None:
     write_rows(here / "i.csv", input_columns(), np.zeros((1, 13)))
-    done = tepm("modes", *options, "--out", "out")
+    done = tepm("robot", "modes", *options, "--out", "out")
     assert (done.status, done.out) == (2, "")
     assert says in " ".join(done.err.split())
     assert len(done.err.strip().splitlines()) == 1

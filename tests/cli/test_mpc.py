@@ -157,28 +157,6 @@ def test_a_gauge_that_lies_is_told(tepm: Command, here: Path, monkeypatch: pytes
     assert told["doubts"]["dynamometer 12"]["from_s"] < 2.0
 
 
-@pytest.mark.slow
-def test_random_machines(tepm: Command, here: Path) -> None:
-    """A row a run, a figure, and the figures of all in a line; with a rig of one's own it makes no sense."""
-    done = tepm("mpc", *SHORT, "--machines", 2, "--noises", 1, "--seed", 3, "--bound", 50)
-    assert done.status == 0
-    assert "100 % within 50 mm" in done.out
-    assert names_in(here / "mpc") == {"machines.csv", "machines.png", "summary.json"}
-    assert summary(here / "mpc", "machines")["runs"] == 2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [(("--machines", 2, "--rig", "sim:perfect"), "leave --rig and --view out"), (("--noises", 2), "belong to --machines")],
-)
-def test_options_of_machines_alone(tepm: Command, here: Path, arguments: tuple[object, ...], says: str) -> None:
-    """What would be ignored is refused, and nothing is left behind."""
-    done = tepm("mpc", *SHORT, *arguments)
-    assert done.status == 2
-    assert says in done.err
-    assert not (here / "mpc").exists()
-
-
 def test_point_by_point(tepm: Command, here: Path) -> None:
     done = tepm("mpc", "circle", "--points", 2, "--radius", 0.02, "--stay", 0.3, "--controller", "mode1", "--out", "out")
     assert (done.status, done.err) == (0, "")
@@ -447,7 +425,6 @@ def test_rounds_of_learning_and_what_was_learned(tepm: Command, here: Path) -> N
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--learn", 2, "--machines", 2), "--learn and --learned are for one rig"),
         (("--learn", 2, "--stay", 1), "--learn and --learned correct a path; leave --stay out"),
         (("--learned", "none.csv"), "none.csv"),
         (("--learned", "other.csv"), "correction: 2 targets; valid: "),

@@ -1,4 +1,4 @@
-"""`tepm rig new|show|check`, and rigs of other robots in other commands."""
+"""`tepm hw rig new|show|check`, and rigs of other robots in other commands."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ def test_new_check_and_show(tepm: Command, here: Path) -> None:
     """A rig file for a robot of one's own, in another folder: its robot is named as seen from there."""
     (here / "rigs").mkdir()
     assert tepm("robot", "new", "lab.toml", "--from", "one_module").status == 0
-    done = tepm("rig", "new", "rigs/bench.toml", "--robot", "lab.toml")
+    done = tepm("hw", "rig", "new", "rigs/bench.toml", "--robot", "lab.toml")
     assert (done.status, done.err) == (0, "")
     assert 'robot = "../lab.toml"' in (here / "rigs" / "bench.toml").read_text(encoding="utf-8")
     assert load_rig_file(here / "rigs" / "bench.toml").nominal.name == "lab"
-    again = tepm("rig", "new", "rigs/bench.toml")
+    again = tepm("hw", "rig", "new", "rigs/bench.toml")
     assert (again.status, again.err) == (2, "error: rigs/bench.toml exists; name another file\n")
-    told = json.loads(tepm("rig", "show", "rigs/bench.toml", "--json").out)
+    told = json.loads(tepm("hw", "rig", "show", "rigs/bench.toml", "--json").out)
     assert (told["name"], told["robot"], told["imperfections"]["regulator_lag"]["fill_s"]) == ("bench", "lab", 0.06)
-    checked = json.loads(tepm("rig", "check", "rigs/bench.toml", "--json").out)
+    checked = json.loads(tepm("hw", "rig", "check", "rigs/bench.toml", "--json").out)
     assert checked["step_s"] <= checked["longest_step_s"] < 2.5e-4
     assert "payload" not in checked["imperfections"]
 
 
 def test_what_is_wrong_is_one_line(tepm: Command, here: Path) -> None:
-    tepm("rig", "new", "rig.toml", "--from", "perfect")
+    tepm("hw", "rig", "new", "rig.toml", "--from", "perfect")
     text = (here / "rig.toml").read_text(encoding="utf-8")
     for old, new, says in (
         ("latency_s = 0.0 ", "latency_s = 15.0", "tracker: latency_s = 15.0: input should be less than or equal to 1; valid: 0 … 1 s"),
@@ -41,12 +41,12 @@ def test_what_is_wrong_is_one_line(tepm: Command, here: Path) -> None:
     ):
         assert old in text
         (here / "rig.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
-        done = tepm("rig", "check", "rig.toml")
+        done = tepm("hw", "rig", "check", "rig.toml")
         assert (done.status, done.err.count("\n")) == (2, 1)
         assert says in done.err
     for arguments, says in (
-        (("rig", "new", "other.toml", "--from", "perfekt"), "--from perfekt: no built-in rig; valid: perfect, virtual_prototype"),
-        (("rig", "check", "rig.toml", "--robot", "slim"), "rig rig.toml names its robot itself"),
+        (("hw", "rig", "new", "other.toml", "--from", "perfekt"), "--from perfekt: no built-in rig; valid: perfect, virtual_prototype"),
+        (("hw", "rig", "check", "rig.toml", "--robot", "slim"), "rig rig.toml names its robot itself"),
         (("record", "plan.toml", "--robot", "slim", "--out", "set"), "plan.toml names its robot itself; leave the option out"),
     ):
         done = tepm(*arguments)
@@ -62,7 +62,7 @@ def test_a_robot_that_is_not_the_papers_is_played_and_followed(tepm: Command, he
     (here / "inputs.csv").write_text("\n".join([",".join(names), *rows]) + "\n", encoding="utf-8")
     done = tepm("play", "inputs.csv", "--robot", "one_module", "--rig", "sim@mujoco", "--out", "a.csv")
     assert (done.status, done.err) == (0, "")
-    assert tepm("rig", "new", "rig.toml", "--robot", "one_module").status == 0
+    assert tepm("hw", "rig", "new", "rig.toml", "--robot", "one_module").status == 0
     done = tepm("play", "inputs.csv", "--rig", "sim:rig.toml@mujoco", "--out", "b.csv", "--json")
     assert json.loads(done.out)["rows"] == 26
     refused = tepm("play", "inputs.csv", "--robot", "slim", "--rig", "sim:rig.toml", "--out", "c.csv")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import tepm_opt
-from tepm_opt import plots
+from tepm_opt import plots, studies
 from tepm_opt.cli.program import app
 
 HEAVY = {"casadi", "control", "matplotlib", "mujoco", "scipy", "sklearn"}
@@ -60,7 +60,14 @@ def test_help_of_every_command() -> None:
     groups = [
         "robot",
         "robot new",
+        "robot modes",
+        "study",
+        "study blind",
+        "study machines",
+        "study paper",
         "data",
+        "data excite",
+        "data next",
         "data check",
         "data import",
         "data map",
@@ -73,6 +80,7 @@ def test_help_of_every_command() -> None:
         "hw limits",
         "hw ports",
         "hw calibrate base",
+        "hw rig new",
     ]
     done = subprocess.run(
         [sys.executable, "-c", code.format(heavy=sorted(HEAVY)), *COMMANDS, *groups], capture_output=True, text=True, check=False
@@ -86,7 +94,7 @@ def test_a_working_command_does_import_it() -> None:
     assert imported(["robot", "show"]) == (0, {"scipy"})
 
 
-@pytest.mark.parametrize("package", [tepm_opt, plots])
+@pytest.mark.parametrize("package", [tepm_opt, plots, studies])
 def test_every_name_of_a_package_is_there_and_is_the_one_at_home(package: object) -> None:
     stub = Path(str(package.__file__)).with_suffix(".pyi")  # type: ignore[attr-defined]
     homes = {

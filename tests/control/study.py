@@ -12,7 +12,6 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from tepm_opt.control.bench_arm import BenchArm, bench_settings, guided, length_reference
 from tepm_opt.control.controllers import find_controller
 from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.loop import Guard, LoopRecord, close_loop
@@ -23,8 +22,9 @@ from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.paper.single import SET_POINTS, STAY, TAKEN
 from tepm_opt.solvers.trajectories import circle, lissajous
+from tepm_opt.studies.paper.single import SET_POINTS, STAY, TAKEN
+from tests.control.bench_arm import BenchArm, bench_settings, guided, length_reference
 
 APPROACH, PAUSE = 3.0, 0.5  # s
 SEEDS = tuple(range(1, 11))

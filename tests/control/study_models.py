@@ -16,8 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.blind.excitation import excitations
-from tepm_opt.blind.machine import Deviation, played, rig_file
 from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.reference import reference_of
@@ -29,6 +27,8 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
+from tepm_opt.studies.blind.excitation import excitations
+from tepm_opt.studies.blind.machine import Deviation, played, rig_file
 from tests.control.study import WIDE, reference
 
 ROBOT = load_robot("kang2017")

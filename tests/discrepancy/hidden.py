@@ -20,15 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.blind import machine
-from tepm_opt.blind.causes import commanded
-from tepm_opt.blind.excitation import RATE, Excitation, excitations
-from tepm_opt.blind.machine import Commands, Deviation, Sight, rig_file
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.jobs.record import seed_of
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import load_robot
+from tepm_opt.studies.blind import machine
+from tepm_opt.studies.blind.causes import commanded
+from tepm_opt.studies.blind.excitation import RATE, Excitation, excitations
+from tepm_opt.studies.blind.machine import Commands, Deviation, Sight, rig_file
 
 ROBOT = load_robot("kang2017")
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tepm_opt.blind.causes import commanded
-from tepm_opt.blind.excitation import RATE
+from tepm_opt.studies.blind.causes import commanded
+from tepm_opt.studies.blind.excitation import RATE
 from tests.discrepancy.hidden import Hidden, curved_lens, sagging_supply, sticking_tendons
 
 AREA = 50.27e-6  # m², of a muscle

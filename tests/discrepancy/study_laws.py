@@ -18,9 +18,6 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from tepm_opt.blind import machine
-from tepm_opt.blind.excitation import Excitation, excitations
-from tepm_opt.blind.machine import Deviation
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
@@ -36,6 +33,9 @@ from tepm_opt.models.effect_files import unload_effect
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
+from tepm_opt.studies.blind import machine
+from tepm_opt.studies.blind.excitation import Excitation, excitations
+from tepm_opt.studies.blind.machine import Deviation
 from tests.discrepancy.hidden import ROBOT, make, played, true_factors
 from tests.discrepancy.laws import TRIALS, Trial
 

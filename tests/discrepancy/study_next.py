@@ -1,4 +1,4 @@
-"""How often one run of 30 s that `tepm next` proposes tells apart what data leave indistinguishable, beside a random run of that length.
+"""How often a run of 30 s that `tepm data next` proposes separates what data leave indistinguishable, beside a random run of that length.
 
 `python -m tests.discrepancy.study_next [--cases 20] [--seed 1] [--seconds 30]` hides effects of the library in badly excited sessions (one
 or two drawn runs of 4 to 8 s), at sizes that are found but do not tell the effect from its closest rival; keeps those where the weights of
@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.blind.excitation import drawn
 from tepm_opt.data.datasets import in_session
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
@@ -36,6 +35,7 @@ from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.predict import LONGEST_STEP
 from tepm_opt.solvers.simulate import SimulationError, simulate
+from tepm_opt.studies.blind.excitation import drawn
 
 NOISE, RATE = 3e-4, 50.0
 STEP = 5e-3  # s, shorter than any fit's

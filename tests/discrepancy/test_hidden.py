@@ -7,10 +7,10 @@ from statistics import median
 
 import pytest
 
-from tepm_opt.blind.excitation import RATE, excitations
 from tepm_opt.data.datasets import DataSet
 from tepm_opt.discrepancy.verdict import VerdictStatus
 from tepm_opt.models.channels import channels_of
+from tepm_opt.studies.blind.excitation import RATE, excitations
 from tests.discrepancy.hidden import CASES, ROBOT, label, make, played
 from tests.discrepancy.small import write
 from tests.discrepancy.study import Answer, examine

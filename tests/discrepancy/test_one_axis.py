@@ -25,7 +25,6 @@ from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.predict import predict
 from tepm_opt.solvers.simulate import Directions, simulate
-from tepm_opt.solvers.simulate_many import Motion, simulate_many
 from tepm_opt.solvers.statics import solve_statics
 from tests.discrepancy.small import changed
 
@@ -107,8 +106,6 @@ def test_a_mass_that_runs_through_its_base_is_told(backend: Literal["auto", "pyt
     assert "runs through the base" in found.outcome.message
     assert found.setpoints.time[-1] < passes_the_base(-60.0) < found.setpoints.time[-1] + STEP
     assert found.tip[:, 2].min() > 0
-    (one, other) = simulate_many(model, [Motion(pushed(-40.0)), Motion(pushed(-60.0))], step=step)
-    assert (one.solved, other.outcome.message) == (True, found.outcome.message)
     asked = pushed(-60.0)
     run = Run("pushed.csv", "fit", asked.time, asked.inputs, asked.tip_force, np.zeros((len(asked.time), 2, 3)))
     with pytest.raises(PredictionError, match=r"pushed\.csv: .*runs through the base"):

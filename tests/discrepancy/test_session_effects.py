@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.blind.excitation import excitations
-from tepm_opt.blind.machine import Deviation, played, rig_file
 from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.suggest import suggested
 from tepm_opt.models.compile import CompiledModel, compile_model
@@ -18,6 +16,8 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
+from tepm_opt.studies.blind.excitation import excitations
+from tepm_opt.studies.blind.machine import Deviation, played, rig_file
 from tests.tools import in_company
 
 KANG, NOISE = load_robot("kang2017"), 3e-4

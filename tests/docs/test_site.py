@@ -47,7 +47,7 @@ def test_contents_have_every_page_of_docs() -> None:
 
 def test_every_command_and_its_options_are_told() -> None:
     page = commands.page()
-    for path, option in (("tepm ik", "--mid-tension"), ("tepm data import", "--map"), ("tepm hw check", ""), ("tepm rig new", "--from")):
+    for path, option in (("tepm ik", "--mid-tension"), ("tepm data import", "--map"), ("tepm hw check", ""), ("tepm hw rig new", "--from")):
         section = page.partition(f"\n## {path}\n")[2].partition("\n## ")[0]
         assert section
         assert option in section
@@ -55,9 +55,9 @@ def test_every_command_and_its_options_are_told() -> None:
 
 def test_every_name_of_the_stub_is_told() -> None:
     listed = [name for each in names.names().values() for name in each]
-    stub = (ROOT / "tepm_opt" / "__init__.pyi").read_text(encoding="utf-8")
-    assert len(listed) == stub.count("\nfrom .") > 100
-    assert {"solvers.statics.solve_statics", "errors.InputError"} <= set(listed)
+    stubs = "".join((ROOT / "tepm_opt" / path / "__init__.pyi").read_text(encoding="utf-8") for path in ("", "studies"))
+    assert len(listed) == stubs.count("\nfrom .") > 100
+    assert {"solvers.statics.solve_statics", "errors.InputError", "studies.blind.run.run_blind"} <= set(listed)
 
 
 def test_equations_are_those_of_the_code() -> None:

@@ -68,6 +68,6 @@ def test_sim_follows_the_robot_and_a_file_does_not(tmp_path: Path) -> None:
     assert open_rig("sim@mujoco", short).robot == short
     path = tmp_path / "rig.toml"
     path.write_text(rig_text(load_rig_file(), "kang2017"), encoding="utf-8")
-    says = r"simulates the robot 'kang2017', .*--robot kang2017\), take --rig sim, .* tepm rig new FILE"
+    says = r"simulates the robot 'kang2017', .*--robot kang2017\), take --rig sim, .* tepm hw rig new FILE"
     with pytest.raises(InputError, match=says):
         open_rig(f"sim:{path}", short)

@@ -12,7 +12,7 @@ from tests.hw.spoil.equivalent import check_equivalent
 from tests.hw.spoil.operators import changes, shuffled
 from tests.hw.spoil.runner import FIRST, NOTHING, Drawing, code_of, files_for, try_out
 from tests.hw.spoil.spoiling import BOARD, DRAWS, FIRMWARE, OTHER, ROOT, Slip, Spoiling, StaleError, source
-from tests.hw.spoil.table import caught_last_time
+from tests.hw.spoil.table import LEFT_OUT, SPOILINGS, Outcome, Row, caught_last_time, survivors, write_tables
 
 CRASHES = ("the decoder writes behind its buffer",)
 """What stops the tests themselves."""
@@ -65,14 +65,30 @@ def test_there_are_enough() -> None:
     check_equivalent()
 
 
-def test_the_page_has_them() -> None:
-    """docs/results/spoiling.md names all slips by hand, and for each a test that exists."""
+def test_the_last_study_has_them() -> None:
+    """spoil/caught.csv names all slips by hand, and for each a test that exists."""
     for slip in BY_HAND.values():
         caught = caught_last_time(slip.find())
-        assert caught or slip.name in CRASHES, f"{slip.name}: python -m tests.hw.spoil --table > docs/results/spoiling.md"
+        assert caught or slip.name in CRASHES, (
+            f"{slip.name}: python -m tests.hw.spoil OUT, then keep spoilings.csv as tests/hw/spoil/caught.csv"
+        )
         for test in caught:
             file, *_, name = test.split("::")
             assert f"def {name}(" in (ROOT / "tests" / "hw" / file).read_text(encoding="utf-8"), test
+
+
+def test_survivors_are_named_and_written(tmp_path: Path) -> None:
+    slips = [slip.find() for slip in [*BY_HAND.values()][:3]]
+    drawn = shuffled(slips[0].file, source(slips[0].file), 1)[0]
+    found = (Outcome("test_link.py::test_a", 1.0), Outcome(None, 2.0), Outcome("compiler", 0.1))
+    rows = [Row(slip, False, outcome) for slip, outcome in zip(slips, found, strict=True)]
+    rows.append(Row(drawn, True, found[0], [(drawn, "is the same program")]))
+    assert survivors(rows) == [f"{Path(slip.file).name}: {slip.name}" for slip in slips[1:]]
+    write_tables(rows, tmp_path / "out")
+    written = (tmp_path / "out" / SPOILINGS).read_text(encoding="utf-8").splitlines()
+    assert written[0] == "file,spoiling,line,becomes,caught_by"
+    assert [line.rpartition(",")[2] for line in written[1:]] == ["test_link.py::test_a", "survived", "compiler", "test_link.py::test_a"]
+    assert (tmp_path / "out" / LEFT_OUT).read_text(encoding="utf-8").endswith(",is the same program\n")
 
 
 def test_named_test_files_exist() -> None:

@@ -60,7 +60,7 @@ def test_a_model_is_shown_beside_a_run_that_was_not_fitted_to(bench: Path) -> No
 def test_what_cannot_be_told_apart_is_recorded_on_the_same_rig(bench: Path) -> None:
     asked = Asked(bench, Path("found"), model=Path("lab.toml"), add=(Path("more"),))
     _, (proposed, recorded, again) = told(VerdictStatus.INDISTINGUISHABLE, asked)
-    assert proposed == ["tepm", "next", "found", "--out", "found/run2.toml"]
+    assert proposed == ["tepm", "data", "next", "found", "--out", "found/run2.toml"]
     assert recorded[-4:] == ["--rig", "RIG", "--out", "found/extra2"]
     assert again == shlex.split("tepm discrepancy bench --model lab.toml --add more --add found/extra2 --out found")
     (bench / "recording.json").write_text(json.dumps({"rig": "sim:machine.toml"}))

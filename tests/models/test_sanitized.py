@@ -15,7 +15,6 @@ ROOT = Path(__file__).resolve().parents[2]
 CALLS = (
     "tests/solvers/test_statics.py",
     "tests/solvers/test_gain.py",
-    "tests/solvers/test_simulate_many.py",
     "tests/models/test_backends.py",
     "tests/models/test_time_stepping.py",
 )

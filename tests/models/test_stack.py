@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from tepm_opt.discrepancy.network import candidates, wide
 from tepm_opt.models.backends import compiler
 from tepm_opt.models.backends.ccode import Unit
 from tepm_opt.models.backends.compiled import statics_unit, stepping_unit
-from tepm_opt.models.backends.many import many_unit
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.dynamics import write_dynamics
@@ -44,10 +42,9 @@ EVERYTHING = """
 import numpy as np
 from tepm_opt import SetPoints, circle, compile_model, solve_gain, solve_ik, solve_statics
 from tepm_opt.solvers.simulate import Directions, simulate
-from tepm_opt.solvers.simulate_many import Motion, simulate_many
 
 model = compile_model(sys.argv[1])
-model.stepper, model.many
+model.stepper
 
 def work():
     inputs = np.r_[1e5, 0, 0, 1e5, np.zeros(8)]
@@ -60,7 +57,6 @@ def work():
     time = np.arange(0, 0.1, 0.02)
     moving = SetPoints(time, np.outer(np.linspace(0.5, 1, len(time)), inputs), np.zeros((len(time), 3)))
     assert simulate(model, moving, directions=Directions.of(model, ["K_a", "r"])).solved
-    assert all(found.solved for found in simulate_many(model, [Motion(moving)] * model.many.lanes))
     threading.stack_size(int(sys.argv[2]))
     fixed = threading.Thread(target=steps, args=(moving,))
     fixed.start()
@@ -131,8 +127,7 @@ def test_no_function_takes_more_stack_for_more_segments(tmp_path: Path) -> None:
         model = Model.of(variant(geometry={"segments_per_module": segments}))
         model = wide(model, candidates(model))
         network, dynamics = write_network(model), write_dynamics(model)
-        units = {"statics": statics_unit(network), "one": stepping_unit(dynamics), "many": many_unit(dynamics)}
-        units = {name: replace(unit, sizes={**unit.sizes, "LANES": 4}) for name, unit in units.items()}
+        units = {"statics": statics_unit(network), "one": stepping_unit(dynamics)}
         found = {name: frames(unit, tmp_path / f"{name}{segments}") for name, unit in units.items()}
         sizes.append({f"{name} {function}": size for name, each in found.items() for function, size in each.items()})
     few, many = sizes

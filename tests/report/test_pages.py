@@ -17,25 +17,25 @@ from benchmarks.goals import faster
 from benchmarks.page import write_benchmark_page
 from benchmarks.timing import Contender, Task
 from tepm_opt.hw.simulation.rigfile import load_rig_file
-from tepm_opt.jobs.blind import BlindRun
-from tepm_opt.jobs.close import Closing
 from tepm_opt.jobs.demo import DemoRun
 from tepm_opt.jobs.gain import run_gain
 from tepm_opt.jobs.ik import run_ik
+from tepm_opt.jobs.model_update import ModelUpdate
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.paper.result import ExperimentResult
 from tepm_opt.plots.palette import NOMINAL
-from tepm_opt.report.blind import write_blind_page
 from tepm_opt.report.charts import MOST, Curve, Curves, Panel, discovery_charts
-from tepm_opt.report.closing import write_closing_page
 from tepm_opt.report.demo import write_page
 from tepm_opt.report.discrepancy import write_discrepancy_page
-from tepm_opt.report.paper import write_paper_page
+from tepm_opt.report.model_update import write_model_update_page
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.trajectories import circle
-from tests.blind.test_analysis import GAIN, result
+from tepm_opt.studies.blind.page import write_blind_page
+from tepm_opt.studies.blind.run import BlindRun
+from tepm_opt.studies.paper.page import write_paper_page
+from tepm_opt.studies.paper.result import ExperimentResult
 from tests.browser import DESK, PHONE, Browser
 from tests.discrepancy.test_report import LOCALISATION, PNG, PROVENANCE, VERDICT, measured
+from tests.studies.blind.test_analysis import GAIN, result
 
 ERRORS = {"noise_floor": 1e-3, "nominal": 3e-2, "recalibrated": 2.5e-2, "corrected": 2e-3, "black_box": float("nan")}
 
@@ -99,7 +99,7 @@ def closing_page(folder: Path, model: CompiledModel) -> Path:
     effects = [{"name": "an_effect", "detail": "13", "probability": 0.99, "parameters": {}}]
     verdict = {"status": "named", "effects": effects, "rmse_m": ERRORS, "paragraph": "It carries something & more."}
     of = {name: {"errors": {"true": {"rms_m": rms}, "tracked": None}} for name, rms in (("nominal", 2e-3), ("corrected", 1e-3))}
-    write_closing_page(folder / "closed.html", Closing(folder, "kang2017", "sim", (verdict,), {"circle": of}))
+    write_model_update_page(folder / "closed.html", ModelUpdate(folder, "kang2017", "sim", (verdict,), {"circle": of}))
     return folder / "closed.html"
 
 

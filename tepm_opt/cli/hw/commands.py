@@ -18,6 +18,7 @@ from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, RobotOption, stder
 from tepm_opt.cli.hw import shared
 from tepm_opt.cli.hw.calibrate import app as calibrate_app
 from tepm_opt.cli.hw.monitor import monitor
+from tepm_opt.cli.hw.rig import app as rig_app
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.link import Link, LinkError
@@ -34,9 +35,10 @@ COLOURS = {"RIGHT": "green", "WRONG": "red", "OPEN": "yellow"}  # by the names o
 ESTOP_S, RESTARTED_S = 8.0, 5.0
 """How long ESTOP is sent; a board whose clock is younger than this when it answers was restarted by opening the port."""
 
-app = typer.Typer(help="The real robot: ports, commissioning, calibration, a look at it, emergency stop.", no_args_is_help=True)
+app = typer.Typer(help="The real robot: ports, commissioning, calibration, a look at it, emergency stop; rig files.", no_args_is_help=True)
 app.command("monitor")(monitor)
 app.add_typer(calibrate_app, name="calibrate")
+app.add_typer(rig_app, name="rig")
 
 
 @app.command()

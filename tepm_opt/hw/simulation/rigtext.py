@@ -13,7 +13,7 @@ from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.hw.simulation.rigfile import RigFile
 
 HEAD = (
-    "A simulated rig: {use} simulates this machine; `tepm rig check` looks whether it can.",
+    "A simulated rig: {use} simulates this machine; `tepm hw rig check` looks whether it can.",
     "`robot` is what a controller knows; everything else is what the machine has and the controller does not know.",
     'To the right is what is valid. Whatever stands behind a "#" is off, or as it is without: take the "#" away to use it.',
 )

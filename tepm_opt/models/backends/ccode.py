@@ -26,11 +26,11 @@ class Unit:
 
     Attributes:
         kernels: CasADi functions; of one with a sparse result the C text also gets `<name>_nnz`, `<name>_row` and `<name>_col`.
-        sizes: macros by name; LANES, the doubles in a vector, is what the target has without it.
+        sizes: macros by name; LANES is the number of doubles in a vector.
         arrays: static arrays of integers by name.
         loops: names of the C files in this package, one after the other.
         symbols: functions that are called from outside.
-        lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments, or motions, at once.
+        lanes: kernels that also come as `<name>_lanes`, which takes and returns vectors: several segments at once.
         stem: with which the name of the library begins.
     """
 
@@ -67,23 +67,9 @@ class Unit:
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
 _WRITTEN = re.compile(r"if \(res\[\d+\]!=0\) ")
 _VECTORS = """
-#if !defined LANES && defined __AVX512F__
-#define LANES 8
-#elif !defined LANES
-#define LANES 4
-#endif
-#if MANY
-typedef double vector __attribute__((vector_size(8 * LANES)));
-#else
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8))); /* anywhere in arrays of doubles */
-#endif
 static inline vector lanes_sq(vector x) { return x * x; }
-#if LANES == 8 && defined __AVX512F__
-#include <immintrin.h>
-static inline vector lanes_sqrt(vector x) { return (vector)_mm512_sqrt_pd((__m512d)x); } /* the loop would be put together in memory */
-#else
 static inline vector lanes_sqrt(vector x) { for (int i = 0; i < LANES; i++) x[i] = sqrt(x[i]); return x; }
-#endif
 static inline vector lanes_sign(vector x) { for (int i = 0; i < LANES; i++) x[i] = x[i] < 0 ? -1 : x[i] > 0 ? 1 : x[i]; return x; }
 typedef long long lanes_mask __attribute__((vector_size(8 * LANES), aligned(8)));
 static inline vector lanes_where(lanes_mask m, vector x) { return (vector)(m & (lanes_mask)x); } /* 0 elsewhere */

@@ -36,7 +36,7 @@ AT_ONCE = 32
 """Configurations that one call makes: some milliseconds, so that Ctrl-C and progress come through."""
 
 
-STATICS = ("real.c", "rotations.c", "statics.c")
+STATICS = ("rotations.c", "statics.c")
 """Loops of statics, without what is called from outside."""
 
 
@@ -236,7 +236,7 @@ class CompiledStatics:
 
 
 STEPPING = (
-    "real.c", "rotations.c", "time_stepping.c", "motion_network.c", "motion_tangents.c", "motion_newton.c", "motion_steps.c",
+    "rotations.c", "time_stepping.c", "motion_network.c", "motion_tangents.c", "motion_newton.c", "motion_steps.c",
     "motion_adaptive.c", "motion_rounds.c", "motion_one.c",
 )  # fmt: skip
 

@@ -6,7 +6,7 @@ typedef struct { /* a pair of steps of length h from t: where it starts, its mid
   carried start;
   state middle;
   tangent *d_fine, *d_middle, *d_coarse, *d_between;
-  real t, h;
+  double t, h;
 } pair;
 
 static void hold_start(stepper *m, const carried *c, pair *p) {
@@ -15,42 +15,39 @@ static void hold_start(stepper *m, const carried *c, pair *p) {
   copy(m, p->d_coarse, m->d_coarse);
 }
 
-static void undo(stepper *m, carried *c, const pair *p, mask on) {
-  if (!any(on)) return;
-  blend(c, &p->start, sizeof *c, on);
+static void undo(stepper *m, carried *c, const pair *p) {
+  *c = p->start;
   copy(m, m->d_fine, p->d_fine);
   copy(m, m->d_coarse, p->d_coarse);
 }
 
-/* Two steps of the fine motion and one of the coarse; returns where they failed. */
-static mask step_pair(stepper *m, work *w, carried *c, pair *p, mask on) {
-  const mask none = NONE;
+/* Two steps of the fine motion and one of the coarse; returns whether they failed. */
+static int step_pair(stepper *m, work *w, carried *c, pair *p) {
   hold_start(m, c, p);
   m->d = m->d_fine;
-  mask failed = implicit_step(m, w, &c->fine, &c->fine, p->t, p->h, none, on);
+  if (implicit_step(m, w, &c->fine, &c->fine, p->t, p->h, 0)) return 1;
   p->middle = c->fine;
   copy(m, p->d_middle, m->d_fine);
-  if (any(on & ~failed)) failed |= implicit_step(m, w, &c->fine, &c->fine, p->t + p->h, p->h, none, on & ~failed);
+  if (implicit_step(m, w, &c->fine, &c->fine, p->t + p->h, p->h, 0)) return 1;
   m->d = m->d_coarse;
-  if (any(on & ~failed)) failed |= implicit_step(m, w, &c->coarse, &c->fine, p->t, 2 * p->h, none, on & ~failed);
-  return failed;
+  return implicit_step(m, w, &c->coarse, &c->fine, p->t, 2 * p->h, 0);
 }
 
 /* Error in m, of the farthest node: at the end of a pair, what the pair has added to it (the part of its change that the difference of
    the velocities does not explain), and that of interpolating within its steps (a 16th of one over both, seen in their middle). */
-typedef struct { real all, added, interpolated, moved; } errors; /* and how far the farthest node has moved */
+typedef struct { double all, added, interpolated, moved; } errors; /* and how far the farthest node has moved */
 
 static errors judge(const stepper *m, const carried *c, const pair *p) {
   errors e = {};
   const state *a = &p->start.fine, *b = &c->fine;
   for (int l = 1; l <= NLEV; l++)
     for (int node = 0; node < NB; node += 3) {
-      real added = ZERO, all = ZERO, interpolated = ZERO, moved = ZERO;
+      double added = 0, all = 0, interpolated = 0, moved = 0;
       for (int i = node; i < node + 3; i++) {
-        real x = c->fine.x[l][i] - c->coarse.x[l][i], v = c->fine.v[l][i] - c->coarse.v[l][i];
-        real x_0 = p->start.fine.x[l][i] - p->start.coarse.x[l][i], v_0 = p->start.fine.v[l][i] - p->start.coarse.v[l][i];
-        real new = x - x_0 - p->h * (v + v_0);
-        real off = (a->x[l][i] + b->x[l][i]) / 2 + p->h * (a->v[l][i] - b->v[l][i]) / 4 - p->middle.x[l][i];
+        double x = c->fine.x[l][i] - c->coarse.x[l][i], v = c->fine.v[l][i] - c->coarse.v[l][i];
+        double x_0 = p->start.fine.x[l][i] - p->start.coarse.x[l][i], v_0 = p->start.fine.v[l][i] - p->start.coarse.v[l][i];
+        double new = x - x_0 - p->h * (v + v_0);
+        double off = (a->x[l][i] + b->x[l][i]) / 2 + p->h * (a->v[l][i] - b->v[l][i]) / 4 - p->middle.x[l][i];
         added += new * new;
         all += x * x;
         interpolated += off * off;
@@ -58,17 +55,17 @@ static errors judge(const stepper *m, const carried *c, const pair *p) {
       }
       e = (errors){larger(e.all, all), larger(e.added, added), larger(e.interpolated, interpolated), larger(e.moved, moved)};
     }
-  return (errors){root(e.all) / m->divisor, root(e.added) / m->divisor, root(e.interpolated) / 16, root(e.moved)};
+  return (errors){sqrt(e.all) / m->divisor, sqrt(e.added) / m->divisor, sqrt(e.interpolated) / 16, sqrt(e.moved)};
 }
 
 /* Weights of positions and velocities at the start, the middle and the end of the fine motion, the start and the end of the coarse one. */
 enum { START, MIDDLE, END, COARSE_START, COARSE_END, PLACES };
-typedef struct { real x[PLACES], v[PLACES]; } weights;
+typedef struct { double x[PLACES], v[PLACES]; } weights;
 
 /* Add the cubic through positions and velocities of two places that are h apart, at a part of the way, `scale` times: what it is made of,
    and its rate. */
-static void add_cubic(weights *value, weights *rate, int from, int to, real h, real part, real scale) {
-  real p = part, q = 1 - p, slope = scale * 6 * p * q / h;
+static void add_cubic(weights *value, weights *rate, int from, int to, double h, double part, double scale) {
+  double p = part, q = 1 - p, slope = scale * 6 * p * q / h;
   value->x[from] += scale * q * q * (1 + 2 * p);
   value->x[to] += scale * p * p * (1 + 2 * q);
   value->v[from] += scale * h * p * q * q;
@@ -83,14 +80,13 @@ static void add_cubic(weights *value, weights *rate, int from, int to, real h, r
   static void name(const weights *by, const Level *const *x, const Level *const *v, Level *sum) {                                \
     for (int l = 0; l <= NLEV; l++)                                                                                             \
       for (int k = 0; k < NB; k++) {                                                                                            \
-        type total = (type){0};   \
+        type total = (type){0};                                                                                                 \
         for (int i = 0; i < PLACES; i++) total += by->x[i] * x[i][l][k] + by->v[i] * v[i][l][k];                                 \
         sum[l][k] = total;                                                                                                      \
       }                                                                                                                         \
   }
-typedef real level[NB];
-WEIGH(weigh, real, level)
-#if !MANY
+typedef double level[NB];
+WEIGH(weigh, double, level)
 typedef vector lane_level[NB];
 WEIGH(weigh_lanes, vector, lane_level)
 static void weigh_along(stepper *m, const weights *by, const pair *p) {
@@ -101,13 +97,11 @@ static void weigh_along(stepper *m, const weights *by, const pair *p) {
     weigh_lanes(by, x, v, p->d_between[g].x);
   }
 }
-#endif
 
 /* State and directions at a time within a pair, with the estimated error taken away. */
-static void between(stepper *m, const carried *c, const pair *p, real t, levels x, levels v) {
+static void between(stepper *m, const carried *c, const pair *p, double t, levels x, levels v) {
   weights value = {}, rate = {};
-  real part = (t - p->t) / (2 * p->h), one = each(1), late = pick(WHERE(part > 0.5), one, ZERO);
-  real off = each(m->smooth ? 1. / RICHARDSON : 0);
+  double part = (t - p->t) / (2 * p->h), late = part > 0.5 ? 1 : 0, off = m->smooth ? 1. / RICHARDSON : 0;
   add_cubic(&value, &rate, START, MIDDLE, p->h, 2 * part, 1 - late);
   add_cubic(&value, &rate, MIDDLE, END, p->h, 2 * part - 1, late);
   add_cubic(&value, &rate, START, END, 2 * p->h, part, off);
@@ -140,67 +134,41 @@ static int plan(motion *o, double *step, double *h) {
 }
 
 /* Moves on by two steps, so that the error stays about below the goal; steps end at the knots. */
-static void adapt(stepper *m, work *w, carried *c, pair *p, mask on) {
-  mask jumps = NONE, due, again;
-  p->h = each(1);
-  for (int lane = 0; lane < WIDTH; lane++) {
-    motion *o = m->motion + lane;
-    double step, h;
-    if (!LANE(on, lane)) continue;
-    step = LANE(c->step, lane);
-    LANE(jumps, lane) = -plan(o, &step, &h);
-    LANE(c->step, lane) = step;
-    LANE(p->t, lane) = o->t;
-    LANE(p->h, lane) = h;
-  }
-  if (any(jumps)) {
+static void adapt(stepper *m, work *w, carried *c, pair *p) {
+  motion *o = &m->motion;
+  int jumps = plan(o, &c->step, &p->h);
+  p->t = o->t;
+  if (jumps) {
     m->d = m->d_fine;
-    jump(m, w, &c->fine, p->t, jumps);
+    jump(m, w, &c->fine, p->t);
     m->d = m->d_coarse;
-    jump(m, w, &c->coarse, p->t, jumps);
+    jump(m, w, &c->coarse, p->t);
   }
-  mask failed = step_pair(m, w, c, p, on), within = bounded(&c->fine);
+  int failed = step_pair(m, w, c, p), within = bounded(&c->fine);
   errors e = judge(m, c, p);
-  again = failed;
-  for (int lane = 0; lane < WIDTH; lane++) {
-    motion *o = m->motion + lane;
-    if (!LANE(on, lane)) continue;
-    double h = LANE(p->h, lane), all = LANE(e.all, lane), added = LANE(e.added, lane), interpolated = LANE(e.interpolated, lane);
-    double moved = fmax(LANE(e.moved, lane), LANE(p->start.moved, lane) * exp(-2 * h / STILL)), ratio = INFINITY;
-    double aim = fmin(m->goal, fmax(SHARE * moved, LEAST * m->goal)); /* small motions are resolved, too, so that estimates hold */
-    if (!LANE(failed, lane)) ratio = fmax(fmax(added / sqrt(2 * h / MEMORY), interpolated) / aim, 1e-4);
-    LANE(again, lane) = -!(ratio < MOST_OVER);
-    double growth = h * fmin(4, fmax(0.3, 0.9 * pow(ratio, -0.25) * pow(LANE(c->ratio, lane), 0.08))); /* PI control, Gustafsson 1991 */
-    if (LANE(again, lane)) {
-      LANE(p->start.step, lane) = h * (LANE(failed, lane) ? 0.5 : fmax(0.2, 0.8 * pow(ratio, -1. / 3)));
-      LANE(m->halvings, lane) += 1;
-      if (LANE(p->start.step, lane) < SHORTEST) { o->status = STUCK; o->phase = OVER; }
-      continue;
-    }
-    LANE(m->steps, lane) += 2;
-    LANE(m->longest, lane) = fmax(LANE(m->longest, lane), h);
-    LANE(c->step, lane) = h < LANE(c->step, lane) ? fmax(LANE(c->step, lane), growth) : growth; /* a step that a stop has shortened says little */
-    LANE(c->ratio, lane) = ratio;
-    LANE(c->moved, lane) = moved;
-    LANE(c->error, lane) = fmax(fmax(LANE(c->error, lane), LEAST * m->goal), all + interpolated);
-    o->t = o->stop - o->t < 2 * h * (1 + 1e-9) ? o->stop : o->t + 2 * h;
-    if (LANE(within, lane)) LANE(m->reached, lane) = o->t;
-    else { o->status = DIVERGED; o->phase = OVER; }
+  double h = p->h, moved = fmax(e.moved, p->start.moved * exp(-2 * h / STILL)), ratio = INFINITY;
+  double aim = fmin(m->goal, fmax(SHARE * moved, LEAST * m->goal)); /* small motions are resolved, too, so that estimates hold */
+  if (!failed) ratio = fmax(fmax(e.added / sqrt(2 * h / MEMORY), e.interpolated) / aim, 1e-4);
+  double growth = h * fmin(4, fmax(0.3, 0.9 * pow(ratio, -0.25) * pow(c->ratio, 0.08))); /* PI control, Gustafsson 1991 */
+  if (!(ratio < MOST_OVER)) {
+    p->start.step = h * (failed ? 0.5 : fmax(0.2, 0.8 * pow(ratio, -1. / 3)));
+    m->halvings++;
+    if (p->start.step < SHORTEST) { o->status = STUCK; o->phase = OVER; }
+    undo(m, c, p);
+    return;
   }
-  for (;;) { /* samples passed: one of each motion */
-    real t = p->t;
-    due = NONE;
-    for (int lane = 0; lane < WIDTH; lane++) {
-      motion *o = m->motion + lane;
-      if (!LANE(on, lane) || LANE(again, lane) || o->phase == OVER) continue;
-      if (o->sample > *o->ends || o->inputs.time[o->sample] > o->t + JUMP_TIME) continue;
-      LANE(due, lane) = -1;
-      LANE(t, lane) = o->inputs.time[o->sample];
-    }
-    if (!any(due)) break;
-    real (*x)[NB] = w->in_record.x, (*v)[NB] = w->in_record.v;
-    between(m, c, p, t, x, v);
-    record(m, w, x, v, p->d_between, due);
+  m->steps += 2;
+  m->longest = fmax(m->longest, h);
+  c->step = h < c->step ? fmax(c->step, growth) : growth; /* a step that a stop has shortened says little */
+  c->ratio = ratio;
+  c->moved = moved;
+  c->error = fmax(fmax(c->error, LEAST * m->goal), e.all + e.interpolated);
+  o->t = o->stop - o->t < 2 * h * (1 + 1e-9) ? o->stop : o->t + 2 * h;
+  if (!within) { o->status = DIVERGED; o->phase = OVER; return; }
+  m->reached = o->t;
+  while (o->sample <= *o->ends && o->inputs.time[o->sample] <= o->t + JUMP_TIME) { /* samples passed */
+    double (*x)[NB] = w->in_record.x, (*v)[NB] = w->in_record.v;
+    between(m, c, p, o->inputs.time[o->sample], x, v);
+    record(m, w, x, v, p->d_between);
   }
-  undo(m, c, p, again);
 }

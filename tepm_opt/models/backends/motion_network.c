@@ -1,4 +1,4 @@
-/* Forces and the matrix of one motion, its segments side by side. */
+/* Forces and the matrix of a motion, its segments side by side. */
 
 /* turned[lane][i] = rows[i][lane] */
 static inline void turn(const vector *rows, vector *turned) {
@@ -153,14 +153,14 @@ static void forces(work *w, double step, int with_tangent) {
 }
 
 /* Forces, and the factored tangent M / step^2 + d force / d positions of a stage; returns whether that has failed. */
-static mask assemble(stepper *m, work *w, double step, mask on, int all) {
+static int assemble(stepper *m, work *w, double step) {
   forces(w, step, 1);
   m->factors++;
-  return WHERE(factor(w) != 0);
+  return factor(w) != 0;
 }
 
 /* The edges' pulls at the last evaluation are trusted from now on. */
-static void trust(work *w, mask on) { if (on) memcpy(w->trusted, w->pull, sizeof w->pull); }
+static void trust(work *w) { memcpy(w->trusted, w->pull, sizeof w->pull); }
 
 #ifdef CLOCK
 static void know_time(work *w) { w->packed_theta[CLOCK] = (vector){0} + w->theta[CLOCK]; }

@@ -22,7 +22,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
                  .goal = goal, .close = step > 0 ? 0 : CLOSE * goal, .smooth = smooth, .divisor = smooth ? RICHARDSON / 2. : 1,
                  .d = (tangent *)d, .d_fine = (tangent *)d, .d_coarse = (tangent *)d + groups,
                  .stage = {rates, rates + groups}, .d_a = d_a, .changes = changed, .reached = time[first]};
-    motion *o = m.motion;
+    motion *o = &m.motion;
     *o = (motion){.inputs = {.time = time, .rows = rows, .d_rows = (const vector *)d_rows, .samples = samples, .hold = hold,
                              .groups = groups, .d_theta = (const vector *)d_theta},
                   .records = {observed, trajectory, (vector *)d_observed}, .knots = knots, .knots_left = count, .ends = &last,
@@ -34,7 +34,7 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
     double *res[] = {o->inputs.delay}, *res_by[] = {o->inputs.by_delay};
     run(delay, w, arg, res);
     run(delay_by, w, arg, res_by);
-    move_on(&m, w, c, p, -1);
+    move_on(&m, w, c, p);
     status = o->status;
     const double effort[] = {m.steps, m.iterations, m.factors, m.halvings, m.reached, c->error, m.longest};
     memcpy(info, effort, sizeof effort);

@@ -16,7 +16,7 @@ static void look_along(history *h, double t, int left, int from, int count, int 
 static void delay_along(stepper *m, work *w) {
 #ifdef CLOCK
   const double *arg[] = {w->theta};
-  double *res[] = {m->motion->inputs.by_delay};
+  double *res[] = {m->motion.inputs.by_delay};
   run(delay_by, w, arg, res);
 #endif
 }
@@ -29,7 +29,7 @@ static inline void add_terms(const term *terms, int count, const double *by, con
 /* Move the inputs along the directions with those of the motion itself; they do not move where nothing changes them. */
 static void move_inputs_along(stepper *m, work *w, const double **arg, double at, double duration, int left) {
   if (!m->groups || !m->inputs_change) return;
-  history *h = &m->motion->inputs;
+  history *h = &m->motion.inputs;
   double *by[] = {w->by_inputs};
   delay_along(m, w);
   run(input_motion_by, w, arg, by);
@@ -53,8 +53,8 @@ enum { AT_V = 2 * NB, AT_Y = 4 * NB, AT_P = AT_Y + NEDGE, AT_THETA = AT_P + NPRO
 static void properties_along(stepper *m, work *w, double t, const vector *a, int group, vector *P_level_0) {
   vector *in = w->in_directions.in;
   memcpy(in, a, NU * sizeof(vector));
-  look_along(&m->motion->inputs, t - m->motion->inputs.delay[FORCES], 0, NU, NEXT, FORCES, group, in + NU);
-  memcpy(in + NU + NEXT, m->motion->inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
+  look_along(&m->motion.inputs, t - m->motion.inputs.delay[FORCES], 0, NU, NEXT, FORCES, group, in + NU);
+  memcpy(in + NU + NEXT, m->motion.inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
   memset(P_level_0, 0, (NLEV * NPROP + NB) * sizeof(vector));
   add_terms(m->changes[group].by_properties, m->changes[group].properties, w->by_properties, in, P_level_0);
 }
@@ -69,7 +69,7 @@ static int choose_terms(term *terms, int count, const int *row, const int *colum
 
 /* Which entries of the Jacobians count: all by what moves; of those by parameters, and by properties, what a group's directions change. */
 static void choose(stepper *m, work *w) {
-  const history *h = &m->motion->inputs;
+  const history *h = &m->motion.inputs;
   selection *c = &w->chosen;
   char of_theta[NTHETA], of_segment[NPROP + NTHETA];
   int count = 0, kept_at[segment_by_nnz];
@@ -166,7 +166,7 @@ static void differentiate(stepper *m, work *w, int group, double t, double step,
   properties_along(m, w, t, a, group, P);
   memcpy(d->x[0], P + NLEV * NPROP, sizeof d->x[0]);
   memset(d->v[0], 0, sizeof d->v[0]);
-  memcpy(in + AT_THETA, m->motion->inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
+  memcpy(in + AT_THETA, m->motion.inputs.d_theta + group * NTHETA, NTHETA * sizeof(vector));
   for (int s = 0; s < NLEV; s++) {
     memcpy(in, d->x[s], 2 * NB * sizeof(vector));
     memcpy(in + AT_Y, d->y[s], NEDGE * sizeof(vector));
@@ -202,11 +202,11 @@ static void copy(stepper *m, tangent *to, const tangent *from) { if (m->groups) 
 static void keep_actuation_along(stepper *m, int i) { for (int g = 0; g < m->groups; g++) memcpy(m->d_a[g][i], m->d[g].a, sizeof m->d[g].a); }
 
 /* Directions through stage i at time t, of length `step`, that starts `before` s after the first; returns whether that failed. */
-static mask stage_along(stepper *m, work *w, int i, double t, double step, double before, const double *a, levels v_0) {
+static int stage_along(stepper *m, work *w, int i, double t, double step, double before, const double *a, levels v_0) {
   if (!m->groups) return 0;
   forces(w, step, 0); /* the pulls at the solution, for the exact matrix */
-  trust(w, -1);
-  if (assemble(m, w, step, -1, 1) || linearise(m, w, step, a, 0)) return -1;
+  trust(w);
+  if (assemble(m, w, step) || linearise(m, w, step, a, 0)) return 1;
   for (int g = 0; g < m->groups; g++) {
     lane_rates *d = m->stage[i] + g;
     tangent *d_s = m->d + g;
@@ -237,15 +237,15 @@ static void step_along(stepper *m, double h) {
 static void begin_along(stepper *m, double t) {
   for (int g = 0; g < m->groups; g++) {
     memset(m->d + g, 0, sizeof m->d[g]);
-    look_along(&m->motion->inputs, t, 0, 0, NU, NOTHING, g, m->d[g].u);
+    look_along(&m->motion.inputs, t, 0, 0, NU, NOTHING, g, m->d[g].u);
   }
 }
-static mask rest_along(stepper *m, work *w, const state *s, double t) {
+static int rest_along(stepper *m, work *w, const state *s, double t) {
   if (!m->groups) return 0;
   memcpy(w->x, s->x, sizeof w->x);
   memcpy(w->v, s->v, sizeof w->v);
   memcpy(w->y, s->y_edges, sizeof w->y);
-  if (linearise(m, w, 0, w->a, 1)) return -1;
+  if (linearise(m, w, 0, w->a, 1)) return 1;
   for (int g = 0; g < m->groups; g++) {
     lane_rates *d = m->stage[0] + g;
     memset(d, 0, sizeof *d);
@@ -261,9 +261,9 @@ static void record_along(stepper *m, work *w, const double **arg, const tangent 
   double *by = w->in_directions.observed_by, *res_by[] = {by};
   run(observe_by, w, arg, res_by);
   for (int g = 0; g < m->groups; g++) {
-    vector *out = m->motion->records.d_observed + (k * m->groups + g) * NOBS, *in = w->in_directions.x;
+    vector *out = m->motion.records.d_observed + (k * m->groups + g) * NOBS, *in = w->in_directions.x;
     memcpy(in, d[g].x, (NLEV + 1) * NB * sizeof(vector));
-    memcpy(in + (NLEV + 1) * NB, m->motion->inputs.d_theta + g * NTHETA, NTHETA * sizeof(vector));
+    memcpy(in + (NLEV + 1) * NB, m->motion.inputs.d_theta + g * NTHETA, NTHETA * sizeof(vector));
     memset(out, 0, NOBS * sizeof(vector));
     add_terms(m->changes[g].by_observed, m->changes[g].observed, by, in, out);
   }

@@ -1,15 +1,12 @@
-/* Levels moved by rotations: what statics and time stepping share. A lane is a level, or where there are many motions one of these. */
-#if MANY
-#define TOGETHER 1 /* levels */
-#define OF(v, l) (v)
-#else
-#define TOGETHER LANES
-#define OF(v, l) (v)[((l) - 1) % LANES]
-#endif
+/* Levels moved by rotations: what statics and time stepping share. A lane is a level. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
 #define AT(of, k, l) (*(vector *)&(of)[k][l])
-enum { ROOM = (NLEV + TOGETHER - 1) / TOGETHER * TOGETHER + 1 }; /* levels from 0 on, in whole vectors from 1 on */
-typedef real along[3][ROOM]; /* a vector in space for every level */
-typedef struct { along centre, d_centre, turn, link; vector node[(NLEV + TOGETHER - 1) / TOGETHER][NB / 3][3]; } turns; /* room for `move` */
+enum { ROOM = (NLEV + LANES - 1) / LANES * LANES + 1 }; /* levels from 0 on, in whole vectors from 1 on */
+typedef double along[3][ROOM]; /* a vector in space for every level */
+typedef struct { along centre, d_centre, turn, link; vector node[(NLEV + LANES - 1) / LANES][NB / 3][3]; } turns; /* room for `move` */
 
 static void cross(const vector *a, const vector *b, vector *c) {
   c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
@@ -63,25 +60,21 @@ static void fit_rotation(const vector r[][3], const vector d[][3], vector *turn)
 }
 
 /* Coordinate k of the levels from l on, side by side; what goes beyond the last repeats it. */
-static inline vector levels_from(real (*x)[NB], int l, int k) {
-#if MANY
-  return x[l][k];
-#else
+static inline vector levels_from(double (*x)[NB], int l, int k) {
   vector v;
   for (int lane = 0; lane < LANES; lane++) v[lane] = x[l + lane < NLEV ? l + lane : NLEV][k];
   return v;
-#endif
 }
 
 /* moved = x moved by t times the step, level by level as a rotation plus the rest, so that bending keeps lengths. */
-static void move(turns *restrict m, real (*x)[NB], real (*step)[NB], double t, real (*moved)[NB]) {
+static void move(turns *restrict m, double (*x)[NB], double (*step)[NB], double t, double (*moved)[NB]) {
   for (int k = 0; k < 3; k++) {
-    real sum = x[0][k];
+    double sum = x[0][k];
     for (int i = 1; i < NB / 3; i++) sum += x[0][3 * i + k];
     m->centre[k][0] = sum / (NB / 3);
     m->d_centre[k][0] = m->turn[k][0] = sum - sum;
   }
-  for (int l = 1; l <= NLEV; l += TOGETHER) {
+  for (int l = 1; l <= NLEV; l += LANES) {
     vector r[NB / 3][3], d[NB / 3][3], turned[3];
     for (int k = 0; k < 3; k++) {
       vector here = {}, d_here = {};
@@ -98,9 +91,9 @@ static void move(turns *restrict m, real (*x)[NB], real (*step)[NB], double t, r
     fit_rotation(r, d, turned);
     rotation of_level = rotate_by(turned);
     for (int k = 0; k < 3; k++) AT(m->turn, k, l) = turned[k];
-    for (int i = 0; i < NB / 3; i++) rotate(&of_level, r[i], d[i], m->node[(l - 1) / TOGETHER][i]);
+    for (int i = 0; i < NB / 3; i++) rotate(&of_level, r[i], d[i], m->node[(l - 1) / LANES][i]);
   }
-  for (int l = 1; l <= NLEV; l += TOGETHER) {
+  for (int l = 1; l <= NLEV; l += LANES) {
     vector middle[3], v[3], dv[3], rotated[3];
     for (int k = 0; k < 3; k++) {
       middle[k] = (AT(m->turn, k, l) + AT(m->turn, k, l - 1)) / 2;
@@ -113,10 +106,10 @@ static void move(turns *restrict m, real (*x)[NB], real (*step)[NB], double t, r
   }
   memcpy(moved[0], x[0], sizeof *x);
   for (int k = 0; k < 3; k++) {
-    real at = m->centre[k][0];
+    double at = m->centre[k][0];
     for (int l = 1; l <= NLEV; l++) {
       at += m->link[k][l];
-      for (int i = 0; i < NB / 3; i++) moved[l][3 * i + k] = at + OF(m->node[(l - 1) / TOGETHER][i][k], l);
+      for (int i = 0; i < NB / 3; i++) moved[l][3 * i + k] = at + m->node[(l - 1) / LANES][i][k][(l - 1) % LANES];
     }
   }
 }

@@ -1,8 +1,7 @@
 /* Steps in time around the kernels that CasADi generates above this text in the same unit: Crouzeix's two-stage SDIRK with a
    block-tridiagonal elimination, classical RK4, forward sensitivities. time_stepping.py is the reference twin.
 
-   The same text moves one motion, the segments of which go through a kernel side by side (motion_network.c, motion_tangents.c), and many
-   motions of one network side by side (motion_many_network.c), each with times, steps and decisions of its own; see real.c.
+   Segments go through a kernel side by side, each in a lane of vectors (motion_network.c, motion_tangents.c).
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P (MASS the one of the mass), NU inputs, NEXT external
    force components, NTHETA parameters, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges,
@@ -13,33 +12,28 @@
 #define ALIGNED __attribute__((aligned(64))) /* what crosses lines of the cache takes a seventh more time */
 #define AT_LEAST_1(n) ((n) ? (n) : 1)
 
-typedef real levels[NLEV + 1][NB];
-typedef real edge_states[NLEV][AT_LEAST_1(NEDGE)];
+typedef double levels[NLEV + 1][NB];
+typedef double edge_states[NLEV][AT_LEAST_1(NEDGE)];
 typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
 typedef struct { /* accelerations at the two latest steps' first or second stage, the latest first */
-  real known, time[2];
+  double known, time[2];
   levels acceleration[2];
 } past;
 
 typedef struct { /* what is carried from step to step */
   levels x, v, acceleration; /* the last is that of the latest stage */
   past past[2];
-  real u[NU], y_inputs[AT_LEAST_1(NIN)];
+  double u[NU], y_inputs[AT_LEAST_1(NIN)];
   edge_states y_edges;
-  real depth; /* halvings the last step took */
+  double depth; /* halvings the last step took */
 } state;
 
 typedef struct { /* what is carried from call to call; steps that do not adapt only have `fine` */
   state fine, coarse;
-  real step, ratio, error, moved; /* s to try next, what the last pair added over what it may, largest error and way of a pair in m */
+  double step, ratio, error, moved; /* s to try next, what the last pair added over what it may, largest error and way of a pair in m */
 } carried;
 
-#if MANY
-#define BATCHES NLEV
-typedef real front[2 * NB][2 * NB]; /* of a segment's lower and upper level, column by column */
-typedef struct tangent tangent; /* many motions go without directions */
-#else
 #define PARTS ((NB + LANES - 1) / LANES)          /* vectors that hold a column of a block */
 #define BATCHES ((NLEV + LANES - 1) / LANES)      /* of segments that go through a kernel together */
 #define BY_ROWS (2 * NB + NEDGE)
@@ -70,39 +64,32 @@ typedef struct { /* what a group of directions needs of the Jacobians; of a segm
   term by_inputs[input_motion_by_nnz + 1], by_properties[properties_by_nnz + 1];
   term by_segment[segment_by_nnz + 1], by_observed[observe_by_nnz + 1];
 } changes;
-#endif
 
 typedef struct {
   levels x, v, force;
   edge_states y, rate; /* edge states before a stage, their rates at its end */
-  real P[NLEV][NPROP], level_0[NB], a[NU], external[AT_LEAST_1(NEXT)];
+  double P[NLEV][NPROP], level_0[NB], a[NU], external[AT_LEAST_1(NEXT)];
   levels step;
   vector pull[BATCHES][NEDGES], trusted[BATCHES][NEDGES]; /* of the edges: at the last evaluation, and in the last stage that was solved */
-  real theta[NTHETA];
-#if MANY
-  front matrix[NLEV], spare[NLEV];
-#else
+  double theta[NTHETA];
   blocks matrix ALIGNED;
   vector packed_P[BATCHES][NPROP] ALIGNED, packed_theta[NTHETA]; /* a segment is a lane of a batch */
   double by[NLEV][segment_by_nnz]; /* segment_by of every segment, as the selection orders it */
   selection chosen;
   double by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
-#endif
   double kernel_work[SZ_W + 1];
   casadi_int kernel_iwork[SZ_IW + 1];
   turns turns; /* from here on what functions need for themselves: stacks are small in threads */
   struct { levels guess, from; } in_newton;
-  struct { real a[2][NU]; levels x_0, v_0, V[2], A[2]; edge_states Y[2]; state start; } in_step;
-  struct { real u[NU], rate[NU], y[AT_LEAST_1(NIN)], a[NU]; } in_inputs;
-  struct { levels x, v; real observed[NOBS]; } in_record;
-#if !MANY
+  struct { double a[2][NU]; levels x_0, v_0, V[2], A[2]; edge_states Y[2]; state start; } in_step;
+  struct { double u[NU], rate[NU], y[AT_LEAST_1(NIN)], a[NU]; } in_inputs;
+  struct { levels x, v; double observed[NOBS]; } in_record;
   struct { batch b ALIGNED; vector force[2 * NB], states[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB] ALIGNED; } in_forces;
   struct {
     vector in[2 * NU + NIN + NEXT + 4 * NB + NEDGE + NPROP + NTHETA], out[NU + NIN], P[NLEV * NPROP + NB], rhs[NLEV + 2][NB];
     vector x[(NLEV + 1) * NB + NTHETA], by[segment_by_nnz];
     double observed_by[observe_by_nnz];
   } in_directions;
-#endif
 } work;
 
 typedef struct { /* inputs over time */
@@ -110,12 +97,10 @@ typedef struct { /* inputs over time */
   long samples, at;
   int hold;
   double delay[2]; /* s, of commands and of known forces */
-#if !MANY
   const vector *d_rows; /* [sample][group][NINPUT], or null */
   int groups;
   const vector *d_theta;
   double by_delay[AT_LEAST_1(delay_by_nnz)];
-#endif
 } history;
 
 typedef struct { double *observed, *trajectory; vector *d_observed; } records; /* what is left at the samples, row by row */
@@ -141,17 +126,17 @@ typedef struct {
   int smooth; /* whether the scheme has its order */
   double divisor; /* from the distance between fine and coarse motion to what is stated as error */
   double goal, close; /* m at which adaptive steps aim, and that a stage may be off; 0 where only the residual counts */
-  real steps, iterations, factors, halvings, reached, longest;
-  motion motion[WIDTH];
+  double steps, iterations, factors, halvings, reached, longest;
+  motion motion;
   tangent *d, *d_fine, *d_coarse; /* along the directions: of the state that moves, and of the two of adaptive steps */
-#if !MANY
   int groups;
   lane_rates *stage[2];
   vector (*d_a)[2][NU]; /* effective actuation at the stages of a step */
   changes *changes;
   int inputs_change;
-#endif
 } stepper;
+
+static double larger(double a, double b) { return a > b ? a : b; }
 
 /* Calls a kernel. What vectors have left in the upper halves of registers slows the mathematical library's code down by far: cleared before. */
 static void run(kernel *f, work *w, const double **arg, double **res) {

@@ -1,4 +1,4 @@
-"""Tries spoilings out and prints which test caught each: `python -m tests.hw.spoil --help`."""
+"""Try spoilings out and write which test caught each: `python -m tests.hw.spoil OUT`; `--help` lists the options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from tests.hw.spoil.byhand import BY_HAND
 from tests.hw.spoil.runner import NOTHING, SEED, Drawing, try_out
 from tests.hw.spoil.spoiling import DRAWS, source
-from tests.hw.spoil.table import Row, table
+from tests.hw.spoil.table import Row, survivors, write_tables
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,13 @@ def told(row: Row, place: str) -> str:
 
 
 def main() -> int:
-    """Try out all that is asked for; 1 if one survived."""
+    """Try out all that is asked for and write the tables; 1 if one survived."""
     parser = argparse.ArgumentParser(prog="python -m tests.hw.spoil", description="Spoils the safety side and looks which test notices.")
+    parser.add_argument("out", type=Path, metavar="OUT", help="folder for spoilings.csv and left_out.csv")
     parser.add_argument("names", nargs="*", metavar="NAME", help="slips by hand, or files by their last name (all)")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the draws ({SEED})")
     parser.add_argument("--draws", type=int, help="only draws, so many from each file")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="at the same time (as many as there are cores)")
-    parser.add_argument("--table", action="store_true", help="write docs/results/spoiling.md to the standard output")
     options = parser.parse_args()
     todo, rows, begin = [Job(NOTHING.name), *jobs(options)], {}, time.monotonic()
     with ThreadPoolExecutor(options.jobs) as pool:
@@ -86,9 +86,10 @@ def main() -> int:
     print(f"{(time.monotonic() - begin) / 60:.1f} minutes", file=sys.stderr)
     if rows.pop(todo.pop(0)).outcome.caught:
         parser.error("the tests fail on a copy in which nothing is wrong: what they catch proves nothing")
-    if options.table:
-        print(table([rows[job] for job in todo], options.seed), end="")
-    return int(any(row.outcome.caught in (None, "compiler") for row in rows.values()))
+    write_tables([rows[job] for job in todo], options.out)
+    alive = survivors(rows.values())
+    print(f"{len(rows)} spoilings, {len(rows) - len(alive)} caught; survived: {'; '.join(alive) or 'none'}")
+    return int(bool(alive))
 
 
 if __name__ == "__main__":

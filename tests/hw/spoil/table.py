@@ -1,13 +1,22 @@
-"""docs/results/spoiling.md: what was tried out, and which test caught it. The runner begins with that test the next time."""
+"""Tables of a study of spoilings: what was tried out, and which test caught it.
+
+`caught.csv` beside this file is the `spoilings.csv` of the last whole study. The runner begins with the test that caught a spoiling then.
+"""
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
-from tests.hw.spoil.spoiling import ROOT, Spoiling, source
+from tests.hw.spoil.spoiling import Spoiling, source
 
-PAGE = ROOT / "docs" / "results" / "spoiling.md"
+CAUGHT = Path(__file__).with_name("caught.csv")
+SPOILINGS, LEFT_OUT = "spoilings.csv", "left_out.csv"
+SURVIVED = "survived"
+Key = tuple[str, str, str, str]
 
 
 @dataclass(frozen=True)
@@ -37,57 +46,42 @@ class Row:
     left_out: list[tuple[Spoiling, str]] = field(default_factory=list)
 
 
-def cells(spoiling: Spoiling, drawn: bool) -> str:
-    """A spoiling's row of the table up to the test that caught it."""
-    name = f"| {Path(spoiling.file).name} | {spoiling.name} | "
-    return name + "".join(f"`` {line} `` | ".replace("|", r"\|")[:-3] + "| " for line in spoiling.lines(source(spoiling.file))) * drawn
+def key(spoiling: Spoiling, drawn: bool) -> Key:
+    """File, name, and for a drawn spoiling its line before and after."""
+    before, after = spoiling.lines(source(spoiling.file)) if drawn else ("", "")
+    return Path(spoiling.file).name, spoiling.name, before, after
 
 
 def caught_last_time(spoiling: Spoiling) -> list[str]:
-    """The test that caught it when the table was written."""
-    known = dict(line.removesuffix(" |").rpartition("| ")[::2] for line in _page() if line.startswith("| "))
-    before = (known.get(cells(spoiling, drawn).removesuffix("| ")) for drawn in (False, True))
-    return [test.strip("`") for test in before if test and "::" in test]
+    """The test that caught it in the last whole study; none where it is new, or was noticed otherwise."""
+    found = (_known().get(key(spoiling, drawn), "") for drawn in (False, True))
+    return [test for test in found if "::" in test]
 
 
-def _page() -> list[str]:
-    return PAGE.read_text(encoding="utf-8").splitlines() if PAGE.exists() else []
+def write_tables(rows: Sequence[Row], folder: Path) -> None:
+    """Write `spoilings.csv`, a row each with what caught it, and `left_out.csv`, what was drawn and does not test the tests."""
+    folder.mkdir(parents=True, exist_ok=True)
+    heading = ("file", "spoiling", "line", "becomes")
+    tried = ((*key(row.spoiling, row.drawn), row.outcome.caught or SURVIVED) for row in rows)
+    _write(folder / SPOILINGS, (*heading, "caught_by"), tried)
+    left_out = ((*key(slip, True), reason) for row in rows for slip, reason in row.left_out)
+    _write(folder / LEFT_OUT, (*heading, "because"), left_out)
 
 
-def table(rows: list[Row], seed: int) -> str:
-    """The rows as a page of the documentation."""
-    drawn = [row for row in rows if row.drawn]
-    survived = sum(row.outcome.caught is None for row in rows)
-    left_out = [(slip, reason) for row in drawn for slip, reason in row.left_out]
-    lines = [
-        "# Spoiling",
-        "",
-        "Written by `python -m tests.hw.spoil --table`; "
-        '`pytest -m "slow or study" tests/hw/test_spoiling.py` tries the same, `-m slow` a third of it.',
-        "",
-        "The safety side is made wrong on purpose, in one place at a time, in a copy, and the tests run until one fails. "
-        f"{len(rows)} spoilings, {len(drawn)} of them drawn with the seed {seed}: {len(rows) - survived} caught, {survived} survived.",
-        "",
-        "## By hand",
-        "",
-        "| in | what is wrong | caught by |",
-        "|---|---|---|",
-        *(f"{cells(row.spoiling, False)}{_by(row.outcome)} |" for row in rows if not row.drawn),
-        "",
-        "## Drawn",
-        "",
-        "| in | slip | line | becomes | caught by |",
-        "|---|---|---|---|---|",
-        *(f"{cells(row.spoiling, True)}{_by(row.outcome)} |" for row in drawn),
-        "",
-        f"Drawn and left out, because they do not test the tests: {len(left_out)}.",
-        "",
-    ]
-    for slip, reason in left_out:
-        before, after = slip.lines(source(slip.file))
-        lines.append(f"- {Path(slip.file).name}, {slip.name}: `` {before} `` to `` {after} `` {reason}")
-    return "\n".join([*lines, ""])
+def survivors(rows: Iterable[Row]) -> list[str]:
+    """Names of the spoilings that no test noticed, each after its file."""
+    return [f"{Path(row.spoiling.file).name}: {row.spoiling.name}" for row in rows if row.outcome.caught in (None, "compiler")]
 
 
-def _by(outcome: Outcome) -> str:
-    return f"`{outcome.caught}`" if outcome.caught else "**survived**"
+@cache
+def _known() -> dict[Key, str]:
+    """The test that caught each spoiling in the last whole study."""
+    with CAUGHT.open(newline="", encoding="utf-8") as file:
+        return {(row["file"], row["spoiling"], row["line"], row["becomes"]): row["caught_by"] for row in csv.DictReader(file)}
+
+
+def _write(path: Path, heading: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(heading)
+        writer.writerows(rows)

@@ -1,0 +1,1 @@
+"""`tepm study`: the project's own studies."""

@@ -1,0 +1,286 @@
+"""Blind trials: a data set in which something is hidden, drawn from a seed and a number."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from tepm_opt.data.datasets import DataSet, write_dataset
+from tepm_opt.data.run import Run
+from tepm_opt.errors import unknown_name
+from tepm_opt.models.channels import channels_of
+from tepm_opt.models.effects import effects
+from tepm_opt.models.robot import Robot, load_robot
+from tepm_opt.studies.blind.causes import LIBRARY, OTHER_MEANING, Cause, Form
+from tepm_opt.studies.blind.excitation import RATE, drawn, thinned
+from tepm_opt.studies.blind.flaws import CLOCKS, POOR, Flaw, corrected, mistaken, spoiled
+from tepm_opt.studies.blind.foreign import FOREIGN
+from tepm_opt.studies.blind.machine import Deviation, played, rig_file, together
+from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot
+
+Family = Literal["closed", "open", "wrong", "poor", "null"]
+FAMILIES: tuple[Family, ...] = get_args(Family)
+CYCLE: tuple[Family, ...] = tuple(next(one for one in FAMILIES if one[0] == letter) for letter in "cnocwcnpocncowpn")
+"""Families of trials, by their number, where all are wanted: of 16 five closed, four null, three open, two wrong and two poor."""
+
+NOISE = (1.5e-4, 6e-4)  # m per axis
+MISFIT = (0.5, 20.0)  # times the noise, of each cause
+CLEAR = 2.0  # times the noise, from which a cause should be named
+MANY = (0.5, 0.25, 0.17, 0.08)  # how often one to four causes act at once
+CLEARLY = 0.75  # how often causes that act together all are clear
+PARTS_WRONG = (0.55, 0.25)  # of the wrong ones: parameters, clocks; the rest have another noise than declared
+NOISIER = (0.03, 0.5)  # by how much
+NOTHING = 0.25  # of poor data hide nothing
+PASSES = 3  # until feedback and motion agree
+TRIES = 8  # draws until a machine bears what is drawn
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Which trial: everything in it is drawn from these.
+
+    Attributes:
+        seed: of all trials.
+        number: of this one, from 0.
+        family: what kind of thing is hidden.
+    """
+
+    seed: int
+    number: int
+    family: Family
+
+    @staticmethod
+    def numbered(seed: int, number: int, family: str | None = None) -> Trial:
+        """A trial of a family, or of the one whose turn it is.
+
+        Raises:
+            InputError: no such family.
+        """
+        if family is not None and family not in FAMILIES:
+            raise unknown_name("family", family, FAMILIES)
+        return Trial(seed, number, next(one for one in FAMILIES if one == (family or CYCLE[number % len(CYCLE)])))
+
+    @property
+    def random(self) -> np.random.Generator:
+        """What everything is drawn from."""
+        return np.random.default_rng([self.seed, self.number, zlib.crc32(self.family.encode())])
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A trial's data set, and what is hidden in it (plain data)."""
+
+    dataset: DataSet
+    label: dict[str, Any]
+
+    def write(self, folder: Path, name: str) -> None:
+        """Write the data set to FOLDER/NAME, which says nothing of what is hidden, and that to FOLDER/labels/NAME.json."""
+        write_dataset(self.dataset, folder / name, overwrite=True)
+        (folder / "labels").mkdir(exist_ok=True)
+        (folder / "labels" / f"{name}.json").write_text(json.dumps(self.label, indent=1) + "\n", encoding="utf-8")
+
+
+@cache
+def _robot() -> Robot:
+    return load_robot("kang2017")
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """A cause that is hidden in a trial.
+
+    Attributes:
+        key: in its table.
+        form: of the cause.
+        size: of the form.
+        misfit: that it leaves alone after recalibration, over the noise.
+    """
+
+    key: str
+    form: Form
+    size: float
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What is hidden, and in what kind of data.
+
+    Attributes:
+        pilot: runs of the machine without what is hidden.
+        kind: of what is hidden, for the label.
+        causes: what is hidden.
+        flaw: what is wrong with the data.
+        flaw_key: its name; empty where nothing is.
+        declared: noise that the data set states, over the true one.
+    """
+
+    pilot: Pilot
+    kind: str
+    causes: tuple[Hidden, ...] = ()
+    flaw: Flaw = field(default_factory=Flaw)
+    flaw_key: str = ""
+    declared: float = 1.0
+
+
+def make(trial: Trial) -> Made:
+    """The data set of a trial: the same whenever and wherever it is made."""
+    random = trial.random
+    return _recorded(trial, random, DRAW[trial.family](random))
+
+
+def _pilot(random: np.random.Generator, flaw: Flaw | None = None) -> Pilot:
+    """A machine within its priors, noise, and runs that the machine bears."""
+    flaw = flaw or Flaw()
+    noise = float(np.exp(random.uniform(*np.log(NOISE))))
+    machine = Deviation(factors={name: 1 + float(random.uniform(-width, width)) for name, width in sorted(_robot().priors.items())})
+    for _ in range(TRIES):
+        runs = [thinned(run, flaw.every) for run in drawn(random, *flaw.seconds, flaw.fit, flaw.judges)]
+        try:
+            return Pilot.of(_robot(), machine, runs, noise, RATE / flaw.every)
+        except UNBEARABLE:
+            continue
+    raise RuntimeError(f"a machine does not bear any of {TRIES} draws of inputs")
+
+
+def _hidden(random: np.random.Generator, pilot: Pilot, table: Mapping[str, Cause], wanted: Sequence[float]) -> tuple[Hidden, ...]:
+    """Different causes with about these misfits; others where the machine does not bear one, or its limits do not let it matter.
+
+    Args:
+        random: what is drawn from.
+        pilot: of the machine without them.
+        table: causes to draw from.
+        wanted: misfits over the noise.
+    """
+    found: list[Hidden] = []
+    for key in random.permutation(sorted(table)):
+        if len(found) == len(wanted):
+            break
+        form = table[str(key)](random)
+        size, misfit = pilot.sized(form, wanted[len(found)])
+        if misfit >= 0.7 * MISFIT[0]:
+            found.append(Hidden(str(key), form, size, misfit))
+    return tuple(found)
+
+
+def _misfits(random: np.random.Generator, count: int, low: float = MISFIT[0]) -> list[float]:
+    return np.exp(random.uniform(np.log(low), np.log(MISFIT[1]), count)).tolist()
+
+
+def _closed(random: np.random.Generator) -> Experiment:
+    pilot, count = _pilot(random), 1 + int(random.choice(len(MANY), p=MANY))
+    low = CLEAR if count > 1 and random.uniform() < CLEARLY else MISFIT[0]
+    return Experiment(pilot, "lib", _hidden(random, pilot, LIBRARY, _misfits(random, count, low)))
+
+
+def _open(random: np.random.Generator) -> Experiment:
+    pilot = _pilot(random)
+    return Experiment(pilot, "foreign", _hidden(random, pilot, FOREIGN, _misfits(random, 1)))
+
+
+def _wrong(random: np.random.Generator) -> Experiment:
+    pilot, drawn = _pilot(random), random.uniform()
+    if drawn < PARTS_WRONG[0]:
+        return Experiment(pilot, "prior", _hidden(random, pilot, mistaken(pilot.robot), _misfits(random, 1)))
+    if drawn < sum(PARTS_WRONG):
+        return Experiment(pilot, "clock", _hidden(random, pilot, CLOCKS, _misfits(random, 1)))
+    return Experiment(pilot, "noise", declared=float((1 + np.exp(random.uniform(*np.log(NOISIER)))) ** random.choice([-1, 1])))
+
+
+def _poor(random: np.random.Generator) -> Experiment:
+    key = str(random.choice(sorted(POOR)))
+    flaw = POOR[key]
+    pilot = _pilot(random, flaw)
+    going_on = {effect.name for effect in effects() if effect.timed}  # in a session's time, and not in some runs only
+    table = {name: cause for name, cause in LIBRARY.items() if not (flaw.partly and name in going_on)}
+    causes = () if random.uniform() < NOTHING and not flaw.partly else _hidden(random, pilot, table, _misfits(random, 1))
+    return Experiment(pilot, "lib" if causes else "null", causes, flaw, key)
+
+
+DRAW: dict[Family, Callable[[np.random.Generator], Experiment]] = {
+    "closed": _closed,
+    "open": _open,
+    "wrong": _wrong,
+    "poor": _poor,
+    "null": lambda random: Experiment(_pilot(random), "null"),
+}
+
+
+def _recorded(trial: Trial, random: np.random.Generator, experiment: Experiment) -> Made:
+    """The runs of the machine with its causes, fewer where it does not bear all at once."""
+    pilot, flaw = experiment.pilot, experiment.flaw
+    acting = _acting(random, len(pilot.runs)) if flaw.partly else np.ones(len(pilot.runs), dtype=bool)
+    while True:
+        machine = together([pilot.machine, *(cause.form.at(cause.size) for cause in experiment.causes)])
+        try:
+            runs = [_measured(trial, experiment, number, machine if acts else pilot.machine) for number, acts in enumerate(acting)]
+            break
+        except UNBEARABLE:
+            if not experiment.causes:
+                raise
+            experiment = replace(experiment, causes=experiment.causes[:-1])
+    runs = tuple(spoiled(run, flaw, random, pilot.noise) for run in runs)
+    dataset = DataSet("experiment", pilot.robot.name, channels_of(pilot.robot), runs, pilot.rate, pilot.noise * experiment.declared)
+    return Made(dataset, _label(experiment, machine, acting))
+
+
+def _acting(random: np.random.Generator, runs: int) -> np.ndarray:
+    """In which runs a cause acts that comes or goes during the session."""
+    first = int(random.integers(2, 4))  # at least two runs to fit to with it, and two without
+    return (np.arange(runs) >= first) == (random.uniform() < 0.5)
+
+
+def _measured(trial: Trial, experiment: Experiment, number: int, machine: Deviation) -> Run:
+    """A run of a machine, with the feedback of a controller where there is one.
+
+    Args:
+        trial: which.
+        experiment: its.
+        number: of the run.
+        machine: what differs from the robot file.
+    """
+    pilot, noise = experiment.pilot, zlib.crc32(f"{trial} {number}".encode())
+    file, planned = rig_file(pilot.robot, machine, pilot.noise, trial.number, pilot.rate), pilot.runs[number]
+    run = played(file, machine, planned, noise)
+    if experiment.flaw.loop:
+        goal = played(rig_file(pilot.robot, pilot.machine, 0.0, rate=pilot.rate), pilot.machine, planned, 0).points
+        for _ in range(PASSES):  # what is measured and what is commanded agree more and more
+            run = played(file, machine, replace(planned, setpoints=corrected(planned.setpoints, run.points, goal)), noise)
+    return run
+
+
+def _other_meaning(causes: Sequence[Hidden]) -> set[str]:
+    """Parameters of the robot that do not mean the same beside causes of another form than the library's."""
+    return {name for cause in causes for name in OTHER_MEANING.get(cause.key, ())}
+
+
+def _label(experiment: Experiment, machine: Deviation, acting: np.ndarray) -> dict[str, Any]:
+    """What is hidden: plain data with the keys of the labels of shared data sets, and more."""
+    pilot, causes = experiment.pilot, experiment.causes
+    values = pilot.robot.parameters.model_dump()
+    label = {
+        "names": sorted({name for cause in causes for name in cause.form.names}),
+        "allowed": sorted({name for cause in causes for name in cause.form.allowed}),
+        "alike": {name: alike for cause in causes for name in cause.form.names if (alike := cause.form.alike(pilot.runs, acting.tolist()))},
+        "detail": {name: detail for cause in causes for name, detail in cause.form.detail.items()},
+        "kind": experiment.kind,
+        "flaw": experiment.flaw_key,
+        "causes": [{"cause": c.key, "names": c.form.names, "size": float(c.size), "misfit_over_noise": round(c.misfit, 4)} for c in causes],
+        "sizes": {name: size for cause in causes for name, size in cause.form.sizes(cause.size).items()},
+        "true_parameters": {name: values[name] * factor for name, factor in machine.factors.items()},
+        "other_meaning": sorted(set(pilot.robot.priors) if experiment.kind == "foreign" else _other_meaning(causes)),
+        "noise_m": pilot.noise,
+        "declared_over_true_noise": experiment.declared,
+        "files": {run.file: run.role for run in pilot.runs},
+        "seconds": round(float(sum(run.setpoints.time[-1] for run in pilot.runs)), 1),
+    }
+    if not acting.all():
+        label["runs"] = [run.file.removesuffix(".csv") for run, acts in zip(pilot.runs, acting, strict=True) if acts]
+    return label

@@ -1,0 +1,1 @@
+"""A controller on many random machines around a robot file: what it reaches where nobody tuned it."""
