@@ -29,7 +29,7 @@ def main(folder: Path) -> None:
     for name, title in FIGURES.items():
         if (folder / f"{name}.png").exists():
             shutil.copy(folder / f"{name}.png", DOCS / "images" / f"blind_{name}.png")
-            lines += [f"![{title}](images/blind_{name}.png)", ""]
+            lines += [f"![{title}](../images/blind_{name}.png)", ""]
     page = DOCS / "results" / "blind.md"
     before, rest = page.read_text(encoding="utf-8").split(BEGIN)
     page.write_text("\n".join([f"{before}{BEGIN}", *lines, END + rest.split(END)[1]]), encoding="utf-8")

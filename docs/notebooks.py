@@ -15,7 +15,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import nbformat
-from nbclient import NotebookClient
 from nbformat import NotebookNode
 from PIL import Image
 
@@ -31,6 +30,8 @@ PLACES = re.compile(r"(?<![\w./<])/(?:tmp|root|home|Users|var|work|opt|usr)/\S*"
 
 def run(path: Path, folder: Path) -> NotebookNode:
     """A notebook, run from top to bottom in a folder; an exception in a cell, such as a failed assertion, comes through."""
+    from nbclient import NotebookClient  # of the extra dev
+
     notebook = nbformat.read(path, as_version=4)
     settings: dict[str, Any] = {"kernel_name": "python3", "timeout": 600, "record_timing": False, "coalesce_streams": True}
     settings["extra_arguments"] = [f"--InlineBackend.print_figure_kwargs={{'dpi': {DPI}}}"]
