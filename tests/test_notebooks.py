@@ -18,8 +18,6 @@ from PIL import Image
 from docs.notebooks import LARGEST, NOTEBOOKS, code, faults, finish, run, smaller
 from tests.hw import emulator
 
-EVERY_DAY = ("01",)
-"""Those that run every day; the others are slow."""
 SAME_WORDS = ("01", "02", "05")
 """Those that say the same on every machine, but for digits; verdicts may name other rivals where the last digits differ."""
 
@@ -47,11 +45,11 @@ def test_notebook_is_stored_as_it_was_run(path: Path) -> None:
     assert faults(notebook) == [], f"`python docs/notebooks.py {path.stem[:2]}` stores it anew"
 
 
-@pytest.mark.parametrize(
-    "path", [pytest.param(path, id=path.stem, marks=() if path.stem[:2] in EVERY_DAY else pytest.mark.slow) for path in NOTEBOOKS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without an exception, and it shows what is stored."""
+    pytest.importorskip("nbclient", reason="nbclient is not installed (extra dev)")
     monkeypatch.setenv("PYTHONWARNINGS", "ignore:no C compiler")
     stored, notebook = read(path), run(path, tmp_path)
     finish(notebook)
