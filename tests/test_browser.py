@@ -44,6 +44,7 @@ def test_contrast_on_white(browser: Browser, tmp_path: Path, ink: str, ratio: st
     assert found == ([] if ratio is None else [f'{ratio} p "Words"'])
 
 
+@pytest.mark.slow
 def test_contrast_by_layers(browser: Browser, tmp_path: Path) -> None:
     """White on white stays dark on a dark canvas; a panel hides it; pale through opacity; an SVG's ink is its fill."""
     style = "p{color:#eee} div{background:#000}"

@@ -68,6 +68,7 @@ def test_labels_are_inside_the_picture(short: Simulation) -> None:
         assert (border == 255).all()
 
 
+@pytest.mark.slow
 def test_gif(short: Simulation, tmp_path: Path) -> None:
     told: list[tuple[str, float, float]] = []
     for name in ("one", "two"):

@@ -29,6 +29,7 @@ def rested(rig: str, name: str, inputs: np.ndarray) -> np.ndarray:
     return found.simulated.true_points[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GALLERY)
 def test_set_points_and_gain_hold_on_the_other_engine(name: str) -> None:
     """MuJoCo's network, which shares nothing with the model, rests on the circle under the set points, and moves as G says."""
@@ -45,6 +46,7 @@ def test_set_points_and_gain_hold_on_the_other_engine(name: str) -> None:
     assert np.linalg.norm(moved - foreseen) < 0.05 * np.linalg.norm(foreseen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GALLERY)
 def test_a_while_on_the_simulated_rig(name: str) -> None:
     """The prototype of the robot moves under a quarter of the pressure of one muscle and stays where an arm of its length can be."""
@@ -58,6 +60,7 @@ def test_a_while_on_the_simulated_rig(name: str) -> None:
     assert 0.02 < np.linalg.norm(sample.points[-1] - before) / (robot.modules * robot.parameters.L_0) < 1.5
 
 
+@pytest.mark.slow
 def test_quickness_follows_the_sway() -> None:
     """What the check of data allows of speed goes by a rough formula: within a factor of two of what the linearised network says."""
     sway = {}

@@ -212,6 +212,7 @@ def refused(done: Any, says: tuple[str, ...]) -> None:
 EVERY = {"all at once": with_all_effects(NOMINAL)} | {effect.name: with_effect(NOMINAL, effect) for effect in effects()}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarse_map")
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name == "all at once" else pytest.mark.slow) for name in EVERY])
 def test_every_effect_in_every_command(tepm: Command, here: Path, name: str) -> None:

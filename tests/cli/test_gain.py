@@ -25,6 +25,7 @@ def test_columns_and_rows(solved_circle: Path) -> None:
     assert (solved_circle / "gain.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.slow
 def test_against_differences_of_statics(tepm: Command, here: Path, solved_circle: Path) -> None:
     """Every column of G at a point of the circle against central differences of `tepm statics`."""
     header, inputs = table(solved_circle / "inputs.csv")
@@ -51,6 +52,7 @@ def test_summary_agrees_with_the_table(solved_circle: Path) -> None:
             assert numbers[kind]["manipulability_m3"] == pytest.approx(np.prod(sigma), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_another_reference_point(tepm: Command, here: Path, solved_circle: Path) -> None:
     assert tepm("gain", solved_circle / "inputs.csv", "--point", "s2", "--out", "s2").status == 0
     assert summary(here / "s2", "gain")["reference_point"] == "s2"
@@ -59,6 +61,7 @@ def test_another_reference_point(tepm: Command, here: Path, solved_circle: Path)
     assert np.linalg.norm(G, axis=(1, 2)).max() < np.linalg.norm(tip, axis=(1, 2)).min()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarse_map", "drawn")
 def test_map(tepm: Command, here: Path, solved_circle: Path) -> None:
     done = tepm("gain", solved_circle / "inputs.csv", "--map", "--out", "out")
@@ -98,6 +101,7 @@ def test_rows_without_stable_operating_point(tepm: Command, here: Path) -> None:
     assert (here / "out" / "gain.png").exists()
 
 
+@pytest.mark.slow
 def test_figure_without_operating_points_warns_of_nothing(tepm: Command, here: Path) -> None:
     (here / "heavy.toml").write_text('robot = "kang2017"\n\n[[effects]]\nname = "payload"\nparameters = {mass = 1.0}\n')
     write_rows(here / "rest.csv", input_columns(), np.zeros((1, 13)))

@@ -175,6 +175,7 @@ class TestJog:
         bench.world.advance(0.1)
         assert bench.world.board.safe
 
+    @pytest.mark.slow
     def test_pressure(self, tepm: Command, bench: Bench) -> None:
         done = tepm("hw", "jog", "x", "23", "--pressure-kPa", "50", "--seconds", "2", "--yes")
         assert (done.status, done.err) == (0, "")
@@ -195,6 +196,7 @@ class TestJog:
         assert "hooked on" not in done.out
         assert bench.world.board.positions[0] == pytest.approx(0, abs=5)
 
+    @pytest.mark.slow
     def test_missing_air(self, tepm: Command, bench: Bench) -> None:
         bench.world.board.follow(False)
         for k in range(6):
@@ -221,6 +223,7 @@ class TestJog:
         bench.world.advance(0.02)
         assert bench.world.board.safe
 
+    @pytest.mark.slow
     def test_fault_on_the_way(self, tepm: Command, bench: Bench) -> None:
         bench.port.at(1.5, lambda: bench.world.board.dynamometer(4, 0))
         done = tepm("hw", "jog", "x", "11", "--tension", "2", "--seconds", "4", "--yes")
@@ -478,6 +481,7 @@ class TestBase:
 
 
 class TestMonitor:
+    @pytest.mark.slow
     def test_lines(self, tepm: Command, bench: Bench) -> None:
         done = tepm("hw", "monitor", "x", "--seconds", "2")
         lines = done.out.splitlines()

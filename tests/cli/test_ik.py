@@ -89,6 +89,7 @@ class TestCircle:
         assert np.abs(rounded / steps - np.round(rounded / steps)).max() <= 1e-9
         assert (np.abs(rounded - exact) <= 0.5 * steps * (1 + 1e-9)).all()
 
+    @pytest.mark.slow
     def test_statics_of_the_files_lands_on_the_targets(self, tepm: Command, here: Path, solved_circle: Path) -> None:
         for name, largest in (("inputs.csv", TARGET_MET), ("inputs_rounded.csv", ROUNDED_MISS)):
             assert tepm("statics", solved_circle / name, "--out", name).status == 0
@@ -106,6 +107,7 @@ class TestCircle:
         assert told["largest_rounded_tip_error_m"] == pytest.approx(misses.max(), abs=1e-9)
         assert told["rounded_tip_error_rms_m"] == pytest.approx(np.sqrt(np.mean(misses**2)), abs=1e-9)
 
+    @pytest.mark.slow
     def test_pressure_mode_and_what_rounding_costs(self, tepm: Command, here: Path) -> None:
         done = tepm("ik", "circle", "--out", "out", "--mode", "pressure")
         assert (done.status, done.err) == (0, "")
@@ -120,6 +122,7 @@ class TestCircle:
         # the paper's point: pressure alone misses by millimetres, with tension by hundredths (see the hybrid tests)
         assert 1e-3 < told["largest_rounded_tip_error_m"] < 1.5e-2
 
+    @pytest.mark.slow
     def test_options(self, tepm: Command, here: Path) -> None:
         done = tepm("ik", "circle", "--points", 5, "--radius", 0.1, "--height", 0.36, "--duration", 2, "--mid-tension", 2, "--out", "out")
         assert done.status == 0
@@ -137,6 +140,7 @@ class TestCircle:
         assert tepm("statics", "out/inputs.csv", "--out", "again").status == 0
         assert distances(tips(here / "again"), circle(3)).max() <= TARGET_MET
 
+    @pytest.mark.slow
     def test_default_folder_is_named(self, tepm: Command, here: Path) -> None:
         done = tepm("ik", "circle", "--points", 2)
         assert "files in ik" in done.out
@@ -144,17 +148,20 @@ class TestCircle:
 
 
 class TestTrajectories:
+    @pytest.mark.slow
     def test_line(self, tepm: Command, here: Path) -> None:
         assert tepm("ik", "line", "--from", "-0.1,0,0.36", "--to", "0.1,0.05,0.34", "--points", 4, "--out", "out").status == 0
         expected = np.linspace([-0.1, 0, 0.36], [0.1, 0.05, 0.34], 4)
         assert distances(tips(here / "out"), expected).max() <= TARGET_MET
 
+    @pytest.mark.slow
     def test_lissajous(self, tepm: Command, here: Path) -> None:
         assert tepm("ik", "lissajous", "--points", 8, "--radius", 0.1, "--out", "out").status == 0
         w = 2 * np.pi * np.arange(8) / 8
         expected = np.stack([0.1 * np.sin(w), 0.1 * np.sin(2 * w), np.full(8, 0.35)], axis=1)
         assert distances(tips(here / "out"), expected).max() <= TARGET_MET
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("header", [["time_s", "x", "y", "z"], ["t", "x_m", "y_m", "z_m"], ["z", "time", "note", "y", "x"]])
     def test_file_with_time(self, tepm: Command, here: Path, header: list[str]) -> None:
         time, targets = np.array([1.0, 1.5, 4.0]), circle(9)[:3]
@@ -166,6 +173,7 @@ class TestTrajectories:
             np.testing.assert_array_equal(values(here / "out" / name)[:, 0], time)
         assert distances(tips(here / "out"), targets).max() <= TARGET_MET
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("options", "time"), [((), [0, 4, 8]), (("--duration", 3), [0, 1.5, 3])])
     def test_file_without_time(self, tepm: Command, here: Path, options: tuple[object, ...], time: list[float]) -> None:
         write_rows(here / "mine.csv", ["x", "y", "z"], circle(9)[:3])
@@ -173,12 +181,14 @@ class TestTrajectories:
         np.testing.assert_allclose(values(here / "out" / "inputs.csv")[:, 0], time, atol=1e-12)
         assert distances(tips(here / "out"), circle(9)[:3]).max() <= TARGET_MET
 
+    @pytest.mark.slow
     def test_file_of_a_spreadsheet(self, tepm: Command, here: Path) -> None:
         """Byte order mark, Windows line ends, blanks around names, an empty last line."""
         (here / "mine.csv").write_bytes(b"\xef\xbb\xbfx, y, z\r\n0.1,0,0.35\r\n0.11,0,0.36\r\n\r\n")
         assert tepm("ik", "mine.csv", "--out", "out").status == 0
         assert distances(tips(here / "out"), np.array([[0.1, 0, 0.35], [0.11, 0, 0.36]])).max() <= TARGET_MET
 
+    @pytest.mark.slow
     def test_resampled_by_pchip(self, tepm: Command, here: Path) -> None:
         time, targets = np.array([0.0, 1.0, 3.0, 4.0]), circle(12)[:4]
         write_rows(here / "mine.csv", ["t", "x", "y", "z"], np.column_stack([time, targets]))
@@ -191,6 +201,7 @@ class TestTrajectories:
 class TestOutOfReach:
     TARGETS = np.linspace([-0.15, 0, 0.35], [0.5, 0, 0.35], 6)
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("drawn")
     @pytest.mark.parametrize("mode", ["hybrid", "pressure"])
     def test_rest_is_solved_and_the_miss_explained(self, tepm: Command, here: Path, mode: str) -> None:
@@ -215,6 +226,7 @@ class TestOutOfReach:
             assert f"{1e3 * entry['miss_m']:.2f} mm" in entry["message"]
             assert f"point {entry['point'] + 1}: " in done.out
 
+    @pytest.mark.slow
     def test_rows_of_nearest_points_are_written_and_read_back(self, tepm: Command, here: Path) -> None:
         tepm("ik", "line", "--from", "-0.15,0,0.35", "--to", "0.5,0,0.35", "--points", 6, "--out", "out")
         for name in TABLES:
@@ -230,6 +242,7 @@ class TestOutOfReach:
         np.testing.assert_allclose(tips(here / "again"), tips(here / "out"), atol=TARGET_MET)
         assert tepm("gain", "out/inputs.csv", "--out", "out").status == 0
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("drawn")
     def test_all_out_of_reach_is_no_success(self, tepm: Command, here: Path) -> None:
         done = tepm("ik", "circle", "--points", 2, "--radius", 0.6, "--out", "out")
@@ -248,6 +261,7 @@ class TestOutOfReach:
 
 
 class TestInterruption:
+    @pytest.mark.slow
     def test_points_so_far_are_kept(self, tepm: Command, here: Path, interrupted_after: Callable[[int], None]) -> None:
         interrupted_after(3)
         done = tepm("ik", "circle", "--out", "out")
@@ -266,6 +280,7 @@ class TestInterruption:
         assert tepm("ik", "circle", "--out", "out").status == 130
         assert names_in(here / "out") == set()
 
+    @pytest.mark.slow
     def test_json(self, tepm: Command, interrupted_after: Callable[[int], None]) -> None:
         interrupted_after(2)
         done = tepm("ik", "circle", "--out", "out", "--json")

@@ -66,9 +66,11 @@ class TestJson:
         assert (done.status, done.err) == (0, "")
         assert keys <= done.json().keys()
 
+    @pytest.mark.slow
     def test_the_same_as_in_the_file(self, tepm: Command, here: Path) -> None:
         assert tepm("ik", "line", "--points", 2, "--out", "out", "--json").json() == summary(here / "out", "ik")
 
+    @pytest.mark.slow
     def test_out_of_reach(self, tepm: Command) -> None:
         done = tepm("ik", "circle", "--points", 1, "--radius", 0.6, "--json")
         assert done.status == 1
@@ -182,6 +184,7 @@ class TestReproducibility:
         assert first.keys() == again.keys()
         assert [name for name in first if first[name] != again[name]] == []
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("drawn")
     def test_statics_writes_the_same_bytes_twice(self, tepm: Command, here: Path, solved_circle: Path) -> None:
         for name in "ab":

@@ -58,6 +58,7 @@ def inputs(here: Path) -> Path:
 
 
 class TestRecord:
+    @pytest.mark.slow
     def test_for_people(self, tepm: Command, here: Path, fake: list[FakeRig]) -> None:
         write_plan(here)
         done = tepm("record", "plan.toml", "--rig", "fake", "--out", "set")
@@ -177,6 +178,7 @@ class TestSignals:
             assert time.monotonic() < end
             time.sleep(0.01)
 
+    @pytest.mark.slow
     def test_record(self, tepm: Command, here: Path, fake: list[FakeRig]) -> None:
         write_plan(here)
         process = self.begin(here, "record", "plan.toml", "--out", "set", "--rig", "fake")

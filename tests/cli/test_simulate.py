@@ -50,6 +50,7 @@ def plain(tepm: Command, *arguments: object) -> Any:
     return tepm("simulate", "in.csv", "--out", "out", "--animation", "none", *arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_files_and_columns(tepm: Command, here: Path) -> None:
     done = plain(tepm)
@@ -70,6 +71,7 @@ def test_files_and_columns(tepm: Command, here: Path) -> None:
     np.testing.assert_array_equal(told["last_tip_m"], rows[-1, -3:])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_the_start_is_the_equilibrium_of_statics(tepm: Command, here: Path) -> None:
     assert plain(tepm).status == 0
@@ -172,6 +174,7 @@ def test_a_recorded_run_is_compared_and_two_runs_give_the_same_bytes(tepm: Comma
     assert (here / "one" / "tip.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_json_alone(tepm: Command, here: Path) -> None:
     done = plain(tepm, "--json")
@@ -310,6 +313,7 @@ def test_hold_does_not_fit_a_recorded_run_nor_overwrites_it(tepm: Command, here:
     assert (here / "out" / "trajectory.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_a_gif_says_how_to_have_it_smaller(tepm: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(film, "find_ffmpeg", lambda: None)

@@ -45,6 +45,7 @@ def imported(arguments: list[str]) -> tuple[int, set[str]]:
     return int(status), set(found)
 
 
+@pytest.mark.slow
 def test_help_of_the_program() -> None:
     assert imported(["--help"]) == (0, set())
 
@@ -89,6 +90,7 @@ def test_help_of_every_command() -> None:
     assert done.stdout.count("Usage: tepm") == len(COMMANDS) + len(groups)
 
 
+@pytest.mark.slow
 def test_a_working_command_does_import_it() -> None:
     """What the other tests look for would be seen."""
     assert imported(["robot", "show"]) == (0, {"scipy"})

@@ -36,6 +36,7 @@ def test_smallest_eigenvalue(tepm: Command) -> None:
     assert value == pytest.approx(0.38980, abs=5e-6)
 
 
+@pytest.mark.slow
 def test_rows_that_are_not_printed_are_counted(tepm: Command, here: Path, solved_circle: Path) -> None:
     told = tepm("statics", solved_circle / "inputs.csv").out
     assert told.count("\nrow ") == 8
@@ -72,6 +73,7 @@ def test_file_and_options_agree(tepm: Command, here: Path) -> None:
     np.testing.assert_allclose(summary(here / "out", "statics")["tip_m"], by_options, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_column_order_does_not_matter_and_more_columns_are_allowed(tepm: Command, here: Path) -> None:
     header = [*input_columns(), "pressure_11_measured_Pa"]
     row = np.array([0, 2e5, 1e5, 0, 0, 0, 3e5, 0, 0, 1, 0, 0, 0, 12345])
@@ -81,6 +83,7 @@ def test_column_order_does_not_matter_and_more_columns_are_allowed(tepm: Command
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_effects_against_their_equivalents(tepm: Command, here: Path) -> None:
     """A payload is its weight on the tip; above 1.2 thresholds a dead zone is a smaller pressure."""
     text = 'robot = "kang2017"\n\n[[effects]]\nname = "{}"\nparameters = {{{}}}\n'

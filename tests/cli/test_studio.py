@@ -17,6 +17,7 @@ from tests.cli.conftest import Command
 from tests.studio.recorded import write
 
 
+@pytest.mark.slow
 def test_a_page_until_it_is_interrupted(tmp_path: Path) -> None:
     """The address is told, opens once, and Ctrl-C ends the program in order."""
     found = write(tmp_path)

@@ -291,6 +291,7 @@ def test_a_file_that_cannot_be_replaced_leaves_no_temporary_one(tepm: Command, h
     assert contents(here) == {}
 
 
+@pytest.mark.slow
 def test_wrong_input_leaves_earlier_results_alone(tepm: Command, here: Path, solved_circle: Path) -> None:
     shutil.copytree(solved_circle, here / "out")
     before = contents(here)
@@ -299,11 +300,13 @@ def test_wrong_input_leaves_earlier_results_alone(tepm: Command, here: Path, sol
         assert contents(here) == before
 
 
+@pytest.mark.slow
 def test_json_does_not_change_how_errors_are_told(tepm: Command) -> None:
     for command in ("ik spiral --json", "gain absent.csv --json", "statics --tensions 1 --json", "robot check nobody --json"):
         check(tepm(*shlex.split(command)), ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["ik spiral", "ik circle --robot kang2018", "statics --pressures 1"])
 def test_wrong_input_of_the_installed_script(here: Path, command: str) -> None:
     check(script(*shlex.split(command)), (command.split()[-1],))

@@ -155,6 +155,7 @@ def test_filter_is_consistent(circle_points, moving, settings):
     assert all(low < value < high for value in nees.values()), (low, nees, high)
 
 
+@pytest.mark.slow
 def test_filter_with_wrong_noise_is_not_consistent(here):
     """The same figures show forces that wander a third faster than the filter believes: the test of consistency can fail."""
     random, settings = np.random.default_rng(8), KNOWN
@@ -287,6 +288,7 @@ def test_tip_is_free_of_offset(here, memory, allowed):
     assert max(apart[-100:]) < allowed
 
 
+@pytest.mark.slow
 def test_weak_muscle_is_learned(here):
     """A tenth of what pressure pulls is missing in one muscle: the strength says so once the pressures have changed, and not of others."""
     arm, filtered = Arm(here, KNOWN), Estimator(here, NOISE, MIDDLE, KNOWN)
@@ -301,6 +303,7 @@ def test_weak_muscle_is_learned(here):
     assert np.abs(np.delete(found, 2)).max() < 0.03
 
 
+@pytest.mark.slow
 def test_hysteresis_is_learned(here):
     """One muscle's force stays 0.8 N behind where its pressure turns over: the filter says so of this muscle, and not of others."""
     arm, filtered = Arm(here, KNOWN), Estimator(here, NOISE, MIDDLE, KNOWN)

@@ -102,6 +102,7 @@ def test_wrong_shapes_are_refused():
         LengthController(ROBOT).command(0.0, np.zeros(5), target(0.2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use", list(TendonUse))
 def test_set_points_on_a_perfect_bench_are_reached(use):
     """No friction, no grid, no noise: within 0.1 mm in the end, in either mode, with a feed-forward 10 % too small."""

@@ -307,6 +307,7 @@ def test_measured_inputs_observer_and_progress(short):
     assert np.isnan(without.measured).all()
 
 
+@pytest.mark.slow
 def test_controllers_by_name(kang, short):
     """The four of them, the default one first, and nothing else."""
     kinds = {kind.name: type(kind.make(kang, short, kind.settings({}))) for kind in controllers()}

@@ -196,6 +196,7 @@ def test_first_program_fails(kang, short, monkeypatch):
         np.testing.assert_allclose(command.tensions, first, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_program_that_fails_now_and_then(kang, short, monkeypatch):
     """One of twenty, at random, with half of the points lost or wrong: commands are finite and within the limits, all failures counted."""
     controller, random = Mpc(kang, short, PYTHON), np.random.default_rng(3)
@@ -224,6 +225,7 @@ def test_tensions_start_at_their_middle(kang, short, part):
     assert start.tensions == pytest.approx(np.full(6, 7.0 * part), abs=kang.values["A"] * 4500 / 2 * 1.01)
 
 
+@pytest.mark.slow
 def test_horizon_and_preview_are_settings(kang, short):
     """Plans are as long as the horizon; a preview that is no longer than it is enough."""
     controller = Mpc(kang, short, MpcSettings(stages=8, pressure_planner=PressurePlannerSettings(preview=11)))

@@ -193,6 +193,7 @@ def test_weaker_muscle_lacks_its_share():
     assert effects.forces == pytest.approx([0, 0, -0.1 * AREA * 3e5, 0, 0, 0])
 
 
+@pytest.mark.slow
 def test_hysteresis_trails_by_its_width():
     """After a long way up the force lacks A · width, after the way back it has as much too much."""
     width = 8e3

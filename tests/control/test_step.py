@@ -79,6 +79,7 @@ def compared(pair: tuple[Mpc, Mpc], samples: Iterator[Sample], prepares: bool = 
     return commands
 
 
+@pytest.mark.slow
 def test_the_same_in_closed_loop(kang, quick, recorded):
     """Four seconds with reversals of friction and motors that are as fast as they can."""
     commands = compared(both(kang, quick, MpcSettings()), iter(recorded))
@@ -130,6 +131,7 @@ def test_the_same_whatever_is_measured(kang, quick, recorded):
     assert {"dynamometer 13", "tracker noise"} <= set(pair[0].telemetry().doubts)
 
 
+@pytest.mark.slow
 def test_the_same_without_time_to_prepare(kang, quick, recorded):
     """All of it when the sample is there; the same commands as prepared."""
     lazy = compared(both(kang, quick, MpcSettings()), iter(recorded[:60]), prepares=False)
@@ -190,6 +192,7 @@ def test_other_settings_step_in_python(kang, quick, settings):
         Mpc(kang, quick, replace(settings, backend="c"))
 
 
+@pytest.mark.slow
 def test_other_models_step_in_python(kang_python, kang, short, compiler):
     assert not Mpc(kang_python, short).is_c
     weaker = compile_model(kang.model.with_effect("actuator_gain", "11", loss=0.2))

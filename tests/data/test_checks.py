@@ -47,6 +47,7 @@ class TestSilence:
             pytest.skip(f"{folder} is not on this machine")
         assert check(folder) == []
 
+    @pytest.mark.slow
     def test_the_null_set_with_and_without_its_robot(self) -> None:
         assert check(reference("null")) == []
         assert check_reading(read_folder(reference("null"))) == []
@@ -83,6 +84,7 @@ class TestSilence:
         coarse = tuple(replace(run, points=np.round(run.points[:, :1] / 1e-4) * 1e-4) for run in dataset.runs)
         assert check_dataset(replace(dataset, runs=coarse, channels=replace(NAMES, points=NAMES.points[:1]))) == []
 
+    @pytest.mark.slow
     def test_another_rate(self) -> None:
         """Half the rows of the null set, and rows between them."""
         dataset = open_dataset(reference("null"))

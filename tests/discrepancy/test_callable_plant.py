@@ -233,6 +233,7 @@ def test_a_plain_function_of_equilibria(tmp_path: Path, width: float) -> None:
     assert verdict.effects[0].probability > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("effect", "size"), [("filter[speed]", 0.12), ("dead_zone[voltage]", 0.8)])
 def test_a_transfer_function_of_the_control_library(tmp_path: Path, effect: str, size: float) -> None:
     random, files = np.random.default_rng(4), {}

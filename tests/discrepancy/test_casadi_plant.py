@@ -71,6 +71,7 @@ def by_differences(plant: CasadiPlant, run: Run, name: str, step: float) -> np.n
 
 
 class TestMotion:
+    @pytest.mark.slow
     def test_of_everything_against_scipy(self) -> None:
         """The laws written down a second time, integrated by SciPy."""
         run, p = pushed(start="free", state=np.array([0.05, -0.1])), EVERYTHING

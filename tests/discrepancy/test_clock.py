@@ -117,6 +117,7 @@ plant = m.plant()
 """
 
 
+@pytest.mark.slow
 def test_a_plant_file_s_clock_is_warned_of(tmp_path: Path) -> None:
     """Levels are seen half a second before they are asked for."""
     file, data, random = tmp_path / "tank.py", tmp_path / "data", np.random.default_rng(8)

@@ -60,6 +60,7 @@ def verdict_of(runs: dict[str, Columns], tmp_path_factory: pytest.TempPathFactor
     return found
 
 
+@pytest.mark.slow
 def test_what_is_there_is_named_and_nothing_else(verdict_of: Callable[[str], Verdict]) -> None:
     verdict = verdict_of("force")
     assert verdict.status is VerdictStatus.NAMED, verdict.paragraph

@@ -37,6 +37,7 @@ def fitted(kang: CompiledModel, runs: list[Run]) -> ParameterEstimate:
 
 
 class TestLeaveOut:
+    @pytest.mark.slow
     @pytest.mark.parametrize("count", [3, 1])
     def test_a_right_model_leaves_the_noise(self, kang: CompiledModel, runs: list[Run], count: int) -> None:
         estimate = fitted(kang, runs[:count])
@@ -60,6 +61,7 @@ class TestLeaveOut:
             blocks = slice(*np.cumsum([0, *(int(r.time[-1]) + 1 for r in runs)])[k : k + 2])
             assert found[blocks].sum() == pytest.approx(single[-1], rel=0.02), run.file
 
+    @pytest.mark.slow
     def test_what_others_do_not_tell_is_told_by_the_run_itself(self, kang: CompiledModel, runs: list[Run]) -> None:
         """The predictive distribution of linear models, by its definition: noise, and what the others leave open of the parameters."""
         estimate = fitted(kang, runs)
@@ -75,10 +77,12 @@ class TestLeaveOut:
         assert found[: int(first.block.max()) + 1].sum() == pytest.approx(expected, rel=1e-3)
         assert expected < 0.9 * plugged @ plugged, "the values that the others give alone say something else"
 
+    @pytest.mark.slow
     def test_a_wrong_model_leaves_more(self, kang: CompiledModel, runs: list[Run]) -> None:
         moved = [replace(run, points=run.points + 2e-3 * np.sin(3 * run.time)[:, None, None]) for run in runs]
         assert leave_out(fitted(kang, moved)).excess > 1.0
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("refines", [True, False], ids=["refines", "at a bound"])
     def test_what_refines_a_form_and_what_is_at_a_bound_stay(self, kang: CompiledModel, runs: list[Run], refines: bool) -> None:
         estimate = fitted(kang, runs)
@@ -91,12 +95,14 @@ class TestLeaveOut:
         np.testing.assert_allclose(found.squares, leave_out(without).squares, rtol=1e-6)
         assert not np.allclose(found.squares, leave_out(estimate).squares, rtol=1e-4), "it does move where nothing holds it"
 
+    @pytest.mark.slow
     def test_a_run_alone_is_left_out_by_whole_blocks(self, kang: CompiledModel, runs: list[Run]) -> None:
         estimate = fitted(kang, runs[:1])
         (residual,) = estimate.residuals
         counts = np.bincount(residual.block, residual.present.reshape(len(residual.values), -1).sum(axis=1))
         np.testing.assert_array_equal(leave_out(estimate).counts, counts)
 
+    @pytest.mark.slow
     def test_a_run_that_alone_tells_of_an_effect_of_some_runs_is_cut(
         self, kang: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -114,6 +114,7 @@ def best(found: list[Scored]) -> Scored:
 class TestAlternatives:
     """Data of the package's own simulation with the robot's parameters off, and a law that no effect of the model has."""
 
+    @pytest.mark.slow
     def test_the_muscle_and_its_variable_are_found(self, kang: CompiledModel, true: CompiledModel) -> None:
         asked = planned(FILES)
         bent = []

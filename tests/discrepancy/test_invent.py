@@ -96,6 +96,7 @@ def test_it_says_where_it_extrapolates(law: Invention) -> None:
     assert "It extrapolates in high.csv: pressure" in paragraph(law)
 
 
+@pytest.mark.slow
 def test_a_product_extrapolates_where_either_variable_does(law: Invention, true: CompiledModel) -> None:
     plant = law.estimate.plant
     assert isinstance(plant, NetworkPlant)

@@ -83,6 +83,7 @@ def test_hysteresis_is_bouc_and_wens(speed: float, z: float, stiffness: float, c
     assert rate == pytest.approx(sum(terms), abs=1e-12 * max(1.0, *map(abs, terms)))
 
 
+@pytest.mark.slow
 def test_hysteresis_closes_a_loop_that_ends_at_stiffness_over_closing() -> None:
     """Under a long way in one direction the force tends to stiffness / (closing + opening)."""
     law, z, p = LAWS["hysteresis"], 0.0, {"stiffness": 200.0, "closing": 15.0, "opening": 5.0}
@@ -170,6 +171,7 @@ def test_saturation_holds_both_ways(signal: float, tightness: float) -> None:
     )
 
 
+@pytest.mark.slow
 def test_play_drags_its_signal_along() -> None:
     """Back and forth, against the play operator; and never further off than the play."""
     width, time = 0.8, np.arange(0, 4, STEP)

@@ -134,6 +134,7 @@ def test_frequency_bands() -> None:
     assert not [key for key in telling(found(sway)) if key[0] in ("run", "actuator", "regime", "time")]
 
 
+@pytest.mark.slow
 def test_regimes_and_time() -> None:
     def after_reversals(run: Run) -> None:
         speed = np.sign(np.diff(run.inputs[:, :6], axis=0, prepend=run.inputs[:1, :6])).sum(axis=1)

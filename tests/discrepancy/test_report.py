@@ -165,6 +165,7 @@ def measured(static: bool) -> tuple[list[Run], dict[str, list[np.ndarray]]]:
     return runs, models
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("static", [False, True])
 def test_figures_of_runs(tmp_path: Path, static: bool) -> None:

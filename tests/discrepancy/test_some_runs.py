@@ -164,6 +164,7 @@ class TestSearch:
 
 
 class TestSizes:
+    @pytest.mark.slow
     def test_a_cause_is_of_the_same_size_everywhere(self, fits: Fits, heavy: CompiledModel) -> None:
         loaded = [cut(run, 4.0) for run in measured(changed(heavy, **true_values(heavy)), planned(FILES)) if run.role == "fit"]
         everywhere = Fits(replace(fits.problem, runs=tuple(loaded)), fits.settings)

@@ -34,6 +34,7 @@ def test_screenshots_are_small(name: str) -> None:
     assert Image.open(path).mode == "P"
 
 
+@pytest.mark.slow
 def test_as_many_colours_as_fit() -> None:
     """Flat areas keep theirs; noise, which no palette makes small, gets few or is refused."""
     flat = Image.new("RGB", (400, 300), "#17683d")

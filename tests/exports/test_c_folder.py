@@ -115,6 +115,7 @@ def check(example: Path, model: CompiledModel, seed: int) -> None:
     assert apart(told.motion[:, 1:], np.column_stack([moved.points.reshape(8, -1), moved.lengths])[1:]) < 1e-9
 
 
+@pytest.mark.slow
 def test_the_numbers_of_the_reference(nominal: Path, kang_python: CompiledModel) -> None:
     check(nominal, kang_python, 1)
 

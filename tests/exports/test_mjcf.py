@@ -84,6 +84,7 @@ def test_another_robot_on_a_slanted_mount(tmp_path: Path) -> None:
     check(compile_model(tmp_path / "lab.toml", backend="python"), tmp_path / "robot.xml", [0.2, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_what_mujoco_cannot_express_is_told(kang: CompiledModel) -> None:
     """Whatever acts on motion, time, the tracker or in another form is left out, and the file is as without it."""
     kinds = [effect for effect in effects() if any(effect.has(hook) for hook in ("edge_memory", "pressure_memory", "delay", "outputs"))]
@@ -98,6 +99,7 @@ def test_what_mujoco_cannot_express_is_told(kang: CompiledModel) -> None:
         assert without == [line for line in plain.splitlines() if "Written by" not in line]
 
 
+@pytest.mark.slow
 def test_the_motion_is_stable_and_swings_as_ours(kang: CompiledModel, tmp_path: Path) -> None:
     """Released 10 mm aside, the tip swings with the period of the slowest mode (SPEC section 2: 5.642 rad/s)."""
     export_mjcf(kang, tmp_path / "robot.xml")

@@ -57,6 +57,7 @@ def test_motion_is_that_of_a_chain_of_masses():
     assert lengths == pytest.approx(LENGTH + course.y[count - 1], abs=1e-8)
 
 
+@pytest.mark.slow
 def test_friction_that_grows_with_the_pull_vanishes_at_rest():
     """Up and down: the loop is twice the share of the elastic force wide, and it closes without residual."""
     slowly = {"fill_s": 0.3, "exhaust_s": 0.3}  # without overshoot

@@ -70,6 +70,7 @@ def test_measured_pressure(late: Host) -> None:
     assert late.fault is Fault.PRESSURE_TOO_HIGH
 
 
+@pytest.mark.slow
 def test_regulator(late: Host) -> None:
     """A regulator that does not follow for 1.5 s, the host being silent from the beginning."""
     board = late.board

@@ -142,6 +142,7 @@ class TestWithoutBoard:
 
 
 class TestWholeBoard:
+    @pytest.mark.slow
     def test_all_is_right(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
         found = walk()
         assert marks(found, Mark.WRONG) == []
@@ -184,6 +185,7 @@ class TestBoard:
         assert "the board refuses CLEAR: the emergency stop is pressed, or its wire is broken" in found["state"].says
         assert found["emergency stop"].mark is Mark.WRONG
 
+    @pytest.mark.slow
     def test_mega_alone(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
         """Without regulators their monitors are pulled to 0 V: the board says so, and CLEAR is refused until they are there."""
         world.board.follow(False)

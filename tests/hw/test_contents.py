@@ -86,6 +86,7 @@ def test_a_lost_dynamometer_winds_nothing(armed: Host) -> None:
     assert (armed.state, armed.fault, armed.status["channel"]) == (State.FAULT, Fault.DYNAMOMETER, 2)
 
 
+@pytest.mark.slow
 def test_hello_until_somebody_answers(host: Host) -> None:
     """Five times a second; one more answers the question, and none comes after it."""
     host.run(1.1)

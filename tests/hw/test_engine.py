@@ -134,6 +134,7 @@ def test_an_imperfection_is_the_same_on_both_engines(name):
     assert apart(0.25, robot_file(**SHORT), imperfections={name: sizes} if sizes else {}) < 1e-11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", OTHERS.values(), ids=list(OTHERS))
 def test_everything_on_another_robot_is_the_same_on_both_engines(changes):
     """To rounding: or to what a last digit in one parameter makes of the same engine, where a set point lies between two steps of a motor
@@ -307,6 +308,7 @@ def library() -> Any:
     return built
 
 
+@pytest.mark.slow
 def test_vectors_width_does_not_matter(monkeypatch):
     """The same bytes for one, four or eight levels a vector."""
     found = []
@@ -461,6 +463,7 @@ def test_engines_by_name():
         open_rig("sim@mujoco:perfect")
 
 
+@pytest.mark.slow
 def test_mujoco_is_not_needed():
     """Nor CasADi, where nothing is to be drawn or solved."""
     rig = "from tepm_opt.hw.simulation.rig import SimulatedRig; SimulatedRig().read()"

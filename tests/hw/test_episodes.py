@@ -371,6 +371,7 @@ SABOTAGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_some_episodes(firmware: Path, library: Path, number: int) -> None:
     run_episodes(lambda **options: Board(library, firmware, **options), number, 30, steps=4)

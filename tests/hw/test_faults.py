@@ -343,6 +343,7 @@ def flip(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(byte ^ (1 << rng.integers(8)) if rng.random() < 0.002 else byte for byte in data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [drop, flip])
 def test_bad_line(armed: Host, damage: Callable[[bytes, np.random.Generator], bytes]) -> None:
     """Of 500 bytes one is lost, or has a bit turned round: the robot stays armed and follows; 2 s of it are as good as none.

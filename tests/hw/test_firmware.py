@@ -331,6 +331,7 @@ def slow_line(board_factory: Callable[..., Board], build: Callable[[str, str], P
     return Host(board)
 
 
+@pytest.mark.slow
 def test_100_hz(board_factory: Callable[..., Board], build: Callable[[str, str], Path]) -> None:
     """Set points and STATUS 100 times a second at 115,200 baud, for 3 s: more of them than there are sequence numbers."""
     host = slow_line(board_factory, build)
@@ -404,6 +405,7 @@ def test_only_armed_moves(host: Host) -> None:
     assert not host.board.step_counts.any()
 
 
+@pytest.mark.slow
 def test_uno(board_factory: Callable[..., Board], build: Callable[[str, str], Path]) -> None:
     """Firmware for an Uno, built without warnings: three regulators, three motors, the processor's own converter."""
     host = Host(board_factory(build("uno", ""), mcu="atmega328p"))

@@ -174,6 +174,7 @@ def agree(frames: Frames, seeds: range) -> None:
         assert python.good == len(found)
 
 
+@pytest.mark.slow
 def test_python_agrees(frames: Frames) -> None:
     """The host's decoder finds in 5 · 10^4 damaged frames exactly the messages that the board's decoder finds, and counts the same."""
     agree(frames, range(2))

@@ -313,6 +313,7 @@ def test_any_bytes(messages, size):
     assert all(np.isfinite(frame.time) for frame in frames.ready)
 
 
+@pytest.mark.slow
 def test_noise_and_then_a_server(unraised):
     """Two seconds of random bytes on many connections, then a server: the thread is alive, and reads it."""
     noise = random.Random(1)

@@ -382,6 +382,7 @@ def test_clear_gives_up(fake: FakeBoard) -> None:
     assert rig.time - begin < 0.1
 
 
+@pytest.mark.slow
 def test_clear_under_pressure(world: World) -> None:
     """The emulated board after HOST_TIMEOUT, its regulators slower than their ramps: CLEAR succeeds once they have vented."""
     with SerialRig(world.port, ROBOT, clock=world.clock, threaded=False) as rig:

@@ -168,6 +168,7 @@ def test_one_script_for_every_rig(terminal: tuple[str, subprocess.Popen[str]], t
     assert ended(process).split()[0:12:2] == ["0"] * 6
 
 
+@pytest.mark.slow
 def test_host_killed(terminal: tuple[str, subprocess.Popen[str]]) -> None:
     """The host's process is killed in the middle of a motion: the board stops the robot by itself."""
     port, process = terminal

@@ -49,6 +49,7 @@ FIRST = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", FIRST, ids=lambda fault: fault.name)
 def test_a_graver_fault_acts_after_another(armed: Host, first: Fault) -> None:
     """A regulator that stays at 0.4 MPa drops the outputs, though the board is in FAULT already; both are told, the graver one first."""
@@ -67,6 +68,7 @@ def test_a_graver_fault_acts_after_another(armed: Host, first: Fault) -> None:
     assert armed.faults == {first, Fault.REGULATOR}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stopped", ["idle", "host silent", "button"])
 def test_a_regulator_is_watched_in_every_state(armed: Host, stopped: str) -> None:
     """Whether or not the board is armed: a regulator that gives 0.4 MPa unasked switches the outputs off, or they are off already."""
@@ -139,6 +141,7 @@ def test_pressure_that_is_too_high_now_and_then(armed: Host) -> None:
     assert armed.fault is Fault.PRESSURE_TOO_HIGH
 
 
+@pytest.mark.slow
 def test_a_regulator_that_follows_for_a_moment(armed: Host) -> None:
     """1.4 s off its set point, 20 ms right, and off again: one good sample does not make up for the time before."""
     board = armed.board
@@ -213,6 +216,7 @@ def test_loose_contact_of_a_dynamometer(armed: Host, contact: str) -> None:
     assert most * 1.05e-3 <= 6.01
 
 
+@pytest.mark.slow
 def test_a_contact_that_is_hardly_ever_lost(armed: Host) -> None:
     """One sample of four does not stop the robot, and does not wind the tendon either: the loop waits for a sample that is right."""
     board, goal = armed.board, ZERO + round(6 * 3276.8)
@@ -267,6 +271,7 @@ def test_travel_either_way(armed: Host, sign: int) -> None:
     assert board.enabled == 0
 
 
+@pytest.mark.slow
 def test_all_is_well(armed: Host) -> None:
     """With everything in order, at the limits, nothing trips in 3 s, whichever way set points jump."""
     board = armed.board

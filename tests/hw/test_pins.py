@@ -66,6 +66,7 @@ def test_no_motor_comes_on_after_a_hang(armed: Host, pause: float) -> None:
     assert (armed.state, armed.fault) == (State.FAULT, Fault.LOOP_HUNG)
 
 
+@pytest.mark.slow
 def test_steps_of_a_late_loop(armed: Host) -> None:
     """A pass that the main loop did not write in time has no steps: the motors are where the board thinks that they are."""
     board = armed.board
@@ -96,6 +97,7 @@ def test_motors_brake_no_earlier_than_they_have_to(armed: Host) -> None:
     assert max(took) <= 0.1066
 
 
+@pytest.mark.slow
 def test_motors_that_go_off_do_not_hold_up_the_others(armed: Host) -> None:
     """Whenever some go off, the steps of one at full rate stay 100 us apart but for what interrupts may be late."""
     board, rng = armed.board, np.random.default_rng(0)

@@ -56,6 +56,7 @@ def test_without_noise_all_is_found():
     assert points @ mount.rotation.T + mount.base_position_m == pytest.approx(seen, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recordings", [15, pytest.param(30, marks=pytest.mark.slow)])
 def test_noise_and_what_is_said_about_it(recordings):
     """0.6 mm an axis: the errors over many recordings are as large as the standard deviations say, and the residual is the noise."""
@@ -88,6 +89,7 @@ def test_known_holders():
     assert wrong.rms_m > 5 * given.rms_m
 
 
+@pytest.mark.slow
 def test_outliers_hardly_count():
     """One pose in twenty off by decimetres: the base stays where it is to a millimetre, and they are counted."""
     points, turns = arms(200)

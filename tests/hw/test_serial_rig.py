@@ -47,6 +47,7 @@ def full_range(count: int) -> Iterator[np.ndarray]:
         yield random.uniform(0, LIMITS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tendons", ["tension", "position"])
 def test_set_points_arrive_within_a_count(world: World, tendons: str) -> None:
     with open_on(world, tendons=tendons) as rig:
@@ -93,6 +94,7 @@ def test_wrong_commands_are_not_sent(world: World, index: int, value: float, mes
         assert rig.link.statistics.sent == sent
 
 
+@pytest.mark.slow
 def test_leaving_stops(world: World) -> None:
     with open_on(world) as rig:
         hold(rig, np.r_[np.full(6, 3e5), np.full(6, 3.0)], 60)
@@ -164,6 +166,7 @@ def test_emergency_stop(world: World) -> None:
             hold(rig, np.zeros(12), 1)
 
 
+@pytest.mark.slow
 def test_stalled_reader(world: World) -> None:
     """A host that sends but does not read for two seconds: the robot goes on, and what is read then is the present."""
     with open_on(world) as rig:
@@ -222,6 +225,7 @@ def tracked_robot(rate: float) -> Robot:
     return Robot.model_validate(content)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [20, 25, 30, 100])
 def test_slow_trackers_keep_the_board_alive(world: World, rate: float) -> None:
     """Frames that come, that are lost now and then, and that do not come any more; the controller takes 20 ms for each step."""

@@ -149,6 +149,7 @@ def test_sessions_of_boards_without_a_counter(board_factory: Callable[..., Board
     assert len({session & 0xFFFF for session in sessions}) == 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torn", [0, 1, 2, 3])
 def test_a_torn_write_of_the_counter(host: Host, torn: int) -> None:
     """Power is lost while the counter is written: what is half written does not count, and no session comes twice."""

@@ -139,6 +139,7 @@ def test_operators_in_python() -> None:
     }
 
 
+@pytest.mark.slow
 def test_same_seed_same_draws() -> None:
     for file in DRAWS:
         first, same, other = (shuffled(file, source(file), seed) for seed in (1, 1, 2))

@@ -39,6 +39,7 @@ def test_time_is_the_hosts():
     assert feed.frames.clock.offset == pytest.approx(DELAY - AHEAD, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", [2e-4, -2e-4])
 def test_drift_is_followed_under_delays(drift):
     """200 ppm for a minute (12 ms in all) with delays of 1 ms on average: times stay within 0.3 ms of the truth."""

@@ -26,6 +26,7 @@ def two_wire(board_factory: Callable[..., Board], build: Callable[[str, str], Pa
     return Host(board)
 
 
+@pytest.mark.slow
 def test_set_points_arrive(two_wire: Host) -> None:
     """Codes come out as they are, an output at least every 6 ms, and never one that nobody asked for."""
     host, rng = two_wire, np.random.default_rng(1)
@@ -48,6 +49,7 @@ def test_set_points_arrive(two_wire: Host) -> None:
         before = codes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
 def test_a_bus_that_is_gone(two_wire: Host, wrong: dict[str, int]) -> None:
     """Motors and outputs off within 30 ms; CLEAR is refused until all DACs answer, and then begins at no pressure."""

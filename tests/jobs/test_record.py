@@ -53,6 +53,7 @@ def go(folder: Path, bench: Bench, *runs: str, seed: int = 0, rig: str = "fake")
     return record(read_plan(write_plan(folder, *runs)), folder / "set", bench, rig, seed)
 
 
+@pytest.mark.slow
 def test_what_is_recorded(tmp_path: Path, bench: Bench) -> None:
     done = go(tmp_path, bench)
     assert (done.done, done.kept, dict(done.notes)) == (("steps.csv", "ramp.csv", "sweep.csv"), (), {})
@@ -74,6 +75,7 @@ def test_what_is_recorded(tmp_path: Path, bench: Bench) -> None:
     assert not any(rig.commanded.any() for rig in bench.rigs)
 
 
+@pytest.mark.slow
 def test_progress_says_which_run_of_how_many(tmp_path: Path, bench: Bench) -> None:
     told: dict[str, None] = {}
     record(read_plan(write_plan(tmp_path, STEPS, RAMP)), tmp_path / "set", bench, "fake", 0, lambda stage, done, of: told.setdefault(stage))
@@ -81,6 +83,7 @@ def test_progress_says_which_run_of_how_many(tmp_path: Path, bench: Bench) -> No
     assert "ramp.csv (2 of 2): recording" in told
 
 
+@pytest.mark.slow
 def test_the_seed_makes_the_noise(tmp_path: Path, bench: Bench) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         (tmp_path / name).mkdir()
@@ -130,6 +133,7 @@ class TestInterrupted:
             assert (tmp_path / "set" / file).read_bytes() == (undisturbed / file).read_bytes()
         assert [path.name for path in (tmp_path / "set").glob("unfinished/*")] == [path.name for path in left if tick >= 600]
 
+    @pytest.mark.slow
     def test_attempts_are_all_kept(self, tmp_path: Path, bench: Bench) -> None:
         def prepare(number: int, rig: FakeRig) -> None:
             if number < 3:
@@ -145,6 +149,7 @@ class TestInterrupted:
         assert sorted(path.name for path in (tmp_path / "set" / "unfinished").iterdir()) == names
         assert check(tmp_path / "set") == []
 
+    @pytest.mark.slow
     def test_nothing_is_done_twice(self, tmp_path: Path, bench: Bench) -> None:
         go(tmp_path, bench)
         before = {path: path.stat().st_mtime_ns for path in (tmp_path / "set").iterdir()}
@@ -221,6 +226,7 @@ class TestRobots:
         with pytest.raises(InputError, match="the rig's robot is 'small', the set points are for 'kang2017'"):
             go(tmp_path, bench)
 
+    @pytest.mark.slow
     def test_a_person_hangs_the_weights(self, tmp_path: Path, bench: Bench) -> None:
         """Asked whenever the tip force differs from that of the run before; when recording goes on, nothing hangs there yet."""
         hung = RAMP.replace("ramp.csv", "hung.csv") + "\nrest = {tip_force_z_N = -0.5}"

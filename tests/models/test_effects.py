@@ -52,6 +52,7 @@ def test_a_payload_is_a_weight_on_the_tip(kang):
         assert abs(found.points - expected.points).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_a_payload_is_inertia_too(kang):
     """Sway slows down more than by the weight alone, which a force on the tip takes away again."""
     loaded = compile_model(in_company(payload={"mass": 0.03}))
@@ -60,6 +61,7 @@ def test_a_payload_is_inertia_too(kang):
     assert 0.75 < with_mass / without < 0.95
 
 
+@pytest.mark.slow
 def test_a_payload_beside_the_tip_bends_the_body_that_way(kang):
     """By the moment of its weight: as much as that of two opposite vertical forces on the muscles does, to first order."""
     u, mass = np.r_[np.full(6, 1.5e5), np.zeros(6)], 2e-3
@@ -172,6 +174,7 @@ def test_a_regulator_gives_no_less_than_nothing(kang):
         assert abs(solve_statics(model, u).points - solve_statics(kang, expected).points).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pressure", [-4e3, 4e3])
 def test_regulators_whose_zero_is_off_leave_the_robot_within_its_reach(pressure):
     """Where tendons hold a tip by less force than none, regulators are far from their zeros; set points make up for them."""
@@ -269,6 +272,7 @@ def test_a_choked_valve_empties_the_slower_the_less_is_inside():
     assert 0 <= found[-1] < 1.0
 
 
+@pytest.mark.slow
 def test_a_hysteresis_may_be_uneven():
     """Trails by its width on the way up, by its ratio of it on the way down."""
     model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=1e3, falling_ratio=0.25))
@@ -293,6 +297,7 @@ def test_a_hysteresis_that_sticks_leaves_the_force_where_it_is():
     assert held[0.0] < -1000, "two widths over the distance is more than the command itself goes back"
 
 
+@pytest.mark.slow
 def test_plays_remember_reversals_within_reversals() -> None:
     """Against the mean of three play operators that are narrower and wider by half of the width, round and round within a loop."""
     path = np.concatenate([np.linspace(0, 2e5, 401), np.linspace(2e5, 1.9e5, 41)[1:], np.linspace(1.9e5, 1.96e5, 25)[1:]])
@@ -307,6 +312,7 @@ def test_plays_remember_reversals_within_reversals() -> None:
     np.testing.assert_allclose(found[late], np.array(expected)[late], atol=100)
 
 
+@pytest.mark.slow
 def test_devices_act_before_the_muscle_however_effects_are_listed() -> None:
     """A play follows what the regulator has let in, not what was commanded."""
     lag, hysteresis = {"filling_time": 0.2, "exhausting_time": 0.2}, {"width": 6e3, "distance": 50.0, "sticking": 1.0, "spread": 0.0}
@@ -324,6 +330,7 @@ def test_devices_act_before_the_muscle_however_effects_are_listed() -> None:
     np.testing.assert_allclose(found[0][-59:], stays[1:], atol=400)
 
 
+@pytest.mark.slow
 def test_what_is_far_behind_a_limit_comes_back():
     """Filled from above, a muscle is further above its middle than an uneven hysteresis lets it be on the way down."""
     model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=50.0, falling_ratio=0.25, filled=-1.0, sticking=1.0))
@@ -332,6 +339,7 @@ def test_what_is_far_behind_a_limit_comes_back():
     assert found[-1] - 9e4 == pytest.approx(1e3, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_dead_zones_corner_may_be_soft():
     """With a wide corner there is some force from the beginning on, none without pressure, and no corner at all."""
     for rounding in (0.2, 1.0, 3.0):
@@ -413,6 +421,7 @@ def test_tendon_friction_is_a_play():
     assert found[-1] == pytest.approx(2.2, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_share_of_the_tension_is_lost_in_the_guides():
     for commanded, share in ((7.0, 0.1), (5.0, 0.02)):
         found = tendon_ends((0.0, commanded), 400, constant=0.0, share=share, distance=1e-3)[1]
@@ -430,6 +439,7 @@ def test_friction_may_let_go_with_the_motor():
     assert found[200] == pytest.approx(4.7, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parameters", [(10.0, 0.9, 10.0), (3.0, 0.0, 0.01), (0.5, 0.2, 5.0), (0.0, 0.9, 1e-3), (2.0, 0.5, 1.0)])
 def test_friction_only_resists(parameters):
     """The tendon never pushes, and its tension never moves against the command."""
@@ -469,6 +479,7 @@ def test_slack_that_is_hardly_taken_up_is_as_good_as_constant():
         np.testing.assert_allclose(slopes, slopes[0], atol=2.1e-4)
 
 
+@pytest.mark.slow
 def test_a_muscle_filled_from_zero_begins_below_its_middle():
     """Statics and the first sample of a run alike; from there a run goes on as if it had come from zero."""
     model = in_python(NOMINAL.with_effect("pressure_hysteresis", width=4e3, distance=1e4, filled=1.0, spread=0.0))
@@ -535,6 +546,7 @@ def test_an_arm_turns_with_the_backbone():
         np.testing.assert_allclose(measured, expected, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_all_together_vanish_at_their_null_values(kang):
     model = NOMINAL
     for effect in effects():

@@ -49,6 +49,7 @@ def test_a_drift_is_a_shift_in_proportion_to_the_session_s_time(company, setpoin
     np.testing.assert_allclose(found.points - plain.points, np.multiply.outer(BEGAN + setpoints.time, [rate] * 4), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_skew_makes_positions_older_and_older_from_each_run_s_start(company, setpoints):
     """What is said to be of t is of t (1 - rate), by a machine that keeps its pace."""
     rate = 0.02

@@ -122,6 +122,7 @@ def test_against_an_integrator_that_shares_nothing(kang):
         assert abs(simulate(kang, setpoints, **settings).levels[:, 1:] - expected).max() < close
 
 
+@pytest.mark.slow
 def test_sensitivities_without_c(kang_python):
     """The reference, too, agrees with differences."""
     setpoints = gentle(kang_python, 0.06, 4, 0.1)

@@ -50,6 +50,7 @@ def motions(model, rng):
         yield name, SetPoints(TIME, inputs, push), hold
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in ("kang2017", "friction") else pytest.mark.slow) for name in MACHINES]
 )

@@ -76,6 +76,7 @@ class TestPredictions:
             np.testing.assert_array_equal(found.points, alone.points)
             np.testing.assert_array_equal(found.by, alone.by)
 
+    @pytest.mark.slow
     def test_sensitivities_of_a_motion(self) -> None:
         model = compile_model(in_company(payload={"mass": 0.01}))
         run = measured(model, planned(FILES[2:3]), noise=0.0)[0]
@@ -141,6 +142,7 @@ class TestRecovery:
         assert largest(missed := misses(estimate, true_values(kang))) < DEVIATIONS, missed
         assert not estimate.at_bound.any()
 
+    @pytest.mark.slow
     def test_eight_parameters_from_motion_by_another_integrator(self, kang: CompiledModel) -> None:
         truth = {name: factor * kang.values[name] for name, factor in EIGHT.items()}
         machine, random = changed(kang, **truth), np.random.default_rng(8)
@@ -177,6 +179,7 @@ class TestRecovery:
         assert largest(missed := misses(found, truth)) < DEVIATIONS, missed
         assert found.plant.values["payload.mass"] == found.named["payload.mass"]
 
+    @pytest.mark.slow
     def test_missing_samples_and_a_missing_sensor(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate) -> None:
         random = np.random.default_rng(2)
         holey = []
@@ -210,6 +213,7 @@ class TestRecovery:
         np.testing.assert_allclose(found.std, estimate.std, rtol=0.05)
         assert sum(count > 0 for count in asked) == len(runs), "once a run"
 
+    @pytest.mark.slow
     def test_robust_against_outliers(self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate) -> None:
         """3 % of the poses are of another marker, 20 mm aside and below."""
         random = np.random.default_rng(3)

@@ -152,6 +152,7 @@ def random_targets(count, low, high):
     return np.random.default_rng(1).uniform(low, high, (count, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
 def test_100_random_targets(kang, cloud, mode):
     """In a box four times as large as what can be reached."""

@@ -61,12 +61,14 @@ def test_gain_at_rest_is_that_of_statics(bent):
     check_gain(bent)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["creep", "lag", "delay"])
 def test_gain_at_rest_with_effects_is_that_of_statics(name):
     at = held(name, [0.2, -0.1, 0.1])
     check_gain(linearise(at))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rising", [False, True])
 @pytest.mark.parametrize("name", EFFECTS)
 def test_small_motion_is_that_of_the_simulation(name, rising):
@@ -104,6 +106,7 @@ def test_sticking_friction_is_a_spring():
     np.testing.assert_allclose(linear.response(frequencies), whole, rtol=1e-6, atol=1e-9 * abs(np.array(whole)).max())
 
 
+@pytest.mark.slow
 def test_hysteresis_holds_behind_a_lag():
     linear = linearise(held("hysteresis behind a lag"))
     values = np.linalg.eigvals(linear.moving().A)
@@ -112,6 +115,7 @@ def test_hysteresis_holds_behind_a_lag():
     assert abs(linear.select("pressure", "s4").gain(scaled=True) - 0.75 * free).max() < 1e-6 * abs(free).max()  # 1 - width / distance
 
 
+@pytest.mark.slow
 def test_a_lag_has_two_time_constants():
     at = held("lag")
     for rising, time in ((True, 0.06), (False, 0.12)):
@@ -159,6 +163,7 @@ def test_a_failed_equilibrium_is_refused(kang):
         linearise(found)
 
 
+@pytest.mark.slow
 def test_states_that_remember_have_names():
     """As many as there are, each once, also where some are taken out or a delay adds some."""
     linear = linearise(held("friction"))

@@ -142,6 +142,7 @@ def test_python_backend(kang, kang_python, compiler):
     np.testing.assert_allclose(c.gain, python.gain, atol=1e-9 * abs(c.gain).max())
 
 
+@pytest.mark.slow
 def test_every_mode_of_a_small_robot():
     model = compile_model(variant(geometry={"modules": 1, "segments_per_module": 1}))
     rest = solve_statics(model, np.zeros(model.layout.inputs))

@@ -102,10 +102,12 @@ class TestMove:
             found = solve_ik(fastest.model, fastest.tips[row]).equilibrium
             np.testing.assert_allclose(found.points, fastest.points[row], atol=1e-6)
 
+    @pytest.mark.slow
     def test_leaves_no_sway_behind_lag_and_delay(self, devices: CompiledModel, fastest: MotionPlan, gentle: MotionPlan) -> None:
         assert sway(devices, fastest.setpoints) < STILL
         assert sway(devices, gentle.setpoints) < 0.5 * STILL
 
+    @pytest.mark.slow
     def test_is_made_smoother_where_twist_would_be_left(self, kang: CompiledModel, devices: CompiledModel) -> None:
         """Around the axis, far out: no force of the actuators holds the twist, so it must not be driven fast."""
         plan = plan_move(kang, (-0.044, 0.142, 0.359), (0.032, 0.163, 0.352))
@@ -142,6 +144,7 @@ class TestMove:
 
 
 class TestObstacles:
+    @pytest.mark.slow
     @pytest.mark.parametrize("kind", ["sphere", pytest.param("box", marks=pytest.mark.slow)])
     def test_all_points_stay_clear(self, kang: CompiledModel, kind: str) -> None:
         centre = np.array([0.1, 0.004, 0.352])

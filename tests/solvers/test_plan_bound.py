@@ -27,6 +27,7 @@ def fastest(kang: CompiledModel) -> MotionPlan:
     return plan_move(kang, START, END)
 
 
+@pytest.mark.slow
 def test_is_within_a_third_of_the_linear_arm_s_shortest_time(kang: CompiledModel, fastest: MotionPlan) -> None:
     ends = tuple(solve_ik(kang, np.array(tip)) for tip in (START, END))
     local, devices = modal_model(solve_statics(kang, between(kang, ends))), Devices.of(kang)
@@ -36,6 +37,7 @@ def test_is_within_a_third_of_the_linear_arm_s_shortest_time(kang: CompiledModel
     assert shortest[0.24] < fastest.duration < 1.3 * shortest[0.24]
 
 
+@pytest.mark.slow
 def test_tells_the_sway_of_arms_with_other_frequencies(kang: CompiledModel, fastest: MotionPlan) -> None:
     """In proportion to the doubt, and as it is for an arm that is heavier and whose muscles are stiffer the less."""
     known, doubting = (plan_move(kang, START, END, settings=PlanSettings(frequency_uncertainty=part)) for part in (0.0, 0.1))

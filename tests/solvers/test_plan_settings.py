@@ -50,6 +50,7 @@ def test_slow_regulators_take_longer(kang: CompiledModel, quick: MotionPlan, set
     assert planned(kang, devices=replace(known, **{setting: 2.5 * getattr(known, setting)})).duration > 1.02 * quick.duration
 
 
+@pytest.mark.slow
 def test_devices_are_those_of_the_robot_file_or_of_the_model(quick: MotionPlan) -> None:
     """A lag that the model has goes before the file's, and is not waited for twice."""
     actuation = {"filling_time_s": 0.3, "exhausting_time_s": 0.6, "tension_rate_N_per_s": 5.0}

@@ -59,6 +59,7 @@ class TestReferenceRuns:
         assert self.errors(kang) < 5e-6
         assert self.errors(kang, error=1e-5) < 5e-7
 
+    @pytest.mark.slow
     def test_rk4(self, kang):
         assert self.errors(kang, method="rk4") < 1e-7
 
@@ -268,6 +269,7 @@ class TestRk4:
         assert simulate(lighter, points, "rk4").step < 0.95 * first.step
         assert simulate(model, points, "rk4").step == first.step
 
+    @pytest.mark.slow
     def test_friction_lowers_it(self, kang):
         sticky = compile_model(in_company(structural_friction={"force": 5.0, "distance": 1e-5}))
         assert stable_step(solve_statics(sticky, np.zeros(12))) < 0.9 * stable_step(solve_statics(kang, np.zeros(12)))

@@ -79,6 +79,7 @@ def test_without_the_token_there_is_nothing(opened: Browser, studio: Studio) -> 
     opened.messages()
 
 
+@pytest.mark.slow
 def test_the_mouse_drags_the_tip(opened: Browser, studio: Studio, tmp_path: Path) -> None:
     """Along the red arrow: the arm follows along x, the gizmo is at the tip, the panel says so; blue pixels move along, too."""
     before = studio.arm.point.held.tip
@@ -98,6 +99,7 @@ def test_the_mouse_drags_the_tip(opened: Browser, studio: Studio, tmp_path: Path
     assert second > first + 10
 
 
+@pytest.mark.slow
 def test_keys_move_a_slider(opened: Browser, studio: Studio) -> None:
     """The first pressure's thumb takes the focus; each arrow key is a step of 0.5 kPa, and the arm follows."""
     place = next(k for k in range(len(opened.run(f"return {SLIDER}"))) if opened.run(f"return {SLIDER}[{k}].ariaValueMax") == "500")

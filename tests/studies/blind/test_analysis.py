@@ -179,6 +179,7 @@ def test_rates_count_what_they_say() -> None:
     assert found.summary()["families"] == {"closed": 6, "null": 2, "open": 1}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("honest", "low", "high"), [(True, 0.0, 0.03), (False, 0.15, 0.25)])
 def test_calibration_is_told_from_overconfidence(honest: bool, low: float, high: float) -> None:
     """Causes act as often as stated, or 0.2 less often."""
