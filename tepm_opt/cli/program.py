@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import cache
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -160,12 +161,18 @@ def _add_commands() -> None:
 _add_commands()
 
 
+@cache
+def build_program() -> Any:
+    """The program with all its commands, once a process: typer would make it anew at every call."""
+    return typer.main.get_command(app)
+
+
 def execute(arguments: list[str]) -> int:
     """Exit status of the program with these arguments; linear algebra that is loaded already runs on one thread; a warning is one line."""
     try:
         with threadpool_limits(1, "blas"), warnings.catch_warnings():
             warnings.showwarning = _warn
-            return int(app(arguments, prog_name="tepm", standalone_mode=False) or 0)
+            return int(build_program()(arguments, prog_name="tepm", standalone_mode=False) or 0)
     except InputError as error:
         return _explain(str(error))
     except (InterruptedByUserError, KeyboardInterrupt, typer.Abort):

@@ -135,6 +135,7 @@ class TestIdentify:
 
 
 class TestDiscrepancy:
+    @pytest.mark.slow
     def test_nothing_is_missing(self, tepm: Command, here: Path, data: Path) -> None:
         done = tepm("discrepancy", "data", "--out", "out")
         assert done.status == 0, done.err
@@ -149,6 +150,7 @@ class TestDiscrepancy:
         assert verdict["effects"] == []
         assert read_model(here / "out" / "model.toml").parameters
 
+    @pytest.mark.slow
     def test_a_missing_effect_and_its_model_elsewhere(self, tepm: Command, here: Path, data: Path) -> None:
         spoilt(data)
         done = tepm("discrepancy", "data", "--out", "out", "--json")

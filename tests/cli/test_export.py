@@ -24,6 +24,7 @@ def test_files_of_a_model(tepm: Command, here: Path) -> None:
     assert mujoco.MjModel.from_xml_path(str(here / "mjcf" / "robot.xml")).nu == 12
 
 
+@pytest.mark.slow
 def test_effects_that_are_left_out_are_told(tepm: Command, here: Path) -> None:
     late = next(effect for effect in effects() if effect.has("delay") and not effect.timed)
     write_model(Model.of("kang2017").with_effect(late.name), here / "m.toml")

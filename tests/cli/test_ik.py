@@ -336,6 +336,7 @@ class TestRobots:
         ),
     )
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("changes", "size", "trajectory", "targets"), CASES)
     def test_own_robot(
         self, tepm: Command, here: Path, changes: dict[str, str], size: tuple[int, int], trajectory: tuple[object, ...], targets: np.ndarray

@@ -83,6 +83,7 @@ def test_the_same_twice(tepm: Command, here: Path) -> None:
     assert contents[0] == contents[1]
 
 
+@pytest.mark.slow
 def test_a_row_of_a_file_is_the_operating_point(tepm: Command, here: Path) -> None:
     rows = np.zeros((2, 13))
     rows[1] = [1, 1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6]

@@ -236,6 +236,7 @@ class TestEarlyEnds:
         assert names_in(here / "out") == {"log-1.unfinished.csv"}
         assert read_run(here / "out" / "log-1.unfinished.csv").rows == 29
 
+    @pytest.mark.slow
     def test_a_disk_that_is_full_does_not_stop_the_robot(self, tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(running, "journal_path", lambda folder, name: here / "absent" / "log.csv")
         assert tepm("mpc", *SHORT, "--controller", "mode1", "--out", "out").status == 0

@@ -49,6 +49,7 @@ def test_a_file_adds_its_effects(file: Path) -> None:
     assert loaded_effects() != before
 
 
+@pytest.mark.slow
 def test_commands_with_a_model_take_it(file: Path, tepm: Command) -> None:
     Path("m.toml").write_text(MODEL, encoding="utf-8")
     asked = "statics", "--pressures", ",".join(["1e5"] * 6), "--model", "m.toml", "--json"

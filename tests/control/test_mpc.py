@@ -370,6 +370,7 @@ def test_the_filter_takes_its_settings(kang, short, probability, refused):
     assert np.flatnonzero(controller.last.estimate.refused).tolist() == refused
 
 
+@pytest.mark.slow
 def test_friction_of_the_model_is_where_the_filter_starts_and_nothing_else(kang, short):
     """0.03 N and a quarter of the tension are 0.9 N at the middle; nothing is foreseen of it by reversals of commands."""
     known = compile_model(kang.model.with_effect("tendon_friction", constant=0.03, share=0.25))

@@ -165,6 +165,7 @@ ROBOTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_same_on_other_robots(robot, compiler):
     """Programs of an odd number of tensions among them; pushed off the reference half way."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -68,7 +68,6 @@ def datasets(draw: st.DrawFn) -> DataSet:
     return DataSet(draw(TOML_TEXT), "kang2017", channels, made, rate, noise, static)
 
 
-@settings(max_examples=60)
 @given(datasets())
 def test_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, dataset: DataSet) -> None:
     folder = tmp_path_factory.mktemp("set")

@@ -262,6 +262,7 @@ CASES = [
         first(sensor(3, lambda p: np.where((np.arange(len(p)) // 30 == 3)[:, None], p[90], p))),
         status=VerdictStatus.NO_DISCREPANCY,
         notes=("Frozen: 29 of",),
+        slow=True,
     ),
     Case(
         "noise of 0.45 mm",
@@ -325,7 +326,7 @@ CASES = [
     Case("rows twice", first(repeated), says=("copy of the row before",)),
     Case("2 Hz", resampled(2.0), slow=True),
     Case("5 Hz", resampled(5.0), slow=True),
-    Case("non-uniform sampling", resampled(50.0, 0.45, seconds=SECONDS), status=VerdictStatus.NO_DISCREPANCY),
+    Case("non-uniform sampling", resampled(50.0, 0.45, seconds=SECONDS), status=VerdictStatus.NO_DISCREPANCY, slow=True),
     Case("another rate than declared", resampled(25.0, declared=50.0), says=("25 Hz", "50")),
     # files
     Case("text in a number", edit=field(30, 3, "high"), says=(FIRST, "line 31", "pressure_13_Pa", "'high'")),

@@ -69,6 +69,7 @@ def test_what_is_there_is_named_and_nothing_else(verdict_of: Callable[[str], Ver
     assert all(rival.probability < 0.5 for rival in verdict.rivals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("tip force", marks=pytest.mark.slow), "guide"])
 def test_other_columns_give_the_same_answer(verdict_of: Callable[[str], Verdict], name: str) -> None:
     one, other = verdict_of("force"), verdict_of(name)

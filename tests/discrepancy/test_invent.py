@@ -24,6 +24,7 @@ from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.statics import solve_statics
 from tests.discrepancy.small import NOISE, changed, measured, planned, true_values
 
+pytestmark = pytest.mark.slow
 FILES = ("single_pressure.csv", "single_tension.csv", "elongation.csv")
 BENT = 2e6  # Pa: 22 loses p² / BENT
 
@@ -65,7 +66,6 @@ def law(kang: CompiledModel, true: CompiledModel, tmp_path_factory: pytest.TempP
     unload_effect(found.written.name)
 
 
-@pytest.mark.slow
 def test_place_formula_and_curve_are_those_of_the_machine(law: Invention, kang: CompiledModel) -> None:
     assert law.formula.place.label == "axial[22](pressure)"
     pressures = np.linspace(0, 3e5, 50)
@@ -96,7 +96,6 @@ def test_it_says_where_it_extrapolates(law: Invention) -> None:
     assert "It extrapolates in high.csv: pressure" in paragraph(law)
 
 
-@pytest.mark.slow
 def test_a_product_extrapolates_where_either_variable_does(law: Invention, true: CompiledModel) -> None:
     plant = law.estimate.plant
     assert isinstance(plant, NetworkPlant)

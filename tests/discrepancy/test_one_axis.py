@@ -96,7 +96,8 @@ def passes_the_base(force: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("backend", "step"), [("auto", None), ("auto", 0.02), ("python", 0.02), pytest.param("python", None, marks=pytest.mark.slow)]
+    ("backend", "step"),
+    [("auto", 0.02), ("python", 0.02), *(pytest.param(backend, None, marks=pytest.mark.slow) for backend in ("auto", "python"))],
 )
 def test_a_mass_that_runs_through_its_base_is_told(backend: Literal["auto", "python"], step: float | None) -> None:
     model = compile_model(FILE, backend=backend)

@@ -80,6 +80,7 @@ def linear(fits: Fits, without: Hypothesis, network: SearchableNetwork) -> Linea
 LIMITED = replace(PAYLOAD, runs=LATE)
 
 
+@pytest.mark.slow
 class TestFirstOrder:
     def test_what_acts_in_one_run_promises_more_there(self, linear: Linearised) -> None:
         everywhere, late = linear.gain([PAYLOAD])[0], linear.gain([LIMITED])[0]
@@ -92,7 +93,6 @@ class TestFirstOrder:
         alone = [linear.gain([c])[0] for c in network.candidates]
         assert linear.gain(network.candidates)[0] >= max(alone) - 1e-9
 
-    @pytest.mark.slow
     def test_an_effect_of_the_fit_can_be_taken_back(self, fits: Fits, without: Hypothesis, network: SearchableNetwork) -> None:
         """What a fit leaves without its effect is what was left before it, up to the second order."""
         with_it = fits.fit((LIMITED,), {"payload.mass": 0.01})
@@ -124,6 +124,7 @@ class TestSpans:
             assert longest(linear, [(replace(PAYLOAD, runs=runs),) for runs in gains])[-1].runs == expected
 
 
+@pytest.mark.slow
 class TestPlant:
     def test_an_effect_acts_in_its_runs_only(self, network: SearchableNetwork, runs: list[Run]) -> None:
         plant = acting(network, [LIMITED]).with_values({"payload.mass": MASS})
@@ -143,6 +144,7 @@ class TestPlant:
         assert len(free) == len(known) + 1
 
 
+@pytest.mark.slow
 class TestSearch:
     def test_finds_in_which_runs_a_cause_acts(self, fits: Fits, network: SearchableNetwork, kang: CompiledModel, runs: list[Run]) -> None:
         found = explain(fits, network.candidates, 0)

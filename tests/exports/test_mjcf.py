@@ -64,6 +64,7 @@ def test_statics_of_the_robot(kang: CompiledModel, tmp_path: Path) -> None:
     check(kang, tmp_path / "robot.xml", [0.4, -0.2, 0.1])
 
 
+@pytest.mark.slow
 def test_statics_with_every_effect_that_is_in_it(kang: CompiledModel, tmp_path: Path) -> None:
     """At once; each of them moves the tip."""
     every = kang.model

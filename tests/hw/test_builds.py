@@ -113,6 +113,7 @@ FAST = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("which", "dac", "converter", "baud", "flavour"),
     [pytest.param(*each, marks=[] if each in FAST else pytest.mark.slow) for each in combinations()],

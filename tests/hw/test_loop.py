@@ -60,6 +60,7 @@ def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(drive, name, value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [5, pytest.param(33, marks=pytest.mark.slow)])
 def test_play_reaches_every_pin(board: Board, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`tepm play` of inverse kinematics along the circle, a point every 0.4 s: every DAC and step count, at every set point."""

@@ -278,6 +278,7 @@ class Tripwire(LockstepPort):
         self._trip()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("attempts", [7, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_interrupted_anywhere(board_factory: Callable[[], Board], tmp_path: Path, error: type[BaseException], attempts: int) -> None:

@@ -29,7 +29,10 @@ MODELS = {
 }
 
 
-@pytest.fixture(scope="module", params=MODELS)
+FAST = ("kang2017", "all effects")
+
+
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in MODELS])
 def pair(request, compiler):
     """A model in C and in Python."""
     model = MODELS[request.param]()

@@ -207,15 +207,15 @@ def smooth(request, subject_of):
     return subject_of(*request.param)
 
 
-@pytest.fixture(scope="module", params=each(MOVING))
+@pytest.fixture(scope="module", params=each(MOVING, slow=MOVING[1::2]))
 def moving(request, subject_of):
-    """Effects that show in motion only."""
+    """Effects that show in motion only: every day each second one."""
     return subject_of(*request.param)
 
 
-@pytest.fixture(scope="module", params=each(ALL, slow=[effect for effect in STATIC if effect not in MOVING and not effect.timed][3:]))
+@pytest.fixture(scope="module", params=each(ALL, slow=[effect for effect in ALL if effect not in MOVING[::2]][2:]))
 def driven(request, subject_of):
-    """Effects whose part in a motion is tested: every day those that remember or know the time, and a few that show at rest."""
+    """Effects whose part in a motion is tested: every day each second one that shows in motion only, and two that show at rest."""
     return subject_of(*request.param)
 
 

@@ -105,6 +105,7 @@ def test_odd_segments_have_points_between_levels(model: Model) -> None:
     assert np.abs(known.points[0] - held.points).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_both_schemes_and_both_backends_agree(compiled: CompiledModel, kang: CompiledModel, asked: SetPoints) -> None:
     fine, explicit = simulate(compiled, asked, step=0.005), simulate(compiled, asked, "rk4")
     assert np.abs(fine.points - explicit.points).max() < 2e-5

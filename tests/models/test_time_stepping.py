@@ -23,9 +23,7 @@ def gentle(model, duration=0.4, samples=21, part=0.3, force=0.2):
     return SetPoints(time, inputs, force * np.column_stack([np.sin(3 * time / duration), time / duration, 0 * time]))
 
 
-@pytest.fixture(
-    scope="module", params=[pytest.param(name, marks=() if name in ("kang2017", "all effects") else pytest.mark.slow) for name in MODELS]
-)
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=() if name == "kang2017" else pytest.mark.slow) for name in MODELS])
 def pair(request, compiler):
     model = MODELS[request.param]()
     return compile_model(model, backend="c"), compile_model(model, backend="python")
@@ -83,6 +81,7 @@ def test_implicit_steps_are_of_third_order(kang):
     assert errors[1] / errors[2] > 6
 
 
+@pytest.mark.slow
 def test_against_an_integrator_that_shares_nothing(kang):
     """SciPy's eighth-order Runge-Kutta on the independent network with dampers of its own."""
     setpoints = gentle(kang, 0.3, 7)

@@ -161,8 +161,15 @@ def pages(tmp_path_factory: pytest.TempPathFactory, kang: CompiledModel) -> Call
     return page
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [PHONE, DESK])
+@pytest.mark.parametrize(
+    ("width", "dark"),
+    [
+        pytest.param(PHONE, False, id="phone-light"),
+        pytest.param(DESK, True, id="desk-dark"),
+        pytest.param(PHONE, True, id="phone-dark", marks=pytest.mark.slow),
+        pytest.param(DESK, False, id="desk-light", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("name", PAGES)
 def test_pages_can_be_read(browser: Browser, pages: Callable[[str], Path], name: str, width: int, dark: bool) -> None:
     browser.open(pages(name), width, dark).check(keyboard=width == PHONE and not dark)

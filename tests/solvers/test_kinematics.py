@@ -246,6 +246,7 @@ class TestOutOfReach:
         names = kang.layout.actuator_names
         assert names[int(hybrid.forces.argmin())] in {limit.split()[0].removeprefix("pressure_") for limit in pressure.limits}
 
+    @pytest.mark.slow
     def test_a_robot_that_does_not_stand(self):
         """Three modules buckle under their weight: stable configurations lie in regions of their own, away from rest."""
         model = compile_model(variant(geometry={"modules": 3, "segments_per_module": 4}))

@@ -39,7 +39,7 @@ def worst(reduced: System, whole: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("choice", CHOICES)
-@pytest.mark.parametrize("at", ["rest", "bent", "loaded", "with effects"])
+@pytest.mark.parametrize("at", ["rest", "bent", *(pytest.param(at, marks=pytest.mark.slow) for at in ("loaded", "with effects"))])
 def test_balanced_reduction_keeps_its_bound(systems, at, choice):
     full = systems[at].select(*CHOICES[choice])
     whole = full.response(SWEEP, scaled=True)

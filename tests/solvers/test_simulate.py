@@ -53,6 +53,7 @@ class TestReferenceRuns:
         assert len(dataset.runs) == 7
         return np.sqrt(total / count)
 
+    @pytest.mark.slow
     def test_implicit(self, kang):
         assert self.errors(kang, step=0.005) < 1e-6
         assert self.errors(kang, step=0.01) < 5e-6

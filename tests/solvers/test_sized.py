@@ -41,6 +41,7 @@ def test_about_an_arm_that_sticks_out() -> None:
         path_for(model, "circle", height=0.3)
 
 
+@pytest.mark.slow
 def test_shrunk_until_it_is_in_reach_and_turned_with_the_base() -> None:
     """The slim arm hangs from 0.8 m: three quarters of what its length would have; a height of its own is where its axis has it."""
     model = compile_model("slim", "python")

@@ -94,6 +94,7 @@ def test_no_rig_object_but_simulated_ones(kang: CompiledModel) -> None:
         LiveLoop(kang, ReplayRig(bend()), lambda moment: None)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_what_the_studio_loads_has_no_way_to_a_board() -> None:
     """In a process of its own, everything of the studio imported: nothing of the board, its service or the serial port is there."""
     names = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")

@@ -216,6 +216,7 @@ def test_what_fails_is_told(studio: Studio) -> None:
     assert (studio._message.visible, studio._message.content) == (True, "✗ no luck")
 
 
+@pytest.mark.slow
 def test_another_robot() -> None:
     """One module of four muscles, hanging: it is dragged, and the loop's rig and path are its own."""
     robot = variant(

@@ -39,7 +39,7 @@ int robot_motion_step(void *memory, const double u[ROBOT_INPUTS], const double f
   memset(&o->w, 0, sizeof o->w);
   for (int k = 0; k < NTHETA; k++) o->w.packed_theta[k] = (vector){0} + (o->w.theta[k] = THETA[k]);
   stepper m = {.scheme = IMPLICIT, .tolerance = TOLERANCE, .max_correction = MAX_CORRECTION, .divisor = 1};
-  motion *moves = m.motion;
+  motion *moves = &m.motion;
   o->time[next] = o->time[now] + duration;
   memcpy(o->row[next], u, NU * sizeof(double));
   memcpy(o->row[next] + NU, force, NEXT * sizeof(double));
@@ -52,7 +52,7 @@ int robot_motion_step(void *memory, const double u[ROBOT_INPUTS], const double f
   run(delay, &o->w, arg, res);
   double late = fmax(moves->inputs.delay[COMMANDS], moves->inputs.delay[FORCES]);
   if (o->dropped && o->time[now] - late < o->time[1]) return ROBOT_FORGOTTEN;
-  move_on(&m, &o->w, &o->c, &o->p, -1);
+  move_on(&m, &o->w, &o->c, &o->p);
   if (moves->status != SOLVED) { o->rows = 0; return moves->status; }
   memcpy(points, o->observed[next], (NOBS - NU / 2) * sizeof(double));
   memcpy(lengths, o->observed[next] + NOBS - NU / 2, NU / 2 * sizeof(double));

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tepm_opt.data.importing.resample import ATTENUATION, PASS, Clock, commanded, grid_of, measured, taps
@@ -99,7 +99,6 @@ def test_a_held_command_has_no_value_before_its_first() -> None:
     assert np.isnan(found[0])
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.floats(20, 900), st.integers(1, 40), st.integers(0, 10**6))
 def test_a_straight_line_stays(source: float, size: int, seed: int) -> None:
     """At any rate and size, up to the ends."""

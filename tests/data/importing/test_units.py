@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tepm_opt.data.importing.maps import ImportMap, wanted
@@ -45,7 +45,6 @@ def test_the_unit_that_was_meant(written: str, meant: str) -> None:
         assert nearest(written, dimension) == meant
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(PAIRS), st.floats(0.1, 10), st.floats(-3, 3), st.floats(-1e6, 1e6))
 def test_there_and_back(pair: tuple[str, str], scale: float, offset: float, value: float) -> None:
     """An entry's unit, scale and offset undo what a laboratory did to a value in SI."""
