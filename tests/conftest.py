@@ -39,8 +39,21 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("slow" if config.getoption("-m") else "fast")
 
 
+def mark_cases_slow(items: list[pytest.Item]) -> None:
+    """Mark as slow all cases of a sampled function but each n-th of those that are not slow anyway."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        sample = item.get_closest_marker("sample")
+        if sample and not item.get_closest_marker("slow"):
+            function = item.nodeid.partition("[")[0]
+            if seen[function] % sample.args[0]:
+                item.add_marker("slow")
+            seen[function] += 1
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is slow unless markers are asked for; begin with what takes longest."""
+    mark_cases_slow(items)
     if not config.getoption("-m"):
         left_out = [item for item in items if item.get_closest_marker("slow") or item.get_closest_marker("study")]
         if left_out:

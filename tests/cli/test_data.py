@@ -115,6 +115,7 @@ def read_table_names(path: Path) -> list[str]:
     return path.read_text().strip().split(",")
 
 
+@pytest.mark.slow
 def test_the_preview_shows_samples_and_rows(tmp_path: Path) -> None:
     """A panel for what is put in, one for what is measured, one for the steps; samples lie where the rows' line goes."""
     pytest.importorskip("pandas")

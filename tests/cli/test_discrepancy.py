@@ -68,6 +68,7 @@ class TestIdentify:
         model = read_model(here / "out" / "model.toml")
         assert model.parameters == {name: entry["value"] for name, entry in found["parameters"].items()}
 
+    @pytest.mark.slow
     def test_json_on_the_standard_output(self, tepm: Command, here: Path, data: Path) -> None:
         done = tepm("identify", "data", "--free", "K_a, m_d", "--plain", "--json")
         assert done.status == 0
@@ -176,6 +177,7 @@ class TestDiscrepancy:
         assert "Next: " in done.out
         assert json.loads((here / "discrepancy" / "verdict.json").read_text())["status"] == "unexplained"
 
+    @pytest.mark.slow
     def test_interrupted(self, tepm: Command, here: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def interrupted(*arguments: Any, **options: Any) -> None:
             raise KeyboardInterrupt

@@ -72,6 +72,7 @@ def test_the_robot_of_a_rig(here: Path) -> None:
     assert [robot_of(text) for text in ("sim", "sim:perfect", "sim@compiled", "bench", "serial:/dev/none")] == ["kang2017"] * 5
 
 
+@pytest.mark.slow
 def test_record_standard_records_the_plan_of_the_rigs_robot(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 

@@ -108,6 +108,7 @@ def test_figure_without_operating_points_warns_of_nothing(tepm: Command, here: P
     assert tepm("gain", "rest.csv", "--model", "heavy.toml", "--out", "out").err == ""
 
 
+@pytest.mark.slow
 def test_interruption_keeps_the_rows_so_far(tepm: Command, here: Path, solved_circle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     solve, calls = job.solve_statics, iter(range(100))
 

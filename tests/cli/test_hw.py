@@ -105,6 +105,7 @@ class TestPorts:
 
 
 class TestCheck:
+    @pytest.mark.slow
     def test_good_board(self, tepm: Command, bench: Bench, here: Path) -> None:
         (here / "board").touch()
         done = tepm("hw", "check", "board")
@@ -214,6 +215,7 @@ class TestJog:
         done = tepm("hw", "jog", "x", "11", "--pressure-kPa", "50", "--seconds", "1", "--yes")
         assert "Another actuator showed up to" in done.out
 
+    @pytest.mark.slow
     def test_interrupted(self, tepm: Command, bench: Bench) -> None:
         bench.port.at(1.5, raising(KeyboardInterrupt()))
         done = tepm("hw", "jog", "x", "11", "--tension", "2", "--seconds", "4", "--yes")
@@ -328,6 +330,7 @@ class TestCalibrate:
         assert done.status == 2
         assert "dynamometer 12 changed by 0 counts, 11 by 2723" in done.err
 
+    @pytest.mark.slow
     def test_pressure(self, tepm: Command, bench: Bench) -> None:
         bench.world.board.monitor(2, 1.1)
         done = tepm("hw", "calibrate", "pressure", "x", "--actuator", "13", "--at-kPa", "0,100", "--yes")
@@ -490,6 +493,7 @@ class TestMonitor:
         assert "0 lost, 0 damaged" in lines[1]
         assert bench.world.board.safe
 
+    @pytest.mark.slow
     def test_cable_out_and_in(self, tepm: Command, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(service_monitor, "RETRY", 0.3)
         first, tries = bench.port, []

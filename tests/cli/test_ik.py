@@ -252,6 +252,7 @@ class TestOutOfReach:
         told = summary(here / "out", "ik")
         assert (told["solved"], told["rounded_tip_error_rms_m"]) == (0, None)
 
+    @pytest.mark.slow
     def test_no_error_is_told_where_nothing_was_solved(self, tepm: Command, here: Path) -> None:
         tepm("ik", "circle", "--points", 1, "--radius", 0.6, "--out", "out")
         told = summary(here / "out", "ik")

@@ -103,6 +103,7 @@ def test_no_stable_operating_point_is_explained(tepm: Command, here: Path) -> No
     assert "unstable" in done.err
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("options", "says"),
     [

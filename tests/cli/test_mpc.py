@@ -157,6 +157,7 @@ def test_a_gauge_that_lies_is_told(tepm: Command, here: Path, monkeypatch: pytes
     assert told["doubts"]["dynamometer 12"]["from_s"] < 2.0
 
 
+@pytest.mark.slow
 def test_point_by_point(tepm: Command, here: Path) -> None:
     done = tepm("mpc", "circle", "--points", 2, "--radius", 0.02, "--stay", 0.3, "--controller", "mode1", "--out", "out")
     assert (done.status, done.err) == (0, "")
@@ -345,6 +346,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(("arguments", "message"), WRONG, ids=lambda value: value if isinstance(value, str) else "")
 def test_wrong_input(tepm: Command, here: Path, arguments: tuple[object, ...], message: str) -> None:
     done = tepm(*arguments)

@@ -80,6 +80,7 @@ def test_the_start_is_the_equilibrium_of_statics(tepm: Command, here: Path) -> N
     assert set(summary(here / "still", "statics")) & set(summary(here / "out", "simulate"))
 
 
+@pytest.mark.slow
 def test_the_trajectory_is_a_run_of_a_data_set(tepm: Command, here: Path) -> None:
     inputs(here / "in.csv", np.arange(100) * 0.02)
     rows = values(here / "in.csv")
@@ -120,6 +121,7 @@ def test_rk4_and_implicit_agree(tepm: Command, here: Path) -> None:
     np.testing.assert_allclose(values(here / "out" / "trajectory.csv"), implicit, atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_hold(tepm: Command, here: Path) -> None:
     """Held rows: nothing moves until the second one, and what follows is another motion; the file's reader is warned."""
@@ -229,6 +231,7 @@ def test_interruption(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch
         assert summary(here / "out", "simulate")["interrupted"] is True
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_interrupted_film_keeps_its_pictures(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     draw, calls = film.Scene.image, iter(range(100))
@@ -286,6 +289,7 @@ WRONG = {
 }
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_input_leaves_nothing_behind(tepm: Command, here: Path, name: str) -> None:
     content, options, says = WRONG[name]
@@ -300,6 +304,7 @@ def test_wrong_input_leaves_nothing_behind(tepm: Command, here: Path, name: str)
     assert names_in(here) == {"in.csv"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_csv")
 def test_hold_does_not_fit_a_recorded_run_nor_overwrites_it(tepm: Command, here: Path) -> None:
     assert plain(tepm).status == 0

@@ -49,6 +49,7 @@ def test_without_out_nothing_is_written(tepm: Command, here: Path) -> None:
     assert names_in(here) == set()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn")
 def test_file_and_options_agree(tepm: Command, here: Path) -> None:
     rows = np.zeros((3, 16))
@@ -98,6 +99,7 @@ def test_effects_against_their_equivalents(tepm: Command, here: Path) -> None:
         np.testing.assert_allclose(*(tepm("statics", *options, "--json").json()["tip_m"] for options in (effect, plain)), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_no_stable_equilibrium_is_explained(tepm: Command, here: Path) -> None:
     """The paper's arm with 1 kg at its tip buckles: no number stands for a result."""
     (here / "m.toml").write_text('robot = "kang2017"\n\n[[effects]]\nname = "payload"\nparameters = {mass = 1.0}\n')

@@ -251,6 +251,7 @@ def parameters() -> list[Any]:
     return [pytest.param(case, id=case.name.replace(" ", "-")) for case in CASES]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("case", parameters())
 def test_wrong_input_is_one_clear_line(tepm: Command, here: Path, case: Case) -> None:
     write(case.files)

@@ -272,6 +272,7 @@ def test_wrong_shape_is_refused(here, shape):
         Estimator(here, NOISE, MIDDLE).update(np.zeros(shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("memory", "allowed"), [(KNOWN.force_correlation_time, 2.5e-4), (np.inf, 3e-5)])
 def test_tip_is_free_of_offset(here, memory, allowed):
     """A force that nobody knows and a bias, both for good: they put the predicted tip 52 mm off, and in the end 0.2 mm; with forces that

@@ -278,6 +278,7 @@ def test_pressures_take_over_what_goes_on(kang, short, row, quick, slow):
     assert moved["quick"] > 1.1 * moved["slow"]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("use", list(Use))
 @pytest.mark.parametrize("seed", range(2))
 def test_any_points_make_commands_within_the_limits(kang, short, use, seed):

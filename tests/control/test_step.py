@@ -140,6 +140,7 @@ def test_the_same_without_time_to_prepare(kang, quick, recorded):
     compared(both(kang, quick, MpcSettings()), spoiled(recorded[150:230], 1), prepares=False)
 
 
+@pytest.mark.slow
 def test_the_same_with_late_motors(kang, quick, recorded):
     """Dynamometers that read what was three periods ago: commands act later, which is found out."""
     late = [replace(sample, tensions=recorded[max(k - 3, 0)].tensions) for k, sample in enumerate(recorded)]
@@ -149,6 +150,7 @@ def test_the_same_with_late_motors(kang, quick, recorded):
     assert pair[0].ahead == pair[1].ahead
 
 
+@pytest.mark.slow
 def test_the_same_with_other_settings(kang, quick, recorded):
     """Sizes, weights and what the planner does; a horizon beyond the reference's end."""
     planner = PressurePlannerSettings(preview=11, deadband=1.0, quantised=False)

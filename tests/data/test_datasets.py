@@ -68,6 +68,7 @@ def datasets(draw: st.DrawFn) -> DataSet:
     return DataSet(draw(TOML_TEXT), "kang2017", channels, made, rate, noise, static)
 
 
+@pytest.mark.slow
 @given(datasets())
 def test_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, dataset: DataSet) -> None:
     folder = tmp_path_factory.mktemp("set")

@@ -268,6 +268,7 @@ def test_there_are_enough() -> None:
     assert len(CASES) >= 25
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", CASES)
 def test_one_clear_line(folder: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     case = CASES[name]

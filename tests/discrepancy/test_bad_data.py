@@ -356,6 +356,7 @@ def wrongly_sure(verdict: Verdict, allowed: tuple[str, ...]) -> list[str]:
     ]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     "case", [pytest.param(case, id=case.name.replace(" ", "-"), marks=[pytest.mark.slow] if case.slow else []) for case in CASES]
 )

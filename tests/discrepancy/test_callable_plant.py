@@ -203,6 +203,7 @@ def test_static_data_need_no_time_and_points_have_axes(tmp_path: Path) -> None:
         read_trials(folder, signals)
 
 
+@pytest.mark.slow
 def test_runs_of_a_single_equilibrium(tmp_path: Path) -> None:
     """They are told as if they were rows of one."""
     random, files = np.random.default_rng(3), {}

@@ -69,6 +69,7 @@ def on_grid(values: np.ndarray) -> np.ndarray:
     return GRID * np.round(values / GRID)
 
 
+@pytest.mark.slow
 def test_grid_lag_and_delay() -> None:
     data = gauged(on_grid)
     found = seen(data)
@@ -85,6 +86,7 @@ def test_grid_lag_and_delay() -> None:
     assert {c for c in found.among(Uncompiled().candidates) if c.ranges} >= {lag, late}
 
 
+@pytest.mark.slow
 def test_without_a_delay_none_is_there() -> None:
     found = seen(gauged(on_grid, delay=0.0))
     assert len(found.shown) == 1
@@ -116,6 +118,7 @@ def test_without_a_grid_commands_stay_as_they_are() -> None:
     assert found.values["regulator_lag.filling_time"] == pytest.approx(FILLING, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_gauge_with_a_gain_and_an_offset_of_its_own_shows_the_same_lag() -> None:
     data = gauged(on_grid)
     columns = {name: 1.02 * v + 3e3 if name.endswith("_Pa") else v for name, v in data.runs[0].extra.items()}

@@ -60,6 +60,7 @@ def check(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return str(verdict["status"])
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("seed", [seed for seed in range(QUICK) if seed not in LONG])
 def test_a_verdict_or_a_line(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert re.fullmatch(r".{1,600}", check(seed, tmp_path, monkeypatch))

@@ -95,6 +95,7 @@ def passes_the_base(force: float) -> float:
     return float(solve_ivp(rates, (0.0, 1.5), [0.0, 0.0], rtol=1e-9, atol=1e-12, max_step=0.01, events=there).t[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("backend", "step"),
     [("auto", 0.02), ("python", 0.02), *(pytest.param(backend, None, marks=pytest.mark.slow) for backend in ("auto", "python"))],

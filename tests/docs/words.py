@@ -50,9 +50,9 @@ def measure_sentences(markdown: str) -> Sentences:
     return Sentences(tuple(count for count in counts if count > 2))
 
 
-def bare_names(code: str) -> Iterator[str]:
+def bare_names(code: ast.Module) -> Iterator[str]:
     """Functions named by a participle or a preposition alone; properties may be."""
-    for node in ast.walk(ast.parse(code)):
+    for node in ast.walk(code):
         if isinstance(node, ast.FunctionDef) and not any("property" in ast.unparse(each) for each in node.decorator_list):
             name = node.name.strip("_")
             participle = IRREGULAR.fullmatch(name) or re.fullmatch(r"[a-z]+(ed|ing)", name)
@@ -60,9 +60,9 @@ def bare_names(code: str) -> Iterator[str]:
                 yield node.name
 
 
-def riddles(code: str) -> Iterator[str]:
+def riddles(code: ast.Module) -> Iterator[str]:
     """First lines of docstrings that begin with a question word, `That` or `Of`."""
-    for node in ast.walk(ast.parse(code)):
+    for node in ast.walk(code):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             text = ast.get_docstring(node) or ""
             if RIDDLE.match(text):

@@ -74,6 +74,7 @@ def test_friction_that_grows_with_the_pull_vanishes_at_rest():
     assert lengths["down", 0.0] == pytest.approx(LENGTH, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_same_seed_same_samples_and_another_noise_other_ones():
     rigs = [open_rig("bench") for _ in range(3)]
     rigs[2].simulated.reseed(1)  # type: ignore[union-attr]

@@ -162,6 +162,7 @@ class TestWholeBoard:
 
 @pytest.mark.usefixtures("brief")
 class TestBoard:
+    @pytest.mark.slow
     def test_fault_is_shown_then_cleared(self, walk: Callable[..., dict[str, Check]], world: World) -> None:
         with line_of(world).rig(load_robot("kang2017")) as rig:
             single = moves.Single(rig.robot, 0)

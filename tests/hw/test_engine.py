@@ -127,6 +127,7 @@ def test_every_imperfection_is_tried():
     assert set(SMOOTH | ROUGH) - {"nothing"} == set(Imperfections.model_fields)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", SMOOTH | ROUGH)
 def test_an_imperfection_is_the_same_on_both_engines(name):
     """To rounding, over a short time: the Python stages with MuJoCo against both in C."""

@@ -250,6 +250,7 @@ def test_tension_that_leaves_the_range(armed: Host) -> None:
     assert (armed.state, armed.fault, armed.status["channel"]) == (State.FAULT, Fault.TENSION_TOO_HIGH, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "volts"), [(1500, 1.0), (0, 1.6)], ids=["low", "high"])
 def test_stuck_regulator(armed: Host, code: int, volts: float) -> None:
     """A monitor that is 0.1 MPa off for 1.5 s: motors off, pressure to zero. One that is 0.09 MPa off is not stuck."""

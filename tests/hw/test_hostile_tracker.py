@@ -113,6 +113,7 @@ def unstarted(frames: FrameAssembler, clock: Callable[[], float] = lambda: 0.0) 
         return Client("", 0, frames, threading.Condition(), clock)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("head", "says"),
     [
@@ -170,6 +171,7 @@ def test_what_is_no_pose_goes_by():
     assert frames.counts["frames"] + frames.counts["settling"] == 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["head", "body", "image", "text"])
 def test_a_trickle_is_silence(where, unraised):
     """A byte every 20 ms, and never a whole pose: a new connection after the same second as if nothing came."""

@@ -163,6 +163,7 @@ def closed_loop(rig: SerialRig, folder: Path) -> None:
     close_loop(rig, controller, ROBOT, keep=LoopRecord(reference))
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("lost", "says"),
     [("answers", "the board has said nothing for 0.2"), ("set points", "HOST_TIMEOUT")],

@@ -151,9 +151,19 @@ def overrides(effect: Effect, hooks: tuple[str, ...]) -> bool:
     return any(effect.has(hook) for hook in hooks)
 
 
+def with_effects(chosen: Iterable[Effect]) -> Model:
+    """The nominal robot with these effects at their probe values."""
+    model = NOMINAL
+    for effect in chosen:
+        model = with_effect(model, effect)
+    return model
+
+
 ALL = (*effects(), *TOYS)
 STATIC = [effect for effect in ALL if overrides(effect, STATIC_HOOKS) and not effect.has("delay")]  # what comes late shows in motion
 MOVING = [effect for effect in ALL if overrides(effect, MOTION_HOOKS)]
+EVERYDAY = [effect for effect in MOVING if effect not in TOYS][::2]
+"""Effects whose motions are tested every day, in company of each other."""
 
 
 @pytest.fixture(scope="module")
@@ -164,20 +174,18 @@ def subject_of():
         register(toy)
 
     @cache
-    def company(toys: bool) -> CompiledModel:
-        if not toys:
-            return compile_model(everything)
-        model = NOMINAL
-        for toy in TOYS:
-            model = with_effect(model, toy)
-        return compile_model(model)
+    def company(effect: Effect) -> CompiledModel:
+        """All effects of the package, or those made up; `EVERYDAY` alone, whose motions compile in a third of the time."""
+        if effect in EVERYDAY:
+            return compile_model(with_effects(EVERYDAY))
+        return compile_model(with_effects(TOYS) if effect in TOYS else everything)
 
     @cache
     def subject_of(effect: Effect, alone: bool) -> Subject:
         if alone:
             compiled = compile_model(with_effect(NOMINAL, effect)).at_time(AT_REST)
             return Subject(effect, compiled.model.effects[0], compiled)
-        compiled = company(effect in TOYS)
+        compiled = company(effect)
         theta = compiled.theta.copy()
         for other in compiled.model.effects:
             for parameter in find_effect(other.name).parameters_of(compiled.layout) if other.name != effect.name else ():
@@ -207,19 +215,19 @@ def smooth(request, subject_of):
     return subject_of(*request.param)
 
 
-@pytest.fixture(scope="module", params=each(MOVING, slow=MOVING[1::2]))
+@pytest.fixture(scope="module", params=each(MOVING, slow=[effect for effect in MOVING if effect not in EVERYDAY]))
 def moving(request, subject_of):
     """Effects that show in motion only: every day each second one."""
     return subject_of(*request.param)
 
 
-@pytest.fixture(scope="module", params=each(ALL, slow=[effect for effect in ALL if effect not in MOVING[::2]][2:]))
+@pytest.fixture(scope="module", params=each(ALL, slow=[effect for effect in ALL if effect not in EVERYDAY]))
 def driven(request, subject_of):
-    """Effects whose part in a motion is tested: every day each second one that shows in motion only, and two that show at rest."""
+    """Effects whose part in a motion is tested: every day those of `EVERYDAY`."""
     return subject_of(*request.param)
 
 
-@pytest.fixture(scope="module", params=[*each([ALL[0], TOYS[0]])[:2], *each(ALL)[len(ALL) :]])
+@pytest.fixture(scope="module", params=[*each([ALL[0], EVERYDAY[0], TOYS[0]])[:3], *each(ALL)[len(ALL) :]])
 def null(request, subject_of):
     """Models with all effects, or one, at their null values: the effects in company have the same one."""
     return subject_of(*request.param).null
@@ -334,6 +342,7 @@ def test_derivatives_at_null_agree_with_one_sided_differences(smooth, operating)
         assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected) + 1e-13 / parameter.scale
 
 
+@pytest.mark.sample(3)
 def test_it_recovers_its_own_parameters(static, kang, operating, gentle):
     """Data from the independent network, each at a time of its own; the fit starts at the probe, the truth is half as much again.
 
@@ -403,6 +412,7 @@ def test_in_motion_its_probe_is_visible(moving, kang, excitation):
     assert abs(found.points - plain.points).max() > 5e-5
 
 
+@pytest.mark.sample(3)
 def test_sensitivities_in_motion(driven, excitation):
     model = driven.compiled
     names = [model.network.parameter_names[at] for at in driven.own.values()]

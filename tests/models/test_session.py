@@ -63,6 +63,7 @@ def test_a_skew_makes_positions_older_and_older_from_each_run_s_start(company, s
     assert abs(early.points - found.points).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_skew_is_one_of_known_forces_too(company, setpoints):
     """Sensitivities included: forces alone move the robot."""
     force = 0.3 * np.sin(3 * setpoints.time)[:, None] * [[1.0, 0.0, 0.0]]
@@ -108,6 +109,7 @@ def test_muscles_that_are_warm_are_softer_and_a_run_starts_in_their_equilibrium(
     assert expected.lengths.mean() > cold.lengths.mean() + 1e-4
 
 
+@pytest.mark.slow
 def test_a_base_that_moves_faster_than_the_robot_sways_leaves_the_tip_behind(company, setpoints):
     """Above all resonances masses stand still in space: what the tracker sees at the tip is less than the base's motion."""
     still = SetPoints(setpoints.time, np.tile(setpoints.inputs[:1], (151, 1)), setpoints.tip_force)

@@ -161,6 +161,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory, kang: CompiledModel) -> Call
     return page
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("width", "dark"),
     [

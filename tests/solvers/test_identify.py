@@ -288,6 +288,7 @@ class TestWhatRunsCannotTell:
             profile(estimate, "r")
 
 
+@pytest.mark.slow
 def test_several_starts_are_repeatable(kang: CompiledModel, runs: tuple[Run, ...]) -> None:
     task = replace(problem(kang, runs[:1]), step=0.02)
     stages: list[str] = []

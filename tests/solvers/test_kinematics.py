@@ -208,6 +208,7 @@ class TestTrajectory:
 
 
 class TestOutOfReach:
+    @pytest.mark.sample(3)
     @pytest.mark.parametrize("mode", MODES)
     @pytest.mark.parametrize("target", [(0.2, 0.1, 0.42), (-0.1, 0.2, 0.2), (0.0, -0.28, 0.3), (0.05, 0.0, 0.45)])
     def test_no_step_within_the_limits_comes_nearer(self, kang, mode, target):

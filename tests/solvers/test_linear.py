@@ -174,6 +174,7 @@ def test_states_that_remember_have_names():
     assert len(set(late.state_labels)) == late.nstates
 
 
+@pytest.mark.slow
 def test_delay_by_pade():
     linear = linearise(held("delay"))
     assert linear.delay == pytest.approx(0.03)
@@ -189,6 +190,7 @@ def test_delay_by_pade():
         assert late[:, 1].max() < 1e-7  # forces act at once
 
 
+@pytest.mark.slow
 def test_effective_actuation_acts_at_once():
     model = compile_model(with_dynamics(**EFFECTS["lag"]))
     mapped = linearise(equilibrium(model, BENT, model.check_loads(None), mapped=True))

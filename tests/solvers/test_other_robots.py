@@ -30,6 +30,7 @@ def model(request):
     return compile_model(variant(**ROBOTS[request.param]), backend="python")
 
 
+@pytest.mark.sample(3)
 def test_statics(model):
     for u in random_inputs(model, 5, 0):
         held = solve_statics(model, u, [0.1, 0.2, -0.1])

@@ -115,6 +115,7 @@ class TestMove:
         assert plan.residual_sway < 8e-4
         assert sway(devices, plan.setpoints) < STILL
 
+    @pytest.mark.slow
     def test_is_much_faster_than_ramps(self, devices: CompiledModel, fastest: MotionPlan) -> None:
         """No ramp up to ten times its duration leaves as little, not even on regulators without a grid."""
         assert fastest.duration < 0.6

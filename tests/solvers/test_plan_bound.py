@@ -61,6 +61,7 @@ def test_the_doubted_sway_is_that_of_a_heavier_arm(kang: CompiledModel, fastest:
     assert slower < heavy < 8 * slower
 
 
+@pytest.mark.slow
 def test_bounded_sway_is_less_of_it(kang: CompiledModel, fastest: MotionPlan) -> None:
     """By far: but it takes more than a period of the sway."""
     calm = plan_move(kang, START, END, settings=PlanSettings(max_sway=1e-3))

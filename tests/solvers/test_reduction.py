@@ -38,6 +38,7 @@ def worst(reduced: System, whole: np.ndarray) -> float:
     return float(np.linalg.norm(whole - reduced.response(SWEEP, scaled=True), ord=2, axis=(1, 2)).max())
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("choice", CHOICES)
 @pytest.mark.parametrize("at", ["rest", "bent", *(pytest.param(at, marks=pytest.mark.slow) for at in ("loaded", "with effects"))])
 def test_balanced_reduction_keeps_its_bound(systems, at, choice):
@@ -56,6 +57,7 @@ def test_balanced_reduction_keeps_its_bound(systems, at, choice):
         assert (np.diff(reduced.hankel) <= 0).all()
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("choice", CHOICES)
 @pytest.mark.parametrize("at", ["rest", "bent", "with effects"])
 def test_modal_reduction_keeps_its_bound_and_modes(systems, at, choice):

@@ -88,6 +88,7 @@ def energies(model, motion, force=0.0):
     return np.array(kinetic) + [model.reference.energy(x, P, model.theta) for x in motion.levels]
 
 
+@pytest.mark.slow
 def test_energy_of_undamped_motion_stays(kang):
     names = kang.network.parameter_names
     undamped = kang.with_theta(np.where([name == "c_a" for name in names], 0.0, kang.theta))

@@ -100,6 +100,7 @@ GEOMETRIES = {
 }
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
 def test_the_independent_network_finds_the_same_equilibrium(geometry):
     """SciPy's trust-region minimiser on a potential written a second time, from the same rest."""

@@ -89,6 +89,7 @@ def test_no_rig_but_simulated_ones(text: str) -> None:
         simulated_rig(text)
 
 
+@pytest.mark.slow
 def test_no_rig_object_but_simulated_ones(kang: CompiledModel) -> None:
     with pytest.raises(InputError, match="is not simulated"):
         LiveLoop(kang, ReplayRig(bend()), lambda moment: None)  # type: ignore[arg-type]

@@ -35,6 +35,7 @@ def allowed(foreign: Foreign, run: int, name: str) -> float:
     return kind(commanded, run)[name] + 1e-6 * (1.5e5 if name.endswith("Pa") else 2.0)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_the_motion_is_the_one_in_the_tables(name: str, tmp_path: Path) -> None:
     pytest.importorskip("pandas")

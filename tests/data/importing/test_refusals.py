@@ -323,6 +323,7 @@ def refused(files: Sequence[Path], map_file: Path) -> str:
     return message
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", CASES)
 def test_one_line_names_all_columns_and_mends_it(name: str, tmp_path: Path) -> None:
     pytest.importorskip("pandas")
