@@ -72,6 +72,16 @@ class Discovery:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
+def require_fit_runs(dataset: DataSet) -> None:
+    """Refuse a data set without a run to fit to, which costs nothing before a model is compiled.
+
+    Raises:
+        InputError: no run has the role "fit".
+    """
+    if not dataset.fit:
+        raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
+
+
 def discover(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
     settings: SearchSettings | None = None, progress: Progress = silent,
@@ -92,8 +102,7 @@ def discover(
         InputError: no run to fit to, or the model cannot do the runs.
     """
     began, settings = time.monotonic(), settings or SearchSettings.of(plant)
-    if not dataset.fit:
-        raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
+    require_fit_runs(dataset)
     missing = behind(plant.candidates, dataset.gauges)
     progress("simulating the runs with the model as it is", 0, 0)
     nominal = _predict(plant, dataset, noise)

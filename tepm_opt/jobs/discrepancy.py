@@ -24,7 +24,7 @@ from tepm_opt.discrepancy.freeform.invent import invent as invented
 from tepm_opt.discrepancy.freeform.page import as_json, curves, page
 from tepm_opt.discrepancy.network import SearchableNetwork
 from tepm_opt.discrepancy.verdict import VerdictStatus
-from tepm_opt.discrepancy.workflow import Discovery, discover
+from tepm_opt.discrepancy.workflow import Discovery, discover, require_fit_runs
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.advice import MODEL, VALUES, Asked, advised
 from tepm_opt.jobs.joined import joined
@@ -97,6 +97,7 @@ def run_discrepancy(
         raise InputError(f"{model}: its robot has other actuators or reference points than {dataset.robot}, which {folder} names")
     out = output_folder(out)
     noise = noise_of(dataset)
+    require_fit_runs(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.of(known, channels, dataset.static)
     key = _fingerprint([folder, *map(Path, add)], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())

@@ -179,6 +179,7 @@ class TestWithoutASpring:
         found = solve_statics(compile_model(Model.of("kang2017").with_parameters(K_a=0.0), backend="python"), np.zeros(12))
         assert "nothing holds the robot" in found.outcome.message
 
+    @pytest.mark.slow
     def test_its_mass_and_damper_are_identified(self, springless: Path) -> None:
         model, random = compile_model(springless), np.random.default_rng(3)
         time = np.arange(0, 6, STEP)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +19,8 @@ IRREGULAR = re.compile(
     r"gone|grown|heard|held|kept|known|laid|lain|led|left|lent|lost|made|meant|met|sent|shown|sought|spoken|sprung|stood|taken|"
     r"thought|told|took|turned|woken|worn|written"
 )
-RIDDLE = re.compile(r"(What|Which|How|Where|Why|That|Of|Whose)\b")
+FUNCTION = re.compile(r"(@[\w.]*property[^\n]*\n\s*)?def (\w+)\(")
+RIDDLE = re.compile(r'^\s*(?:def [^\n]*)?"{1,3}((?:What|Which|How|Where|Why|That|Of|Whose)\b[^\n"]*)', re.M)
 
 
 @dataclass(frozen=True)
@@ -50,20 +50,15 @@ def measure_sentences(markdown: str) -> Sentences:
     return Sentences(tuple(count for count in counts if count > 2))
 
 
-def bare_names(code: ast.Module) -> Iterator[str]:
-    """Functions named by a participle or a preposition alone; properties may be."""
-    for node in ast.walk(code):
-        if isinstance(node, ast.FunctionDef) and not any("property" in ast.unparse(each) for each in node.decorator_list):
-            name = node.name.strip("_")
-            participle = IRREGULAR.fullmatch(name) or re.fullmatch(r"[a-z]+(ed|ing)", name)
-            if PREPOSITIONS.fullmatch(name) or (participle and not NO_PARTICIPLES.fullmatch(name)):
-                yield node.name
+def bare_names(code: str) -> Iterator[str]:
+    """Functions of a module that are named by a participle or a preposition alone; properties may be."""
+    for is_property, name in FUNCTION.findall(code):
+        bare = name.strip("_")
+        participle = IRREGULAR.fullmatch(bare) or re.fullmatch(r"[a-z]+(ed|ing)", bare)
+        if not is_property and (PREPOSITIONS.fullmatch(bare) or (participle and not NO_PARTICIPLES.fullmatch(bare))):
+            yield name
 
 
-def riddles(code: ast.Module) -> Iterator[str]:
-    """First lines of docstrings that begin with a question word, `That` or `Of`."""
-    for node in ast.walk(code):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            text = ast.get_docstring(node) or ""
-            if RIDDLE.match(text):
-                yield text.partition("\n")[0]
+def riddles(code: str) -> list[str]:
+    """First lines of a module's docstrings that begin with a question word, `That` or `Of`."""
+    return RIDDLE.findall(code)

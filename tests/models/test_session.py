@@ -20,6 +20,10 @@ from tests.tools import in_company, with_all_effects
 BEGAN = 40.0
 
 
+pytestmark = pytest.mark.slow
+"""They need the motion of a model with all effects, which compiles for half a minute."""
+
+
 @pytest.fixture(scope="module")
 def setpoints(kang: CompiledModel) -> SetPoints:
     """Waves of all inputs over 3 s."""
@@ -41,7 +45,6 @@ def at(model: CompiledModel, values: dict[str, float]) -> CompiledModel:
     return model.with_theta([({**model.values, **null, **values})[name] for name in model.network.parameter_names])
 
 
-@pytest.mark.slow
 def test_a_drift_is_a_shift_in_proportion_to_the_session_s_time(company, setpoints):
     rate = np.array([1e-5, -2e-5, 3e-5])
     drifting = at(company, {f"tracker_drift.shift_{axis}": value for axis, value in zip("xyz", rate, strict=True)})
@@ -49,7 +52,6 @@ def test_a_drift_is_a_shift_in_proportion_to_the_session_s_time(company, setpoin
     np.testing.assert_allclose(found.points - plain.points, np.multiply.outer(BEGAN + setpoints.time, [rate] * 4), atol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_skew_makes_positions_older_and_older_from_each_run_s_start(company, setpoints):
     """What is said to be of t is of t (1 - rate), by a machine that keeps its pace."""
     rate = 0.02
@@ -63,7 +65,6 @@ def test_a_skew_makes_positions_older_and_older_from_each_run_s_start(company, s
     assert abs(early.points - found.points).max() > 1e-3
 
 
-@pytest.mark.slow
 def test_a_skew_is_one_of_known_forces_too(company, setpoints):
     """Sensitivities included: forces alone move the robot."""
     force = 0.3 * np.sin(3 * setpoints.time)[:, None] * [[1.0, 0.0, 0.0]]
@@ -109,7 +110,6 @@ def test_muscles_that_are_warm_are_softer_and_a_run_starts_in_their_equilibrium(
     assert expected.lengths.mean() > cold.lengths.mean() + 1e-4
 
 
-@pytest.mark.slow
 def test_a_base_that_moves_faster_than_the_robot_sways_leaves_the_tip_behind(company, setpoints):
     """Above all resonances masses stand still in space: what the tracker sees at the tip is less than the base's motion."""
     still = SetPoints(setpoints.time, np.tile(setpoints.inputs[:1], (151, 1)), setpoints.tip_force)
@@ -122,7 +122,6 @@ def test_a_base_that_moves_faster_than_the_robot_sways_leaves_the_tip_behind(com
     assert late.std() < 0.5 * wave.std()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("hold", [False, True])
 def test_both_backends_tell_the_same_time(compiler, setpoints, hold):
     names = ("warm_up", "tracker_drift", "clock_skew", "base_vibration", "regulator_lag")
