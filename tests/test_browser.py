@@ -59,6 +59,7 @@ def test_images_without_words(browser: Browser, tmp_path: Path) -> None:
     assert len(opened(browser, tmp_path, "", GOOD.replace("a dot", " ") + "<svg role=img></svg>").unnamed_images()) == 2
 
 
+@pytest.mark.slow
 def test_what_the_keyboard_misses(browser: Browser, tmp_path: Path) -> None:
     assert opened(browser, tmp_path, "", "<a href='#x'>link</a>" + GOOD).unreached() == []
     body = "<span role=button tabindex=0>seen</span><button tabindex=-1 id=b>not</button>"

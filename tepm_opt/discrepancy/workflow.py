@@ -72,7 +72,7 @@ class Discovery:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
-def require_fit_runs(dataset: DataSet) -> None:
+def require_fit_runs(dataset: RunSet) -> None:
     """Refuse a data set without a run to fit to, which costs nothing before a model is compiled.
 
     Raises:

@@ -42,6 +42,7 @@ def test_a_log(tepm: Command, here: Path) -> None:
     assert names_in(here / "mcap") == {"log.mcap"}
 
 
+@pytest.mark.slow
 def test_the_controller(tepm: Command, here: Path, compiler: None) -> None:
     done = tepm("export", "controller", "circle", "--points", "20", "--duration", "2", "--out", "ctl")
     assert (done.status, done.err) == (0, "")

@@ -86,6 +86,7 @@ def test_other_jobs_of_the_folder_stay(tepm: Command, here: Path, solved_circle:
     assert summary(here / "out", "statics")["points"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn")
 def test_rows_without_stable_operating_point(tepm: Command, here: Path) -> None:
     """A payload of 1 kg buckles the arm: a status with an explanation, the rest of the figure still drawn."""

@@ -245,6 +245,7 @@ class TestJog:
         assert done.err.count("\n") == 1
         assert not bench.world.board.step_counts.any()
 
+    @pytest.mark.slow
     def test_asks(self, tepm: Command, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
         bench.answers = ["n", "y"]
@@ -287,6 +288,7 @@ class TestEstop:
         assert "tepm hw check x --clear" in done.out
         assert not bench.world.board.outputs
 
+    @pytest.mark.slow
     def test_no_answer(self, tepm: Command, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(hw, "ESTOP_S", 1.0)
         bench.port.write = lambda data: None  # type: ignore[method-assign]
@@ -304,6 +306,7 @@ class TestEstop:
 
 
 class TestCalibrate:
+    @pytest.mark.slow
     def test_tension(self, tepm: Command, bench: Bench, here: Path) -> None:
         board = bench.world.board
 
@@ -468,6 +471,7 @@ class TestBase:
         assert "10 rows" in done.out
         assert "mm rms" in done.out
 
+    @pytest.mark.slow
     def test_straight_arm_does_not_tell(self, tepm: Command, here: Path, posed: PosedRig) -> None:
         values = np.repeat([[1e5] * 6 + [0.0] * 6], 3, axis=0)
         write_setpoints(here / "inputs.csv", SetPoints(np.arange(3.0), values, np.zeros((3, 3))), ACTUATORS)

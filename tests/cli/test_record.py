@@ -115,6 +115,7 @@ class TestRecord:
         done = tepm("record", "plan.toml", "--rig", "fake", "--out", "set", "--seed", 3)
         assert (done.status, "--seed 3: rig 'fake' has no noise that can be seeded" in done.err) == (2, True)
 
+    @pytest.mark.slow
     def test_a_recording_that_ends(self, tepm: Command, here: Path, fake: list[FakeRig], monkeypatch: pytest.MonkeyPatch) -> None:
         write_plan(here)
         assert tepm("record", "plan.toml", "--rig", "fake", "--out", "set").status == 0

@@ -50,6 +50,7 @@ def test_help_of_the_program() -> None:
     assert imported(["--help"]) == (0, set())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", WRONG, ids=" ".join)
 def test_wrong_use(arguments: list[str]) -> None:
     assert imported(arguments) == (2, set())

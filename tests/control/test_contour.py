@@ -99,6 +99,7 @@ class TestClock:
         np.testing.assert_allclose(contour_errors(reference, np.array([250, 380]), tips), [0.005, 0.0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_closed_loop_with_free_progress(kang: CompiledModel) -> None:
     """A line on the virtual prototype: to its end, near it, in less than the 4 s of its own timing."""
     path = whole_reference(kang, line(40), QUICK)

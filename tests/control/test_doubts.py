@@ -66,6 +66,7 @@ def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:
     return close_loop(rig, Mpc(kang, short), kang.robot)
 
 
+@pytest.mark.slow
 def test_a_low_dynamometer_harms_nothing_and_is_told(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
     """0.4 N low in all muscles: commands are relative to the tension, so that it would add up until the motors let go."""
     file = load_rig_file()
@@ -100,6 +101,7 @@ class Slipping(SimulatedRig):
         return replace(sample, points=sample.points + off)
 
 
+@pytest.mark.slow
 def test_a_marker_that_slips_is_told_and_taken_off(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
     """Followed it would be 5 mm; what remains is what the noise leaves of the estimate of the jump."""
     rig = Slipping(load_rig_file())
@@ -111,6 +113,7 @@ def test_a_marker_that_slips_is_told_and_taken_off(kang: CompiledModel, short: R
     assert BEGINS < first < BEGINS + 0.2
 
 
+@pytest.mark.slow
 def test_dead_dynamometers_are_not_believed(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
     """Read as tensions they would let the tip go by a decimetre, and as motors that are late by 80 ms."""
     rig = Dead(load_rig_file())
@@ -120,6 +123,7 @@ def test_dead_dynamometers_are_not_believed(kang: CompiledModel, short: Referenc
     assert set(done.telemetry[-1].doubts) == {f"dynamometer {name}" for name in kang.layout.actuator_names}
 
 
+@pytest.mark.slow
 def test_a_noisy_tracker_is_told_and_reckoned_with(kang: CompiledModel, short: Reference) -> None:
     """Three times the noise declared: hardly a point is refused, and the innovations are as large as they should be."""
     file = load_rig_file()
@@ -130,6 +134,7 @@ def test_a_noisy_tracker_is_told_and_reckoned_with(kang: CompiledModel, short: R
     assert np.mean([row.columns["nis"] for row in late]) / 12 == pytest.approx(1.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_wrong_pressure_monitor_is_told(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
     """20 kPa high in all: within two and a half seconds, and the arm is where it was."""
     file = load_rig_file()
@@ -140,6 +145,7 @@ def test_a_wrong_pressure_monitor_is_told(kang: CompiledModel, short: Reference,
     assert "reads 20 kPa high" in done.telemetry[-1].doubts["pressure monitor 11"]
 
 
+@pytest.mark.slow
 def test_late_commands_are_told_and_reckoned_with(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
     """20 ms later than the robot file says: known within half a second from the dynamometers; ignored it is some 10 mm."""
     file = load_rig_file()
@@ -151,6 +157,7 @@ def test_late_commands_are_told_and_reckoned_with(kang: CompiledModel, short: Re
     assert first < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(4))
 def test_nothing_is_told_of_ordinary_machines(kang: CompiledModel, short: Reference, number: int) -> None:
     """Lags, delays, friction and strengths that differ from the robot file as machines do are no gauge that lies."""

@@ -248,6 +248,7 @@ def kept(kang: CompiledModel, led: Reference) -> LoopRecord:
 
 
 class TestLoop:
+    @pytest.mark.slow
     def test_the_true_arm_keeps_out(self, beside: KeepOut, followed: LoopRecord, kept: LoopRecord) -> None:
         """On the virtual prototype, which differs from the model: without, the arm goes through the sphere."""
         assert kept.outcome.solved

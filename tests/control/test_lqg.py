@@ -31,6 +31,7 @@ def test_follows_within_limits(kang: CompiledModel, short: Reference) -> None:
     assert np.percentile(rates, 99) < 1.2 * 10.0, "commands are relative to what is believed of the tension, which noise moves a little"
 
 
+@pytest.mark.slow
 def test_is_offered_like_the_others(kang: CompiledModel, short: Reference) -> None:
     kind = find_controller("lqg")
     assert isinstance(kind.make(kang, short, kind.settings({})), Lqg)
@@ -38,6 +39,7 @@ def test_is_offered_like_the_others(kang: CompiledModel, short: Reference) -> No
         kind.make(kang, short, MODE1.settings({}))
 
 
+@pytest.mark.slow
 def test_a_lost_point_corrects_nothing(kang: CompiledModel, short: Reference) -> None:
     rig, controller = SimulatedRig(), Lqg(kang, short, LqgSettings())
     rig.apply(controller.start())

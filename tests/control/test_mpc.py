@@ -233,6 +233,7 @@ def test_horizon_and_preview_are_settings(kang, short):
     assert controller.last.plan.shape == (8, 6)
 
 
+@pytest.mark.slow
 def test_motors_are_switched_by_the_length_error(kang, short):
     """By the rule of mode 2: on while the estimated lengths are near, off where they are far; thresholds decide."""
     on = {}
@@ -347,6 +348,7 @@ def test_results_say_in_one_line_what_they_are(kang, short, followed):
     assert f"{1e3 * followed.error():.3g} mm rms" in table
 
 
+@pytest.mark.slow
 def test_soft_corridor_pulls_the_tip_in(kang, short):
     """From 8 mm beside it and with the error itself cheap: less is planned beyond a corridor that cannot be kept at once; nothing fails."""
     beyond = {}

@@ -88,6 +88,7 @@ def test_the_same_in_closed_loop(kang, quick, recorded):
     assert len({tuple(command.pressures) for command in commands}) > 50
 
 
+@pytest.mark.slow
 def test_the_same_where_tensions_meet_their_bounds(kang, quick, recorded):
     """With their middle near 0, from far beside the reference: half of the program's rows are active, its Hessian is nearly singular.
 

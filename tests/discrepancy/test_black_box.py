@@ -43,6 +43,7 @@ def test_finds_nothing_in_noise() -> None:
     assert np.sqrt(np.mean(guess**2)) < 0.15 * NOISE
 
 
+@pytest.mark.slow
 def test_remembers_the_past() -> None:
     """A residual that follows the inputs late is beyond what the inputs of the moment tell."""
     runs, other = [moving(seed) for seed in range(3)], moving(9)

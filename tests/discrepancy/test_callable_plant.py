@@ -217,6 +217,7 @@ def test_runs_of_a_single_equilibrium(tmp_path: Path) -> None:
     assert len(discovery_figures(found)["over_time"].axes) == 1  # not a panel for each
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [0.0, 0.5])
 def test_a_plain_function_of_equilibria(tmp_path: Path, width: float) -> None:
     random, files = np.random.default_rng(3), {}

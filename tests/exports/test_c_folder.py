@@ -126,6 +126,7 @@ def test_another_robot_whose_commands_act_late(of_late: Path, late: CompiledMode
     check(of_late, late, 2)
 
 
+@pytest.mark.slow
 def test_commands_too_late_to_be_remembered(of_late: Path, late: CompiledModel) -> None:
     """Rows of 1 ms, HISTORY of which are less than the delay: told, not guessed."""
     rows = np.zeros((HISTORY + 10, 1 + late.layout.inputs + 3 * late.layout.points))
@@ -135,6 +136,7 @@ def test_commands_too_late_to_be_remembered(of_late: Path, late: CompiledModel) 
     assert set(statuses[HISTORY - 1 :]) == {-3}
 
 
+@pytest.mark.slow
 def test_what_newton_does_not_reach_from_rest(nominal: Path, kang: CompiledModel) -> None:
     """The check value of SPEC section 2 under 2.5 N; what is unstable, beyond its limit or no number says so."""
     rows = np.zeros((5, 25))

@@ -159,6 +159,7 @@ def test_every_option_is_in_the_fast_tests() -> None:
         assert {each[position] for each in FAST} == {each[position] for each in combinations()}
 
 
+@pytest.mark.slow
 def test_without_optimisation_it_does_not_build(tmp_path: Path, firmware: Path) -> None:
     """A pass would be late: the compiler says so."""
     assert firmware.exists()

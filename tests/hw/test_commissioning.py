@@ -152,6 +152,7 @@ class TestWholeBoard:
         assert world.board.safe
         assert not world.board.step_counts.any()
 
+    @pytest.mark.slow
     def test_cable_pulled(self, world: World, device: str) -> None:
         port = EventfulPort(world)
         port.at(1.0, lambda: setattr(port, "cut", True))
@@ -217,6 +218,7 @@ class TestBoard:
         assert found["emergency stop"].mark is Mark.RIGHT
         assert walk()["state"].mark is Mark.RIGHT
 
+    @pytest.mark.slow
     def test_dead_button(self, walk: Callable[..., dict[str, Check]], monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(commissioning, "BUTTON_S", 1.0)
         found = walk(button=lambda press: None)

@@ -188,6 +188,7 @@ def test_another_robot_moves_the_same_for_seconds(changes):
     assert apart(3.0, robot_file(**changes)) < 1e-10
 
 
+@pytest.mark.slow
 def test_samples_are_the_same_on_both_engines():
     """Times, noise, lost points, monitors."""
     robot = robot_file(**SHORT)

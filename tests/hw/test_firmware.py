@@ -115,6 +115,7 @@ def test_tension_set_points(armed: Host) -> None:
     assert worst <= COUNTS_PER_STEP
 
 
+@pytest.mark.slow
 def test_small_tension_steps(armed: Host) -> None:
     """Steps of tension of a few counts arrive within one step as well, and a motor that is there rests."""
     for level in range(0, 60, 4):

@@ -65,6 +65,7 @@ def test_lugre_does_not_depend_on_the_tick():
     assert ends[0] == pytest.approx(ends[1], rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [1e-5, 1e-3])
 def test_friction_and_creep_dissipate_over_closed_cycles(amplitude):
     """Work against the motion over whole cycles is positive once the cycle is steady."""

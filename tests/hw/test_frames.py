@@ -211,6 +211,7 @@ def follow(frames: Frames, host: Host, groups: int) -> None:
     assert not host.board.step_counts.any()
 
 
+@pytest.mark.slow
 def test_damaged_frames_on_the_emulator(frames: Frames, host: Host) -> None:
     """500 damaged frames."""
     follow(frames, host, 500)

@@ -113,6 +113,7 @@ def unstarted(frames: FrameAssembler, clock: Callable[[], float] = lambda: 0.0) 
         return Client("", 0, frames, threading.Condition(), clock)
 
 
+@pytest.mark.slow
 @pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("head", "says"),

@@ -89,6 +89,7 @@ def test_a_board_that_cannot_be_relied_on_is_left(fake: FakeBoard, name: str) ->
     assert len(fake.heard) == heard
 
 
+@pytest.mark.slow
 def test_a_line_in_order_is_not_left(fake: FakeBoard) -> None:
     """Half a minute, a STATUS every 100 ms, and counters that had risen before."""
     fake.status |= {"refused": 250, "stale": 3}
@@ -163,6 +164,7 @@ def closed_loop(rig: SerialRig, folder: Path) -> None:
     close_loop(rig, controller, ROBOT, keep=LoopRecord(reference))
 
 
+@pytest.mark.slow
 @pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("lost", "says"),

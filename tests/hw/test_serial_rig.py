@@ -128,6 +128,7 @@ def pull_the_cable(world: World) -> None:
         hold(rig, np.zeros(12), 5)
 
 
+@pytest.mark.slow
 def test_cable_out_and_in_again(world: World) -> None:
     with pytest.raises(LinkError, match="line to the board is gone: the cable is out"):
         pull_the_cable(world)

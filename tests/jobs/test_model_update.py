@@ -87,6 +87,7 @@ def test_a_further_run_where_effects_cannot_be_told_apart(tmp_path: Path, monkey
     assert [verdict["status"] for verdict in done.verdicts] == ["indistinguishable", "named"]
 
 
+@pytest.mark.slow
 def test_not_for_ever_and_not_where_no_run_helps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     often = closed(Parts(["indistinguishable"] * 5), tmp_path / "often", monkeypatch)
     assert len(often.verdicts) == 1 + model_update.FURTHER

@@ -105,6 +105,7 @@ def test_what_the_rig_says_is_kept(tmp_path: Path, bench: Bench) -> None:
 
 
 class TestInterrupted:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("tick", "error"),
         [(3, KeyboardInterrupt()), (250, RuntimeError("line dead")), (600, KeyboardInterrupt()), (850, RuntimeError("again"))],
@@ -159,6 +160,7 @@ class TestInterrupted:
 
 
 class TestChangedPlans:
+    @pytest.mark.slow
     def test_more_runs_and_other_roles(self, tmp_path: Path, bench: Bench) -> None:
         go(tmp_path, bench, STEPS, RAMP)
         done = go(tmp_path, bench, SWEEP, STEPS.replace("fit", "validation"), RAMP)

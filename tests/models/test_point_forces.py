@@ -22,6 +22,9 @@ from tests.tools import variant
 PLACE = np.array([0.0, 0.02, 0.3])
 
 
+pytestmark = pytest.mark.slow
+
+
 class ToyHose(Effect):
     """A spring from the tip and, half as stiff, from the point below to a place."""
 
@@ -105,7 +108,6 @@ def test_odd_segments_have_points_between_levels(model: Model) -> None:
     assert np.abs(known.points[0] - held.points).max() < 1e-9
 
 
-@pytest.mark.slow
 def test_both_schemes_and_both_backends_agree(compiled: CompiledModel, kang: CompiledModel, asked: SetPoints) -> None:
     fine, explicit = simulate(compiled, asked, step=0.005), simulate(compiled, asked, "rk4")
     assert np.abs(fine.points - explicit.points).max() < 2e-5
@@ -115,7 +117,6 @@ def test_both_schemes_and_both_backends_agree(compiled: CompiledModel, kang: Com
     assert np.abs(twin.points - simulate(compiled, short, step=0.02).points).max() < 1e-12
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "change"), [("toy_hose.stiffness", 1e-4), ("toy_fluid.drag", 1e-3), ("toy_rub.force", 1e-2)])
 def test_sensitivities_are_differences(compiled: CompiledModel, asked: SetPoints, name: str, change: float) -> None:
     found = simulate(compiled, asked, step=0.01, directions=Directions.of(compiled, [name]), tolerance=1e-11).sensitivities[0]

@@ -62,6 +62,7 @@ class TestApproach:
         assert driver.start(setpoints)
         np.testing.assert_allclose(rig.state, setpoints.inputs[0], rtol=2e-3)
 
+    @pytest.mark.slow
     def test_gives_up_on_a_robot_that_never_rests(self) -> None:
         class Swaying(FakeRig):
             def read(self):

@@ -227,6 +227,7 @@ def press(browser: Browser, label: str, name: str = "over_time") -> None:
     browser.press("ENTER")
 
 
+@pytest.mark.slow
 def test_time_series_can_be_zoomed(chart: Browser) -> None:
     """By keyboard and by dragging."""
     assert (min(across(chart)), max(across(chart))) == (0.0, 25.0)
@@ -279,6 +280,7 @@ def test_curves_can_be_hidden(chart: Browser) -> None:
     assert chart.run("return document.querySelector('[data-of=over_time] button').getAttribute('aria-pressed')") == "false"
 
 
+@pytest.mark.slow
 def test_the_robot_can_be_turned(browser: Browser, pages: Callable[[str], Path]) -> None:
     """By buttons, by dragging, and another point by the slider's keys."""
     browser.open(pages("demo"))

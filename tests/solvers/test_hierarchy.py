@@ -76,6 +76,7 @@ def test_members_that_do_not_scatter_have_none():
     assert np.abs(estimate.values[:MEMBERS]).max() < alone
 
 
+@pytest.mark.slow
 def test_members_are_known_better_together():
     """Nearer to the truth than with the first guess or with no prior, over many machines."""
     errors = {"none": [], "spread": []}

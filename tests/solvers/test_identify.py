@@ -193,6 +193,7 @@ class TestRecovery:
         assert largest(missed := misses(found, true_values(kang))) < DEVIATIONS, missed
         assert (found.std > 0.9 * estimate.std).all(), "fewer samples cannot tell more"
 
+    @pytest.mark.slow
     def test_from_nearby_first_derivatives_serve(
         self, kang: CompiledModel, runs: tuple[Run, ...], estimate: ParameterEstimate, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -229,6 +230,7 @@ class TestRecovery:
 
 
 class TestPriors:
+    @pytest.mark.slow
     def test_bind(self, kang: CompiledModel) -> None:
         runs = tuple(measured(changed(kang, K_a=1.06 * kang.values["K_a"]), planned(FILES[:1])))
         found = identify(problem(kang, runs, "K_a"))
@@ -269,6 +271,7 @@ class TestWhatRunsCannotTell:
         assert unidentifiable(estimate) == []
         assert len(unidentifiable(estimate, max_relative_std=0.0)) == len(estimate.values), "but nothing is known exactly"
 
+    @pytest.mark.slow
     def test_profile_of_what_is_well_known(self, kang: CompiledModel) -> None:
         run = steady(kang, random_inputs(kang, 20, 6, 0.0, 0.4), {"K_a": 1.01 * kang.values["K_a"]})
         found = identify(problem(kang, (run,), "K_a", "r", static=True))

@@ -199,6 +199,7 @@ class TestTrajectory:
             together = [found.forces for found in pool.map(lambda one: solve_ik(kang, *one), asked)]
         np.testing.assert_array_equal(together, [solve_ik(kang, *one).forces for one in asked])
 
+    @pytest.mark.slow
     def test_python_finds_the_same(self, kang, kang_python, compiler):
         for mode in MODES:
             for found, expected in zip(*(solve_trajectory(m, CIRCLE[:4], mode) for m in (kang, kang_python)), strict=True):

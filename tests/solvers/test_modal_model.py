@@ -50,6 +50,7 @@ def response(local, by):
     return np.linalg.solve(s**2 * np.eye(len(local.stiffness)) + s * local.damping + np.diag(local.stiffness), by[None])
 
 
+@pytest.mark.slow
 def test_frequency_response(equilibria):
     """By axial forces and by forces on the points, errors beside the largest response; at rest axial forces have none."""
     for at in equilibria:

@@ -176,6 +176,7 @@ class TestObstacles:
 
 
 class TestPath:
+    @pytest.mark.slow
     def test_keeps_to_it(self, kang: CompiledModel, devices: CompiledModel) -> None:
         plan = plan_path(kang, line(start=START, end=END))
         check_limits(plan)

@@ -92,6 +92,7 @@ def test_the_offset_is_that_of_the_worst_signs(kang: CompiledModel) -> None:
     assert min(found) < 0.3 * most
 
 
+@pytest.mark.slow
 def test_room_for_a_controller_takes_half_as_long_again(kang: CompiledModel, fastest: MotionPlan) -> None:
     roomy = plan_move(kang, START, END, settings=PlanSettings(effort_weight=FOR_LOOPS))
     assert fastest.duration < roomy.duration < 1.6 * fastest.duration

@@ -221,6 +221,7 @@ def differences(model, points, directions, k):
     return exact, slope(moved, step)
 
 
+@pytest.mark.slow
 def test_sensitivities_of_robot_and_inputs(kang):
     points = gentle(kang, 0.4, 21)
     points = SetPoints(points.time, points.inputs + 0.05 * kang.input_max, points.tip_force)
@@ -255,6 +256,7 @@ class TestRk4:
         with pytest.raises(InputError, match=r"step: 0\.5 ms; valid with 'rk4': at most 0\.4\d+ ms, or the method 'implicit'"):
             simulate(kang, gentle(kang, 0.2, 5), "rk4", step=5e-4)
 
+    @pytest.mark.slow
     def test_it_is_computed_once_for_a_model_and_its_rows(self, monkeypatch):
         """Other rows, other parameters and other effects have limits of their own."""
         model, computed = compile_model(NOMINAL), []

@@ -104,6 +104,7 @@ def test_first_rows() -> None:
     assert (run.rows, run.start, run.points.shape) == (7, "free", (7, 1, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [["spring"], ["spring", "damping"]])
 def test_projection_gives_what_a_joint_fit_gives(plant: CasadiPlant, names: list[str]) -> None:
     """Golub and Pereyra's point: the same minimum, whether states are parameters or taken out."""

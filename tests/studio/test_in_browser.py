@@ -68,6 +68,7 @@ def test_the_page_opens_and_asks_nobody_else(opened: Browser, studio: Studio) ->
     assert "Content Security Policy" in opened.messages()[0]
 
 
+@pytest.mark.slow
 def test_without_the_token_there_is_nothing(opened: Browser, studio: Studio) -> None:
     """In a tab that has no cookie: the same server, plain refusal; the tab with the page goes on."""
     opened.driver.switch_to.new_window("tab")

@@ -54,6 +54,7 @@ def test_the_rig_is_the_robot_that_is_shown() -> None:
     assert simulated_rig("sim").robot.modules == 2
 
 
+@pytest.mark.slow
 def test_a_push_moves_the_tip_along_it(kang: CompiledModel) -> None:
     """From when it was asked for; the force is told while it lasts."""
     calm, pushed = (followed(kang, 0.3, force)[1] for force in (0.0, 0.3))
@@ -117,6 +118,7 @@ def test_the_studio_imports_nothing_by_name() -> None:
         assert not used & {"importlib", "__import__", "import_module", "exec", "eval"}, path
 
 
+@pytest.mark.slow
 def test_a_way_to_the_board_would_be_seen(tmp_path: Path) -> None:
     """The contract breaks where the studio opens rigs by the registry."""
     linter = shutil.which("lint-imports", path=str(Path(sys.executable).parent))
