@@ -68,7 +68,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Print each reason to skip with its count; store durations where that was asked for."""
     if terminalreporter.config.getoption("--store-durations"):
         reports = [each for kind in ("passed", "failed", "") for each in terminalreporter.stats.get(kind, [])]
-        durations.store((each.nodeid, each.duration) for each in reports if hasattr(each, "duration"))
+        durations.store((each.nodeid, each.when, each.duration) for each in reports if hasattr(each, "duration"))
     reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", []))
     for reason, count in reasons.most_common():
         terminalreporter.write_line(f"skipped {count}: {reason}")

@@ -10,14 +10,18 @@ from pathlib import Path
 FILE = Path(__file__).with_name("durations.csv")
 SHORT = 0.5
 """Tests below this many seconds share one row."""
-REST = "all shorter tests"
+REST, SET_UP = "all shorter tests", "set-up of"
 
 
-def store(measured: Iterable[tuple[str, float]]) -> None:
-    """Write the seconds of each test, longest first; phases of one test (set-up, call, tear-down) are added up."""
+def store(measured: Iterable[tuple[str, str, float]]) -> None:
+    """Write the seconds of each test, longest first; set-ups, which several tests share, are summed by file.
+
+    Args:
+        measured: test, phase ("setup", "call" or "teardown") and seconds.
+    """
     total: Counter[str] = Counter()
-    for test, seconds in measured:
-        total[test] += seconds
+    for test, phase, seconds in measured:
+        total[test if phase == "call" else f"{SET_UP} {test.partition('::')[0]}"] += seconds
     rows = [(test, round(seconds, 1)) for test, seconds in total.most_common() if seconds >= SHORT]
     rest = round(sum(seconds for seconds in total.values() if seconds < SHORT), 1)
     with FILE.open("w", encoding="utf-8", newline="") as file:
