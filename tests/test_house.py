@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from tepm_opt.models.effects import STANDARD, effects
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in sorted((ROOT / "tepm_opt").rglob("*.py"))}
+parse = cache(ast.parse)
 LINES, BYTES = 400, 22_000
 """Of a file. The second keeps the first from being met by long lines."""
 
@@ -60,7 +62,7 @@ def test_no_effect_is_named_outside_its_folder() -> None:
     for path in sorted(package.rglob("*.py")):
         if any(path.is_relative_to(folder) for folder in allowed):
             continue
-        literals = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Constant)]
+        literals = [node for node in ast.walk(parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Constant)]
         found += [f"{path}: line {n.lineno}: {n.value!r}" for n in literals if isinstance(n.value, str) and named.fullmatch(n.value)]
     assert not found
 
@@ -81,7 +83,7 @@ def test_files_fit_a_few_screens() -> None:
 
 def public(text: str) -> Iterator[tuple[bool, ast.FunctionDef | ast.ClassDef]]:
     """Public functions and classes of a module, then public methods; whether they belong to the module itself."""
-    for node in ast.parse(text).body:
+    for node in parse(text).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             yield True, node
             inner = node.body if isinstance(node, ast.ClassDef) else []

@@ -15,7 +15,7 @@ NAMES = st.lists(st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True), min_size
 @given(st.data(), NAMES)
 def test_round_trip_is_exact(tmp_path_factory, data, names):
     rows = data.draw(arrays(float, st.tuples(st.integers(1, 6), st.just(len(names))), elements=st.floats(width=64)))
-    path = tmp_path_factory.mktemp("table") / "table.csv"
+    path = tmp_path_factory.getbasetemp() / "round_trip.csv"
     write_table(path, names, rows)
     table = read_table(path)
     assert list(table.columns) == names

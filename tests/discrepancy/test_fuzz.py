@@ -17,7 +17,7 @@ from tepm_opt.jobs import discrepancy as job
 from tepm_opt.report.discrepancy import write_discrepancy_page
 from tests.discrepancy.random_machines import data, machine
 
-QUICK, ALL, LONG = 10, 200, (2, 7)
+QUICK, ALL, LONG = 10, 200, (2, 4, 7)
 """Seeds of every run, of all, and those of every run that take seconds."""
 NO_NUMBER = re.compile(r"\b(nan|inf|NaN|Infinity)\b")
 
