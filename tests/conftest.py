@@ -8,13 +8,11 @@ from collections.abc import Iterator
 
 # threads that share matrices of 100 x 100 wait for each other: three times slower on two cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# tests compile more than they compute; `test_backends.py` compiles once as users do
-os.environ.setdefault("TEPM_OPT_CFLAGS", "-O1")
 
 import pytest
 from hypothesis import settings
 
-from tepm_opt.models.backends.compiler import find_compiler
+from tepm_opt.models.backends.compiler import FLAGS_VARIABLE, find_compiler
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tests import durations
 from tests.browser import Browser, chromium
@@ -35,8 +33,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Choose how many examples property tests try."""
+    """Choose how many examples property tests try; fast tests compile more than they compute, slow ones have users' flags."""
     settings.load_profile("slow" if config.getoption("-m") else "fast")
+    if not config.getoption("-m"):
+        os.environ.setdefault(FLAGS_VARIABLE, "-O1")
 
 
 def mark_cases_slow(items: list[pytest.Item]) -> None:

@@ -1,8 +1,5 @@
 """The same answer compiled or not: statics.py is the reference for statics.c, kinematics.py for kinematics.c."""
 
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -228,12 +225,3 @@ def test_flags_of_the_environment_come_last(
     assert compiling.build("int answer(void) { return 42; }", "answer", ("answer",), FLAGS, "nothing") is not None
     assert used[: len(FLAGS)] == list(FLAGS)
     assert used[-1] == last
-
-
-@pytest.mark.slow
-def test_the_same_with_the_flags_that_users_have(compiler: None) -> None:
-    """This file's tests of kang2017, compiled without the tests' own flags."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "kang2017"]
-    done = subprocess.run(command, env={**os.environ, compiling.FLAGS_VARIABLE: ""}, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
-    assert " passed" in done.stdout
