@@ -90,12 +90,17 @@ def public(text: str) -> Iterator[tuple[bool, ast.FunctionDef | ast.ClassDef]]:
             yield from ((False, each) for each in inner if isinstance(each, ast.FunctionDef) and not each.name.startswith("_"))
 
 
-def test_docstrings_can_be_read_alone() -> None:
+@pytest.fixture(scope="module")
+def definitions() -> list[tuple[str, bool, str, str]]:
+    """Path, whether it belongs to the module itself, name and docstring of all that is public."""
+    return [(path, own, node.name, ast.get_docstring(node) or "") for path, text in PACKAGE.items() for own, node in public(text)]
+
+
+def test_docstrings_can_be_read_alone(definitions: list[tuple[str, bool, str, str]]) -> None:
     """A tooltip shows them without the name's context: they begin with a noun or a verb. Methods may inherit theirs."""
     hanging = re.compile(r"(Of|By|With|From|For|To|In|On|At|As|And|Or|But|Than|Also|Because)\b")
-    found = [(path, own, node.name, ast.get_docstring(node) or "") for path, text in PACKAGE.items() for own, node in public(text)]
-    assert not [(path, name) for path, own, name, text in found if own and not text]
-    assert not [(path, name, text) for path, _, name, text in found if hanging.match(text)]
+    assert not [(path, name) for path, own, name, text in definitions if own and not text]
+    assert not [(path, name, text) for path, _, name, text in definitions if hanging.match(text)]
 
 
 def parameters(function: ast.FunctionDef) -> list[ast.arg]:
