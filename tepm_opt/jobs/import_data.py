@@ -17,13 +17,14 @@ from tepm_opt.data.checks.findings import Finding, noise_level
 from tepm_opt.data.datasets import DESCRIPTION, DataSet, in_session, write_dataset
 from tepm_opt.data.documents import toml_string
 from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.importing.clocks import time_map
 from tepm_opt.data.importing.guess import guess_map, orientations, triples
 from tepm_opt.data.importing.maps import ImportMap, Wanted, read_map, wanted
 from tepm_opt.data.importing.plausible import left_out, notes_of, refuse_implausible
 from tepm_opt.data.importing.refusals import key, refusal, toml
 from tepm_opt.data.importing.resample import GAP
 from tepm_opt.data.importing.runs import ImportedRun, filtered, imported, parts_of, rate_of, roles_of
-from tepm_opt.data.importing.samples import samples_of, time_map
+from tepm_opt.data.importing.samples import samples_of
 from tepm_opt.data.importing.sources import Sheet, read_sheet
 from tepm_opt.data.run import run_of
 from tepm_opt.data.tables import Table, write_columns
@@ -244,13 +245,15 @@ def _notes(
             found.append(
                 f"{run.file}: {before:.3g} s at its start and {behind:.3g} s at its end left out: not all columns have samples there"
             )
+        found += dict.fromkeys(word for s in run.samples if s.clock is not None for word in s.clock.told)
         found += _unknown(run)
         for file, dropped in {s.sheet.path.name: s.dropped for s in run.samples if s.sheet is not None and s.dropped}.items():
             found.append(f"{run.file}: {dropped} rows of {file} left out: no time, or that of another row")
     unused, turned = {}, []
     for sheet in sheets:
+        found += [*sheet.told, *sheet.undecoded.values()]
         used = {sheet.name(column) for each in asked for column in each.columns} | {
-            sheet.name(time_map(given, sheet).column or ""),
+            *map(sheet.name, time_map(given, sheet).names),
             *sheet.clocks.values(),
         }
         used |= {sheet.name(each.source.time) for each in asked if each.source.time is not None} | {sheet.name(given.split or "")}

@@ -67,7 +67,8 @@ def kinds_columns(
     for kind, count in found.items():
         rows = [line for line in lines if (fields := fields_of(line, separator)) and fields[0] == kind and len(fields) == count]
         names = [str(k + 1) for k in range(count)]
-        if rows and not any(is_number(each) for each in (first := fields_of(rows[0], separator))[1:]):
+        first = fields_of(rows[0], separator)
+        if not any(is_number(each) for each in first[1:]):
             names, rows = first, rows[1:]
         columns |= {f"{kind}/{name}": values for name, values in list(zip(names, read(rows, count), strict=True))[1:]}
     return columns

@@ -19,6 +19,7 @@ from tepm_opt.data.importing.refusals import named, refusal, toml
 from tepm_opt.data.importing.short_rows import without_short_rows
 from tepm_opt.errors import InputError
 
+
 @dataclass(frozen=True, eq=False)
 class TextColumns:
     """Columns of a text table.
@@ -161,6 +162,10 @@ def _header(path: Path, lines: list[str], form: Format, separator: str) -> tuple
     shape.refuse_group_row(names)
     above = [] if form.groups is None else [form.groups] if isinstance(form.groups, int) else form.groups
     if wrong := [number for number in above if not 0 < number < form.header]:
-        raise refusal(path, f"csv.groups = {wrong[0]} is no line above the header, line {form.header}", f"csv.groups = {shape.groups(form.header) or 1}")
+        raise refusal(
+            path,
+            f"csv.groups = {wrong[0]} is no line above the header, line {form.header}",
+            f"csv.groups = {shape.groups(form.header) or 1}",
+        )
     names = join_names([shape.fields(number) for number in above], names) if above else names
     return [name or str(k + 1) for k, name in enumerate(names)], first
