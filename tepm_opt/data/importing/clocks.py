@@ -8,7 +8,7 @@ import numpy as np
 
 from tepm_opt.data.importing.dates import are_local_times, local_seconds
 from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted, fits, time_with
-from tepm_opt.data.importing.refusals import Refusal, lines_of, named, question, refusal, toml
+from tepm_opt.data.importing.refusals import TableError, lines_of, named, question, refusal, toml
 from tepm_opt.data.importing.resample import Clock
 from tepm_opt.data.importing.rolling import DAY, HOUR, MINUTE, period_of, time_parts, unroll
 from tepm_opt.data.importing.sources import Sheet, optional
@@ -130,7 +130,7 @@ def _goes_back(
     back: np.ndarray,
     one: float,
     rows: Rows,
-) -> Refusal:
+) -> TableError:
     """The refusal of a time that goes back: a part of a time, a counter that rolls over, a row that is cut off, a new run."""
     own = names[0]
     where = [line_of(sheet, int(kept[row]), rows) for row in back]
@@ -144,7 +144,7 @@ def _goes_back(
         what = f"{what}: a counter that rolls over at {period:g}? (new runs instead: split = {toml(own)})"
         return refusal(place, what, time_with(given, entry, rolls_over_at=int(period) if period == int(period) else period))
     if np.any(raw[kept[back]] > (raw[kept[0]] + raw[kept[back - 1]]) / 2):  # not to the start
-        return Refusal(f"{place}: {what}; valid: rows in the order of time")
+        return TableError(f"{place}: {what}; valid: rows in the order of time")
     return refusal(place, f"{what}; where a new run begins there", f"split = {toml(own)}")
 
 
@@ -156,7 +156,7 @@ def _refuse_part(given: ImportMap, sheet: Sheet, entry: TimeMap, own: str) -> No
         raise refusal(sheet.path, what, time_with(given, entry, column=list(parts), unit=list(parts.values())))
 
 
-def _no_clock(given: ImportMap, sheet: Sheet, entry: TimeMap, own: str) -> Refusal:
+def _no_clock(given: ImportMap, sheet: Sheet, entry: TimeMap, own: str) -> TableError:
     """The refusal of a counter of frames as time."""
     what = f"column {own!r} counts rows and is no clock"
     if mended := _clock_entry(given, sheet, entry):

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from tepm_opt.data.importing.maps import Format
@@ -59,7 +60,7 @@ def stated_rate(lines: Sequence[str], separator: str) -> float | None:
     found: dict[str, float] = {}
     for line in lines:
         fields = [part.strip() for field in fields_of(line.strip().lstrip("#%; "), separator) for part in re.split(r"[=:]", field)]
-        for name, value in zip(fields, fields[1:], strict=False):
+        for name, value in pairwise(fields):
             number, kind = _NUMBER.fullmatch(value), _RATE.fullmatch(name)
             if number and kind and (rate := float(number[1].replace(",", "."))) > 0:
                 found[(kind[1] or "").lower()] = rate

@@ -76,6 +76,11 @@ def lost_points(points: np.ndarray) -> tuple[np.ndarray, list[float]]:
     return lost, sorted(dict.fromkeys(found), key=lambda value: -abs(value))
 
 
+def as_written(number: float) -> float | int:
+    """A number as people write it: -9999, not -9999.0."""
+    return int(number) if number == int(number) and abs(number) < ABSURD else number
+
+
 def words_of(numbers: Sequence[float]) -> str:
     """Numbers for people: "-9999 and -3.697314e+28"."""
     return " and ".join(f"{number:.10g}" for number in numbers)

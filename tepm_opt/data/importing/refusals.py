@@ -12,7 +12,7 @@ PUT, BETWEEN = "; put into the map: ", " and "
 """Before the entries that mend what is refused, and between several of them."""
 
 
-class Refusal(InputError):
+class TableError(InputError):
     """What was found in a table, and the entries of the map that mend it.
 
     Attributes:
@@ -26,12 +26,12 @@ class Refusal(InputError):
         self.found, self.entries, self.asks = found, tuple(entries), asks
 
 
-def question(where: Any, what: str, *answers: str) -> Refusal:
+def question(where: Any, what: str, *answers: str) -> TableError:
     """A refusal that asks what no table tells, with the answers that are valid."""
-    return Refusal(f"{where}: {what}; valid: {' or '.join(answers)}", asks=True)
+    return TableError(f"{where}: {what}; valid: {' or '.join(answers)}", asks=True)
 
 
-def refusal(where: Any, what: str, *entries: str) -> Refusal:
+def refusal(where: Any, what: str, *entries: str) -> TableError:
     """A refusal that ends with what to put into the map file.
 
     Args:
@@ -39,7 +39,7 @@ def refusal(where: Any, what: str, *entries: str) -> Refusal:
         what: what was found there.
         entries: lines of TOML that mend it; none where the file has to be mended itself.
     """
-    return Refusal(f"{where}: {what}", [entry for entry in entries if entry])
+    return TableError(f"{where}: {what}", [entry for entry in entries if entry])
 
 
 def toml(value: Any) -> str:

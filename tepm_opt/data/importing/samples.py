@@ -10,7 +10,7 @@ import numpy as np
 
 from tepm_opt.data.importing.clocks import COMMA, Rows, clock_of, instants_in_s, line_of
 from tepm_opt.data.importing.held import new_rows
-from tepm_opt.data.importing.lost_codes import far_codes, lost_points, words_of
+from tepm_opt.data.importing.lost_codes import as_written, far_codes, lost_points, words_of
 from tepm_opt.data.importing.maps import ImportMap, Name, Wanted, fits
 from tepm_opt.data.importing.refusals import lines_of, named, refusal, toml
 from tepm_opt.data.importing.resample import Clock
@@ -259,12 +259,7 @@ def _refuse_codes(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Seq
     if concerned:
         what = f"{each.place}: {named(concerned)}: {same}, {words_of(codes)}, in {len(where)} rows: a code for lost samples?"
         place = lines_of([line_of(sheet, int(row), rows) for row in where])
-        raise refusal(f"{sheet.path}: {place}", what, f"{each.place}.missing = {toml([*each.source.missing, *map(_whole, codes)])}")
-
-
-def _whole(number: float) -> float | int:
-    """A number as people write it: -9999, not -9999.0."""
-    return int(number) if number == int(number) and abs(number) < 1e15 else number
+        raise refusal(f"{sheet.path}: {place}", what, f"{each.place}.missing = {toml([*each.source.missing, *map(as_written, codes)])}")
 
 
 def _fresh_rows(each: Wanted, numbers: Sequence[np.ndarray]) -> list[np.ndarray | None]:

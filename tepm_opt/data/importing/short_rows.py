@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tepm_opt.data.importing.header_rows import fields_of
 from tepm_opt.data.importing.maps import Format
-from tepm_opt.data.importing.refusals import Refusal, lines_of, refusal
+from tepm_opt.data.importing.refusals import TableError, lines_of, refusal
 
 Line = tuple[int, str]
 
@@ -50,10 +50,10 @@ def _words(lines: Sequence[Line], count: int, separator: str) -> str:
     return ", ".join(f"line {number} has {len(fields_of(line, separator))} of {count} fields" for number, line in lines)
 
 
-def _refusal(path: Path, lines: Sequence[Line], count: int, separator: str, ends: bool, rows: int) -> Refusal:
+def _refusal(path: Path, lines: Sequence[Line], count: int, separator: str, ends: bool, rows: int) -> TableError:
     if ends:
         return refusal(path, f"{_words(lines, count, separator)}: cut off?", 'csv.short_rows = "ends"')
     where = lines_of([number for number, _ in lines])
     first = len(fields_of(lines[0][1], separator))
     what = f"{where}: {first} of {count} fields; {len(lines)} of {rows} rows are short"
-    return Refusal(f'{path}: {what}; valid: whole rows, csv.short_rows = "all" (left out) or "empty" (filled up)')
+    return TableError(f'{path}: {what}; valid: whole rows, csv.short_rows = "all" (left out) or "empty" (filled up)')

@@ -162,10 +162,7 @@ def _header(path: Path, lines: list[str], form: Format, separator: str) -> tuple
     shape.refuse_group_row(names)
     above = [] if form.groups is None else [form.groups] if isinstance(form.groups, int) else form.groups
     if wrong := [number for number in above if not 0 < number < form.header]:
-        raise refusal(
-            path,
-            f"csv.groups = {wrong[0]} is no line above the header, line {form.header}",
-            f"csv.groups = {shape.groups(form.header) or 1}",
-        )
+        what = f"csv.groups = {wrong[0]} is no line above the header, line {form.header}"
+        raise refusal(path, what, f"csv.groups = {shape.groups(form.header) or 1}")
     names = join_names([shape.fields(number) for number in above], names) if above else names
     return [name or str(k + 1) for k, name in enumerate(names)], first
