@@ -14,7 +14,7 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.importing.advice import entries_of
 from tepm_opt.data.importing.clocks import counts_rows
 from tepm_opt.data.importing.dates import are_local_times
-from tepm_opt.data.importing.lost_codes import as_written, lost_points
+from tepm_opt.data.importing.lost_codes import as_written, far_codes, lost_points
 from tepm_opt.data.importing.maps import Format
 from tepm_opt.data.importing.refusals import toml
 from tepm_opt.data.importing.rolling import period_of, time_parts
@@ -25,7 +25,8 @@ from tepm_opt.errors import InputError
 ZEROS = 0.01  # of the rows: fewer zeros are asked about by the import
 _TIME = re.compile(r"(?:.*[/._])?(?:t|time|timestamp|stamp|seconds?|zeit|datetime)(?:[ _(\[/]*(s|ms|us|µs|ns|sec|min)?[)\]]*)", re.I)
 _TURN = re.compile(
-    r"(?:.*[/._ -])?(?:q[wxyz0-4]|q[oxyz0][a-z]|quat\w*[ _./]?[wxyz]?|orientation[/._][wxyz]|r[1-3_]?[1-3][1-3]?|rot\w*|roll|pitch|yaw)(?:[ _(\[].*)?",
+    r"(?:.*[/._ -])?(?:q[wxyz0-4]|q[oxyz0][a-z]|quat\w*[ _./]?[wxyz]?|orientation[/._][wxyz]|r[1-3_]?[1-3][1-3]?|rot\w*|roll|pitch|yaw)"
+    r"(?:[ _(\[].*)?",
     re.I,
 )
 _UNIT = re.compile(r"[ _(\[/]([A-Za-zµ]+)[)\]]?$")
@@ -257,6 +258,7 @@ def _unit(names: Sequence[str], dimension: str, sheet: Sheet, limit: float) -> s
     if (found := _UNIT.search(names[0])) and found[1].lower() in alike:
         return alike[found[1].lower()]
     values = [sheet.columns[name].astype(float) for name in names if sheet.columns[name].dtype.kind in "iuf"]
+    values = [each[~np.isin(each, far_codes(each))] for each in values]
     largest = max((float(np.nanmax(np.abs(each), initial=0.0)) for each in values), default=0.0)
     if dimension == "length":
         return "m" if largest < limit else "mm"

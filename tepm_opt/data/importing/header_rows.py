@@ -68,13 +68,21 @@ def stated_rate(lines: Sequence[str], separator: str) -> float | None:
 
 
 def join_names(groups: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
-    """Names of columns behind those of their groups; a group's name holds until the next one."""
+    """Names of columns behind those of their groups; a group's name holds until the next one.
+
+    A label above one column that has a name of its own ("Name" above "Time") is no group.
+    """
     found = [""] * len(names)
+    counted = Counter(names)
     for row in groups:
-        last = ""
-        for k in range(len(names)):
-            last = (row[k] if k < len(row) else "") or last
-            found[k] = f"{found[k]} {last}".strip()
+        cells = [row[k] if k < len(row) else "" for k in range(len(names))]
+        starts = [k for k, cell in enumerate(cells) if cell]
+        for start, end in pairwise([*starts, len(names)]):
+            own = names[start]
+            if end - start == 1 and counted[own] == 1 and not is_unit(own) and not is_number(own):
+                continue
+            for k in range(start, end):
+                found[k] = f"{found[k]} {cells[start]}".strip()
     return [f"{group} {name}".strip() for group, name in zip(found, names, strict=True)]
 
 
@@ -153,7 +161,7 @@ class Shape:
 
     def refuse_separator(self, number: int, line: str) -> None:
         """Refuse a line that is one field only, where another separator makes several of it and of the others."""
-        if len(fields_of(line, self.separator)) > 1 or len(self.lines) < 2 or self.usual(self.separator) > 1:
+        if len(fields_of(line, self.separator)) > 1 or len(self.lines) < 2:
             return
         found = {each: self.usual(each) for each in SEPARATORS if each != self.separator}
         best = max(found, key=lambda each: (found[each], -SEPARATORS.index(each)))

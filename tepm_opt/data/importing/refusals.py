@@ -23,7 +23,8 @@ class TableError(InputError):
 
     def __init__(self, found: str, entries: Sequence[str] = (), asks: bool = False) -> None:
         super().__init__(found + (PUT + BETWEEN.join(entries) if entries else ""))
-        self.found, self.entries, self.asks = found, tuple(entries), asks
+        self.found, self.asks = found, asks
+        self.entries = tuple(part for entry in entries for part in entry.split(BETWEEN))
 
 
 def question(where: Any, what: str, *answers: str) -> TableError:

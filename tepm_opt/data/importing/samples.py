@@ -111,12 +111,12 @@ def _placed(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tupl
         _refuse_twice(each, sheet)
         _refuse_undecoded(each, sheet)
         missing.append((each, sheet, [column for column in each.columns if not sheet.name(column)]))
-        entries.append(_nearest(each, sheet))
+        entries.append(f"csv.groups = {sheet.groups}" if sheet.groups else _nearest(each, sheet))
     if missing:
         where = ", ".join(dict.fromkeys(str(sheet.path) for _, sheet, _ in missing))
         text = "; ".join(f"{each.place}: no {named(columns)}" for each, _, columns in missing)
         there = [name for name in missing[0][1].order if name not in missing[0][1].twice]
-        raise refusal(where, f"{text}; found: {', '.join(there)}", *entries)
+        raise refusal(where, f"{text}; found: {', '.join(there)}", *dict.fromkeys(entries))
     return found
 
 

@@ -35,6 +35,7 @@ class Sheet:
         clocks: columns of time in s that the file itself gives its columns.
         rate: in Hz, where the file states it.
         told: words about what was left out.
+        groups: line above the header whose names would tell columns apart; 0: none.
         undecoded: words about topics of a bag whose messages cannot be decoded.
     """
 
@@ -46,6 +47,7 @@ class Sheet:
     clocks: Mapping[str, str] = field(default_factory=dict)
     rate: float | None = None
     told: tuple[str, ...] = ()
+    groups: int = 0
     undecoded: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -91,7 +93,8 @@ def read_sheet(path: str | Path, form: Format) -> Sheet:
         raise InputError(f"{path}: a folder; valid: files, or the folder of a ROS 2 bag (with metadata.yaml)")
     if suffix in TEXT:
         read = text_columns(path, form, optional("pandas", f"{path}: reading tables"))
-        return Sheet(path, read.columns, read.lines, tuple(read.columns), read.twice, rate=read.rate, told=read.told)
+        names = tuple(read.columns)
+        return Sheet(path, read.columns, read.lines, names, read.twice, rate=read.rate, told=read.told, groups=read.groups)
     readers = {".parquet": _parquet, ".mat": _mat} | dict.fromkeys(HDF5, _hdf5)
     if suffix not in readers:
         raise InputError(f"{path}: unknown kind of file {suffix!r}; valid: {', '.join(SUFFIXES)}, or the folder of a ROS 2 bag")

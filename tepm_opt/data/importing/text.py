@@ -30,6 +30,7 @@ class TextColumns:
         twice: names that stand twice, with their numbers.
         rate: in Hz, where the lines above the header state it.
         told: words about rows that were left out.
+        groups: line above the header whose names would tell columns apart; 0: none.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -37,6 +38,7 @@ class TextColumns:
     twice: Mapping[str, tuple[int, ...]]
     rate: float | None = None
     told: tuple[str, ...] = ()
+    groups: int = 0
 
 
 def separator_of(path: Path, form: Format) -> str:
@@ -115,7 +117,9 @@ def text_columns(path: Path, form: Format, pandas: Any) -> TextColumns:
         columns[f"{name} ({k + 1})" if repeated else name] = found[k]
     columns |= {name: np.empty(0) for name in twice}
     rate = stated_rate(lines[: (form.header or first) - 1], separator)
-    return TextColumns(columns, tuple(number for number, _ in body), twice, rate, tuple(told))
+    return TextColumns(
+        columns, tuple(number for number, _ in body), twice, rate, tuple(told), shape.groups(form.header) if twice and form.header else 0
+    )
 
 
 def _frame(pandas: Any, rows: list[str], count: int, separator: str, decimal: str) -> list[np.ndarray]:
