@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.data.importing.header_rows import fields_of, is_number
+from tepm_opt.data.importing.header_rows import LOOKED_AT, fields_of, is_number
 from tepm_opt.data.importing.refusals import refusal
 from tepm_opt.errors import InputError
 
@@ -17,8 +17,17 @@ MOST = 8  # kinds
 WHOLE = 0.9  # of the rows of a kind that have the same number of fields
 
 
-def kinds_of(lines: Sequence[str], separator: str) -> dict[str, int]:
-    """Kinds of rows with their numbers of fields; empty where all rows are of one kind."""
+def kinds_of(lines: Sequence[str], separator: str, alike: bool = False) -> dict[str, int]:
+    """Kinds of rows with their numbers of fields; empty where all rows are of one kind.
+
+    Args:
+        lines: of the file.
+        separator: of the fields.
+        alike: whether kinds may have as many fields as each other.
+    """
+    begin = next((line for line in reversed(lines[:LOOKED_AT]) if line.strip()), "")
+    if not begin or is_number(fields_of(begin, separator)[0] if fields_of(begin, separator) else ""):
+        return {}
     rows = [fields_of(line, separator) for line in lines if line.strip()]
     named = [row for row in rows if row and row[0] and not is_number(row[0]) and any(is_number(each) for each in row[1:])]
     counts = Counter(row[0] for row in named)
@@ -32,7 +41,7 @@ def kinds_of(lines: Sequence[str], separator: str) -> dict[str, int]:
         if most < WHOLE * counts[kind]:
             return {}
         found[kind] = length
-    return found if len(set(found.values())) > 1 else {}
+    return found if alike or len(set(found.values())) > 1 else {}
 
 
 def refuse_kinds(path: Path, lines: Sequence[str], separator: str) -> None:
@@ -60,7 +69,7 @@ def kinds_columns(
     Raises:
         InputError: rows of one kind only.
     """
-    found = kinds_of(lines, separator)
+    found = kinds_of(lines, separator, alike=True)
     if not found:
         raise InputError(f"{path}: rows of one kind only; valid: csv.kinds = false")
     columns: dict[str, np.ndarray] = {}

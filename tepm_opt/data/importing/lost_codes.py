@@ -10,6 +10,7 @@ FEWEST = 2  # rows with the same three numbers of a point; of one column one mor
 FAR = 3.0  # times the range of the other samples beyond them: no noise and no motion leaves such a gap, and returns to one number
 NEAR_KNOWN = 0.5  # the same for the numbers that programs write on purpose
 ABSURD = 1e15  # no sensor's number in any unit
+MOST = 8  # codes and strays that are looked at
 DISTINCT = 5  # other values: below these a column switches rather than measures
 KNOWN = (
     *(sign * each for each in (99.0, 999.0, 9999.0, 99999.0, 999999.0, 1e6, 1e9, 999.9, 9999.9) for sign in (1, -1)),
@@ -24,18 +25,18 @@ def far_codes(values: np.ndarray, fewest: int = FEWEST + 1) -> list[float]:
         values: (rows,), NaN where samples are missing.
         fewest: rows that hold a number before it is taken for a code.
     """
-    seen = values[np.isfinite(values)]
-    numbers, counts = np.unique(seen, return_counts=True)
+    numbers, counts = np.unique(values[np.isfinite(values)], return_counts=True)
     found: list[float] = []
-    for number in numbers[np.argsort(-np.abs(numbers))][: 2 * DISTINCT]:
-        count = int(counts[np.searchsorted(numbers, number)])
-        if count < fewest and abs(number) < ABSURD:
-            continue
-        if _is_code(float(number), numbers[~np.isin(numbers, [*found, number])]):
-            found.append(float(number))
-    if 0.0 in numbers and 0.0 not in found and _comes_and_goes(values == 0) and int(counts[np.searchsorted(numbers, 0.0)]) >= fewest:
-        rest = numbers[~np.isin(numbers, [*found, 0.0])]
-        found += [0.0] if _is_code(0.0, rest) else []
+    for _ in range(MOST):
+        for end in (0, -1):
+            if len(numbers) < 2 or not _is_code(number := float(numbers[end]), np.delete(numbers, end)):
+                continue
+            if (counts[end] >= fewest and (number != 0 or _comes_and_goes(values == 0))) or abs(number) >= ABSURD:
+                found.append(number)  # else a single stray
+            numbers, counts = np.delete(numbers, end), np.delete(counts, end)
+            break
+        else:
+            break
     return found
 
 
