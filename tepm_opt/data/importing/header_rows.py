@@ -22,6 +22,7 @@ _RATE = re.compile(
     r"(?:rate|frequency|freq|fps)(?:[ _]*[(\[]?(?:hz|fps)[)\]]?)?",
     re.I,
 )
+_DIGITS = re.compile(r"[\d.,;:|/\s+-]*(?:[eE][+-]\d+[\d.,;:|/\s+-]*)*")  # also numbers that another separator parts
 _NUMBER = re.compile(r"(\d+(?:[.,]\d+)?) ?(?:hz|fps)?", re.I)
 _UNITS = {unit.lower() for units in UNITS.values() for unit in units} | {"", "-", "v", "a", "ma", "hz", "°c", "k", "%", "nm"}
 
@@ -107,7 +108,7 @@ class Shape:
     def _numbers(self, number: int) -> tuple[int, int]:
         """How many fields of a line are given, and how many of these are numbers."""
         given = [each for each in self.fields(number) if each]
-        return len(given), sum(is_number(each) for each in given)
+        return len(given), sum(is_number(each) or _DIGITS.fullmatch(each) is not None for each in given)
 
     def data(self) -> int:
         """The first line of numbers with as many fields as most lines; 0 where there is none."""
