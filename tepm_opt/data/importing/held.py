@@ -23,13 +23,13 @@ def new_rows(values: np.ndarray) -> np.ndarray | None:
     one, next_one = values[:, :-1], values[:, 1:]
     changed = np.any((one != next_one) & ~(np.isnan(one) & np.isnan(next_one)), axis=0)
     starts = np.r_[0, np.flatnonzero(changed) + 1]
-    known = np.isfinite(values[:, starts]).all(axis=0)
+    known = np.all(np.isfinite(values[:, starts]), axis=0)
     lengths = np.diff(starts)[1:]
     lengths = lengths[known[1:-1]]
     if len(lengths) < LEAST:
         return None
     middle = np.median(lengths)
-    mean = float(lengths[lengths <= 2 * middle].mean())
+    mean = float(lengths[np.less_equal(lengths, 2 * middle)].mean())
     if mean < SLOWER or np.mean((lengths == np.floor(mean)) | (lengths == np.ceil(mean))) < RHYTHM:
         return None
     steps = np.abs(np.diff(values[:, starts][:, known], axis=1)).max(axis=0)

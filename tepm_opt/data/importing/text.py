@@ -162,7 +162,7 @@ def _header(path: Path, lines: list[str], form: Format, separator: str) -> tuple
     names = fields_of(line, separator)
     if all(is_number(name) for name in names):
         what = f"line {form.header}: {named(names[:6])}{' …' if len(names) > 6 else ''}: numbers where the names of the columns belong"
-        raise refusal(path, what, "csv.header = 0")
+        raise refusal(path, what, f"csv.header = {shape.header()}")
     shape.refuse_group_row(names)
     above = [] if form.groups is None else [form.groups] if isinstance(form.groups, int) else form.groups
     if wrong := [number for number in above if not 0 < number < form.header]:

@@ -249,6 +249,13 @@ add("last row cut", cut(0, 11))
 add("both cut", cut(17, 20))
 
 
+def header_named_too_late(folder: Path) -> Odd:
+    return Odd(text(folder / "a.csv", motion()), given(csv={"header": 2}), ["line 2", "csv.header = 1"])
+
+
+add("header named too late", header_named_too_late)
+
+
 def fragment(folder: Path) -> Odd:
     body = rows_of(motion())
     body[0] = "796914," + body[0].partition(",")[2]
