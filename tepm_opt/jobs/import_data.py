@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -15,15 +16,17 @@ from tepm_opt.data.channels import Channels
 from tepm_opt.data.checks.dataset import check_dataset
 from tepm_opt.data.checks.findings import Finding, noise_level
 from tepm_opt.data.datasets import DESCRIPTION, DataSet, in_session, write_dataset
-from tepm_opt.data.documents import toml_string
+from tepm_opt.data.documents import read_toml, toml_string
 from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.importing.advice import try_entries, with_tried_entries
+from tepm_opt.data.importing.clocks import time_map
 from tepm_opt.data.importing.guess import guess_map, orientations, triples
-from tepm_opt.data.importing.maps import ImportMap, Wanted, read_map, wanted
+from tepm_opt.data.importing.maps import ImportMap, Wanted, map_of, wanted
 from tepm_opt.data.importing.plausible import left_out, notes_of, refuse_implausible
-from tepm_opt.data.importing.refusals import key, refusal, toml
+from tepm_opt.data.importing.refusals import PUT, key, refusal, toml
 from tepm_opt.data.importing.resample import GAP
 from tepm_opt.data.importing.runs import ImportedRun, filtered, imported, parts_of, rate_of, roles_of
-from tepm_opt.data.importing.samples import samples_of, time_map
+from tepm_opt.data.importing.samples import samples_of
 from tepm_opt.data.importing.sources import Sheet, read_sheet
 from tepm_opt.data.run import run_of
 from tepm_opt.data.tables import Table, write_columns
@@ -143,16 +146,42 @@ def run_import(files: Sequence[str | Path], map_file: str | Path, name: str = ""
     Raises:
         InputError: names all columns concerned, and the entry that mends it.
     """
-    where = str(map_file)
-    given = read_map(map_file)
+    content = read_toml(map_file)
+    read = _Reader(files, map_file, name)
+    try:
+        return read(content, progress)
+    except InputError as error:
+        raise with_tried_entries(content, error, read) from error
+
+
+class _Reader:
+    """Reads files with one map after another, each file once for each way in which it may be written."""
+
+    def __init__(self, files: Sequence[str | Path], map_file: str | Path, name: str = "") -> None:
+        self._files, self._map_file, self._name = files, map_file, name
+        self._sheets: dict[tuple[str, str], Sheet] = {}
+
+    def _sheet(self, path: str | Path, given: ImportMap) -> Sheet:
+        known = (str(path), given.csv.model_dump_json())
+        if known not in self._sheets:
+            self._sheets[known] = read_sheet(path, given.csv)
+        return self._sheets[known]
+
+    def __call__(self, content: Mapping[str, Any], progress: Progress = silent) -> ImportRun:
+        given = map_of(content, self._map_file)
+        sheets = []
+        for number, path in enumerate(self._files):
+            progress("reading files", number, len(self._files))
+            sheets.append(self._sheet(path, given))
+        progress("reading files", len(self._files), len(self._files))
+        return _import(given, sheets, str(self._map_file), self._name or Path(self._map_file).stem)
+
+
+def _import(given: ImportMap, sheets: Sequence[Sheet], where: str, name: str) -> ImportRun:
+    """Runs of the columns of files."""
     robot = load_robot(given.robot) if given.robot is not None else None
     channels = channels_of(robot) if robot is not None else None
     asked = wanted(given, channels, where)
-    sheets = []
-    for number, path in enumerate(files):
-        progress("reading files", number, len(files))
-        sheets.append(read_sheet(path, given.csv))
-    progress("reading files", len(files), len(files))
     if channels is not None and not given.position:
         raise _no_position(given, sheets, channels)
     parts = parts_of(given, sheets, asked)
@@ -167,7 +196,7 @@ def run_import(files: Sequence[str | Path], map_file: str | Path, name: str = ""
     if channels is not None:
         for run in runs:
             refuse_implausible(run, given, asked, channels)
-        dataset = _dataset(given, runs, channels, rate, name or Path(map_file).stem)
+        dataset = _dataset(given, runs, channels, rate, name)
         findings = check_dataset(dataset)
     return ImportRun(given, tuple(runs), dataset, rate, tuple(_notes(given, asked, sheets, channels, runs)), tuple(findings))
 
@@ -175,10 +204,20 @@ def run_import(files: Sequence[str | Path], map_file: str | Path, name: str = ""
 def suggest_map(files: Sequence[str | Path], robot: str = "kang2017") -> str:
     """Text of a first map for files, by the names and sizes of their columns; for a person to look through.
 
+    The map is tried: what still has to be answered or mended stands at its end.
+
     Raises:
         InputError: no such robot or file, or one that cannot be read.
     """
-    return guess_map([Path(path) for path in files], channels_of(load_robot(robot)), robot)
+    text = guess_map([Path(path) for path in files], channels_of(load_robot(robot)), robot)
+    content, read = tomllib.loads(text), _Reader(files, "map.toml")
+    try:
+        read(content)
+    except InputError as error:
+        _, end = try_entries(content, error, read)
+        if end is not None:
+            text += f"# still open: {str(end).partition(PUT)[0]}\n"
+    return text
 
 
 def _no_position(given: ImportMap, sheets: Sequence[Sheet], channels: Channels) -> InputError:
@@ -244,13 +283,15 @@ def _notes(
             found.append(
                 f"{run.file}: {before:.3g} s at its start and {behind:.3g} s at its end left out: not all columns have samples there"
             )
+        found += dict.fromkeys(word for s in run.samples if s.clock is not None for word in s.clock.told)
         found += _unknown(run)
         for file, dropped in {s.sheet.path.name: s.dropped for s in run.samples if s.sheet is not None and s.dropped}.items():
             found.append(f"{run.file}: {dropped} rows of {file} left out: no time, or that of another row")
     unused, turned = {}, []
     for sheet in sheets:
+        found += [*sheet.told, *sheet.undecoded.values()]
         used = {sheet.name(column) for each in asked for column in each.columns} | {
-            sheet.name(time_map(given, sheet).column or ""),
+            *map(sheet.name, time_map(given, sheet).names),
             *sheet.clocks.values(),
         }
         used |= {sheet.name(each.source.time) for each in asked if each.source.time is not None} | {sheet.name(given.split or "")}

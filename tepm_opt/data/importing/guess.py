@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tepm_opt.data.channels import Channels
+from tepm_opt.data.importing.advice import entries_of
+from tepm_opt.data.importing.clocks import counts_rows
+from tepm_opt.data.importing.dates import are_local_times
+from tepm_opt.data.importing.lost_codes import as_written, far_codes, lost_points
 from tepm_opt.data.importing.maps import Format
-from tepm_opt.data.importing.refusals import PUT, toml
+from tepm_opt.data.importing.refusals import toml
+from tepm_opt.data.importing.rolling import period_of, time_parts
 from tepm_opt.data.importing.sources import TEXT, Sheet, read_sheet
-from tepm_opt.data.importing.units import UNITS, USUAL, likely
+from tepm_opt.data.importing.units import UNITS, USUAL, factor, likely
 from tepm_opt.errors import InputError
 
+ZEROS = 0.01  # of the rows: fewer zeros are asked about by the import
 _TIME = re.compile(r"(?:.*[/._])?(?:t|time|timestamp|stamp|seconds?|zeit|datetime)(?:[ _(\[/]*(s|ms|us|µs|ns|sec|min)?[)\]]*)", re.I)
 _TURN = re.compile(
-    r"(?:.*[/._ -])?(?:q[wxyz0-4]|quat\w*[ _./]?[wxyz]?|orientation[/._][wxyz]|r[1-3_]?[1-3][1-3]?|rot\w*|roll|pitch|yaw)(?:[ _(\[].*)?",
+    r"(?:.*[/._ -])?(?:q[wxyz0-4]|q[oxyz0][a-z]|quat\w*[ _./]?[wxyz]?|orientation[/._][wxyz]|r[1-3_]?[1-3][1-3]?|rot\w*|roll|pitch|yaw)"
+    r"(?:[ _(\[].*)?",
     re.I,
 )
 _UNIT = re.compile(r"[ _(\[/]([A-Za-zµ]+)[)\]]?$")
@@ -28,10 +37,17 @@ _AXIS = re.compile(r"(?<![A-Za-z])([xyz])(?![A-Za-z])", re.I)
 
 
 def time_column(sheet: Sheet) -> str | None:
-    """The column that looks most like time; None where none does."""
-    named = [name for name in sheet.order if _TIME.fullmatch(name) and name not in sheet.twice]
-    rising = [name for name in sheet.order if _rises(sheet.columns[name])]
-    return next(iter([name for name in named if name in rising] + named + rising), None)
+    """The column that looks most like time; None where none does. Counters of rows and parts of a time are none."""
+    parts = time_parts(sheet)
+    free = [name for name in sheet.order if name not in sheet.twice and name not in parts and not counts_rows(sheet, name)]
+    named = [name for name in free if _TIME.fullmatch(name)]
+    named += [name for name in free if name not in named and (_written(sheet.columns[name]))]
+    rising = [name for name in free if _rises(sheet.columns[name])]
+    return next(iter([name for name in named if name in rising] + named + ([] if parts else rising)), None)
+
+
+def _written(values: np.ndarray) -> bool:
+    return values.dtype.kind == "O" and len(values) > 0 and are_local_times(values)
 
 
 def _rises(values: np.ndarray) -> bool:
@@ -76,11 +92,11 @@ def open_sheet(path: Path) -> tuple[Sheet, Format]:
         try:
             return read_sheet(path, form), form
         except InputError as error:
-            found = re.search(rf"{re.escape(PUT)}csv\.(\w+) = (.*)$", str(error))
-            if found is None:
+            ways = [tomllib.loads(entry) for entry in entries_of(error)]
+            if not ways or any("csv" not in way for way in ways):
                 raise
-            value = found[2].strip('"').encode().decode("unicode_escape") if found[2].startswith('"') else int(found[2])
-            form = form.model_copy(update={found[1]: value})
+            for way in ways:
+                form = form.model_copy(update=way["csv"])
     return read_sheet(path, form), form
 
 
@@ -107,13 +123,9 @@ def guess_map(paths: Sequence[Path], channels: Channels, robot: str) -> str:
     given = form.model_dump(exclude_defaults=True)
     lines += [f"csv = {toml(given)}"] if given else []
     if not sheet.clocks:
-        time = time_column(sheet)
-        used |= {time} if time else set()
-        lines.append(
-            f"time = {{ column = {toml(time)}, unit = {toml(_time_unit(sheet, time))} }}"
-            if time
-            else "time = { rate_hz = 100 }  # no column looks like time"
-        )
+        columns, line = _time_entry(sheet)
+        used |= columns
+        lines.append(line)
     used |= {name for name in sheet.columns if sheet.clocks.get(name) == name}
     turned = orientations(sheet)
     free = [name for name in sheet.order if name not in used and name not in turned and name not in sheet.twice]
@@ -126,6 +138,8 @@ def guess_map(paths: Sequence[Path], channels: Channels, robot: str) -> str:
             : len(channels.actuators)
         ]
         used |= set(names)
+        if not names and place == "pressure" and sheet.undecoded:
+            raise InputError(f"{sheet.path}: no pressure found; {'; '.join(sheet.undecoded.values())}")
         lines.append(
             _entry(place, names, channels.actuators, dimension, sheet, limits[place]) if names else f"# {place}: none found, taken as 0"
         )
@@ -138,9 +152,37 @@ def guess_map(paths: Sequence[Path], channels: Channels, robot: str) -> str:
     )
     if rest := [name for name in sheet.order if name not in used]:
         lines.append(f"# not in this map: {', '.join(rest)}")
+    lines += [f"# {words}" for words in sheet.undecoded.values()]
     if others := [path.name for path in paths[1:] if open_sheet(path)[0].order != sheet.order]:
         lines.append(f"# other columns, which are not in this map: {', '.join(others)}")
     return "\n".join(lines) + "\n"
+
+
+def _time_entry(sheet: Sheet) -> tuple[set[str], str]:
+    """Columns of the time, and the map's line for it."""
+    time, parts = time_column(sheet), time_parts(sheet)
+    stated = "" if sheet.rate is None else f"  # the file states {sheet.rate:g} Hz"
+    if time is not None:
+        values = sheet.columns[time]
+        if _written(values):
+            return {time}, f"time = {{ column = {toml(time)} }}{stated}"
+        unit = _time_unit(sheet, time)
+        keys: dict[str, Any] = {"column": time, "unit": unit}
+        if values.dtype.kind in "iuf":
+            seen = values[np.isfinite(values)].astype(float)
+            back = np.flatnonzero(np.diff(seen) < 0) + 1
+            if back.size and (period := period_of(seen, back, factor(unit, "time"))) is not None:
+                keys["rolls_over_at"] = int(period) if period == int(period) else period
+        return {time}, f"time = {toml(keys)}{stated}"
+    if parts:
+        return set(parts), f"time = {toml({'column': list(parts), 'unit': list(parts.values())})}{stated}"
+    counters = [name for name in sheet.order if counts_rows(sheet, name)]
+    if sheet.rate is not None:
+        keys = ({"column": counters[0]} if counters else {}) | {"rate_hz": sheet.rate}
+        return set(counters[:1]), f"time = {toml(keys)}{stated}"
+    if counters:
+        return {counters[0]}, f"time = {{ column = {toml(counters[0])} }}  # counts rows: add rate_hz, rows a second"
+    return set(), "time = { rate_hz = 100 }  # no column looks like time"
 
 
 def _comma(values: np.ndarray) -> bool:
@@ -149,13 +191,23 @@ def _comma(values: np.ndarray) -> bool:
 
 def triples(names: Iterable[str]) -> list[tuple[str, str, str]]:
     """Names that differ in x, y and z only."""
+    names = list(names)
     groups: dict[str, dict[str, str]] = {}
     for name in names:
         if (found := list(_AXIS.finditer(name.replace("_", " ")))) or (found := list(re.finditer(r"([xyz])(?=\d*$)", name, re.I))):
             axis = found[-1]
             groups.setdefault(name[: axis.start(1)] + "*" + name[axis.end(1) :], {})[axis[1].lower()] = name
     found = [(each["x"], each["y"], each["z"]) for each in groups.values() if len(each) == 3]
-    return found or _columns_of_matrix(names)
+    return found or _columns_of_matrix(names) or _lettered(names)
+
+
+def _lettered(names: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Points that a letter behind the axis tells apart: `Xa`, `Ya`, `Za`."""
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        if lettered := re.fullmatch(r"([XYZxyz])[ _]?([a-zA-Z])", name):
+            found.setdefault(lettered[2], {})[lettered[1].lower()] = name
+    return [(each["x"], each["y"], each["z"]) for each in found.values() if len(each) == 3]
 
 
 def _columns_of_matrix(names: Iterable[str]) -> list[tuple[str, str, str]]:
@@ -172,7 +224,20 @@ def _entry(place: str, names: Sequence[str], valid: Sequence[str], dimension: st
     count = len(names) // (3 if place == "position" else 1)
     if count < len(valid):
         keys |= {"of": list(valid[-count:] if place == "position" else valid[:count])}
+    if place == "position" and (codes := _codes(names, sheet)):
+        keys["missing"] = codes
     return f"{place} = {toml(keys)}"
+
+
+def _codes(names: Sequence[str], sheet: Sheet) -> list[float]:
+    """Numbers that stand for lost samples of points; zeros where they are many."""
+    columns = [sheet.columns[name] for name in names]
+    if len(names) % 3 or len({len(values) for values in columns}) != 1 or any(values.dtype.kind not in "iuf" for values in columns):
+        return []
+    points = np.array(columns, dtype=float).reshape(-1, 3, len(columns[0]))
+    codes = [as_written(code) for code in lost_points(points)[1]]
+    zero = np.all(points == 0, axis=1)
+    return [*codes, 0] if np.any((zero.mean(axis=1) > ZEROS) & ~zero.all(axis=1)) else codes
 
 
 def _time_unit(sheet: Sheet, name: str) -> str:
@@ -193,6 +258,7 @@ def _unit(names: Sequence[str], dimension: str, sheet: Sheet, limit: float) -> s
     if (found := _UNIT.search(names[0])) and found[1].lower() in alike:
         return alike[found[1].lower()]
     values = [sheet.columns[name].astype(float) for name in names if sheet.columns[name].dtype.kind in "iuf"]
+    values = [each[~np.isin(each, far_codes(each))] for each in values]
     largest = max((float(np.nanmax(np.abs(each), initial=0.0)) for each in values), default=0.0)
     if dimension == "length":
         return "m" if largest < limit else "mm"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Formatter
@@ -33,18 +33,30 @@ Columns = Annotated[
 class TimeMap(Section):
     """Where a file's time is."""
 
-    column: Annotated[Name, Field(description="name or number of a column")] | None = None
-    unit: Annotated[str, Field(description='a unit of time, or "iso" for date and time as text')] = "s"
+    column: Annotated[Name | list[Name], Field(description="name or number of a column, or a list: hours, minutes, seconds")] | None = None
+    unit: Annotated[str | list[str], Field(description='a unit of time, "iso" for date and time as text, or a list')] = "s"
     rate_hz: Annotated[float, between(1e-3, 1e6, "Hz")] | None = None
+    rolls_over_at: Annotated[Number, Field(gt=0, description="value at which the counter begins again, in its unit")] | None = None
+    date: Literal["day first", "month first"] | None = None
     file: Annotated[str, Field(description='pattern of the file\'s name: "*_tracker.csv"')] | None = None
     from_start: Annotated[bool, Field(strict=True, description="true: counts from the file's first row")] = False
     repeated: Literal["first", "last"] | None = None
 
     @model_validator(mode="after")
-    def _either(self) -> TimeMap:
-        if self.column is not None and self.rate_hz is not None:
-            raise ValueError("column and rate_hz exclude each other; valid: rate_hz where rows have no time")
+    def _together(self) -> TimeMap:
+        if isinstance(self.column, list) != isinstance(self.unit, list) or len(self.names or "s") != len(self.units):
+            raise ValueError('several columns need as many units; valid: unit = ["h", "min", "s", "ms"]')
         return self
+
+    @property
+    def names(self) -> list[Name]:
+        """Columns of the time; none where rows have a rate only."""
+        return self.column if isinstance(self.column, list) else [] if self.column is None else [self.column]
+
+    @property
+    def units(self) -> list[str]:
+        """Units of the time's columns."""
+        return self.unit if isinstance(self.unit, list) else [self.unit]
 
 
 class Source(Section):
@@ -92,6 +104,9 @@ class Format(Section):
     decimal: Literal[".", ","] = "."
     header: Annotated[int, Field(ge=0, strict=True, description="line of the column names, 0 where there are none")] = 1
     first: Annotated[int, Field(ge=1, strict=True, description="line of the first row of numbers")] | None = None
+    groups: Annotated[int | list[int], Field(description="lines above the header, whose names go before the columns'")] | None = None
+    short_rows: Literal["ends", "all", "empty"] | None = None
+    kinds: Annotated[bool, Field(strict=True, description="true: rows of several kinds, told apart by their first field")] = False
     encoding: Annotated[str, Field(description="such as utf-8, latin-1, utf-16")] = "utf-8"
 
 
@@ -224,8 +239,21 @@ def read_map(path: str | Path) -> ImportMap:
     Raises:
         InputError: no TOML, unknown key (lists the valid ones), wrong value.
     """
+    return map_of(read_toml(path), path)
+
+
+def map_of(content: Mapping[str, Any], path: str | Path) -> ImportMap:
+    """The content of a map file, checked.
+
+    Args:
+        content: as TOML has it.
+        path: of the map file, for errors and for a robot's path.
+
+    Raises:
+        InputError: unknown key (lists the valid ones), wrong value.
+    """
     path = Path(path)
-    found = validated(ImportMap, read_toml(path), str(path))
+    found = validated(ImportMap, content, str(path))
     beside = path.parent / found.robot if found.robot else None
     return found.model_copy(update={"robot": str(beside)}) if beside is not None and beside.is_file() else found
 
@@ -253,11 +281,12 @@ def wanted(given: ImportMap, channels: Channels | None, where: str) -> list[Want
                 f"{each.place}.unit = {toml(nearest(each.source.unit, each.dimension) if each.dimension else '')}",
             ) from error
     for time in given.time:
-        if time.unit != ISO:
+        for unit in (each for each in time.units if each != ISO or len(time.units) > 1):
             try:
-                factor(time.unit, "time")
+                factor(unit, "time")
             except InputError as error:
-                entry = time_with(given, time, unit=nearest(time.unit, "time"))
+                mended = [nearest(each, "time") if each == unit else each for each in time.units]
+                entry = time_with(given, time, unit=mended if isinstance(time.unit, list) else mended[0])
                 raise refusal(where, f"time: {error}, iso", entry) from error
     targets = [target for each in found for target in each.targets]
     if twice := sorted({target for target in targets if targets.count(target) > 1} | ({TIME} & set(targets))):

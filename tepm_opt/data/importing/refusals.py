@@ -12,16 +12,35 @@ PUT, BETWEEN = "; put into the map: ", " and "
 """Before the entries that mend what is refused, and between several of them."""
 
 
-def refusal(where: Any, what: str, *entries: str) -> InputError:
-    """An `InputError` that ends with what to put into the map file.
+class TableError(InputError):
+    """What was found in a table, and the entries of the map that mend it.
+
+    Attributes:
+        found: file and finding, without the entries.
+        entries: lines of TOML.
+        asks: whether only a person can answer it: no entry can be proposed.
+    """
+
+    def __init__(self, found: str, entries: Sequence[str] = (), asks: bool = False) -> None:
+        super().__init__(found + (PUT + BETWEEN.join(entries) if entries else ""))
+        self.found, self.asks = found, asks
+        self.entries = tuple(part for entry in entries for part in entry.split(BETWEEN))
+
+
+def question(where: Any, what: str, *answers: str) -> TableError:
+    """A refusal that asks what no table tells, with the answers that are valid."""
+    return TableError(f"{where}: {what}; valid: {' or '.join(answers)}", asks=True)
+
+
+def refusal(where: Any, what: str, *entries: str) -> TableError:
+    """A refusal that ends with what to put into the map file.
 
     Args:
         where: file, or file and line.
         what: what was found there.
         entries: lines of TOML that mend it; none where the file has to be mended itself.
     """
-    given = [entry for entry in entries if entry]
-    return InputError(f"{where}: {what}" + (PUT + BETWEEN.join(given) if given else ""))
+    return TableError(f"{where}: {what}", [entry for entry in entries if entry])
 
 
 def toml(value: Any) -> str:

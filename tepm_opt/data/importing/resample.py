@@ -24,10 +24,12 @@ class Clock:
     Attributes:
         time: in s, (rows,), increasing.
         known: rate in Hz where it is known, not measured.
+        told: words about how the times were made.
     """
 
     time: np.ndarray
     known: float | None = None
+    told: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Clock({len(self.time)} rows, {self.rate:.4g} Hz)"

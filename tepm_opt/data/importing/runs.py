@@ -10,10 +10,11 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from tepm_opt.data.channels import TIME
+from tepm_opt.data.importing.clocks import time_map
 from tepm_opt.data.importing.maps import ImportMap, Wanted, fits, time_with
 from tepm_opt.data.importing.refusals import refusal, toml
 from tepm_opt.data.importing.resample import commanded, grid_of, measured, reduction
-from tepm_opt.data.importing.samples import Samples, time_map
+from tepm_opt.data.importing.samples import Samples
 from tepm_opt.data.importing.sources import Sheet
 from tepm_opt.data.run import Role
 from tepm_opt.errors import InputError
@@ -110,7 +111,7 @@ def _split(given: ImportMap, part: Part, wanted: Sequence[Wanted]) -> list[Part]
         names = ", ".join(sheet.order)
         raise InputError(f"{sheet.path}: split = {given.split!r}: valid: a column of the only file of a run; found: {names}")
     values = sheet.columns[str(sheet.name(given.split))]
-    times = {sheet.name(entry.column) for entry in given.time if entry.column is not None}
+    times = {sheet.name(name) for entry in given.time for name in entry.names}
     if sheet.name(given.split) in times and values.dtype.kind in "iufM":
         cuts = np.flatnonzero(np.diff(values.astype(float)) < 0) + 1
         names = [f"{part.name}_{k + 1}" for k in range(len(cuts) + 1)]

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted, fits, time_with
+from tepm_opt.data.importing.clocks import COMMA, Rows, clock_of, instants_in_s, line_of
+from tepm_opt.data.importing.held import new_rows
+from tepm_opt.data.importing.lost_codes import as_written, far_codes, lost_points, words_of
+from tepm_opt.data.importing.maps import ImportMap, Name, Wanted, fits
 from tepm_opt.data.importing.refusals import lines_of, named, refusal, toml
 from tepm_opt.data.importing.resample import Clock
-from tepm_opt.data.importing.sources import Sheet, optional
-from tepm_opt.data.importing.units import factor
+from tepm_opt.data.importing.sources import Sheet
 from tepm_opt.errors import InputError
-
-COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +42,6 @@ class Samples:
 
     def __repr__(self) -> str:
         return f"Samples({self.target}: {len(self.values)} of {self.column!r})"
-
-
-Rows = slice | np.ndarray
 
 
 def samples_of(given: ImportMap, wanted: Sequence[Wanted], sheets: Sequence[Sheet], rows: Rows) -> list[Samples]:
@@ -75,10 +71,15 @@ def samples_of(given: ImportMap, wanted: Sequence[Wanted], sheets: Sequence[Shee
             None if given.static else clock_of(given, each, sheet, name, len(values), rows) for name, values in zip(names, raw, strict=True)
         ]
         _refuse_zeros(each, sheet, names, numbers, rows)
-        for target, name, values, timed in zip(each.targets, names, numbers, times, strict=True):
+        _refuse_codes(each, sheet, names, numbers, rows)
+        fresh = _fresh_rows(each, numbers)
+        for target, name, values, timed, own in zip(each.targets, names, numbers, times, fresh, strict=True):
             clock, kept = (None, np.arange(len(values))) if timed is None else timed
             scaled = values if values.dtype.kind == "U" else each.si * (each.source.scale * values + each.source.offset)
-            found.append(Samples(each, target, name, sheet, clock, scaled[kept], len(values) - len(kept)))
+            dropped = len(values) - len(kept)
+            if clock is not None and own is not None:
+                clock, kept = _slower(clock, kept, own, f"{sheet.path.name}: {each.place}")
+            found.append(Samples(each, target, name, sheet, clock, scaled[kept], dropped))
     _refuse_empty(found, rows)
     return found
 
@@ -108,14 +109,22 @@ def _placed(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tupl
             continue
         sheet = max(fitting, key=lambda one: sum(bool(one.name(column)) for column in each.columns))
         _refuse_twice(each, sheet)
+        _refuse_undecoded(each, sheet)
         missing.append((each, sheet, [column for column in each.columns if not sheet.name(column)]))
-        entries.append(_nearest(each, sheet))
+        entries.append(f"csv.groups = {sheet.groups}" if sheet.groups else _nearest(each, sheet))
     if missing:
         where = ", ".join(dict.fromkeys(str(sheet.path) for _, sheet, _ in missing))
         text = "; ".join(f"{each.place}: no {named(columns)}" for each, _, columns in missing)
         there = [name for name in missing[0][1].order if name not in missing[0][1].twice]
-        raise refusal(where, f"{text}; found: {', '.join(there)}", *entries)
+        raise refusal(where, f"{text}; found: {', '.join(there)}", *dict.fromkeys(entries))
     return found
+
+
+def _refuse_undecoded(each: Wanted, sheet: Sheet) -> None:
+    """Refuse columns of a bag's topic whose messages cannot be decoded."""
+    for topic, words in sheet.undecoded.items():
+        if any(str(column).startswith(f"{topic}/") for column in each.columns):
+            raise InputError(f"{sheet.path}: {each.place}: {words}")
 
 
 def _refuse_twice(each: Wanted, sheet: Sheet) -> None:
@@ -168,7 +177,7 @@ def _numbers(each: Wanted, sheet: Sheet, names: Sequence[str], raw: Sequence[np.
             found.append(values.astype(float))
             continue
         if values.dtype.kind == "M":
-            found.append(_instants(values))
+            found.append(instants_in_s(values))
             continue
         texts = np.array([str(value) for value in values], dtype=np.str_)
         parsed = np.array([_parsed(text, lost_texts) for text in texts])
@@ -201,16 +210,11 @@ def _parsed(text: str, lost: Sequence[str]) -> float:
 
 def _refuse_text(each: Wanted, sheet: Sheet, bad: dict[str, tuple[np.ndarray, list[str]]], rows: Rows) -> None:
     texts = list(dict.fromkeys(text for _, found in bad.values() for text in found))
-    where = [_line(sheet, row, rows) for row in sorted({int(row) for wrong, _ in bad.values() for row in wrong})]
+    where = [line_of(sheet, row, rows) for row in sorted({int(row) for wrong, _ in bad.values() for row in wrong})]
     what = f"{each.place}: {named(bad)}: text where numbers belong, {', '.join(map(repr, texts[:3]))}{' …' if len(texts) > 3 else ''}"
     commas = all(COMMA.fullmatch(text) for text in texts)
     entry = 'csv.decimal = ","' if commas else f"{each.place}.missing = {toml([*each.source.missing, *texts])}" if len(texts) <= 5 else ""
     raise refusal(f"{sheet.path}: {lines_of(where)}", what + (" (decimal commas)" if commas else ""), entry)
-
-
-def _line(sheet: Sheet, row: int, rows: Rows) -> int:
-    start = int(rows[row]) if isinstance(rows, np.ndarray) else row
-    return sheet.line(start)
 
 
 def _refuse_zeros(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Sequence[np.ndarray], rows: Rows) -> None:
@@ -222,9 +226,59 @@ def _refuse_zeros(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Seq
     some = (zero.sum(axis=1) > 1) & ~zero.all(axis=1)
     if some.any():
         concerned = [name for k in np.flatnonzero(some).tolist() for name in names[3 * k : 3 * k + 3]]
-        where = [_line(sheet, int(row), rows) for row in np.flatnonzero(zero[some].any(axis=0))]
+        where = [line_of(sheet, int(row), rows) for row in np.flatnonzero(zero[some].any(axis=0))]
         what = f"position: {named(concerned)}: all 0 at times, a code for a lost sample?"
         raise refusal(f"{sheet.path}: {lines_of(where)}", what, f"position.missing = {toml([*each.source.missing, 0])}")
+
+
+def _is_measured(each: Wanted) -> bool:
+    return not each.driven and not each.place.startswith("extra")
+
+
+def _points_of(each: Wanted, numbers: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Columns of a position as (points, 3, rows); None where they are none, or of several lengths."""
+    if each.place != "position" or len({len(values) for values in numbers}) != 1:
+        return None
+    return np.array(numbers).reshape(-1, 3, len(numbers[0]))
+
+
+def _refuse_codes(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Sequence[np.ndarray], rows: Rows) -> None:
+    """Refuse measurements that hold one number far outside all others in many rows: a code for lost samples."""
+    if not _is_measured(each) or any(values.dtype.kind != "f" for values in numbers):
+        return
+    if (points := _points_of(each, numbers)) is not None:
+        lost, codes = lost_points(points)
+        concerned = [name for k in np.flatnonzero(lost.any(axis=1)).tolist() for name in names[3 * k : 3 * k + 3]]
+        where, same = np.flatnonzero(lost.any(axis=0)), "the same three numbers"
+    else:
+        by_column = {name: found for name, values in zip(names, numbers, strict=True) if (found := far_codes(values))}
+        concerned, codes = list(by_column), sorted({code for found in by_column.values() for code in found}, key=lambda code: -abs(code))
+        chosen = [values for name, values in zip(names, numbers, strict=True) if name in by_column]
+        where = np.unique(np.concatenate([np.flatnonzero(np.isin(values, codes)) for values in chosen])) if chosen else np.empty(0)
+        same = "the same number"
+    if concerned:
+        what = f"{each.place}: {named(concerned)}: {same}, {words_of(codes)}, in {len(where)} rows: a code for lost samples?"
+        place = lines_of([line_of(sheet, int(row), rows) for row in where])
+        raise refusal(f"{sheet.path}: {place}", what, f"{each.place}.missing = {toml([*each.source.missing, *map(as_written, codes)])}")
+
+
+def _fresh_rows(each: Wanted, numbers: Sequence[np.ndarray]) -> list[np.ndarray | None]:
+    """Rows in which new samples of a slower sensor begin, for each column; None where all rows are samples."""
+    if not _is_measured(each) or any(values.dtype.kind != "f" for values in numbers):
+        return [None] * len(numbers)
+    if (points := _points_of(each, numbers)) is not None:
+        return [rows for point in points for rows in [new_rows(point)] * 3]
+    return [new_rows(values[None, :]) for values in numbers]
+
+
+def _slower(clock: Clock, kept: np.ndarray, fresh: np.ndarray, what: str) -> tuple[Clock, np.ndarray]:
+    """The clock and the rows of a slower sensor's own samples."""
+    own = np.flatnonzero(np.isin(kept, fresh))
+    time = clock.time[own]
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    told = f"{what} holds each sample for {clock.rate / rate:.3g} rows: a slower sensor of {rate:.4g} Hz, only its new samples are used"
+    even = clock.known is not None and len(set(np.diff(own).tolist())) == 1
+    return Clock(time, clock.known / int(own[1] - own[0]) if even and clock.known else None, (*clock.told, told)), kept[own]
 
 
 def _refuse_empty(found: Iterable[Samples], rows: Rows) -> None:
@@ -239,132 +293,8 @@ def _refuse_empty(found: Iterable[Samples], rows: Rows) -> None:
         sheet = empty[0].sheet
         assert sheet is not None
         where = [
-            _line(sheet, int(row), rows) for row in sorted({int(row) for s in empty for row in np.flatnonzero(~np.isfinite(s.values))})
+            line_of(sheet, int(row), rows) for row in sorted({int(row) for s in empty for row in np.flatnonzero(~np.isfinite(s.values))})
         ]
         entries = [f'{place}.between = "hold"' for place in dict.fromkeys(s.wanted.place for s in empty)]
         what = f"{named(s.column for s in empty)}: empty; what was put in must be known. Where an empty field means the value before"
         raise refusal(f"{sheet.path}: {lines_of(where)}", what, *entries)
-
-
-def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int, rows: Rows) -> tuple[Clock, np.ndarray]:
-    """Times of a column's samples, and which of its rows have one.
-
-    Args:
-        given: the map.
-        each: the entry that the column belongs to.
-        sheet: its file.
-        name: of the column.
-        count: its rows in the run.
-        rows: of the run in the file.
-
-    Raises:
-        InputError: no time, time of other rows, time that stands or goes back; names the entry that mends it.
-    """
-    entry = time_map(given, sheet)
-    column: Name | None = each.source.time if each.source.time is not None else entry.column
-    if column is None and entry.rate_hz is not None:
-        return Clock(np.arange(count) / entry.rate_hz, entry.rate_hz), np.arange(count)
-    own = sheet.clocks.get(name) if column is None else sheet.name(column)
-    if own is None:
-        raise _no_time(given, sheet, column)
-    if len(sheet.columns[own]) != len(sheet.columns[name]):
-        raise _other_rows(each, sheet, name, own)
-    time = seconds(given, sheet, own, entry)[rows]
-    kept = np.flatnonzero(np.isfinite(time))
-    steps = np.diff(time[kept])
-    if (back := np.flatnonzero(steps < 0) + 1).size:
-        where = [_line(sheet, int(kept[row]), rows) for row in back]
-        first = int(back[0])
-        what = f"column {own!r} (time) goes back from {time[kept[first - 1]]:g} to {time[kept[first]]:g} s"
-        if np.any(time[kept[back]] > (time[kept[0]] + time[kept[back - 1]]) / 2):  # not to the start
-            raise InputError(f"{sheet.path}: {lines_of(where)}: {what}; valid: rows in the order of time")
-        raise refusal(f"{sheet.path}: {lines_of(where)}", f"{what}; where a new run begins there", f"split = {toml(own)}")
-    if (stands := np.flatnonzero(steps == 0) + 1).size:
-        if entry.repeated is None:
-            where = [_line(sheet, int(kept[row]), rows) for row in stands]
-            mended = time_with(given, entry, repeated="first")
-            raise refusal(f"{sheet.path}: {lines_of(where)}", f"column {own!r} (time) repeats itself", mended)
-        drop = stands if entry.repeated == "first" else stands - 1
-        kept = np.delete(kept, drop)
-    if len(kept) < 2:
-        raise InputError(f"{sheet.path}: column {own!r} (time): {len(kept)} rows; valid: at least two")
-    time = time[kept]
-    return Clock(time - time[0] if entry.from_start else time), kept
-
-
-def time_map(given: ImportMap, sheet: Sheet) -> TimeMap:
-    """The entry of the map for the time of a file."""
-    own = [each for each in given.time if each.file is not None and fits(each.file, sheet.path.name) is not None]
-    rest = [each for each in given.time if each.file is None]
-    return next(iter(own + rest), TimeMap())
-
-
-def seconds(given: ImportMap, sheet: Sheet, name: str, entry: TimeMap) -> np.ndarray:
-    """A column of times in s, (rows,); NaN where it is empty.
-
-    Args:
-        given: the map.
-        sheet: the file.
-        name: of the column.
-        entry: of the map, for this file's time.
-
-    Raises:
-        InputError: text that is no time; names the entry that mends it.
-    """
-    values = sheet.columns[name]
-    if values.dtype.kind == "M":
-        return _instants(values)
-    if sheet.clocks.get(name) == name and entry.column is None:
-        return values
-    if entry.unit == ISO:
-        pandas = optional("pandas", f"{sheet.path}: dates")
-        found = pandas.to_datetime(pandas.Series([str(value) for value in values]), errors="coerce", format="ISO8601", utc=True)
-        if found.isna().all():
-            raise refusal(
-                sheet.path,
-                f"column {name!r} (time) holds no date and time such as 2026-11-20T10:00:00.02, but {values[0]!r}",
-                time_with(given, entry, unit="s"),
-            )
-        return _instants(found.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]"))
-    if values.dtype.kind in "iu":
-        one = factor(entry.unit, "time")
-        whole = round(1 / one) if one < 1 else 1
-        return values // whole + (values % whole) * one if one < 1 else values * one  # to the ns, far from 0
-    if values.dtype.kind == "f":
-        return values * factor(entry.unit, "time")
-    parsed = np.array([_parsed(str(value), ()) for value in values])
-    if (wrong := np.flatnonzero(np.isinf(parsed))).size:
-        where = [sheet.line(int(row)) for row in wrong]
-        text = str(values[wrong[0]])
-        date = re.match(r"\d{4}-\d\d-\d\d", text)
-        entry_ = time_with(given, entry, unit=ISO) if date else 'csv.decimal = ","' if COMMA.fullmatch(text) else ""
-        raise refusal(f"{sheet.path}: {lines_of(where)}", f"column {name!r} (time): {text!r} is no number", entry_)
-    return parsed * factor(entry.unit, "time")
-
-
-def _instants(values: np.ndarray) -> np.ndarray:
-    whole = values.astype("datetime64[ns]").astype(np.int64)
-    return np.where(np.isnat(values), np.nan, whole // 10**9 + whole % 10**9 / 1e9)
-
-
-def _no_time(given: ImportMap, sheet: Sheet, column: Name | None) -> InputError:
-    from tepm_opt.data.importing.guess import time_column
-
-    found = time_column(sheet)
-    entry = "" if found is None else time_with(given, time_map(given, sheet), column=found)
-    if column is None:
-        what = f"no time in the map for the columns of this file; found: {', '.join(sheet.order)}"
-        return refusal(sheet.path, what, entry or time_with(given, time_map(given, sheet), rate_hz=100))
-    return refusal(sheet.path, f"time: no {named([column])}; found: {', '.join(sheet.order)}", entry)
-
-
-def _other_rows(each: Wanted, sheet: Sheet, name: str, own: str) -> InputError:
-    rows = len(sheet.columns[name])
-    alike = [one for one in each.columns if (found := sheet.name(one)) and len(sheet.columns[found]) == rows]
-    fitting = [other for other, values in sheet.columns.items() if len(values) == rows and _increases(values)]
-    what = f"{each.place}: {named(alike)}: {rows} rows, but {named([own])} (time) has {len(sheet.columns[own])}"
-    return refusal(sheet.path, what, f"{each.place}.time = {toml(fitting[0])}" if fitting else "")
-
-
-def _increases(values: np.ndarray) -> bool:
-    return values.dtype.kind in "iufM" and len(values) > 1 and bool(np.all(np.diff(values.astype(float)) > 0))

@@ -33,6 +33,10 @@ class Sheet:
         order: names by number, from 1; names that stand twice are numbers only.
         twice: names that stand more than once in the header, with their numbers.
         clocks: columns of time in s that the file itself gives its columns.
+        rate: in Hz, where the file states it.
+        told: words about what was left out.
+        groups: line above the header whose names would tell columns apart; 0: none.
+        undecoded: words about topics of a bag whose messages cannot be decoded.
     """
 
     path: Path
@@ -41,6 +45,10 @@ class Sheet:
     order: tuple[str, ...] = ()
     twice: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
+    rate: float | None = None
+    told: tuple[str, ...] = ()
+    groups: int = 0
+    undecoded: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Sheet({self.path}: {len(self.columns)} columns)"
@@ -79,13 +87,14 @@ def read_sheet(path: str | Path, form: Format) -> Sheet:
         raise InputError(f"{path}: no such file")
     suffix = path.suffix.lower()
     if suffix in BAGS or (path / "metadata.yaml").is_file():
-        columns, clocks = bag_columns(path, optional("rosbags.highlevel", f"{path}: a bag"))
-        return Sheet(path, columns, order=tuple(columns), clocks=clocks)
+        columns, clocks, undecoded = bag_columns(path, optional("rosbags.highlevel", f"{path}: a bag"))
+        return Sheet(path, columns, order=tuple(columns), clocks=clocks, undecoded=undecoded)
     if path.is_dir():
         raise InputError(f"{path}: a folder; valid: files, or the folder of a ROS 2 bag (with metadata.yaml)")
     if suffix in TEXT:
         read = text_columns(path, form, optional("pandas", f"{path}: reading tables"))
-        return Sheet(path, read.columns, read.lines, tuple(read.columns), read.twice)
+        names = tuple(read.columns)
+        return Sheet(path, read.columns, read.lines, names, read.twice, rate=read.rate, told=read.told, groups=read.groups)
     readers = {".parquet": _parquet, ".mat": _mat} | dict.fromkeys(HDF5, _hdf5)
     if suffix not in readers:
         raise InputError(f"{path}: unknown kind of file {suffix!r}; valid: {', '.join(SUFFIXES)}, or the folder of a ROS 2 bag")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import warnings
 from collections import Counter
@@ -13,45 +12,38 @@ from typing import Any
 
 import numpy as np
 
+from tepm_opt.data.importing.header_rows import Shape, fields_of, is_number, join_names, stated_rate
+from tepm_opt.data.importing.kinds import kinds_columns, refuse_kinds
 from tepm_opt.data.importing.maps import Format
 from tepm_opt.data.importing.refusals import named, refusal, toml
+from tepm_opt.data.importing.short_rows import without_short_rows
 from tepm_opt.errors import InputError
-
-SEPARATORS = (",", ";", "\t", "|", " ")
-LOOKED_AT = 200  # lines, for how a file is written
 
 
 @dataclass(frozen=True, eq=False)
 class TextColumns:
-    """Columns of a text table by name (numbers as text where it has none), the rows' lines, names that stand twice with their numbers."""
+    """Columns of a text table.
+
+    Attributes:
+        columns: by name; by number as text where it has none.
+        lines: of the rows.
+        twice: names that stand twice, with their numbers.
+        rate: in Hz, where the lines above the header state it.
+        told: words about rows that were left out.
+        groups: line above the header whose names would tell columns apart; 0: none.
+    """
 
     columns: Mapping[str, np.ndarray]
     lines: tuple[int, ...]
     twice: Mapping[str, tuple[int, ...]]
+    rate: float | None = None
+    told: tuple[str, ...] = ()
+    groups: int = 0
 
 
 def separator_of(path: Path, form: Format) -> str:
     """The separator that the map names, else the usual one of the suffix."""
     return form.separator or ("\t" if path.suffix.lower() == ".tsv" else ",")
-
-
-def fields_of(line: str, separator: str) -> list[str]:
-    """Fields of a line; blanks separate in any number. Blank ones behind a last separator are none."""
-    if separator == " ":
-        return line.split()
-    found = [each.strip() for each in next(csv.reader([line], delimiter=separator), [])]
-    while len(found) > 1 and not found[-1]:
-        found.pop()
-    return found
-
-
-def is_number(text: str) -> bool:
-    """Whether a field is a number (with a point or a comma), or empty."""
-    try:
-        float(text.replace(",", ".", 1) if text else "0")
-    except ValueError:
-        return False
-    return True
 
 
 def text_lines(path: Path, encoding: str) -> list[str]:
@@ -95,11 +87,15 @@ def text_columns(path: Path, form: Format, pandas: Any) -> TextColumns:
     """
     lines = text_lines(path, form.encoding)
     separator = separator_of(path, form)
+    if form.kinds:
+        kinds = kinds_columns(path, lines, separator, lambda rows, count: _frame(pandas, rows, count, separator, form.decimal))
+        return TextColumns(kinds, (), {})
+    refuse_kinds(path, lines, separator)
     names, first = _header(path, lines, form, separator)
     body = [(number, line) for number, line in enumerate(lines[first - 1 :], first) if line.strip()]
     if not body:
         raise InputError(f"{path}: has no rows from line {first} on; valid: at least two")
-    shape = _Shape(path, lines, form, separator)
+    shape = Shape(path, lines, form, separator)
     shape.refuse_units_row(names, first)
     count = len(names)
     if wrong := [number for number, line in body if line.count(separator) >= count and len(fields_of(line, separator)) > count]:
@@ -108,27 +104,39 @@ def text_columns(path: Path, form: Format, pandas: Any) -> TextColumns:
             shape.refuse_commas(names, wrong[0], len(fields))
         what = f"line {wrong[0]}: {len(fields)} fields for {count} columns ({', '.join(names)})"
         raise InputError(f"{path}: {what}; mend or remove such lines, {len(wrong)} in all")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of columns that hold text here and numbers there
-        frame = pandas.read_csv(
-            io.StringIO("\n".join(line for _, line in body)),
-            sep=r"\s+" if separator == " " else separator,
-            decimal=form.decimal,
-            header=None,
-            names=range(count),
-            index_col=False,
-            skipinitialspace=True,
-            low_memory=False,
-        )
+    body, told = without_short_rows(path, body, count, form, separator)
+    if not body:
+        raise InputError(f"{path}: has no whole rows from line {first} on; valid: at least two")
+    found = _frame(pandas, [line for _, line in body], count, separator, form.decimal)
     columns, twice = {}, {}
     counted = Counter(names)
     for k, name in enumerate(names):
         repeated = counted[name] > 1
         if repeated:
             twice[name] = tuple(j + 1 for j, other in enumerate(names) if other == name)
-        columns[f"{name} ({k + 1})" if repeated else name] = _values(frame[k])
+        columns[f"{name} ({k + 1})" if repeated else name] = found[k]
     columns |= {name: np.empty(0) for name in twice}
-    return TextColumns(columns, tuple(number for number, _ in body), twice)
+    rate = stated_rate(lines[: (form.header or first) - 1], separator)
+    return TextColumns(
+        columns, tuple(number for number, _ in body), twice, rate, tuple(told), shape.groups(form.header) if twice and form.header else 0
+    )
+
+
+def _frame(pandas: Any, rows: list[str], count: int, separator: str, decimal: str) -> list[np.ndarray]:
+    """Columns of rows of text."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of columns that hold text here and numbers there
+        frame = pandas.read_csv(
+            io.StringIO("\n".join(rows)),
+            sep=r"\s+" if separator == " " else separator,
+            decimal=decimal,
+            header=None,
+            names=range(count),
+            index_col=False,
+            skipinitialspace=True,
+            low_memory=False,
+        )
+    return [_values(frame[k]) for k in range(count)]
 
 
 def _values(series: Any) -> np.ndarray:
@@ -139,79 +147,26 @@ def _values(series: Any) -> np.ndarray:
 
 def _header(path: Path, lines: list[str], form: Format, separator: str) -> tuple[list[str], int]:
     """Names of the columns, numbers where there are none, and the line of the first row."""
-    shape = _Shape(path, lines, form, separator)
+    shape = Shape(path, lines, form, separator)
     if form.header > len(lines):
         raise refusal(path, f"csv.header = {form.header}, but the file has {len(lines)} lines", f"csv.header = {shape.header()}")
     first = form.first or form.header + 1
     if form.header == 0:
         body = next((line for line in lines[first - 1 :] if line.strip()), "")
         shape.refuse_separator(first, body)
-        return [str(k + 1) for k in range(len(fields_of(body, separator)))], first
+        count = max(len(fields_of(body, separator)), shape.usual(separator))
+        return [str(k + 1) for k in range(count)], first
     line = lines[form.header - 1]
     shape.refuse_preamble(line)
     shape.refuse_separator(form.header, line)
     names = fields_of(line, separator)
     if all(is_number(name) for name in names):
         what = f"line {form.header}: {named(names[:6])}{' …' if len(names) > 6 else ''}: numbers where the names of the columns belong"
-        raise refusal(path, what, "csv.header = 0")
+        raise refusal(path, what, f"csv.header = {shape.header()}")
+    shape.refuse_group_row(names)
+    above = [] if form.groups is None else [form.groups] if isinstance(form.groups, int) else form.groups
+    if wrong := [number for number in above if not 0 < number < form.header]:
+        what = f"csv.groups = {wrong[0]} is no line above the header, line {form.header}"
+        raise refusal(path, what, f"csv.groups = {shape.groups(form.header) or 1}")
+    names = join_names([shape.fields(number) for number in above], names) if above else names
     return [name or str(k + 1) for k, name in enumerate(names)], first
-
-
-@dataclass(frozen=True)
-class _Shape:
-    """How a file seems to be written, for proposals."""
-
-    path: Path
-    lines: list[str]
-    form: Format
-    separator: str
-
-    def usual(self, separator: str) -> int:
-        """How many fields most lines have."""
-        counts = Counter(len(fields_of(line, separator)) for line in self.lines[:LOOKED_AT] if line.strip())
-        return max(counts, key=lambda count: (counts[count], count))
-
-    def header(self) -> int:
-        """The line that seems to name the columns: the last one of text before the first of numbers; 0 where there is none."""
-        usual = self.usual(self.separator)
-        for number, line in enumerate(self.lines[:LOOKED_AT], 1):
-            fields = fields_of(line, self.separator)
-            if len(fields) == usual and not any(is_number(each) for each in fields if each) and len(set(fields)) > 1:
-                return number
-        return 0
-
-    def refuse_separator(self, number: int, line: str) -> None:
-        """Refuse a line that is one field only, where another separator makes several of it and of the others."""
-        if len(fields_of(line, self.separator)) > 1 or len(self.lines) < 2:
-            return
-        found = {each: self.usual(each) for each in SEPARATORS if each != self.separator}
-        best = max(found, key=lambda each: (found[each], -SEPARATORS.index(each)))
-        if found[best] > 1:
-            columns = named(fields_of(line, best)) if len(fields_of(line, best)) > 1 else repr(line.strip()[:60])
-            what = f"line {number}: {columns} are separated by {best!r}, not {self.separator!r}"
-            raise refusal(self.path, what, f"csv.separator = {toml(best)}")
-
-    def refuse_preamble(self, line: str) -> None:
-        """Refuse a header with fewer fields than the rows have, where a later line looks like one."""
-        usual = self.usual(self.separator)
-        if usual > 1 and len(fields_of(line, self.separator)) < usual and (number := self.header()) not in (0, self.form.header):
-            names = named(fields_of(self.lines[number - 1], self.separator))
-            what = f"line {self.form.header}: {line.strip()[:60]!r} does not name the {usual} columns; line {number} does: {names}"
-            raise refusal(self.path, what, f"csv.header = {number}")
-
-    def refuse_units_row(self, names: list[str], first: int) -> None:
-        """Refuse a first row of text only (units), where numbers follow."""
-        rows = [fields_of(line, self.separator) for line in self.lines[first - 1 : first + 9]]
-        text = [bool(row) and not any(is_number(each) for each in row if each) for row in rows]
-        if text and text[0] and False in text:
-            behind = text.index(False)
-            shown = ", ".join(f"{name} {value!r}" for name, value in zip(names, rows[0], strict=False))
-            what = f"line {first}: text in all columns ({shown}): units?"
-            raise refusal(self.path, what, f"csv.first = {first + behind}")
-
-    def refuse_commas(self, names: list[str], number: int, fields: int) -> None:
-        """Refuse rows with about twice as many fields as columns: decimal commas between commas."""
-        if self.separator == "," and fields in (2 * len(names), 2 * len(names) - 1):
-            what = f"line {number}: {fields} fields for {len(names)} columns ({', '.join(names)}): decimal commas between separating commas"
-            mended = 'csv = { separator = ";", decimal = "," }'
-            raise refusal(self.path, f"{what}; export with another separator, such as ';'", mended)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 
-from scipy.constants import atm, bar, degree, inch, kgf, lbf, minute, psi, torr
+from scipy.constants import atm, bar, degree, hour, inch, kgf, lbf, minute, psi, torr
 
 from tepm_opt.errors import InputError
 
 UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": minute},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": minute, "h": hour},
     "pressure": {
         "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e-3 * bar, "bar": bar, "psi": psi, "atm": atm, "mmHg": torr,
         "kgf/cm2": 1e4 * kgf,
