@@ -8,7 +8,7 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from pyigtl import TransformMessage
 
@@ -21,6 +21,39 @@ LARGEST_POSE, LARGEST_BODY = 1 << 16, 1 << 27
 VERSIONS = (1, 2, 3)
 _HEADER = struct.Struct(">H12s20sIIQQ")  # version, type, device, stamp in s and its fraction, bytes of the body, checksum
 _CHUNK = 1 << 16
+STATUS_KEYS = {"transformstatus": "OK", "transformvalid": "true", "status": "OK", "valid": "true"}
+"""Metadata keys that say whether a pose is valid, in lower case, and the only value that says that it is. PlusServer writes the first two
+(PlusLib, vtkPlusIgtlMessageCommon.cxx); any of them may begin with the device's name. `Status` alone is what this package once expected."""
+WHOLE_NAME = "IGTL_DEVICE_NAME"
+"""Metadata key of a device's name that is too long for the header, where PlusServer cuts it off."""
+
+
+def is_valid(metadata: Mapping[str, str], device: str) -> bool:
+    """Whether a pose is valid by its metadata; without metadata about its status it is a plain pose, which is valid.
+
+    Args:
+        metadata: of the message; none in version 1 of the header.
+        device: its name. Keys that begin with it stand for those that begin with another device's name.
+    """
+    told: dict[str, list[bool]] = {}
+    for key, value in metadata.items():
+        low = key.lower()
+        for name in ("transformstatus", "transformvalid"):
+            if low.endswith(name):
+                told.setdefault(low.removesuffix(name), []).append(_says(value, STATUS_KEYS[name]))
+                break
+        else:
+            for name in ("status", "valid"):
+                if low in (name, device.lower() + name):
+                    told.setdefault(low.removesuffix(name), []).append(_says(value, STATUS_KEYS[name]))
+    own = [told.get(prefix, []) for prefix in ("", device.lower())]
+    about = own if device.lower() in told else list(told.values())
+    return all(all(each) for each in about)
+
+
+def _says(value: str, wanted: str) -> bool:
+    """Whether a value is the one that means a valid pose; "true" in any case of letters, "OK" exactly."""
+    return value == wanted if wanted == "OK" else value.lower() == wanted
 
 
 class Client:
@@ -79,15 +112,17 @@ class Client:
         message = TransformMessage()
         try:
             message.unpack(header, body)
-            valid = message.metadata.get("Status", "OK") == "OK"
+            valid = is_valid(message.metadata, message.device_name)
         except Exception:  # whatever pyigtl makes of bytes that are no pose; the next header is where it should be
             self._count_malformed()
             return
         if not message.device_name.isprintable():
             self._count_malformed()
             return
+        whole = message.metadata.get(WHOLE_NAME, "")
+        device = whole if whole in self.frames.link.devices else message.device_name
         with self.arrived:
-            self.frames.take(message.device_name, message.timestamp, message.matrix if valid else None, self._received)
+            self.frames.take(device, message.timestamp, message.matrix if valid else None, self._received)
             if self.frames.ready:
                 self.arrived.notify_all()
                 self.trouble = ""

@@ -8,7 +8,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
 import numpy as np
@@ -24,8 +24,12 @@ PERIOD = 1 / RATE
 AHEAD = 1000.0  # the server's clock is ahead of the host's by so many s
 DELAY = 2e-4
 PATIENCE = 60.0  # s until a test gives up on another thread
-SIZE, STAMP = 58 + 48, 34
-"""Bytes of a TRANSFORM message, and where in it the time stamp is: seconds and 2⁻³² seconds."""
+VALID = {"TransformValid": "True", "TransformStatus": "OK"}
+"""Metadata of a valid pose as PlusServer writes it (PlusLib, vtkPlusIgtlMessageCommon.cxx)."""
+HEAD, STAMP, LENGTH = 58, 34, 42
+"""Bytes of a message's head, and where in it the time stamp (seconds and 2⁻³² seconds) and the length of the body are."""
+SIZE = HEAD + 12 + 48 + 2 + sum(8 + len(key) + len(value) for key, value in VALID.items())
+"""Bytes of a TRANSFORM message with header version 2 and this metadata."""
 
 
 def link(**settings: object) -> TrackerLink:
@@ -42,9 +46,11 @@ def still(_: float) -> np.ndarray:
 
 
 def stamped(data: bytearray, stamp: float) -> bytes:
-    """Messages with a time stamp in s written over theirs."""
-    for place in range(0, len(data), SIZE):
+    """Messages with a time stamp in s written over theirs; their lengths are in their heads."""
+    place = 0
+    while place < len(data):
         struct.pack_into(">II", data, place + STAMP, int(stamp), int(stamp % 1 * 2**32))
+        place += HEAD + struct.unpack_from(">Q", data, place + LENGTH)[0]
     return bytes(data)
 
 
@@ -246,7 +252,14 @@ def packed(jump: np.ndarray, sensors: Sequence[int], poses: np.ndarray | None = 
     """A sample as one piece of bytes, with a time stamp to be written over."""
     poses = still(0) if poses is None else poses.copy()
     poses[:, :3, 3] += jump
-    return bytearray(b"".join(TransformMessage(poses[i], timestamp=0.0, device_name=DEVICES[i]).pack() for i in sensors))
+    return bytearray(b"".join(pose_message(DEVICES[i], poses[i], VALID) for i in sensors))
+
+
+def pose_message(device: str, pose: np.ndarray, metadata: Mapping[str, str], version: int = 2) -> bytes:
+    """A TRANSFORM message as PlusServer sends it, of a pose (4, 4) in mm; metadata only with header version 2 and later."""
+    message = TransformMessage(pose, timestamp=0.0, device_name=device)
+    message.header_version, message.metadata = version, dict(metadata) if version > 1 else {}
+    return message.pack()
 
 
 def wait_until(true: Callable[[], bool]) -> None:
