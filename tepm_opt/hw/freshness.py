@@ -257,7 +257,7 @@ class FreshnessMonitor:
         for k in np.flatnonzero(exchanged):
             if k < self._order[k]:
                 pair = f"{self._points[k]} and {self._points[self._order[k]]}"
-                faults[f"{pair} are swapped"] = f"tracked points {pair} are swapped: each has jumped to the other's place; neither is used"
+                faults[f"{pair} are swapped"] = f"{pair} are swapped: each has jumped to the other's place; neither is used"
         return withheld | (exchanged & known)
 
     def _tell_points(
@@ -270,21 +270,22 @@ class FreshnessMonitor:
         seen_before = np.isfinite(self._seen)
         self._dropping.add(np.append(~known & seen_before, seen_before.any() and not every), np.append(known, every))
         self._seen[known] = now
+        names, held = self._points, self._places_of.repeats / self._rate
+        names, held = self._points, self._places_of.repeats / self._rate
         if frozen.any() and frozen[known].all() and known.sum() > 1:
-            text = f"all tracked points repeat their last poses bit by bit for {self._places_of.repeats[known].min() / self._rate:.2f} s"
-            faults["tracker frozen"] = f"tracker frozen: {text}"
+            text = f"all tracked points repeat their last poses bit by bit for {held[known].min():.2f} s"
+            faults["tracker frozen"] = f"tracker frozen: {text}; they are taken for lost"
         else:
             for k in np.flatnonzero(frozen):
-                text = f"tracked point {self._points[k]} repeats its last pose bit by bit for {self._places_of.repeats[k] / self._rate:.2f} s"
-                faults[f"{self._points[k]} frozen"] = f"{self._points[k]} frozen: {text}; it is taken for lost"
+                text = f"it repeats its last pose bit by bit for {held[k]:.2f} s"
+                faults[f"{names[k]} frozen"] = f"{names[k]} frozen: {text}; it is taken for lost"
         for episodes, verb in ((self._repeating, "repeats"), (self._dropping, "drops")):
-            told = episodes.told
-            if told[-1]:
-                faults[f"tracker {verb} frames"] = f"tracker {verb} {100 * episodes.share(len(known)):.0f} % of its frames; they count as lost"
-            elif told.any():
-                for k in np.flatnonzero(told[:-1]):
-                    share = 100 * episodes.share(int(k))
-                    faults[f"{self._points[k]} {verb} frames"] = f"tracker {verb} {share:.0f} % of the poses of {self._points[k]}"
+            for k in np.flatnonzero(told := episodes.told).tolist():
+                whole = k == len(names)
+                if whole or not told[-1]:
+                    of = "its frames" if whole else f"the poses of {names[k]}"
+                    text = f"tracker {verb} {100 * episodes.share(k):.0f} % of {of}; they are taken for lost"
+                    faults[f"{'tracker' if whole else names[k]} {verb} frames"] = text
         if not known.all():
             lost = ~known & (now - self._seen > LOST_S)
             if lost.all():
