@@ -271,7 +271,6 @@ class FreshnessMonitor:
         self._dropping.add(np.append(~known & seen_before, seen_before.any() and not every), np.append(known, every))
         self._seen[known] = now
         names, held = self._points, self._places_of.repeats / self._rate
-        names, held = self._points, self._places_of.repeats / self._rate
         if frozen.any() and frozen[known].all() and known.sum() > 1:
             text = f"all tracked points repeat their last poses bit by bit for {held[known].min():.2f} s"
             faults["tracker frozen"] = f"tracker frozen: {text}; they are taken for lost"

@@ -61,9 +61,6 @@ def show(
     for number, fault in enumerate(values["faults"], 1):
         for key, value in fault.items():
             table.add_row(f"faults, entry {number}", key, escape(str(value)))
-    for number, fault in enumerate(values["faults"], 1):
-        for key, value in fault.items():
-            table.add_row(f"faults, entry {number}", key, escape(str(value)))
     stdout.print(table)
     return 0
 
@@ -116,8 +113,6 @@ def check(
     on = ", ".join(summary["imperfections"]) or "none"
     print(f"{rig} is valid: {file.name}, robot {found.robot.name}, {engine} engine in steps of {1e3 * machine.step:.3g} ms{shorter}")
     print(f"imperfections: {on}")
-    if file.faults:
-        print("faults: " + ", ".join(f"{fault.kind} of {fault.of} from {fault.from_s:g} s" for fault in file.faults))
     if file.faults:
         print("faults: " + ", ".join(f"{fault.kind} of {fault.of} from {fault.from_s:g} s" for fault in file.faults))
     return 0

@@ -162,8 +162,8 @@ class SerialRig:
         """Wait for the tracker's next frame and give it with what the board measured last.
 
         Where the tracker is silent for three periods, or for so long that the board would take the host for silent, there is a sample
-        without points, so that a controller can react; without a tracker that is every sample. Repeated poses and frozen gauges are withheld,
-        see `FreshnessMonitor`.
+        without points, so that a controller can react; without a tracker that is every sample. Repeated poses and frozen gauges
+        are withheld, see `FreshnessMonitor`.
 
         Raises:
             LinkError: the line to the board is gone.

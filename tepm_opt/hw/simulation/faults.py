@@ -37,7 +37,7 @@ class Fault(Section):
     every: Annotated[int, Field(strict=True, ge=2, le=1000, description="2 … 1000: every n-th reading repeats")] | None = None
     probability: Annotated[float, between(0, 1, "a reading")] | None = None
     seconds: Annotated[float, between(1e-4, 10, "s")] | None = None
-    partner: Annotated[str, Field(alias="with", min_length=1, description="another point or gauge")] | None = None
+    partner: str | None = Field(default=None, alias="with", min_length=1, description="another point or gauge")
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Fault:

@@ -13,10 +13,8 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command, check_setpoints
 from tepm_opt.hw.freshness import DeclaredNoise, FreshnessMonitor
-from tepm_opt.hw.freshness import DeclaredNoise, FreshnessMonitor
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.devices import Lens, generator
-from tepm_opt.hw.simulation.faults import FaultInjector
 from tepm_opt.hw.simulation.faults import FaultInjector
 from tepm_opt.hw.simulation.imperfections.base import Imperfection, Sighting
 from tepm_opt.hw.simulation.machine import Diverged, Frames
@@ -79,7 +77,6 @@ class SimulatedRig:
         self.machine.began = began
         self._jitter = generator(seed, "jitter", noise)
         self._lens.random = generator(seed, "tracker", noise)
-        self._faults.reseed(seed, noise)
         self._faults.reseed(seed, noise)
         self._random = {name: generator(seed, name, noise) for name in self._random}
 
@@ -217,8 +214,6 @@ class SimulatedRig:
         self._frame += done
         half = 2 * self.machine.network.count
         commands = [self._commands.between(step, step)[0] for step in at[:done]]
-        half = 2 * self.machine.network.count
-        commands = [self._commands.between(step, step)[0] for step in at[:done]]
         self._commands.forget(at[done - 1])
         self._forces.forget(at[done - 1])
         before, self.time = self.time, told[done - 1] * step + tracker.latency_s
@@ -254,12 +249,6 @@ class SimulatedRig:
             for imperfection in self._distortions:
                 points = imperfection.measure(Sighting(points, nodes, network.rest, self.layout, self.machine.began + time))
         return points
-
-    def _declared(self) -> DeclaredNoise:
-        """Noise of the rig's own devices, whose readings are on no grid."""
-        file = self.file
-        gauges = file.pressure_monitor.noise_rms_Pa, file.dynamometer.noise_rms_N
-        return DeclaredNoise(file.tracker.noise_rms_m / np.sqrt(3), *gauges, point_grid=0.0)
 
     def _declared(self) -> DeclaredNoise:
         """Noise of the rig's own devices, whose readings are on no grid."""

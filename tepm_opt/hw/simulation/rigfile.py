@@ -12,7 +12,6 @@ from tepm_opt.data.documents import Section, between, read_toml, validated
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.simulation.devices import Dynamometer, PressureMonitor, Regulator, Stepper, TrackerDevice
 from tepm_opt.hw.simulation.faults import Fault
-from tepm_opt.hw.simulation.faults import Fault
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.models.robot import UNITS, Robot, builtin_robots, load_robot
 

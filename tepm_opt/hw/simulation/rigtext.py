@@ -36,19 +36,6 @@ FAULTS = (
     "from_s = 5.0                                # of the rig's time",
     "until_s = 6.0                               # left out: until the end",
 )
-FAULTS = (
-    "Faults of tracker and gauges, to try what happens then; one [[faults]] for each, as many as you like. `of` is tracker (all points), a",
-    "point (s4) or a gauge (pressure_13, tension_21); `kind` is one of",
-    "  freeze   the last reading is repeated            repeat   every n-th reading repeats the one before: every",
-    "  drop     readings are lost: probability          delay    readings are older than their time says: seconds",
-    "  swap     two points or gauges are exchanged: with",
-    "  invalid  poses are marked as not valid",
-    "[[faults]]",
-    'kind = "freeze"',
-    'of = "tracker"',
-    "from_s = 5.0                                # of the rig's time",
-    "until_s = 6.0                               # left out: until the end",
-)
 
 
 def rig_text(file: RigFile, robot: str, use: str = "--rig sim:FILE") -> str:
