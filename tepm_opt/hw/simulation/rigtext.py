@@ -30,11 +30,11 @@ FAULTS = (
     "  drop     readings are lost: probability          delay    readings are older than their time says: seconds",
     "  swap     two points or gauges are exchanged: with",
     "  invalid  poses are marked as not valid",
-    "[[faults]]",
-    'kind = "freeze"',
-    'of = "tracker"',
-    "from_s = 5.0                                # of the rig's time",
-    "until_s = 6.0                               # left out: until the end",
+    "  [[faults]]",
+    '  kind = "freeze"',
+    '  of = "tracker"',
+    "  from_s = 5.0                                # of the rig's time",
+    "  until_s = 6.0                               # left out: until the end",
 )
 
 
