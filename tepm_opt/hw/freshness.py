@@ -142,7 +142,7 @@ class _Channels:
                 self._moved[moved] = np.minimum(self._moved[moved], now)
         return repeated
 
-    def frozen(self, now: float) -> np.ndarray:
+    def find_frozen(self, now: float) -> np.ndarray:
         """Which channels are frozen at a time in s, (count,)."""
         stuck = (self.repeats >= LEAST_REPEATS) & (now - self._moved > FOLLOWS_S)
         return stuck if self.needed is None else stuck | (self.varied & (self.repeats >= self.needed))
@@ -163,8 +163,7 @@ class _Episodes:
         self._before = bad | (self._before & ~good)
         self._any = self._size if bad.any() else max(self._any - 1, 0)
 
-    @property
-    def told(self) -> np.ndarray:
+    def find_frequent(self) -> np.ndarray:
         """Which channels have had too many, (count,)."""
         return self._ended.sum(axis=0) >= EPISODES if self._any else np.zeros(len(self._before), dtype=bool)
 
@@ -241,7 +240,7 @@ class FreshnessMonitor:
         channels, now, points = self._places_of, sample.time, sample.points
         known = np.isfinite(points).all(axis=1)
         repeated = channels.update(points, now, commands)
-        frozen, count = channels.frozen(now), int(known.sum())
+        frozen, count = channels.find_frozen(now), int(known.sum())
         together = count > 1 and bool(repeated[known].all())
         proven, single = bool(channels.varied[known].all()), channels.chance <= SEPARATE
         if together and self._needed_together is not None and proven:
@@ -279,7 +278,7 @@ class FreshnessMonitor:
                 text = f"it repeats its last pose bit by bit for {held[k]:.2f} s"
                 faults[f"{names[k]} frozen"] = f"{names[k]} frozen: {text}; it is taken for lost"
         for episodes, verb in ((self._repeating, "repeats"), (self._dropping, "drops")):
-            for k in np.flatnonzero(told := episodes.told).tolist():
+            for k in np.flatnonzero(told := episodes.find_frequent()).tolist():
                 whole = k == len(names)
                 if whole or not told[-1]:
                     of = "its frames" if whole else f"the poses of {names[k]}"
@@ -314,7 +313,7 @@ class FreshnessMonitor:
         """Readings (actuators,) with NaN where a gauge is frozen."""
         if gauged:
             channels.update(values[:, None], now, commands)
-        frozen = channels.frozen(now)
+        frozen = channels.find_frozen(now)
         if not frozen.any():
             return values
         for k in np.flatnonzero(frozen):

@@ -58,7 +58,7 @@ class ReplayRig:
         if rows == 0 or not np.isfinite(self.run.time).all():
             raise InputError(f"{self.run.file}: cannot be played back: it has no rows or no time")
         rate = 1 / float(np.median(np.diff(self.run.time))) if rows > 1 else self.robot.tracker.rate_Hz
-        self._freshness = FreshnessMonitor(self.layout, self.robot.input_max, self._declared(), rate)
+        self._freshness = FreshnessMonitor(self.layout, self.robot.input_max, self._declared_noise(), rate)
 
     def __repr__(self) -> str:
         return f"ReplayRig({self.run.file!r}, row {self._row} of {self.run.rows})"
@@ -110,7 +110,7 @@ class ReplayRig:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Nothing to stop."""
 
-    def _declared(self) -> DeclaredNoise:
+    def _declared_noise(self) -> DeclaredNoise:
         """The noise that the robot file declares, of which points in the recording have a fifth at least: a recording may be of something
         noiseless, or hold the samples of a slower sensor."""
         noise, points = DeclaredNoise.of_robot(self.robot), self.run.points

@@ -107,13 +107,13 @@ class FaultInjector:
         for number, fault in enumerate(self.faults):
             if fault.from_s <= sample.time and (fault.until_s is None or sample.time < fault.until_s):
                 self._active[number] += 1
-                given = self._with(number, fault, given)
+                given = self._add_fault(number, fault, given)
             else:
                 self._active[number] = 0
         self._before = given
         return given
 
-    def _with(self, number: int, fault: Fault, sample: Sample) -> Sample:
+    def _add_fault(self, number: int, fault: Fault, sample: Sample) -> Sample:
         """A sample with one fault more."""
         name, which = self._targets[fault.of]
         values: np.ndarray | None = getattr(sample, name)

@@ -57,7 +57,7 @@ class SimulatedRig:
         self._random = {name: generator(self.file.seed, name) for name in ("pressure_monitor", "dynamometer")}
         self._jitter = generator(self.file.seed, "jitter")
         self._faults = FaultInjector(self.file.faults, self.layout, self.file.seed)
-        self._freshness = FreshnessMonitor(self.layout, self.robot.input_max, self._declared(), self.file.tracker.rate_hz)
+        self._freshness = FreshnessMonitor(self.layout, self.robot.input_max, self._declared_noise(), self.file.tracker.rate_hz)
         self._delay = round(self.file.imperfections.time_delay.delay_s / self.machine.step)
         self._commands = Timeline(np.zeros(3 * self.machine.network.count), self.machine.step)
         self._forces = Timeline(np.zeros((self.layout.points, 3)), self.machine.step)
@@ -250,7 +250,7 @@ class SimulatedRig:
                 points = imperfection.measure(Sighting(points, nodes, network.rest, self.layout, self.machine.began + time))
         return points
 
-    def _declared(self) -> DeclaredNoise:
+    def _declared_noise(self) -> DeclaredNoise:
         """Noise of the rig's own devices, whose readings are on no grid."""
         file = self.file
         gauges = file.pressure_monitor.noise_rms_Pa, file.dynamometer.noise_rms_N
