@@ -87,9 +87,9 @@ class FaultInjector:
             if fault.partner is not None and self._targets[fault.of][0] != self._targets[fault.partner][0]:
                 others = [name for name, (field, _) in self._targets.items() if field == self._targets[fault.of][0]]
                 raise unknown_name("with", fault.partner, others, f"faults, entry {number}")
-        self.reseed(seed, noise)
+        self.restart(seed, noise)
 
-    def reseed(self, seed: int, noise: int) -> None:
+    def restart(self, seed: int, noise: int) -> None:
         """Start anew with other random numbers."""
         self._random = [generator(seed, f"fault {number}", noise) for number in range(len(self.faults))]
         self._active = [0] * len(self.faults)  # samples since it set in

@@ -77,7 +77,7 @@ class SimulatedRig:
         self.machine.began = began
         self._jitter = generator(seed, "jitter", noise)
         self._lens.random = generator(seed, "tracker", noise)
-        self._faults.reseed(seed, noise)
+        self._faults.restart(seed, noise)
         self._random = {name: generator(seed, name, noise) for name in self._random}
 
     def read(self) -> Sample:
