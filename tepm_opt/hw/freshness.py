@@ -143,7 +143,7 @@ class _Channels:
         return repeated
 
     def find_frozen(self, now: float) -> np.ndarray:
-        """Which channels are frozen at a time in s, (count,)."""
+        """Flags of the channels that are frozen at a time in s, (count,)."""
         stuck = (self.repeats >= LEAST_REPEATS) & (now - self._moved > FOLLOWS_S)
         return stuck if self.needed is None else stuck | (self.varied & (self.repeats >= self.needed))
 
@@ -164,7 +164,7 @@ class _Episodes:
         self._any = self._size if bad.any() else max(self._any - 1, 0)
 
     def find_frequent(self) -> np.ndarray:
-        """Which channels have had too many, (count,)."""
+        """Flags of the channels that have had too many, (count,)."""
         return self._ended.sum(axis=0) >= EPISODES if self._any else np.zeros(len(self._before), dtype=bool)
 
     def share(self, channel: int) -> float:
@@ -236,7 +236,7 @@ class FreshnessMonitor:
         )  # fmt: skip
 
     def _look_at_points(self, sample: Sample, commands: np.ndarray | None, faults: dict[str, str]) -> np.ndarray:
-        """Which points are withheld, (points,)."""
+        """Flags of the points to withhold, (points,)."""
         channels, now, points = self._places_of, sample.time, sample.points
         known = np.isfinite(points).all(axis=1)
         repeated = channels.update(points, now, commands)
@@ -262,7 +262,7 @@ class FreshnessMonitor:
     def _tell_points(
         self, now: float, known: np.ndarray, withheld: np.ndarray, frozen: np.ndarray, together: bool, faults: dict[str, str]
     ) -> None:
-        """What is wrong with the poses, by its name."""
+        """Tell what is wrong with the poses, by its name."""
         repeats = withheld & ~frozen
         every = bool(known.any())
         self._repeating.add(np.append(repeats, together and bool(repeats.any())), np.append(known & ~withheld, every and not together))
