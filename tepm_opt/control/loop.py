@@ -7,7 +7,7 @@ import gc
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -295,4 +295,5 @@ def _note(
     done.commands.append(command)
     done.measured.append(_measured(sample, 2 * len(command.pressures)))
     done.seconds.append(seconds)
-    done.telemetry.append(controller.telemetry())
+    told = controller.telemetry()
+    done.telemetry.append(replace(told, doubts={**told.doubts, **sample.faults}) if sample.faults else told)

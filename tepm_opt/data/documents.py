@@ -104,13 +104,18 @@ def _explain(model: type[BaseModel], error: Any) -> str:
     if kind == "missing" and isinstance(place.key, int):  # of a list of fixed length
         return f"{place.around} = {list(value)!r}: too few values{valid}"
     if kind == "extra_forbidden" and place.section is not None:
-        return str(unknown_name("key", str(place.key), place.section.model_fields, place.around))
+        return str(unknown_name("key", str(place.key), _keys_of(place.section), place.around))
     if kind == "literal_error" and (names := _literals(place.annotation)):
         return str(unknown_name(str(place.key), str(value), names, place.around))
     start = f"{place.around}: " if place.around else ""
     if kind == "missing":
         return f"{start}missing key {place.key!r}{valid}"
     return f"{place.text} = {value!r}: {message}{valid}"
+
+
+def _keys_of(section: type[BaseModel]) -> list[str]:
+    """Keys of a table as they stand in a file."""
+    return [field.alias or name for name, field in section.model_fields.items()]
 
 
 @dataclass(frozen=True)

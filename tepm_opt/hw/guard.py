@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tepm_opt.hw.freshness import GAUGES, cause_of
 from tepm_opt.outcome import Ending, Outcome
 
 if TYPE_CHECKING:
@@ -13,8 +14,9 @@ if TYPE_CHECKING:
 
 MARGIN = 0.05
 """Part of its limit by which a measured pressure or tension may exceed it."""
-BLIND_S, UNMEASURED_S = 1.0, 0.2
-"""Seconds without any tracked point, and without a pressure or tension that was measured before, after which a rig is stopped."""
+BLIND_S, STALE_S, UNMEASURED_S = 1.0, 0.2, 0.2
+"""Seconds without any tracked point, with a tip that is sent but is none (repeated, exchanged), and without a pressure or tension that was
+measured before, after which a rig is stopped."""
 
 
 class Stopped(RuntimeError):  # noqa: N818  it says what happened
@@ -49,6 +51,7 @@ class Watch:
         self._actuators, self._blind, self._tracked = actuators, blind, tracked
         self._measured: dict[str, np.ndarray] = {}  # when each was last
         self._seen: float | None = None
+        self._fresh = np.inf  # when the tip was last fresh, in s
 
     def check(self, sample: Sample) -> None:
         """Look at a sample.
@@ -56,15 +59,28 @@ class Watch:
         Raises:
             Stopped: the rig must not go on.
         """
-        self._check_measured("pressure", sample.pressures, sample.time)
-        self._check_measured("tension", sample.tensions, sample.time)
+        self._check_measured("pressure", sample)
+        self._check_measured("tension", sample)
         if np.isfinite(sample.points).all(axis=1).any() or (self._seen is None and self._tracked):
             self._seen = sample.time
         if self._seen is not None and sample.time - self._seen > self._blind:
             raise Stopped(Ending.BLIND, f"no tracked point for {self._blind:g} s")
+        self._check_fresh(sample)
 
-    def _check_measured(self, kind: str, values: np.ndarray | None, now: float) -> None:
+    def _check_fresh(self, sample: Sample) -> None:
+        """Stop where the tip is sent, but is none: that is no dropout which passes, and tells of no motion."""
+        tip = len(sample.points) - 1
+        if tip not in sample.stale:
+            self._fresh = sample.time if np.isfinite(sample.points[tip]).all() else self._fresh
+            return
+        self._fresh = min(self._fresh, sample.time)
+        if sample.time - self._fresh > STALE_S:
+            why = "; ".join(sample.faults) or "the tip's pose is none"
+            raise Stopped(Ending.BLIND, f"{why}: no fresh pose of the tip for {STALE_S:g} s")
+
+    def _check_measured(self, kind: str, sample: Sample) -> None:
         """The pressures or tensions of a sample, (actuators,); None where there are none."""
+        values, now = sample.pressures if kind == "pressure" else sample.tensions, sample.time
         limits = self._limits[kind]
         if values is None:
             if kind not in self._measured:  # a rig that does not measure them
@@ -83,4 +99,6 @@ class Watch:
         last[np.isfinite(values)] = now
         if (now - last > UNMEASURED_S).any():
             at = int(np.argmin(last))
-            raise Stopped(Ending.UNMEASURED, f"{kind}_{self._actuators[at]} was not measured for {UNMEASURED_S:g} s")
+            why = cause_of(sample.faults, GAUGES[kind].format(self._actuators[at]))
+            told = f"{kind}_{self._actuators[at]} was not measured for {UNMEASURED_S:g} s"
+            raise Stopped(Ending.UNMEASURED, f"{why}: {told}" if why else told)

@@ -40,18 +40,18 @@ def is_valid(metadata: Mapping[str, str], device: str) -> bool:
         low = key.lower()
         for name in ("transformstatus", "transformvalid"):
             if low.endswith(name):
-                told.setdefault(low.removesuffix(name), []).append(_says(value, STATUS_KEYS[name]))
+                told.setdefault(low.removesuffix(name), []).append(_means_valid(value, STATUS_KEYS[name]))
                 break
         else:
             for name in ("status", "valid"):
                 if low in (name, device.lower() + name):
-                    told.setdefault(low.removesuffix(name), []).append(_says(value, STATUS_KEYS[name]))
+                    told.setdefault(low.removesuffix(name), []).append(_means_valid(value, STATUS_KEYS[name]))
     own = [told.get(prefix, []) for prefix in ("", device.lower())]
     about = own if device.lower() in told else list(told.values())
     return all(all(each) for each in about)
 
 
-def _says(value: str, wanted: str) -> bool:
+def _means_valid(value: str, wanted: str) -> bool:
     """Whether a value is the one that means a valid pose; "true" in any case of letters, "OK" exactly."""
     return value == wanted if wanted == "OK" else value.lower() == wanted
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -11,9 +13,13 @@ import numpy as np
 from tepm_opt.data.run import Run, read_run
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
+from tepm_opt.hw.freshness import DeclaredNoise, FreshnessMonitor
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
+
+LEAST_ROWS, NOISY = 20, 0.2
+"""Rows of a recording from which its noise can be seen, and the part of the declared noise that it has to have."""
 
 
 class EndOfRecording(EOFError):  # noqa: N818  it says what happened
@@ -51,6 +57,8 @@ class ReplayRig:
             raise InputError(f"{self.run.file}: {found}; {self.robot.name} has {places[0]} and {places[1]}")
         if rows == 0 or not np.isfinite(self.run.time).all():
             raise InputError(f"{self.run.file}: cannot be played back: it has no rows or no time")
+        rate = 1 / float(np.median(np.diff(self.run.time))) if rows > 1 else self.robot.tracker.rate_Hz
+        self._freshness = FreshnessMonitor(self.layout, self.robot.input_max, self._declared_noise(), rate)
 
     def __repr__(self) -> str:
         return f"ReplayRig({self.run.file!r}, row {self._row} of {self.run.rows})"
@@ -71,7 +79,8 @@ class ReplayRig:
         extra = {name: float(values[row]) for name, values in self.run.extra.items() if values.dtype.kind == "f"}
         points = self.run.points[row].copy()
         lost = [name for name, point in zip(self.layout.point_names, points, strict=True) if np.isnan(point).any()]
-        return Sample(time, points, *measured, status=f"tracker lost {', '.join(lost)}" if lost else "ok", extra=extra)
+        sample = Sample(time, points, *measured, status=f"tracker lost {', '.join(lost)}" if lost else "ok", extra=extra)
+        return self._freshness.look(sample, self.run.inputs[row])
 
     def apply(self, command: Command) -> None:
         """Check a command; the recording goes on as it was.
@@ -100,6 +109,15 @@ class ReplayRig:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Nothing to stop."""
+
+    def _declared_noise(self) -> DeclaredNoise:
+        """The noise that the robot file declares, of which points in the recording have a fifth at least: a recording may be of something
+        noiseless, or hold the samples of a slower sensor."""
+        noise, points = DeclaredNoise.of_robot(self.robot), self.run.points
+        rough = np.abs(np.diff(points, 3, axis=0)) if len(points) > LEAST_ROWS else np.zeros(1)
+        rough = rough[np.isfinite(rough)]
+        sigma = float(np.median(rough)) / 0.6745 / math.sqrt(20) if len(rough) else 0.0  # third differences have 20 times the variance
+        return noise if sigma >= NOISY * noise.point else replace(noise, point=0.0)
 
     def _measured(self, form: str, row: int) -> np.ndarray | None:
         columns = [self.run.extra.get(form.format(name)) for name in self.layout.actuator_names]

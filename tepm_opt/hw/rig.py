@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Protocol
@@ -52,6 +53,8 @@ class Sample:
             rig has only points.
         status: what the rig says about itself; "ok" when all is well.
         extra: other measured numbers by the name of their column.
+        stale: numbers of the points, from 0, that were measured and withheld: repeated poses, exchanged points.
+        faults: sentences about measurements that are none, by name: "tracker frozen", "pressure gauge 13 frozen".
     """
 
     time: float
@@ -62,6 +65,8 @@ class Sample:
     transforms: np.ndarray | None = None
     status: str = "ok"
     extra: dict[str, float] = field(default_factory=dict)
+    stale: tuple[int, ...] = ()
+    faults: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         tip = np.array2string(self.points[-1], precision=4, suppress_small=True)

@@ -28,7 +28,8 @@ def each_between(low: float, high: float, unit: str) -> AfterValidator:
 class PressureLines(Section):
     """Maps from pressure to the regulator's command voltage and back from its monitor output. Both are straight lines.
 
-    A voltage is zero_V + V_per_MPa · pressure; the DAC gives `dac_full_scale_V` at its largest code.
+    A voltage is zero_V + V_per_MPa · pressure; the DAC gives `dac_full_scale_V` at its largest code. `monitor_noise_Pa` is the noise of the
+    monitor output (1 sigma); 0: unknown.
     """
 
     dac_full_scale_V: Annotated[Each, each_between(1, 24, "V")] = 5.0
@@ -36,13 +37,18 @@ class PressureLines(Section):
     V_per_MPa: Annotated[Each, each_between(0.1, 100, "V/MPa")] = 5.0 / 0.9
     monitor_zero_V: Annotated[Each, each_between(-1, 5, "V")] = 1.0
     monitor_V_per_MPa: Annotated[Each, each_between(0.1, 100, "V/MPa")] = 4.0 / 0.9
+    monitor_noise_Pa: Annotated[Each, each_between(0, 1e5, "Pa")] = 0.0
 
 
 class TensionLines(Section):
-    """Maps from tension to counts of the dynamometer's converter (zero_counts + counts_per_N · tension) and to steps of the motor."""
+    """Maps from tension to counts of the dynamometer's converter (zero_counts + counts_per_N · tension) and to steps of the motor.
+
+    `noise_N` is the noise of the dynamometers (1 sigma); 0: unknown.
+    """
 
     zero_counts: Annotated[Each, each_between(0, 32767, "counts")] = 3277.0
     counts_per_N: Annotated[Each, each_between(1, 32767, "counts/N")] = 3276.8
+    noise_N: Annotated[Each, each_between(0, 10, "N")] = 0.0
     steps_per_N: Annotated[Each, each_between(1, 1e5, "steps/N")] = 1 / 1.05e-3
     steps_per_mm: Annotated[Each, each_between(0.1, 1e5, "steps/mm")] = 290e-3 / 1.05e-3
 

@@ -45,8 +45,9 @@ def show(
 ) -> int:
     """Print what a simulated rig has: devices, and imperfections that are on; a built-in one scaled to --robot."""
     file = scaled(rig, robot)
-    values = file.model_dump(exclude={"robot", "imperfections"}) | {
+    values = file.model_dump(exclude={"robot", "imperfections", "faults"}) | {
         "robot": file.nominal.name,
+        "faults": [fault.entries() for fault in file.faults],
         "imperfections": {name: item.model_dump() for name, item in file.imperfections.active.items()},
     }
     if as_json:
@@ -57,6 +58,9 @@ def show(
     for section, entries in (sections | values["imperfections"]).items():
         for key, value in entries.items():
             table.add_row(section, key, escape(str(value)))
+    for number, fault in enumerate(values["faults"], 1):
+        for key, value in fault.items():
+            table.add_row(f"faults, entry {number}", key, escape(str(value)))
     stdout.print(table)
     return 0
 
@@ -100,7 +104,7 @@ def check(
     engine = "mujoco" if isinstance(machine.network, MujocoNetwork) else "compiled"
     summary = {
         "rig": file.name, "robot": found.robot.name, "engine": engine, "step_s": machine.step, "longest_step_s": machine.limit,
-        "imperfections": sorted(machine.imperfections),
+        "imperfections": sorted(machine.imperfections), "faults": [fault.entries() for fault in file.faults],
     }  # fmt: skip
     if as_json:
         print(json.dumps(summary, indent=2))
@@ -109,4 +113,6 @@ def check(
     on = ", ".join(summary["imperfections"]) or "none"
     print(f"{rig} is valid: {file.name}, robot {found.robot.name}, {engine} engine in steps of {1e3 * machine.step:.3g} ms{shorter}")
     print(f"imperfections: {on}")
+    if file.faults:
+        print("faults: " + ", ".join(f"{fault.kind} of {fault.of} from {fault.from_s:g} s" for fault in file.faults))
     return 0

@@ -18,6 +18,7 @@ from tepm_opt.hw.board.ports import BAUD, Clock, Port, SerialPort
 from tepm_opt.hw.board.protocol import DISARM, ESTOP, POSITION_MODE, State
 from tepm_opt.hw.board.status import BoardStatus, Hello
 from tepm_opt.hw.commands import check_command
+from tepm_opt.hw.freshness import FreshnessMonitor
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.tracker import IgtlTracker, Tracker
 from tepm_opt.models.layout import Layout
@@ -126,6 +127,10 @@ class SerialRig:
             self.link.close()
             raise
         self._origin = self._last = clock()
+        link = robot.hardware.tracker if robot.hardware is not None else None
+        self._freshness = FreshnessMonitor.of_robot(robot, link.rate_hz if link is not None else robot.tracker.rate_Hz)
+        self._commands: np.ndarray | None = None
+        self._gauged: float | None = None  # when the board told last what it measures
 
     def __repr__(self) -> str:
         board = "board silent" if self.link.status is None else self.link.status.describe()
@@ -157,7 +162,8 @@ class SerialRig:
         """Wait for the tracker's next frame and give it with what the board measured last.
 
         Where the tracker is silent for three periods, or for so long that the board would take the host for silent, there is a sample
-        without points, so that a controller can react; without a tracker that is every sample.
+        without points, so that a controller can react; without a tracker that is every sample. Repeated poses and frozen gauges
+        are withheld, see `FreshnessMonitor`.
 
         Raises:
             LinkError: the line to the board is gone.
@@ -186,7 +192,9 @@ class SerialRig:
             told.append(status.describe())
         at = (self._last if frame is None else frame.time) - self._origin
         transforms = None if frame is None else frame.transforms
-        return Sample(at, points, *measured, transforms=transforms, status="; ".join(told) or "ok", extra=extra)
+        sample = Sample(at, points, *measured, transforms=transforms, status="; ".join(told) or "ok", extra=extra)
+        before, self._gauged = self._gauged, status.time if status is not None else None
+        return self._freshness.look(sample, self._commands, gauged=self._gauged != before)
 
     def apply(self, command: Command) -> None:
         """Send set points; the first ones arm the board.
@@ -197,6 +205,7 @@ class SerialRig:
         """
         values = check_command(command, self.robot)
         pressures, tensions, on = np.split(values, 3)
+        self._commands = np.concatenate([pressures, tensions * on])
         codes = self._calibration.to_codes(pressures, self._asked.pressure_max)
         by_position = self._tendons == "position"
         if by_position:

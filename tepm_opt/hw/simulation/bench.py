@@ -42,6 +42,8 @@ class BenchRig:
 
     def __init__(self, file: RigFile | str | Path = DEFAULT, wait: Callable[[float], None] = lambda _: None) -> None:
         self.file = _one_actuator(file if isinstance(file, RigFile) else load_rig_file(file))
+        if self.file.faults:
+            raise InputError(f"rig {self.file.name}: the bench simulates no [[faults]]; valid: none of them, or --rig sim:FILE")
         self.robot = one_actuator(self.file.nominal)
         self.time = 0.0
         true = one_actuator(self.file.true_robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -11,8 +12,10 @@ import numpy as np
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command, check_setpoints
+from tepm_opt.hw.freshness import DeclaredNoise, FreshnessMonitor
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.devices import Lens, generator
+from tepm_opt.hw.simulation.faults import FaultInjector
 from tepm_opt.hw.simulation.imperfections.base import Imperfection, Sighting
 from tepm_opt.hw.simulation.machine import Diverged, Frames
 from tepm_opt.hw.simulation.machines import machine_of
@@ -53,6 +56,8 @@ class SimulatedRig:
         self._lens = Lens(self.file.tracker, self.layout.points, self.file.seed)
         self._random = {name: generator(self.file.seed, name) for name in ("pressure_monitor", "dynamometer")}
         self._jitter = generator(self.file.seed, "jitter")
+        self._faults = FaultInjector(self.file.faults, self.layout, self.file.seed)
+        self._freshness = FreshnessMonitor(self.layout, self.robot.input_max, self._declared_noise(), self.file.tracker.rate_hz)
         self._delay = round(self.file.imperfections.time_delay.delay_s / self.machine.step)
         self._commands = Timeline(np.zeros(3 * self.machine.network.count), self.machine.step)
         self._forces = Timeline(np.zeros((self.layout.points, 3)), self.machine.step)
@@ -72,6 +77,7 @@ class SimulatedRig:
         self.machine.began = began
         self._jitter = generator(seed, "jitter", noise)
         self._lens.random = generator(seed, "tracker", noise)
+        self._faults.restart(seed, noise)
         self._random = {name: generator(seed, name, noise) for name in self._random}
 
     def read(self) -> Sample:
@@ -206,6 +212,8 @@ class SimulatedRig:
         frames = self.machine.record(at, self._commands, self._forces)
         self._present, done = (frames.nodes[-1], frames.points[-1]), len(frames.points)
         self._frame += done
+        half = 2 * self.machine.network.count
+        commands = [self._commands.between(step, step)[0] for step in at[:done]]
         self._commands.forget(at[done - 1])
         self._forces.forget(at[done - 1])
         before, self.time = self.time, told[done - 1] * step + tracker.latency_s
@@ -214,10 +222,12 @@ class SimulatedRig:
         samples = []
         for k in range(done):
             points = self._lens.look(self._seen(frames, k, at[k] * step))
-            lost = self._lost(points) if np.isnan(points).any() else ()
-            status = f"tracker lost {', '.join(lost)}" if lost else "ok"
             pressure, tension = (None if of is None else of[k] for of in (pressures, tensions))
-            samples.append(Sample(told[k] * step, points, pressure, tension, status=status))
+            sample = self._faults.apply(Sample(told[k] * step, points, pressure, tension))
+            if np.isnan(sample.points).any():
+                sample = replace(sample, status=f"tracker lost {', '.join(self._lost(sample.points))}")
+            pulled = commands[k][half // 2 : half] * commands[k][half:]
+            samples.append(self._freshness.look(sample, np.concatenate([commands[k][: half // 2], pulled])))
         return samples
 
     def _exposed(self, told: list[int]) -> list[int]:
@@ -239,6 +249,12 @@ class SimulatedRig:
             for imperfection in self._distortions:
                 points = imperfection.measure(Sighting(points, nodes, network.rest, self.layout, self.machine.began + time))
         return points
+
+    def _declared_noise(self) -> DeclaredNoise:
+        """Noise of the rig's own devices, whose readings are on no grid."""
+        file = self.file
+        gauges = file.pressure_monitor.noise_rms_Pa, file.dynamometer.noise_rms_N
+        return DeclaredNoise(file.tracker.noise_rms_m / np.sqrt(3), *gauges, point_grid=0.0)
 
     def _lost(self, points: np.ndarray) -> list[str]:
         return [name for name, point in zip(self.layout.point_names, points, strict=True) if np.isnan(point).any()]

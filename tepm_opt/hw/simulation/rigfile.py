@@ -11,6 +11,7 @@ from pydantic import Field, InstanceOf, model_validator
 from tepm_opt.data.documents import Section, between, read_toml, validated
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.simulation.devices import Dynamometer, PressureMonitor, Regulator, Stepper, TrackerDevice
+from tepm_opt.hw.simulation.faults import Fault
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.models.robot import UNITS, Robot, builtin_robots, load_robot
 
@@ -37,7 +38,7 @@ class RigFile(Section):
     """A simulated rig: plain frozen data as read from a rig file.
 
     `parameter_factors` multiply the robot's parameters, so that the machine is not quite the one in its file. Where a rig is fitted to a
-    robot by a program, `robot` is that robot itself.
+    robot by a program, `robot` is that robot itself. `faults` are those of its tracker and gauges, each a table `[[faults]]`.
     """
 
     name: Annotated[str, Field(min_length=1, description="any text")]
@@ -51,6 +52,7 @@ class RigFile(Section):
     dynamometer: Dynamometer = Field(default_factory=Dynamometer)
     tracker: TrackerDevice = Field(default_factory=TrackerDevice)
     imperfections: Imperfections = Field(default_factory=Imperfections)
+    faults: tuple[Fault, ...] = ()
 
     @model_validator(mode="after")
     def _factors_name_parameters(self) -> RigFile:

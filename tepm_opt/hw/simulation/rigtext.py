@@ -23,6 +23,19 @@ REMARKS = {
     "simulation": "How the machine is simulated; steps get shorter by themselves where the robot is stiff or light.",
     FACTORS: "The machine's parameters over those of the robot file: K_a = 1.02 is a muscle 2 % stiffer than the file says.",
 }
+FAULTS = (
+    "Faults of tracker and gauges, to try what happens then; one [[faults]] for each, as many as you like. `of` is tracker (all points), a",
+    "point (s4) or a gauge (pressure_13, tension_21); `kind` is one of",
+    "  freeze   the last reading is repeated            repeat   every n-th reading repeats the one before: every",
+    "  drop     readings are lost: probability          delay    readings are older than their time says: seconds",
+    "  swap     two points or gauges are exchanged: with",
+    "  invalid  poses are marked as not valid",
+    "  [[faults]]",
+    '  kind = "freeze"',
+    '  of = "tracker"',
+    "  from_s = 5.0                                # of the rig's time",
+    "  until_s = 6.0                               # left out: until the end",
+)
 
 
 def rig_text(file: RigFile, robot: str, use: str = "--rig sim:FILE") -> str:
@@ -45,6 +58,9 @@ def rig_text(file: RigFile, robot: str, use: str = "--rig sim:FILE") -> str:
             lines += ["", *_titled(name, REMARKS[name], True), *(f"{key} = {value!r}" for key, value in section.items())]
         elif isinstance(section, Section) and name != "robot":
             lines += ["", *_section(name, section, True)]
+    lines += ["", *(f"# {line}" for line in FAULTS)]
+    for fault in file.faults:
+        lines += ["", "[[faults]]", *(f"{key} = {_value(value)}" for key, value in fault.entries().items())]
     return "\n".join(lines) + "\n"
 
 
