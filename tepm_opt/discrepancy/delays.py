@@ -67,7 +67,5 @@ def with_past(columns: np.ndarray, time: np.ndarray, late: Late) -> np.ndarray:
         time: of the rows, (times,) in s.
         late: inputs that are asked for, and how long ago.
     """
-    more = [
-        np.stack([*delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)], axis=1) for number, seconds in late
-    ]
+    more = [np.stack([*delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)], axis=1) for number, seconds in late]
     return np.hstack([columns, *more])
