@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from tepm_opt.data.foreign import TOML, kind_of, refuse_foreign
 from tepm_opt.errors import InputError, unknown_name
 
 Checked = TypeVar("Checked", bound=BaseModel)
@@ -54,15 +55,22 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if kind := kind_of(text.encode()):
+            raise InputError(f"{where} is {kind}; {TOML}") from error
         raise InputError(f"{where}: not valid TOML: {error}") from error
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
+def read_toml(path: str | Path, way: str = TOML) -> dict[str, Any]:
     """A TOML document.
 
+    Args:
+        path: of the file.
+        way: to such a file, for whoever has one of another program.
+
     Raises:
-        InputError: unreadable file; no TOML, with line and column.
+        InputError: unreadable file; a file of another program; no TOML, with line and column.
     """
+    refuse_foreign(path, way)
     return parse_toml(read_text(Path(path)), str(path))
 
 

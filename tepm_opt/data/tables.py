@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.data.files import write_atomically
+from tepm_opt.data.foreign import CSV, refuse_foreign
 from tepm_opt.errors import InputError
 
 
@@ -76,9 +77,10 @@ def read_table(path: str | Path, text: Callable[[str], bool] = lambda name: Fals
         text: which columns may hold text. Such a column is text where its first field that is not empty is not a number.
 
     Raises:
-        InputError: unreadable file, no header, no rows, a row of another length, text where a number belongs.
+        InputError: unreadable file, a file of another program, no header, no rows, a row of another length, text where a number belongs.
     """
     path = Path(path)
+    refuse_foreign(path, CSV)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)

@@ -12,10 +12,12 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.data.documents import Section, Vector, between, parse_toml, read_text, validated
+from tepm_opt.data.foreign import refuse_foreign
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.hardware import Hardware
 
 SUFFIX = ".toml"
+WAY = "tepm reads robot files in TOML: start one with `tepm robot new mine.toml`"
 LEAST_STIFFNESS = 5.0  # N/m, K_a of what stands by itself
 
 
@@ -245,6 +247,7 @@ def load_robot(robot: str | Path, where: str = "") -> Robot:
     if not path.is_file():
         prefix = f"{where}: " if where else ""
         raise InputError(f"{prefix}robot {str(robot)!r} is neither a file nor built in; built in: {', '.join(builtin_robots())}")
+    refuse_foreign(path, WAY)
     return parse_robot(read_text(path), str(path))
 
 

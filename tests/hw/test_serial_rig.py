@@ -376,7 +376,7 @@ def test_too_few_channels() -> None:
 def test_nobody_there() -> None:
     port = Speaker(b"")
     port.answer = b"noise\0"
-    with pytest.raises(LinkError, match="text comes: 'noise.*right port"):
+    with pytest.raises(LinkError, match=r"text comes: 'noise.*right port"):
         SerialRig(port, ROBOT, clock=lambda: port.time, threaded=False)
 
 
