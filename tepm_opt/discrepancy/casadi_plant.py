@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.delays import DeadTime, Late, with_past
+from tepm_opt.discrepancy.delays import SYMBOLS, DeadTime, Late, with_past
 from tepm_opt.discrepancy.parameters import Described
 from tepm_opt.solvers.parallel import give_way
 from tepm_opt.solvers.plant import START, Prediction, PredictionError
@@ -82,7 +82,7 @@ class Motion:
         left = tuple((name, signal) for name, signal in settled.items() if name in needed)
         x, rates = (ca.vertcat(ca.SX(0, 1), *(column[row] for row in rows)) for column in (self.x, rates))
         late = tuple(each for each in self.late if each.label in acting)
-        commands = self.u[: self.u.shape[0] - 3 * len(self.late)]
+        commands = self.u[: self.u.shape[0] - SYMBOLS * len(self.late)]
         u = ca.vertcat(commands, *(symbol for each in late for symbol in each.symbols))
         return Motion(states, x, rates, u, y, self.theta, self.h, left, late=late)
 
@@ -95,6 +95,12 @@ class Motion:
         """Names of the states that do not begin as a signal does."""
         taken = {name for name, _ in self.settled}
         return tuple(name for name in self.states if name not in taken)
+
+    @cached_property
+    def with_free_past(self) -> Motion:
+        """The equations for a run whose inputs before its first sample are part of the state that it begins with."""
+        past = {each.before.name() for each in self.late}
+        return replace(self, settled=tuple((name, signal) for name, signal in self.settled if name not in past))
 
     @cached_property
     @built
@@ -196,17 +202,22 @@ class CasadiPlant(Described):
 
     @property
     def states(self) -> dict[str, float]:
-        """The states that a run may begin with, with a guess of each."""
-        return {name: self.guess[name] for name in self.motion.free_states}
+        """The states that a run may begin with, with a guess of each; last what inputs with a dead time were before."""
+        own = {name: self.guess[name] for name in self.motion.free_states}
+        acting = self._labels(())
+        return own | {each.before.name(): 0.0 for each in self.motion.late if each.label in acting}
 
     def _acting(self, by: Sequence[str]) -> CasadiPlant:
         """The machine without the effects that vanish and by whose strength nothing is differentiated."""
-        acting = frozenset(
+        return replace(self, motion=_reduced(self.motion, self._labels(by)))
+
+    def _labels(self, by: Sequence[str]) -> frozenset[str]:
+        """The effects that do not vanish, or by whose strength something is differentiated."""
+        return frozenset(
             c.label
             for c in self.candidates
             if any(name in by or self.parameters[name].start != c.null[name] for name in c.parameters if name not in c.shapes)
         )
-        return replace(self, motion=_reduced(self.motion, acting))
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured, from the state it begins with or from rest.
@@ -219,7 +230,10 @@ class CasadiPlant(Described):
         Raises:
             PredictionError: no equilibrium to begin from, or a motion without bounds.
         """
-        return self._acting(by)._predicted(run, by)
+        acting = self._acting(by)
+        if run.state is not None and len(run.state) > len(acting.motion.free_states):
+            acting = replace(acting, motion=acting.motion.with_free_past)
+        return acting._predicted(run, by)
 
     def _predicted(self, run: Run, by: Sequence[str]) -> Prediction:
         names = list(self.of_run(run).values())
@@ -233,7 +247,7 @@ class CasadiPlant(Described):
         h = float(steps[0]) if len(steps) else 1.0  # a single sample has no step
         seconds = np.asarray(self.motion.dead_times(theta)).ravel() if self.motion.late else ()
         late = [(each.number, float(ago)) for each, ago in zip(self.motion.late, seconds, strict=True)]
-        u = with_past(run.inputs[:1], time[:1], late)[0]
+        u = with_past(inputs, time, late)[0]
         x, moved = self._begin(run, u, theta, turned, by, h)
         y, d_y = self._first(x, moved, u, theta, turned, h)
         points, change = np.empty((len(time), len(y))), np.zeros((len(time), len(by), len(y)))
@@ -305,12 +319,12 @@ class CasadiPlant(Described):
         """State at the first sample, with these inputs, and its change along the directions."""
         states = self.motion.states
         x, moved = np.array([self.guess[name] for name in states]), np.zeros((len(states), len(by)))
-        free = [states.index(name) for name in self.states]
+        free = [states.index(name) for name in self.states if name in self.motion.free_states]
         if run.state is None:
             by_theta = self._settle(run, u, x, free, theta, h)
             moved[free] = by_theta @ turned
         else:
-            x[free] = run.state
+            x[free] = run.state[: len(free)]
             for k, name in enumerate(by):
                 if name.startswith(START):
                     moved[states.index(name.removeprefix(START)), k] = 1.0

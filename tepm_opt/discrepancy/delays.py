@@ -12,60 +12,73 @@ Late = Sequence[tuple[int, float]]
 """Numbers of inputs, and how long ago each is asked for, in s."""
 
 
+SYMBOLS = 5
+"""Of each dead time: value and slope of the input then, each without what was before the run and by that, and the time."""
+
+
 @dataclass(frozen=True, eq=False)
 class DeadTime:
-    """An input as it was some time ago, as three more inputs of the equations.
+    """An input as it was some time ago, as more inputs of the equations.
 
     Attributes:
         label: of the effect that asks for it.
         number: of the input.
         time: how long ago in s, in symbols of the parameters.
-        symbols: of the input's value then, of its slope, and of the time for which both were looked up.
+        before: the input before the run, a state that stays.
+        symbols: of the input's value then and of its slope, each as a constant and a factor of `before`, and of the time for which they
+            were looked up.
     """
 
     label: str
     number: int
     time: ca.SX
-    symbols: tuple[ca.SX, ca.SX, ca.SX]
+    before: ca.SX
+    symbols: tuple[ca.SX, ...]
 
     @staticmethod
-    def of(label: str, number: int, time: ca.SX) -> DeadTime:
+    def of(label: str, number: int, time: ca.SX, before: ca.SX) -> DeadTime:
         """With symbols of its own."""
-        value, slope, at = (ca.SX.sym(f"{label} {name}") for name in ("value", "slope", "time"))
-        return DeadTime(label, number, time, (value, slope, at))
+        names = "value", "value by before", "slope", "slope by before", "time"
+        return DeadTime(label, number, time, before, tuple(ca.SX.sym(f"{label} {name}") for name in names))
 
     @property
     def signal(self) -> ca.SX:
         """The input then; its derivative by the dead time is the slope's negative."""
-        value, slope, at = self.symbols
-        return value - slope * (self.time - at)
+        value, weight, slope, steep, at = self.symbols
+        return value + weight * self.before - (slope + steep * self.before) * (self.time - at)
 
 
-def delayed(at: np.ndarray, time: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values and slopes of a column at other times, (times,) each, in straight lines between samples.
+def delayed(at: np.ndarray, time: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Values and slopes of a column at other times, in straight lines between samples: constants and factors of what was before, (times, 4).
 
-    Before the first sample the column stands still. Where slopes of two lines meet, that of the earlier line counts: it is the one
-    towards longer dead times.
+    Before the first sample the column has one value, from which it goes to the first sample within a step. Where slopes of two lines
+    meet, that of the earlier line counts: it is the one towards longer dead times.
 
     Args:
         at: times that are asked for, (times,) in s.
         time: of the samples, (rows,) in s.
         column: (rows,).
     """
-    if len(time) < 2:
-        return np.full(len(at), column[0]), np.zeros(len(at))
-    line = np.searchsorted(time, at, side="left") - 1
-    slopes = np.append(np.diff(column) / np.diff(time), 0.0)
-    return np.interp(at, time, column), np.where(line >= 0, slopes[line], 0.0)
+    step = time[1] - time[0] if len(time) > 1 else 1.0
+    times, unit = np.append(time[0] - step, time), np.zeros(len(time) + 1)
+    unit[0] = 1.0
+    line = np.searchsorted(times, at, side="left") - 1
+    found = []
+    for values in (np.append(0.0, column), unit):
+        slopes = np.append(np.diff(values) / np.diff(times), 0.0)
+        found += [np.interp(at, times, values), np.where(line >= 0, slopes[line], 0.0)]
+    return np.stack([found[0], found[2], found[1], found[3]], axis=1)
 
 
 def with_past(columns: np.ndarray, time: np.ndarray, late: Late) -> np.ndarray:
-    """Inputs with the symbols' values of each dead time behind them, (times, inputs + 3 · dead times).
+    """Inputs with the symbols' values of each dead time behind them, (times, inputs + `SYMBOLS` · dead times).
 
     Args:
         columns: inputs, (times, inputs).
         time: of the rows, (times,) in s.
         late: inputs that are asked for, and how long ago.
     """
-    more = [np.stack([*delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)], axis=1) for number, seconds in late]
+    more = [
+        np.column_stack([delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)]) for number, seconds in late
+    ]
     return np.hstack([columns, *more])

@@ -264,7 +264,11 @@ class Equations:
 
     def _earlier(self, law: Law, part: str, time: ca.SX) -> ca.SX:
         """The command as it was some time ago, in s."""
-        self._late.append(DeadTime.of(f"{law.name}[{part}]", list(self._inputs).index(part), time))
+        label, command = f"{law.name}[{part}]", self._inputs[part][0]
+        before = self.state(f"{part} before")
+        self.rate(before, 0.0)
+        self._settled[before.name()] = command
+        self._late.append(DeadTime.of(label, list(self._inputs).index(part), time, before))
         return self._late[-1].signal
 
     def _switch(self, law: Law, part: str) -> ca.SX:
