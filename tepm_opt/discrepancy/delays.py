@@ -78,7 +78,5 @@ def with_past(columns: np.ndarray, time: np.ndarray, late: Late) -> np.ndarray:
         time: of the rows, (times,) in s.
         late: inputs that are asked for, and how long ago.
     """
-    more = [
-        np.column_stack([delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)]) for number, seconds in late
-    ]
+    more = [np.column_stack([delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)]) for number, seconds in late]
     return np.hstack([columns, *more])

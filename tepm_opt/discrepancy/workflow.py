@@ -15,6 +15,7 @@ from tepm_opt.data.outliers import without_strays
 from tepm_opt.data.run import RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy import clock, words
+from tepm_opt.discrepancy.beginnings import without_beginnings
 from tepm_opt.discrepancy.belief import Judgement, doubts, judged
 from tepm_opt.discrepancy.black_box import black_box
 from tepm_opt.discrepancy.constancy import Sizes, onward, runs_of, sizes
@@ -92,6 +93,24 @@ def discover(
         InputError: no run to fit to, or the model cannot do the runs.
     """
     began, settings = time.monotonic(), settings or SearchSettings.of(plant)
+    found = _discovered(dataset, plant, noise, seed, store, key, settings, progress)
+    if found.verdict.status is VerdictStatus.UNEXPLAINED and plant.quick and not plant.static:
+        shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
+        if remarks:
+            progress("once more without beginnings that nothing explains", 0, 0)
+            aside = None if store is None else store.with_name(f"{store.name}-shorter")
+            again = _discovered(shorter, plant, noise, seed, aside, key, settings, progress)
+            if again.verdict.effects:
+                notes = tuple(dict.fromkeys((*remarks, *again.verdict.notes)))
+                found = replace(again, verdict=replace(again.verdict, notes=notes))
+    return replace(found, verdict=replace(found.verdict, seconds=time.monotonic() - began))
+
+
+def _discovered(
+    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int, store: Path | None, key: str,
+    settings: SearchSettings, progress: Progress,
+) -> Discovery:  # fmt: skip
+    """`discover`, all data taken as they are."""
     if not dataset.fit:
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
     missing = behind(plant.candidates, dataset.gauges)
@@ -134,7 +153,7 @@ def discover(
     acts = dict.fromkeys(explanation.shown, ()) | {effect: runs_of(effect, best, dataset, noise) for effect in looked_for}
     verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, judgement, acts, shift)
     notes = tuple(dict.fromkeys((*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)))
-    verdict = replace(verdict, notes=notes, seconds=time.monotonic() - began)
+    verdict = replace(verdict, notes=notes)
     return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
 
 
