@@ -49,9 +49,9 @@ class DeadTime:
 
 
 def delayed(at: np.ndarray, time: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Values and slopes of a column at other times, in straight lines between samples: constants and factors of what was before, (times, 4).
+    """Values and slopes of a column at other times, (times, 4): each as a constant and a factor of what was before the first sample.
 
-    Before the first sample the column has one value, from which it goes to the first sample within a step. Where slopes of two lines
+    Samples are joined by straight lines. Before the first sample the column has one value, from which it goes to the first sample within a step. Where slopes of two lines
     meet, that of the earlier line counts: it is the one towards longer dead times.
 
     Args:

@@ -12,7 +12,6 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.data.documents import Section, Vector, between, parse_toml, read_text, validated
-from tepm_opt.data.foreign import refuse_foreign
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.hardware import Hardware
 
@@ -247,8 +246,7 @@ def load_robot(robot: str | Path, where: str = "") -> Robot:
     if not path.is_file():
         prefix = f"{where}: " if where else ""
         raise InputError(f"{prefix}robot {str(robot)!r} is neither a file nor built in; built in: {', '.join(builtin_robots())}")
-    refuse_foreign(path, WAY)
-    return parse_robot(read_text(path), str(path))
+    return parse_robot(read_text(path, WAY), str(path))
 
 
 def parse_robot(text: str, where: str) -> Robot:
@@ -257,4 +255,4 @@ def parse_robot(text: str, where: str) -> Robot:
     Raises:
         InputError: as for `load_robot`.
     """
-    return validated(Robot, parse_toml(text, where), where)
+    return validated(Robot, parse_toml(text, where, WAY), where)
