@@ -51,8 +51,8 @@ class DeadTime:
 def delayed(at: np.ndarray, time: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Values and slopes of a column at other times, (times, 4): each as a constant and a factor of what was before the first sample.
 
-    Samples are joined by straight lines. Before the first sample the column has one value, from which it goes to the first sample within a step. Where slopes of two lines
-    meet, that of the earlier line counts: it is the one towards longer dead times.
+    Samples are joined by straight lines. Before the first one the column has one value, from which it goes to the first sample within a
+    step. Where slopes of two lines meet, that of the earlier line counts: it is the one towards longer dead times.
 
     Args:
         at: times that are asked for, (times,) in s.
