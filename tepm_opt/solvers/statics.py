@@ -181,6 +181,16 @@ def without_inputs(model: CompiledModel, inputs: np.ndarray, loads: np.ndarray) 
     return Equilibrium(model, inputs, loads, model.rest, points, lengths, outcome, 0, 0.0, 0.0)
 
 
+def is_upright(found: Equilibrium) -> bool:
+    """Whether an equilibrium is stable and, where gravity pulls towards the base, has not fallen over: half its height is left."""
+    robot = found.model.robot
+    axis, gravity = robot.mount.rotation[:, 2], np.array(robot.mount.gravity_m_per_s2)
+    if not found.solved or axis @ gravity > -0.5 * np.linalg.norm(gravity):
+        return found.solved
+    height = (found.tip - np.array(robot.mount.base_position_m)) @ axis
+    return bool(height > 0.5 * robot.modules * found.model.values["L_0"])
+
+
 def heaviest(model: CompiledModel) -> float | None:
     """The largest mass m_d of a module in kg with which the arm stands without inputs; None where a lighter one does not stand either.
 
@@ -192,7 +202,7 @@ def heaviest(model: CompiledModel) -> float | None:
     def stands(mass: float) -> bool:
         other = model.with_theta([mass if k in masses else value for k, value in enumerate(model.theta)])
         inputs, loads = np.zeros(model.layout.inputs), other.check_loads(None)
-        return _newton(other, inputs, loads, other.rest, DEFAULT, False).solved
+        return is_upright(_newton(other, inputs, loads, other.rest, DEFAULT, False))
 
     high = model.values["m_d"]
     low = high * LIGHTEST
