@@ -46,7 +46,7 @@ def test_places_in_millimetres(x: float, y: float, z: float) -> None:
     place, base = np.array([x, y, z]), (0.0, 0.0, -0.05)
     assert judge_places(place / 1e3, base, 0.4) == ""
     assert "times what the robot's size allows: in " in judge_places(place, base, 0.4)
-    with pytest.raises(InputError, match="= .*; valid: metres within 50 m, not millimetres"):
+    with pytest.raises(InputError, match=r"= .*; valid: metres within 50 m, not millimetres"):
         refuse_millimetres(place, "--from")
 
 
