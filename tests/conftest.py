@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections import Counter
 from collections.abc import Iterator
 
 # threads that share matrices of 100 x 100 wait for each other: three times slower on two cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# tests start many programs, which otherwise compile NumPy and SciPy each where an environment forbids to keep what was compiled
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from hypothesis import settings

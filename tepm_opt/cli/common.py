@@ -15,6 +15,7 @@ from rich.markup import escape
 
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.data.files import output_folder, write_atomically
+from tepm_opt.data.sizes import judge_force, judge_inputs, judge_places
 from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,13 +69,40 @@ def given_inputs(model: CompiledModel, pressures: str | None, tensions: str | No
     """Inputs of --pressures and --tensions; those not given are 0.
 
     Raises:
-        InputError: wrong numbers, or inputs outside the robot's limits.
+        InputError: wrong numbers, inputs outside the robot's limits or in another unit.
     """
     import numpy as np
 
     half = model.layout.inputs // 2
     given = [vector(text, name, half) or [0.0] * half for text, name in ((pressures, "--pressures"), (tensions, "--tensions"))]
-    return model.check_inputs(np.concatenate(given), "inputs")
+    inputs = model.check_inputs(np.concatenate(given), "inputs")
+    if wrong := judge_inputs(inputs, model.input_max):
+        raise InputError(f"--{wrong.partition(' ')[0]}: {wrong}")
+    return inputs
+
+
+def given_force(model: CompiledModel, text: str | None) -> list[float] | None:
+    """The force of --tip-force on the tip in G, (3,) in N; None where there is none.
+
+    Raises:
+        InputError: wrong numbers, or a force in another unit.
+    """
+    force = vector(text, "--tip-force")
+    most = float(model.input_max[model.layout.inputs // 2 :].sum())
+    if force is not None and (wrong := judge_force(math.hypot(*force), most)):
+        raise InputError(f"--tip-force {text}: {wrong}")
+    return force
+
+
+def refuse_far(model: CompiledModel, places: np.ndarray, where: str) -> None:
+    """Refuse places of the tip (places, 3) in m in G that are in another unit for the size of the model's robot.
+
+    Raises:
+        InputError: in the words that data sets get.
+    """
+    robot = model.robot
+    if wrong := judge_places(places, robot.mount.base_position_m, robot.modules * robot.parameters.L_0):
+        raise InputError(f"{where}: {wrong}")
 
 
 def open_page(address: str, wanted: bool = True) -> bool:

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import tepm_opt as tepm
+from tepm_opt.cli.common import warn
 from tepm_opt.cli.groups import OptionGroup
 
 if TYPE_CHECKING:
     from tepm_opt.control.timing import PaceSettings
+    from tepm_opt.hw.rig import Rig
     from tepm_opt.jobs.closed_loop import LoopSetup
     from tepm_opt.jobs.course import Course
+    from tepm_opt.models.compile import CompiledModel
 
 CONTROLLER = "mpc"
 CONTROLLERS = f"{CONTROLLER}: the predictive controller; lqg: its plain peer; mode1, mode2: the paper's; a wrong name lists all."
@@ -83,6 +86,20 @@ class DriveOptions(OptionGroup):
         driven = replace(FULL, laps=self.laps, stay=self.stay, steps=setup.kind.jumps)
         keep_out = None if self.keep_out is None else tepm.read_obstacles(self.keep_out)
         return replace(driven, keep_out=keep_out, pace=self._pace())
+
+    def check_rest(self, model: CompiledModel, course: Course, rig: Rig) -> None:
+        """Tell a person where the arm at rest is inside an obstacle.
+
+        Raises:
+            InputError: it is, and the rig is a real one, which begins there.
+        """
+        from tepm_opt.control.keep_out import KeepOut
+
+        if course.keep_out is None or not (inside := KeepOut(model, course.keep_out).at_rest()):
+            return
+        if rig.simulated is None:
+            raise tepm.InputError(f"{self.keep_out}: {inside}")
+        warn(f"{self.keep_out}: {inside}")
 
     def _pace(self) -> PaceSettings | None:
         """Settings of free progress; None where the path's time holds."""

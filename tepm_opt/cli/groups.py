@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 import typer
 from rich.markup import escape
 
-from tepm_opt.cli.common import stderr, vector
+from tepm_opt.cli.common import refuse_far, stderr, vector
+from tepm_opt.data.foreign import CSV, refuse_foreign
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.trajectories import DURATION, END, SHAPES, START, ShapeParameter, Trajectory, read_trajectory, shape_parameters
 
@@ -200,12 +201,16 @@ class ShapeOptions(OptionGroup):
             from tepm_opt.solvers.sized import path_for
 
             made = path_for(model, name, **self.given)
+            refuse_far(model, made.positions, name)
             if made.says:
                 stderr.print(escape(made.says), style="dim", soft_wrap=True, highlight=False)
             return made
         if not name.endswith(".csv"):
+            refuse_foreign(name, CSV)
             raise InputError(f"unknown trajectory {name!r}: valid: {', '.join(SHAPES)} or a .csv file")
         path = read_trajectory(name, self.given.get("duration"))
+        if model is not None:
+            refuse_far(model, path.positions, name)
         return path.resampled(self.given["points"]) if "points" in self.given else path
 
 

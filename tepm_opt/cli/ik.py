@@ -10,7 +10,7 @@ from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, unsolved_lines, vector
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_force, load, report, unsolved_lines, vector
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
@@ -49,9 +49,10 @@ def ik(
 ) -> int:
     """Solve the equal-curvature inverse kinematics of a trajectory: set points, shapes, lengths, figure."""
     which.trajectory(path)  # a wrong one is told before anything is compiled
-    force = vector(tip_force, "--tip-force")
+    vector(tip_force, "--tip-force")
     folder = output_folder(out)
     compiled = load(robot, model)
+    force = given_force(compiled, tip_force)
     highest = compiled.robot.actuation.tension_max_N
     if mid_tension is not None and not 0 <= mid_tension <= highest:
         raise InputError(f"--mid-tension {mid_tension:g}; valid: 0 … {highest:g} N")

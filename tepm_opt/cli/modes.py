@@ -12,7 +12,7 @@ from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, given_inputs, load, report, vector, warn
+from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, given_force, given_inputs, load, report, warn
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
@@ -82,7 +82,7 @@ def _operating_point(
     if inputs is None:
         if row is not None:
             raise InputError(f"--row {row} needs a set-point file")
-        return tepm.solve_statics(model, given_inputs(model, pressures, tensions), vector(tip_force, "--tip-force"))
+        return tepm.solve_statics(model, given_inputs(model, pressures, tensions), given_force(model, tip_force))
     if pressures or tensions or tip_force:
         raise InputError("a set-point file and --pressures, --tensions or --tip-force exclude each other")
     setpoints = tepm.read_setpoints(inputs, model.layout.actuator_names, model.input_max)

@@ -222,6 +222,7 @@ def mpc(
         targets, driven = which.trajectory(path, compiled), drive.course(setup)
         opened = opener(rig, compiled.robot, seed)
         device = opened(seed)
+        drive.check_rest(compiled, driven, device)
         with shown(as_json) as bars:
             reference = tepm.whole_reference(compiled, targets, driven, kinematics.settings(), bars)
         if learn is not None or known is not None:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, vector
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, refuse_far, report, vector, warn
 from tepm_opt.cli.groups import PathOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
+from tepm_opt.data.sizes import refuse_millimetres
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.choices import Objective
 from tepm_opt.solvers.trajectories import SHAPES, Trajectory
@@ -41,6 +43,7 @@ def obstacle(text: str) -> Obstacle:
         raise InputError(f"--obstacle {text!r}: unknown kind {kind!r}; valid: {OBSTACLES}, in m")
     values = vector(numbers, f"--obstacle {kind}", 4 if kind == "sphere" else 6) or []
     first, second = (values[0], values[1], values[2]), values[3:]
+    refuse_millimetres(first, f"--obstacle {text!r}")
     if kind == "sphere":
         if not 0 < second[0] <= 10:
             raise InputError(f"--obstacle {text!r}: radius {second[0]:g} m; valid: more than 0 … 10 m")
@@ -77,6 +80,9 @@ def plan(
     obstacles: Annotated[
         list[str] | None, typer.Option("--obstacle", help=f"For all reference points, in m: {OBSTACLES}; may be given again.")
     ] = None,
+    keep_out: Annotated[
+        Path | None, typer.Option("--keep-out", metavar="FILE", help="Obstacles as tepm mpc has them: spheres, boxes, a table (TOML).")
+    ] = None,
     margin: Annotated[float | None, typer.Option("--margin", metavar="N/M", help="Smallest stiffness eigenvalue on the way.")] = None,
     mid_tension: Annotated[float | None, typer.Option("--mid-tension", metavar="N", help="Tension at rest at both ends.")] = None,
     doubt: Annotated[
@@ -96,10 +102,14 @@ def plan(
     as_json: JsonOption = False,
 ) -> int:
     """Plan a motion from rest to rest under all limits: set points to play, the tip's reference, figure."""
+    from tepm_opt.control.keep_out import KeepOut
+    from tepm_opt.jobs.plan import tell_rest_inside
     from tepm_opt.solvers.planning.plan import FASTEST, FOR_LOOPS
 
     ends = vector(start, "--from"), vector(end, "--to")
-    kept = [obstacle(text) for text in obstacles or ()]
+    known = None if keep_out is None else tepm.read_obstacles(keep_out)
+    kept = {text: obstacle(text) for text in obstacles or ()}
+    kept |= {} if known is None else dict(zip(known.names, known.for_planning(), strict=True))
     settings = tepm.PlanSettings(
         min_stiffness=margin, mid_tension=mid_tension, frequency_uncertainty=doubt, max_sway=max_sway, friction_doubt=friction,
         effort_weight=FOR_LOOPS if loop else FASTEST,
@@ -108,8 +118,11 @@ def plan(
     folder = output_folder(out)
     compiled = load(robot, model)
     way = _way(path, which, *ends, compiled)
+    inside = KeepOut(compiled, known).at_rest() if known is not None else ""
+    if inside := inside or tell_rest_inside(compiled, {text: kept[text] for text in obstacles or ()}):
+        warn(inside)
     with shown(as_json) as progress:
-        run = tepm.run_plan(compiled, way, objective, duration, kept, settings, progress)
+        run = tepm.run_plan(compiled, way, objective, duration, tuple(kept.values()), settings, progress)
     run.save(folder)
     plots.draw(run, folder)
     return report(run.summary(), lines(run, out), as_json, run.ok)
@@ -135,4 +148,9 @@ def _way(
         raise InputError("a plan needs --from and --to, or --path")
     if which.given:
         raise InputError(f"--{next(iter(which.given))} belongs to a path; name one with --path")
+    for name, place in (("--from", start), ("--to", end)):
+        given = f"{name} {','.join(f'{value:g}' for value in place)}"
+        refuse_millimetres(place, given)
+        if model is not None:
+            refuse_far(model, np.array(place), given)
     return start, end

@@ -54,16 +54,34 @@ def check(
     robot: Annotated[str, typer.Argument(help="Path of a robot file, or a built-in robot.")],
     as_json: JsonOption = False,
 ) -> int:
-    """Check a robot file."""
+    """Check a robot file, and whether the arm stands."""
     from tepm_opt.models.robot import builtin_robots
 
     found = tepm.load_robot(robot)
+    built_in = robot in builtin_robots()
+    if not built_in:
+        _refuse_heavy(robot)
     summary = {"robot": found.name, "modules": found.modules, "actuators": found.actuators, "levels": found.levels}
     if as_json:
-        print(json.dumps({**summary, "built_in": robot in builtin_robots()}, indent=2))
+        print(json.dumps({**summary, "built_in": built_in}, indent=2))
     else:
         print(f"{robot} is valid: {found.name}, {found.modules} modules of {found.actuators} actuators, {found.levels} levels")
     return 0
+
+
+def _refuse_heavy(robot: str) -> None:
+    """Refuse a robot file whose arm buckles under its own weight.
+
+    Raises:
+        InputError: naming the mass and the largest one that stands.
+    """
+    from tepm_opt.cli.common import load
+    from tepm_opt.solvers.statics import is_upright, solve_statics, tell_weight
+
+    model = load(robot, None)
+    rest = solve_statics(model, [0.0] * model.layout.inputs)
+    if not is_upright(rest) and (heavy := tell_weight(model)):
+        raise tepm.InputError(f"{robot}: the arm buckles under its own weight{heavy}")
 
 
 app.command("modes")(spread(modes))

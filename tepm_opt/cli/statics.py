@@ -11,7 +11,7 @@ from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_inputs, load, report, unsolved_lines, vector
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_force, given_inputs, load, report, unsolved_lines
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
@@ -54,7 +54,7 @@ def statics(
     if inputs is not None:
         setpoints = tepm.read_setpoints(inputs, compiled.layout.actuator_names, compiled.input_max)
     else:
-        setpoints = tepm.SetPoints.single(given_inputs(compiled, pressures, tensions), vector(tip_force, "--tip-force"))
+        setpoints = tepm.SetPoints.single(given_inputs(compiled, pressures, tensions), given_force(compiled, tip_force))
     with shown(as_json) as progress:
         run = tepm.run_statics(compiled, setpoints, progress)
     if folder is not None:

@@ -8,7 +8,7 @@ and convex collision checking, IJRR 33, 2014); the `ROWS` least distances become
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ import numpy as np
 
 from tepm_opt.control.obstacles import Obstacles
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.solvers.statics import solve_statics
 
 if TYPE_CHECKING:
     from tepm_opt.control.estimator import StateEstimate
@@ -113,11 +114,33 @@ class KeepOut:
         least = self.nearest(self.estimated(estimate))
         return {DISTANCE: least.distance, OBSTACLE: least.obstacle, POINT: least.point}
 
+    def at_rest(self) -> str:
+        """What is told where the arm without inputs is inside an obstacle; empty where it is not, or does not stand."""
+        rest = solve_statics(self.model, np.zeros(self.model.layout.inputs))
+        if not rest.solved:
+            return ""
+        distances = self.obstacles.nearest(self.along([rest])[0])[0].min(axis=0)
+        return tell_rest(dict(zip(self.obstacles.names, distances.tolist(), strict=True)))
+
     def nearest(self, watched: np.ndarray) -> Nearest:
         """The least distance of watched points (watched, 3) in m in G."""
         distances = self.obstacles.nearest(watched)[0]
         point, obstacle = np.unravel_index(int(np.argmin(distances)), distances.shape)
         return Nearest(float(distances[point, obstacle]), self.obstacles.names[obstacle], self.names[point])
+
+
+def tell_rest(distances: Mapping[str, float]) -> str:
+    """What is told of an arm that is inside obstacles before anything moves; empty where it is inside of none.
+
+    Args:
+        distances: least distance of the arm at rest to each obstacle by name, in m.
+    """
+    name = min(distances, key=distances.__getitem__, default="")
+    if not name or distances[name] >= 0:
+        return ""
+    return (
+        f"the arm at rest is inside {name!r} by {-1e3 * distances[name]:.2g} mm, and real runs begin there; move it, or correct its place"
+    )
 
 
 class KeepOutRows:

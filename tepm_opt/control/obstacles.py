@@ -12,8 +12,9 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.data.documents import Number, Section, Vector, between, read_toml, validated
+from tepm_opt.data.sizes import FARTHEST
+from tepm_opt.solvers.planning.program import HalfSpace, Obstacle, Sphere, TurnedBox
 
-FARTHEST = 50.0  # m; beyond it a coordinate is taken for millimetres
 MARGIN = 0.010  # m
 TABLE = "table"
 
@@ -42,6 +43,10 @@ class SphereObstacle(Section):
         apart = points - np.array(self.centre_m)
         length = np.linalg.norm(apart, axis=1)
         return length - self.radius_m, np.where(length[:, None] > 0, apart / np.maximum(length, 1e-300)[:, None], UP)
+
+    def for_planning(self, margin: float) -> Obstacle:
+        """The sphere, larger by a margin in m, for programs of planning."""
+        return Sphere(self.centre_m, self.radius_m + margin)
 
 
 class BoxObstacle(Section):
@@ -72,6 +77,11 @@ class BoxObstacle(Section):
         way = np.where(length[:, None] > 0, outer / np.maximum(length, 1e-300)[:, None], face) * np.where(own < 0, -1.0, 1.0)
         return np.where(length > 0, length, beyond.max(axis=1)), way @ self._turn.T
 
+    def for_planning(self, margin: float) -> Obstacle:
+        """The box, larger by a margin in m on each side, for programs of planning."""
+        x, y, z = (side + 2 * margin for side in self.size_m)
+        return TurnedBox(self.centre_m, (x, y, z), tuple(map(tuple, self._turn.tolist())))
+
 
 class TableObstacle(Section):
     """A half space: all that is below a height, or behind a plane through a point, whose normal points to where the robot may be."""
@@ -98,10 +108,21 @@ class TableObstacle(Section):
         """Name of the table."""
         return TABLE
 
+    @property
+    def _plane(self) -> tuple[np.ndarray, np.ndarray]:
+        """A point of the plane and its normal, 1 long."""
+        point = np.array(self.point_m) if self.point_m is not None else UP * (self.height_m or 0.0)
+        return point, np.array(self.normal) / np.linalg.norm(self.normal)
+
+    def for_planning(self, margin: float) -> Obstacle:
+        """The half space, its plane a margin in m nearer, for programs of planning."""
+        point, normal = self._plane
+        (x, y, z), (a, b, c) = (point + margin * normal).tolist(), normal.tolist()
+        return HalfSpace((x, y, z), (a, b, c))
+
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances of points (n, 3) in m, negative inside, (n,), and the directions away from the table, (n, 3)."""
-        normal = np.array(self.normal) / np.linalg.norm(self.normal)
-        point = np.array(self.point_m) if self.point_m is not None else UP * (self.height_m or 0.0)
+        point, normal = self._plane
         return (points - point) @ normal, np.broadcast_to(normal, points.shape)
 
 
@@ -152,6 +173,10 @@ class Obstacles:
     def margins(self) -> np.ndarray:
         """Distances that are to be kept, (obstacles,) in m."""
         return np.array([self.file.margin_m if each.margin_m is None else each.margin_m for each in self.file.shapes])
+
+    def for_planning(self) -> tuple[Obstacle, ...]:
+        """All of them with their margins, for programs of planning."""
+        return tuple(each.for_planning(float(margin)) for each, margin in zip(self.file.shapes, self.margins, strict=True))
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances of points (n, 3) in m in G to each obstacle, negative inside, (n, obstacles), and the outward normals there,

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from tepm_opt.data.foreign import TOML, kind_of, refuse_foreign
 from tepm_opt.errors import InputError, unknown_name
 
 Checked = TypeVar("Checked", bound=BaseModel)
@@ -31,39 +32,55 @@ def between(low: float, high: float, unit: str) -> Any:
     return Field(ge=low, le=high, allow_inf_nan=False, strict=True, description=f"{low:g} … {high:g} {unit}".rstrip())
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, way: str = TOML) -> str:
     """The text of a file that a person names; a byte order mark is left out.
 
+    Args:
+        path: of the file.
+        way: to a file that is read here, for whoever has one of another program.
+
     Raises:
-        InputError: it cannot be read, or is not UTF-8.
+        InputError: it cannot be read, is of another program, or is not UTF-8.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
+        refuse_foreign(path, way)
         raise InputError(f"{path}: is not a text file (UTF-8)") from error
 
 
-def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """A TOML document from its text; `where` names the file in errors.
+def parse_toml(text: str, where: str, way: str = TOML) -> dict[str, Any]:
+    """A TOML document from its text.
+
+    Args:
+        text: of the document.
+        where: names the file in errors.
+        way: to such a file, for whoever has one of another program.
 
     Raises:
-        InputError: no TOML, with line and column.
+        InputError: a file of another program; no TOML, with line and column.
     """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if kind := kind_of(text.encode()):
+            raise InputError(f"{where} is {kind}; {way}") from error
         raise InputError(f"{where}: not valid TOML: {error}") from error
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
+def read_toml(path: str | Path, way: str = TOML) -> dict[str, Any]:
     """A TOML document.
 
+    Args:
+        path: of the file.
+        way: to such a file, for whoever has one of another program.
+
     Raises:
-        InputError: unreadable file; no TOML, with line and column.
+        InputError: unreadable file; a file of another program; no TOML, with line and column.
     """
-    return parse_toml(read_text(Path(path)), str(path))
+    return parse_toml(read_text(Path(path), way), str(path), way)
 
 
 def toml_string(text: str) -> str:

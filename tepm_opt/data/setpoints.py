@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tepm_opt.data.sizes import PRESSURE, TENSION, judge_force, judge_inputs
 from tepm_opt.data.tables import Table, read_table, write_table
 from tepm_opt.errors import InputError
 
@@ -68,7 +69,7 @@ def read_setpoints(path: str | Path, actuators: Sequence[str], limits: np.ndarra
 
     Raises:
         InputError: unreadable file, missing column, actuator the robot has not, value that is no number or
-            outside 0 … limit, row with some inputs and not others, time that does not increase.
+            outside 0 … limit, row with some inputs and not others, time that does not increase, inputs or forces in another unit.
     """
     table = read_table(path)
     time = table.increasing("time_s")
@@ -80,7 +81,11 @@ def read_setpoints(path: str | Path, actuators: Sequence[str], limits: np.ndarra
     columns = [table.column(name, may_be_empty=absent) for name in names]
     refuse_out_of_range(table, names, limits)
     forces = [table.column(name) if name in table else np.zeros(len(time)) for name in FORCE_COLUMNS]
-    return SetPoints(time, np.stack(columns, axis=1), np.stack(forces, axis=1))
+    inputs, force = np.stack(columns, axis=1), np.stack(forces, axis=1)
+    most = float(np.sum(limits[len(actuators) :]))
+    if wrong := judge_inputs(inputs, limits) or judge_force(float(np.linalg.norm(force, axis=1).max()), most):
+        raise InputError(f"{path}: {wrong}")
+    return SetPoints(time, inputs, force)
 
 
 def refuse_out_of_range(table: Table, names: Sequence[str], limits: np.ndarray) -> None:
@@ -95,8 +100,9 @@ def refuse_out_of_range(table: Table, names: Sequence[str], limits: np.ndarray) 
         InputError: with file, line, column and the range.
     """
     for name, limit in zip(names, limits, strict=True):
-        values = table.columns[name]
-        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, f"0 … {limit:g} {name.rsplit('_', 1)[1]}")
+        values, quantity = table.columns[name], PRESSURE if name.startswith(PRESSURE.name) else TENSION
+        largest = float(np.nanmax(values, initial=0.0))
+        table.refuse((values < -1e-9 * limit) | (values > limit * (1 + 1e-9)), name, quantity.valid(largest, limit))
 
 
 def write_setpoints(path: str | Path, setpoints: SetPoints, actuators: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tepm_opt.data.files import write_atomically
+from tepm_opt.data.foreign import CSV, kind_of, refuse_foreign
 from tepm_opt.errors import InputError
 
 
@@ -76,7 +77,7 @@ def read_table(path: str | Path, text: Callable[[str], bool] = lambda name: Fals
         text: which columns may hold text. Such a column is text where its first field that is not empty is not a number.
 
     Raises:
-        InputError: unreadable file, no header, no rows, a row of another length, text where a number belongs.
+        InputError: unreadable file, a file of another program, no header, no rows, a row of another length, text where a number belongs.
     """
     path = Path(path)
     try:
@@ -86,9 +87,12 @@ def read_table(path: str | Path, text: Callable[[str], bool] = lambda name: Fals
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:
+        refuse_foreign(path, CSV)
         raise InputError(f"{path}: is not a CSV text file: {error}") from error
     if not rows:
         raise InputError(f"{path}: is empty; valid: a header line and at least one row")
+    if kind := kind_of("\n".join(",".join(row) for _, row in rows[:10]).encode()):
+        raise InputError(f"{path} is {kind}; {CSV}")
     names = [name.strip() for name in rows[0][1]]
     if len(names) == 1 and ";" in names[0]:
         raise InputError(f"{path}: line {rows[0][0]}: columns are separated by ';'; valid: ','")

@@ -211,6 +211,8 @@ class Simulator:
         for law in laws:
             if law.states:
                 raise InputError(f"{self.name}: {law.name} has states, which a function cannot have; valid: Equations, or a law without")
+            if law.delays:
+                raise InputError(f"{self.name}: {law.name} needs the past, which only the function knows; valid: Equations")
             wanted = {part for q in law.quantities for part in q.size.split("/")} - {"1"}
             if lacking := sorted(wanted - set(sizes)):
                 raise InputError(f"{self.name}: {law.name}[{part}] needs the size of {lacking[0]!r}; valid: effects(…, {lacking[0]}=…)")

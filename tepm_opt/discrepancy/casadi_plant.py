@@ -13,6 +13,7 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.delays import SYMBOLS, DeadTime, Late, with_past
 from tepm_opt.discrepancy.parameters import Described
 from tepm_opt.solvers.parallel import give_way
 from tepm_opt.solvers.plant import START, Prediction, PredictionError
@@ -45,11 +46,12 @@ class Motion:
     Attributes:
         states: names of x.
         x, rates: states and their rates.
-        u, y: inputs and what is measured.
+        u, y: inputs, with the symbols of each dead time behind them, and what is measured.
         theta: all parameters.
         h: time step in s.
         settled: states that begin as a signal does, with that signal; later ones may depend on earlier ones.
         switches: of effects by label: 1 where one acts, 0 where it leaves everything as it is.
+        late: dead times of inputs.
     """
 
     states: tuple[str, ...]
@@ -61,6 +63,7 @@ class Motion:
     h: ca.SX
     settled: tuple[tuple[str, ca.SX], ...]
     switches: Mapping[str, ca.SX] = field(default_factory=dict)
+    late: tuple[DeadTime, ...] = ()
 
     def of(self, acting: Collection[str]) -> Motion:
         """The equations with these effects only, without states on which nothing that is measured depends: a fraction of the work."""
@@ -78,7 +81,10 @@ class Motion:
         rows = [self.states.index(name) for name in states]
         left = tuple((name, signal) for name, signal in settled.items() if name in needed)
         x, rates = (ca.vertcat(ca.SX(0, 1), *(column[row] for row in rows)) for column in (self.x, rates))
-        return Motion(states, x, rates, self.u, y, self.theta, self.h, left)
+        late = tuple(each for each in self.late if each.label in acting)
+        commands = self.u[: self.u.shape[0] - SYMBOLS * len(self.late)]
+        u = ca.vertcat(commands, *(symbol for each in late for symbol in each.symbols))
+        return Motion(states, x, rates, u, y, self.theta, self.h, left, late=late)
 
     def _named(self, value: ca.SX) -> list[str]:
         """The states on which a value depends."""
@@ -89,6 +95,18 @@ class Motion:
         """Names of the states that do not begin as a signal does."""
         taken = {name for name, _ in self.settled}
         return tuple(name for name in self.states if name not in taken)
+
+    @cached_property
+    def with_free_past(self) -> Motion:
+        """The equations for a run whose inputs before its first sample are part of the state that it begins with."""
+        past = {each.before.name() for each in self.late}
+        return replace(self, settled=tuple((name, signal) for name, signal in self.settled if name not in past))
+
+    @cached_property
+    @built
+    def dead_times(self) -> ca.Function:
+        """θ → the dead times in s, (dead times,)."""
+        return ca.Function("dead_times", [self.theta], [ca.vertcat(ca.SX(0, 1), *(each.time for each in self.late))])
 
     @cached_property
     @built
@@ -184,17 +202,22 @@ class CasadiPlant(Described):
 
     @property
     def states(self) -> dict[str, float]:
-        """The states that a run may begin with, with a guess of each."""
-        return {name: self.guess[name] for name in self.motion.free_states}
+        """The states that a run may begin with, with a guess of each; last what inputs with a dead time were before."""
+        own = {name: self.guess[name] for name in self.motion.free_states}
+        acting = self._labels(())
+        return own | {each.before.name(): 0.0 for each in self.motion.late if each.label in acting}
 
     def _acting(self, by: Sequence[str]) -> CasadiPlant:
         """The machine without the effects that vanish and by whose strength nothing is differentiated."""
-        acting = frozenset(
+        return replace(self, motion=_reduced(self.motion, self._labels(by)))
+
+    def _labels(self, by: Sequence[str]) -> frozenset[str]:
+        """The effects that do not vanish, or by whose strength something is differentiated."""
+        return frozenset(
             c.label
             for c in self.candidates
             if any(name in by or self.parameters[name].start != c.null[name] for name in c.parameters if name not in c.shapes)
         )
-        return replace(self, motion=_reduced(self.motion, acting))
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
         """What a run should have measured, from the state it begins with or from rest.
@@ -207,7 +230,10 @@ class CasadiPlant(Described):
         Raises:
             PredictionError: no equilibrium to begin from, or a motion without bounds.
         """
-        return self._acting(by)._predicted(run, by)
+        acting = self._acting(by)
+        if run.state is not None and len(run.state) > len(acting.motion.free_states):
+            acting = replace(acting, motion=acting.motion.with_free_past)
+        return acting._predicted(run, by)
 
     def _predicted(self, run: Run, by: Sequence[str]) -> Prediction:
         names = list(self.of_run(run).values())
@@ -219,14 +245,17 @@ class CasadiPlant(Described):
         time, inputs, rows = self._grid(run)
         steps = self._steps(time)
         h = float(steps[0]) if len(steps) else 1.0  # a single sample has no step
-        x, moved = self._begin(run, theta, turned, by, h)
-        y, d_y = self._first(x, moved, run.inputs[0], theta, turned, h)
+        seconds = np.asarray(self.motion.dead_times(theta)).ravel() if self.motion.late else ()
+        late = [(each.number, float(ago)) for each, ago in zip(self.motion.late, seconds, strict=True)]
+        u = with_past(inputs, time, late)[0]
+        x, moved = self._begin(run, u, theta, turned, by, h)
+        y, d_y = self._first(x, moved, u, theta, turned, h)
         points, change = np.empty((len(time), len(y))), np.zeros((len(time), len(by), len(y)))
         points[0], change[0] = y, d_y.T
         give_way()
         if len(steps):
             whole = _accumulated(self.motion, chosen, self.substeps, len(steps))
-            _, _, ys, d_ys = whole(x, moved, self._inputs(inputs).T, theta, steps[None])
+            _, _, ys, d_ys = whole(x, moved, self._inputs(time, inputs, late).T, theta, steps[None])
             points[1:] = np.asarray(ys).T
             if by:
                 change[1:] = np.asarray(d_ys).reshape(len(y), len(steps), len(by)).transpose(1, 2, 0)
@@ -266,29 +295,36 @@ class CasadiPlant(Described):
             return np.full(len(steps), steps.mean() if len(steps) else 0.0) / self.substeps
         return steps / self.substeps
 
-    def _inputs(self, u: np.ndarray) -> np.ndarray:
-        """Inputs at the ends of all steps between times and at the later one, (times - 1, (substeps + 2) · inputs)."""
+    def _inputs(self, time: np.ndarray, u: np.ndarray, late: Late) -> np.ndarray:
+        """Inputs at the ends of all steps between times and at the later one, (times - 1, (substeps + 2) · inputs).
+
+        A dead time of inputs that stay takes their mean over the step, which lies on the straight line between two samples.
+        """
         count, gaps = self.substeps, len(u) - 1
+        ends = with_past(u, time, late)
         if self.between == "hold":
-            fine = np.repeat(u[:-1, None], count + 1, axis=1)
+            fine = np.repeat(ends[:-1, None], count + 1, axis=1)
         else:
             if self.between == "band" and count > 1:
                 every = resample_poly(u, count, 1, axis=0, padtype="line")[: gaps * count + 1]
             else:
                 every = _interpolated(np.arange(gaps * count + 1) / count, np.arange(len(u)), u)
+            every = with_past(every, np.interp(np.arange(gaps * count + 1) / count, np.arange(len(u)), time), late)
             fine = np.stack([every[k : len(every) - count + k : count] for k in range(count + 1)], axis=1)
-        return np.concatenate([fine, u[1:, None]], axis=1).reshape(gaps, -1)
+        return np.concatenate([fine, ends[1:, None]], axis=1).reshape(gaps, -1)
 
-    def _begin(self, run: Run, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float) -> tuple[np.ndarray, np.ndarray]:
-        """State at the first sample and its change along the directions."""
-        states, u = self.motion.states, run.inputs[0]
+    def _begin(
+        self, run: Run, u: np.ndarray, theta: np.ndarray, turned: np.ndarray, by: Sequence[str], h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """State at the first sample, with these inputs, and its change along the directions."""
+        states = self.motion.states
         x, moved = np.array([self.guess[name] for name in states]), np.zeros((len(states), len(by)))
-        free = [states.index(name) for name in self.states]
+        free = [states.index(name) for name in self.states if name in self.motion.free_states]
         if run.state is None:
-            by_theta = self._settle(run, x, free, theta, h)
+            by_theta = self._settle(run, u, x, free, theta, h)
             moved[free] = by_theta @ turned
         else:
-            x[free] = run.state
+            x[free] = run.state[: len(free)]
             for k, name in enumerate(by):
                 if name.startswith(START):
                     moved[states.index(name.removeprefix(START)), k] = 1.0
@@ -296,16 +332,16 @@ class CasadiPlant(Described):
         x, moved = (np.asarray(part) for part in function(x, moved, u, theta, turned, h))
         return x.ravel(), moved
 
-    def _settle(self, run: Run, x: np.ndarray, free: list[int], theta: np.ndarray, h: float) -> np.ndarray:
-        """Put the free states of x to rest under the first row; their change with the parameters, (states, parameters)."""
+    def _settle(self, run: Run, u: np.ndarray, x: np.ndarray, free: list[int], theta: np.ndarray, h: float) -> np.ndarray:
+        """Put the free states of x to rest under the first inputs; their change with the parameters, (states, parameters)."""
         if not free:
             return np.zeros((0, len(theta)))
-        rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, run.inputs[0], theta, h))
+        rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, u, theta, h))
         size, most = np.abs(x[free]), np.abs(rates)
         for _ in range(NEWTON_STEPS):
             change, _ = _solved(by_x, -rates.ravel())
             x[free] += change
-            rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, run.inputs[0], theta, h))
+            rates, by_x, by_theta = (np.asarray(part) for part in self.motion.rest(x, u, theta, h))
             size, most = np.fmax(size, np.abs(change)), np.fmax(most, np.abs(rates))
             if (np.abs(change) <= AT_REST * size).all():
                 break

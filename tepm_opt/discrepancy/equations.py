@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 
 import casadi as ca
@@ -21,6 +22,7 @@ import casadi as ca
 from tepm_opt.data.channels import TIME
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant, Motion
+from tepm_opt.discrepancy.delays import DeadTime
 from tepm_opt.discrepancy.library.axis import AXIS
 from tepm_opt.discrepancy.library.effect import At, Law
 from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
@@ -57,6 +59,7 @@ class Equations:
     _settled: dict[str, ca.SX] = field(default_factory=dict)  # what states of effects begin as
     _candidates: list[Candidate] = field(default_factory=list)
     _switches: dict[str, ca.SX] = field(default_factory=dict)
+    _late: list[DeadTime] = field(default_factory=list)
     _step: ca.SX = field(default_factory=lambda: ca.SX.sym("h"))
 
     def state(self, name: str, start: float = 0.0) -> ca.SX:
@@ -106,7 +109,7 @@ class Equations:
         command = ca.SX.sym(name)
         self._inputs[name] = command, command, limit
         acts, sizes = command, self._sizes(name, signal=size, time=self.time)
-        for law in self._laws("input"):
+        for law in sorted(self._laws("input"), key=lambda law: not law.delays):
             acts = self._filtered(law, name, acts, sizes, unit)
         self._inputs[name] = command, acts, limit
         return acts
@@ -170,12 +173,13 @@ class Equations:
             states=tuple(self._states),
             x=ca.vertcat(*(x for x, _ in self._states.values())),
             rates=ca.vertcat(*(self._rates[name] for name in self._states)),
-            u=ca.vertcat(*(u for u, _, _ in self._inputs.values())),
+            u=ca.vertcat(*(u for u, _, _ in self._inputs.values()), *(symbol for late in self._late for symbol in late.symbols)),
             y=ca.vertcat(*(y for y, _ in self._outputs.values())),
             theta=ca.vertcat(*(p for p, _ in self._free.values())),
             h=self._step,
             settled=tuple((name, self._settled[name]) for name in self._states if name in self._settled),
             switches=self._switches,
+            late=tuple(self._late),
         )
         units = {unit for _, unit in self._outputs.values()}
         signals = Signals.of(
@@ -250,12 +254,22 @@ class Equations:
         """
         p = self._parameters(law, part, sizes, {"signal": unit})
         z = [self.state(f"{law.name}[{part}] {k}") for k in range(law.states)]
-        after, rates = law.act(At(p, z, sizes, self._step, signal=signal))
+        earlier = partial(self._earlier, law, part) if law.delays and part in self._inputs else None
+        after, rates = law.act(At(p, z, sizes, self._step, signal=signal, earlier=earlier))
         for state, rate in zip(z, rates, strict=True):
             self.rate(state, rate)
             self._settled[state.name()] = signal
         on = self._switch(law, part)
         return on * after + (1 - on) * signal
+
+    def _earlier(self, law: Law, part: str, time: ca.SX) -> ca.SX:
+        """The command as it was some time ago, in s."""
+        label, command = f"{law.name}[{part}]", self._inputs[part][0]
+        before = self.state(f"{part} before")
+        self.rate(before, 0.0)
+        self._settled[before.name()] = command
+        self._late.append(DeadTime.of(label, list(self._inputs).index(part), time, before))
+        return self._late[-1].signal
 
     def _switch(self, law: Law, part: str) -> ca.SX:
         """1 where an effect acts, 0 where it does not."""

@@ -15,6 +15,7 @@ from tepm_opt.data.outliers import without_strays
 from tepm_opt.data.run import RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy import clock, words
+from tepm_opt.discrepancy.beginnings import without_beginnings
 from tepm_opt.discrepancy.belief import Judgement, doubts, judged
 from tepm_opt.discrepancy.black_box import black_box
 from tepm_opt.discrepancy.constancy import Sizes, onward, runs_of, sizes
@@ -71,7 +72,6 @@ class Discovery:
         return f"Discovery({self.verdict.status.value}, {shortened(self.dataset.name, 40)}, {len(self.explanation.tried)} fits)"
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def require_fit_runs(dataset: RunSet) -> None:
     """Refuse a data set without a run to fit to, which costs nothing before a model is compiled.
 
@@ -82,6 +82,7 @@ def require_fit_runs(dataset: RunSet) -> None:
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def discover(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
     settings: SearchSettings | None = None, progress: Progress = silent,
@@ -103,6 +104,24 @@ def discover(
     """
     began, settings = time.monotonic(), settings or SearchSettings.of(plant)
     require_fit_runs(dataset)
+    found = _discovered(dataset, plant, noise, seed, store, key, settings, progress)
+    if found.verdict.status is VerdictStatus.UNEXPLAINED and plant.quick and not plant.static:
+        shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
+        if remarks:
+            progress("once more without beginnings that nothing explains", 0, 0)
+            aside = None if store is None else store.with_name(f"{store.name}-shorter")
+            again = _discovered(shorter, plant, noise, seed, aside, key, settings, progress)
+            if again.verdict.effects:
+                notes = tuple(dict.fromkeys((*remarks, *again.verdict.notes)))
+                found = replace(again, verdict=replace(again.verdict, notes=notes))
+    return replace(found, verdict=replace(found.verdict, seconds=time.monotonic() - began))
+
+
+def _discovered(
+    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int, store: Path | None, key: str,
+    settings: SearchSettings, progress: Progress,
+) -> Discovery:  # fmt: skip
+    """`discover`, all data taken as they are."""
     missing = behind(plant.candidates, dataset.gauges)
     progress("simulating the runs with the model as it is", 0, 0)
     nominal = _predict(plant, dataset, noise)
@@ -143,7 +162,7 @@ def discover(
     acts = dict.fromkeys(explanation.shown, ()) | {effect: runs_of(effect, best, dataset, noise) for effect in looked_for}
     verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, judgement, acts, shift)
     notes = tuple(dict.fromkeys((*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)))
-    verdict = replace(verdict, notes=notes, seconds=time.monotonic() - began)
+    verdict = replace(verdict, notes=notes)
     return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
 
 

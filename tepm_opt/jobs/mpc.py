@@ -119,14 +119,16 @@ def run_closed_loop(
         observer: given every sample with what was commanded then and the tip's target.
 
     Raises:
-        InputError: unknown controller; the rig has another robot, or disagrees with the model before the loop is closed; a folder that
-            cannot be written to.
+        InputError: unknown controller; the rig has another robot, or disagrees with the model before the loop is closed; a real arm that
+            is inside an obstacle at rest; a folder that cannot be written to.
         RuntimeError, OSError: the rig failed before the loop was closed.
     """
     if channels_of(rig.robot) != channels_of(model.robot):
         raise InputError(
             f"the rig's robot is {rig.robot.name!r}, the model's {model.robot.name!r}; name the one that is there (--robot, --model)"
         )
+    if rig.simulated is None and reference.keep_out is not None and (inside := reference.keep_out.at_rest()):
+        raise InputError(inside)
     kind, settings = setup.kind, setup.chosen
     if rig.simulated is None:
         settings = settings.in_real_time(reference.period)

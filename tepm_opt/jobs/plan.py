@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tepm_opt.control.keep_out import tell_rest
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import input_columns, point_columns, write_setpoints
@@ -19,8 +20,9 @@ from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.choices import Objective
 from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
-from tepm_opt.solvers.planning.program import Obstacle
+from tepm_opt.solvers.planning.program import Obstacle, distance
 from tepm_opt.solvers.planning.result import MotionPlan
+from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 
 INPUTS, REFERENCE = "inputs.csv", "reference.csv"
@@ -79,6 +81,19 @@ class PlanRun(Tabular):
             for name in (INPUTS, REFERENCE):
                 (folder / name).unlink(missing_ok=True)
         save_summary(folder, "plan", self.summary())
+
+
+def tell_rest_inside(model: CompiledModel, obstacles: Mapping[str, Obstacle]) -> str:
+    """What is told where a reference point of the arm without inputs is in an obstacle; empty where none is.
+
+    Args:
+        model: compiled model.
+        obstacles: by names for people.
+    """
+    rest = solve_statics(model, np.zeros(model.layout.inputs))
+    if not rest.solved:
+        return ""
+    return tell_rest({name: min(float(distance(one)(point)) for point in rest.points) for name, one in obstacles.items()})
 
 
 def run_plan(

@@ -12,6 +12,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from tepm_opt.data.sizes import PRESSURE, TENSION
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends import ccode
 from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
@@ -200,9 +201,9 @@ class CompiledModel:
         outside = self._outside(array)
         if outside.any():
             at = int(np.argmax(outside))
-            kind, unit = ("pressure", "Pa") if at < self.layout.inputs // 2 else ("tension", "N")
+            kind = PRESSURE if at < self.layout.inputs // 2 else TENSION
             name = self.layout.actuator_names[at % (self.layout.inputs // 2)]
-            raise InputError(f"{where}: {kind}_{name} = {array[at]:g} {unit}; valid: 0 … {limit[at]:g} {unit}")
+            raise InputError(f"{where}: {kind.name}_{name} = {array[at]:g} {kind.unit}; valid: {kind.valid(array[at], limit[at])}")
         return array
 
     def check_loads(self, loads: Sequence[float] | np.ndarray | None, where: str = "loads") -> np.ndarray:

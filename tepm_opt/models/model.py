@@ -168,6 +168,9 @@ class _ModelFile(Section):
     effects: list[_EffectTable] = Field(default_factory=list)
 
 
+WAY = "tepm reads model files in TOML, whose `robot` names a robot file: start one with `tepm robot new mine.toml`"
+
+
 def read_model(path: str | Path) -> Model:
     """A model file (SPEC section 4); a robot path in it is relative to the file.
 
@@ -176,7 +179,7 @@ def read_model(path: str | Path) -> Model:
     """
     path = Path(path)
     where = str(path)
-    table = validated(_ModelFile, read_toml(path), where)
+    table = validated(_ModelFile, read_toml(path, WAY), where)
     source = table.robot if table.robot in builtin_robots() else str(path.parent / table.robot)
     robot = load_robot(source, where)
     check_parameters(robot, table.parameters, where)

@@ -16,6 +16,7 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.hardware import Hardware
 
 SUFFIX = ".toml"
+WAY = "tepm reads robot files in TOML: start one with `tepm robot new mine.toml`"
 LEAST_STIFFNESS = 5.0  # N/m, K_a of what stands by itself
 
 
@@ -245,7 +246,7 @@ def load_robot(robot: str | Path, where: str = "") -> Robot:
     if not path.is_file():
         prefix = f"{where}: " if where else ""
         raise InputError(f"{prefix}robot {str(robot)!r} is neither a file nor built in; built in: {', '.join(builtin_robots())}")
-    return parse_robot(read_text(path), str(path))
+    return parse_robot(read_text(path, WAY), str(path))
 
 
 def parse_robot(text: str, where: str) -> Robot:
@@ -254,4 +255,4 @@ def parse_robot(text: str, where: str) -> Robot:
     Raises:
         InputError: as for `load_robot`.
     """
-    return validated(Robot, parse_toml(text, where), where)
+    return validated(Robot, parse_toml(text, where, WAY), where)

@@ -17,6 +17,7 @@ import numpy as np
 from tepm_opt.models.backends.interface import Status
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.ik_problem import Balance, IkProblem
+from tepm_opt.solvers.statics import tell_weight
 
 UNIT = 1e-2  # m, of errors; forces are in parts of their range: both programs and penalties are then of order 1
 STEPS = 60  # of a search
@@ -49,7 +50,7 @@ def nearest(problem: IkProblem, target: np.ndarray) -> tuple[Balance, Outcome]:
     if found is None:
         message = "no stable equal-curvature configuration within the limits was found"
         if not problem.idle.solved:
-            message += "; without inputs the robot is not stable either (it buckles under its weight or load)"
+            message += f"; without inputs the robot is not stable either (it buckles under its weight or load){tell_weight(problem.model)}"
         return Balance(problem.middle, problem.balanced), Outcome(Ending.FAILED, message)
     there = found.distance < 100 * problem.settings.tolerance
     if there and problem.redundant:

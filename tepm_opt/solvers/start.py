@@ -32,11 +32,12 @@ def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.in
     """
     if run.start == "equilibrium" or not plant.states:
         return run
-    steps = STEPS if run.state is None else NEAR
-    guess = np.array(list(plant.states.values())) if run.state is None else run.state
+    known = run.state is not None and len(run.state) == len(plant.states)  # another model may begin with more or less
+    steps = NEAR if known else STEPS
+    guess = np.array(list(plant.states.values())) if run.state is None or not known else run.state
     if run.start == "measured":
         return replace(run, state=_fitted(plant, first(run, FIRST), noise, step, guess, steps))
-    if run.state is None:
+    if not known:
         guess = _fitted(plant, first(run, FIRST), noise, step, guess, steps)
     return replace(run, state=_fitted(plant, run, noise, step, guess, steps))
 

@@ -33,6 +33,7 @@ class StaticsSettings:
     min_length_ratio: float = 0.25
 
 
+LIGHTEST, HALVINGS = 1e-3, 12  # part of its mass with which an arm must stand for the mass to be blamed; bisections, to 0.2 %
 DEFAULT = StaticsSettings()
 
 
@@ -180,6 +181,45 @@ def without_inputs(model: CompiledModel, inputs: np.ndarray, loads: np.ndarray) 
     return Equilibrium(model, inputs, loads, model.rest, points, lengths, outcome, 0, 0.0, 0.0)
 
 
+def is_upright(found: Equilibrium) -> bool:
+    """Whether an equilibrium is stable and, where gravity pulls towards the base, has not fallen over: half its height is left."""
+    robot = found.model.robot
+    axis, gravity = robot.mount.rotation[:, 2], np.array(robot.mount.gravity_m_per_s2)
+    if not found.solved or axis @ gravity > -0.5 * np.linalg.norm(gravity):
+        return found.solved
+    height = (found.tip - np.array(robot.mount.base_position_m)) @ axis
+    return bool(height > 0.5 * robot.modules * found.model.values["L_0"])
+
+
+def heaviest(model: CompiledModel) -> float | None:
+    """The largest mass m_d of a module in kg with which the arm stands without inputs; None where a lighter one does not stand either.
+
+    Found by bisection between the mass there is, with which it must not stand, and a thousandth of it.
+    """
+    names = model.network.parameter_names
+    masses = [k for k, name in enumerate(names) if name == "m_d"]
+
+    def stands(mass: float) -> bool:
+        other = model.with_theta([mass if k in masses else value for k, value in enumerate(model.theta)])
+        inputs, loads = np.zeros(model.layout.inputs), other.check_loads(None)
+        return is_upright(_newton(other, inputs, loads, other.rest, DEFAULT, False))
+
+    high = model.values["m_d"]
+    low = high * LIGHTEST
+    if not stands(low):
+        return None
+    for _ in range(HALVINGS):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if stands(middle) else (low, middle)
+    return low
+
+
+def tell_weight(model: CompiledModel) -> str:
+    """The largest mass with which an arm that does not stand without inputs would, in words; empty where it is not the mass."""
+    most = heaviest(model)
+    return "" if most is None else f": m_d = {model.values['m_d']:g} kg is too heavy; valid: up to {most:.2g} kg"
+
+
 def _newton(
     model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: StaticsSettings, mapped: bool, reached: float = 1.0
 ) -> Equilibrium:
@@ -222,5 +262,5 @@ def _continued(
         return last
     where = f"on the branch from rest the last stable equilibrium is at {100 * reached:.1f} % of the inputs and loads"
     if not (reached > 0 or last.solved):
-        where = "without inputs and loads the robot is not stable either"
+        where = f"without inputs and loads the robot is not stable either{tell_weight(model)}"
     return replace(failed, outcome=replace(failed.outcome, message=f"{failed.outcome.message}; {where}"), reached=reached)

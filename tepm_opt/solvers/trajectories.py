@@ -12,11 +12,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from tepm_opt.data.sizes import FARTHEST, METRES
 from tepm_opt.data.tables import read_table
 from tepm_opt.errors import InputError
 
 MOST_POINTS = 100_000
-FARTHEST = 50.0  # m; beyond it a coordinate is taken for millimetres
 POSITION_COLUMNS = (("x", "x_m"), ("y", "y_m"), ("z", "z_m"))
 TIME_COLUMNS = ("time_s", "time", "t")
 
@@ -97,7 +97,8 @@ class ShapeParameter:
         values = np.asarray(value, dtype=float)
         inside = (values > self.low if self.above else values >= self.low) & (values <= self.high)
         if not (np.isfinite(values) & inside).all():
-            raise InputError(f"{label} {value}; valid: {'more than ' * self.above}{self.low:g} … {self.high:g} {self.unit}")
+            metres = ", not millimetres" if self.unit == "m" and (np.abs(values) > FARTHEST).any() else ""
+            raise InputError(f"{label} {value}; valid: {'more than ' * self.above}{self.low:g} … {self.high:g} {self.unit}{metres}")
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ def read_trajectory(path: str | Path, duration: float | None = None) -> Trajecto
     for names in POSITION_COLUMNS:
         name = next((name for name in names if name in table), names[0])
         columns.append(table.column(name))
-        table.refuse(np.abs(columns[-1]) > FARTHEST, name, f"metres within {FARTHEST:g} m, not millimetres")
+        table.refuse(np.abs(columns[-1]) > FARTHEST, name, METRES)
     count = len(columns[0])
     name = next((name for name in TIME_COLUMNS if name in table), None)
     if name and duration is not None:

@@ -16,7 +16,7 @@ import pytest
 
 from tepm_opt.cli import rigs
 from tepm_opt.data.run import read_run
-from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.board.errors import LinkError
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tepm_opt.jobs import mpc as running

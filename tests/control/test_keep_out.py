@@ -22,8 +22,10 @@ from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.clearance import clearance
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
+from tepm_opt.jobs.plan import tell_rest_inside
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.planning.program import distance
 from tepm_opt.solvers.statics import equilibrium
 
 SPHERE = SphereObstacle(name="lamp", centre_m=(0.1, -0.05, 0.3), radius_m=0.06)
@@ -276,3 +278,22 @@ class TestLoop:
         assert loop.summary()["keep_out"] is None
         assert "distance_m" not in loop.columns()
         assert clearance({}, np.zeros(0), np.nan) is None
+
+
+def test_an_arm_that_is_inside_at_rest_is_told(kang: CompiledModel) -> None:
+    """The tip stands at z = 0.346814 m in G (SPEC section 2): 3.2 mm from the sphere's centre."""
+    hand = SphereObstacle(name="hand", centre_m=(0.0, 0.0, 0.35), radius_m=0.04)
+    told = KeepOut(kang, Obstacles(ObstacleFile(spheres=(hand,)))).at_rest()
+    assert told.startswith("the arm at rest is inside 'hand' by 37 mm")
+    assert KeepOut(kang, Obstacles(ObstacleFile(spheres=(SPHERE,)))).at_rest() == ""
+    assert tell_rest_inside(kang, {"hand": hand.for_planning(0.0)}) == told
+
+
+@pytest.mark.parametrize("shape", [SPHERE, BOX, TABLE], ids=lambda shape: shape.name)
+def test_planning_keeps_the_same_distances(shape: SphereObstacle | BoxObstacle | TableObstacle) -> None:
+    points = np.random.default_rng(5).uniform(-0.3, 0.5, (40, 3))
+    exact = shape.nearest(points)[0] - 0.01
+    outside = distance(shape.for_planning(0.01))
+    found = np.array([float(outside(point)) for point in points])
+    assert (found <= exact + 1e-6).all(), "never farther than it is"
+    assert ((found < 0) == (exact < 0)).mean() > 0.9

@@ -51,10 +51,10 @@ def write(tmp_path, names, *rows):
 
 
 def test_order_of_columns_is_free_and_others_are_ignored(tmp_path):
-    path = write(tmp_path, [*reversed(HEADER), "note"], [4, 3, 2, 1, 0, 9], [7, 7, 6, 5, 1, 9])
+    path = write(tmp_path, [*reversed(HEADER), "note"], [4, 3, 2e5, 1e5, 0, 9], [7, 7, 4e5, 3e5, 1, 9])
     found = read_setpoints(path, ACTUATORS, LIMITS)
     np.testing.assert_array_equal(found.time, [0, 1])
-    np.testing.assert_array_equal(found.inputs, [[1, 2, 3, 4], [5, 6, 7, 7]])
+    np.testing.assert_array_equal(found.inputs, [[1e5, 2e5, 3, 4], [3e5, 4e5, 7, 7]])
     assert not found.tip_force.any()
 
 
@@ -79,9 +79,9 @@ def test_wrong_values(tmp_path, column, value, message):
 
 def test_a_row_without_any_inputs_is_kept(tmp_path):
     """Where inverse kinematics failed; a row with some inputs is a mistake."""
-    path = write(tmp_path, HEADER, [0, 0, 0, 0, 0], [1, *[np.nan] * 4], [2, 1, 2, 3, 4])
+    path = write(tmp_path, HEADER, [0, 0, 0, 0, 0], [1, *[np.nan] * 4], [2, 1e5, 2e5, 3, 4])
     found = read_setpoints(path, ACTUATORS, LIMITS)
-    np.testing.assert_array_equal(found.inputs, [[0] * 4, [np.nan] * 4, [1, 2, 3, 4]])
+    np.testing.assert_array_equal(found.inputs, [[0] * 4, [np.nan] * 4, [1e5, 2e5, 3, 4]])
 
 
 def test_an_actuator_the_robot_has_not_is_refused(tmp_path):

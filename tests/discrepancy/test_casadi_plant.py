@@ -203,7 +203,7 @@ class TestInputsBetweenSamples:
 
     def test_band_goes_through_the_samples(self) -> None:
         run = run_of(0.1 * np.arange(50), resample(np.random.default_rng(1).normal(size=10), 50)[:, None])
-        inputs = lag("band", 4)._inputs(run.inputs)
+        inputs = lag("band", 4)._inputs(run.time, run.inputs, ())
         np.testing.assert_allclose(inputs[:, 0], run.inputs[:-1, 0], atol=1e-3)
         np.testing.assert_array_equal(inputs[:, -1], run.inputs[1:, 0])
 

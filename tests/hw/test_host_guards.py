@@ -10,7 +10,8 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.link import Link, LinkError
+from tepm_opt.hw.board.errors import LinkError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.protocol import ARM, CLEAR, DISARM, ESTOP, Message, State
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command

@@ -14,8 +14,8 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.board.errors import LinkError
 from tepm_opt.hw.board.limits import Limits, differences
-from tepm_opt.hw.board.link import LinkError
 from tepm_opt.hw.board.protocol import State
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command

@@ -17,7 +17,8 @@ from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
-from tepm_opt.hw.board.link import Link, LinkError, RefusedError
+from tepm_opt.hw.board.errors import LinkError, RefusedError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.protocol import ACK, ARM, CLEAR, CONFIG, DISARM, ESTOP, HELLO, SET, STATUS, Fault, Key, Message, Result, State
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command

@@ -17,7 +17,7 @@ import pytest
 from tepm_opt.cli import rigs, run
 from tepm_opt.data.run import read_run
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.board.errors import LinkError
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.rig import Command, Rig, Sample

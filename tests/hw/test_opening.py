@@ -6,7 +6,7 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import rig as rigs
-from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.board.errors import LinkError
 from tepm_opt.hw.board.rig import SerialRig, open_port, open_serial
 from tepm_opt.models.robot import load_robot
 from tests.hw.emulator.world import World

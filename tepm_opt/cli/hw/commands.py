@@ -21,7 +21,8 @@ from tepm_opt.cli.hw.monitor import monitor
 from tepm_opt.cli.hw.rig import app as rig_app
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.link import Link, LinkError
+from tepm_opt.hw.board.errors import LinkError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.ports import PortBusyError, find_ports
 from tepm_opt.hw.board.protocol import ESTOP, State
 

@@ -13,7 +13,7 @@ from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import UNSOLVED, stderr, stdout
 from tepm_opt.cli.rigs import stopped_by_signals
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.link import LinkError
+from tepm_opt.hw.board.errors import LinkError
 from tepm_opt.hw.guard import Stopped
 
 if TYPE_CHECKING:

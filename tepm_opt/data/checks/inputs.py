@@ -3,34 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from tepm_opt.data.checks.findings import Finding, Subject, longest, spread
 from tepm_opt.data.setpoints import FORCE_COLUMNS
+from tepm_opt.data.sizes import PRESSURE, TENSION, Quantity, judge_force
 
 
-class Quantity(NamedTuple):
-    """Pressures or tensions of a run."""
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Pressures or tensions of a run.
 
-    name: str  # of the columns' beginning
-    unit: str
+    Attributes:
+        quantity: which.
+        names: of the columns.
+        values: (rows, actuators).
+        limit: of all of them.
+    """
+
+    quantity: Quantity
     names: tuple[str, ...]
-    values: np.ndarray  # (rows, actuators)
+    values: np.ndarray
     limit: float
-    others: dict[str, float]  # units a file may be in by mistake, and what one of each is in the right unit
+
+    @property
+    def unit(self) -> str:
+        """Of the values."""
+        return self.quantity.unit
 
 
-def quantities(subject: Subject) -> tuple[Quantity, Quantity]:
+def quantities(subject: Subject) -> tuple[Measured, Measured]:
     """Pressures and tensions."""
     channels, count = subject.channels, len(subject.channels.actuators)
     inputs = subject.run.inputs
-    pressures = {"kPa": 1e3, "bar": 1e5, "MPa": 1e6, "psi": 6894.757}
-    tensions = {"mN": 1e-3, "g": 9.80665e-3, "kg": 9.80665, "kN": 1e3}
     return (
-        Quantity("pressure", "Pa", channels.inputs[:count], inputs[:, :count], channels.pressure_max, pressures),
-        Quantity("tension", "N", channels.inputs[count:], inputs[:, count:], channels.tension_max, tensions),
+        Measured(PRESSURE, channels.inputs[:count], inputs[:, :count], channels.pressure_max),
+        Measured(TENSION, channels.inputs[count:], inputs[:, count:], channels.tension_max),
     )
 
 
@@ -56,7 +66,7 @@ def excited(subject: Subject) -> bool:
     return bool(np.any(spread(subject.driven) > least))
 
 
-def _range(subject: Subject, quantity: Quantity) -> Iterator[Finding]:
+def _range(subject: Subject, quantity: Measured) -> Iterator[Finding]:
     values, limit = quantity.values, quantity.limit
     if (rows := np.flatnonzero(np.any(values < 0, axis=1))).size:
         column = int(np.argmin(np.nanmin(values, axis=0)))
@@ -65,11 +75,9 @@ def _range(subject: Subject, quantity: Quantity) -> Iterator[Finding]:
     if not np.isfinite(limit) or not values.size:
         return
     largest = float(np.nanmax(values, initial=0.0))
-    if 0 < largest <= 1.2e-3 * limit or largest > limit * (1 + 1e-6):
+    if message := quantity.quantity.judge(largest, limit):
         rows = np.flatnonzero(np.any(values > limit, axis=1)) if largest > limit else ()
         column = int(np.argmax(np.nanmax(values, axis=0)))
-        guess = _guess(largest, limit, quantity.others)
-        message = f"{quantity.name}s reach {largest:g}; valid: 0 … {limit:g} {quantity.unit}{guess}"
         yield subject.found("error", quantity.names[column], message, rows)
         return
     for name, column in zip(quantity.names, values.T, strict=True):
@@ -80,17 +88,11 @@ def _range(subject: Subject, quantity: Quantity) -> Iterator[Finding]:
             yield subject.found("warning", name, message, range(first, last + 1))
 
 
-def _guess(largest: float, limit: float, others: dict[str, float]) -> str:
-    """The unit that makes the largest value plausible: the one that comes nearest to the limit from below."""
-    fits = {name: largest * factor / limit for name, factor in others.items() if 0.02 < largest * factor / limit <= 1.01}
-    return f": in {max(fits, key=fits.__getitem__)}?" if fits else ""
-
-
 def _force(subject: Subject) -> Iterator[Finding]:
     most = subject.channels.tension_max * len(subject.channels.actuators)
     force = np.linalg.norm(subject.run.tip_force, axis=1)
     if (rows := np.flatnonzero(force > most)).size:
-        message = f"a tip force of {np.nanmax(force):g} N is more than all tendons together can pull ({most:g} N): in g or mN?"
+        message = judge_force(float(np.nanmax(force)), most)
         yield subject.found("error", FORCE_COLUMNS[int(np.argmax(np.nanmax(np.abs(subject.run.tip_force), axis=0)))], message, rows)
 
 

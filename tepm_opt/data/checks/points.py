@@ -9,8 +9,7 @@ from itertools import combinations, pairwise, permutations
 import numpy as np
 
 from tepm_opt.data.checks.findings import Finding, Subject, longest
-
-UNITS = {1e3: "mm", 1e2: "cm", 39.37: "inches"}
+from tepm_opt.data.sizes import LARGE, LENGTHS, tell_places
 
 
 def check_points(subject: Subject) -> Iterator[Finding]:
@@ -70,9 +69,9 @@ def wrong_units(subject: Subject) -> Iterator[Finding]:
         with np.errstate(invalid="ignore"):
             ratios = np.nan_to_num(np.nanmax(np.abs(subject.points), axis=(0, 2), initial=0.0) / 10)
     for name, ratio in zip(channels.points, ratios, strict=True):
-        if ratio > 8:
-            factor = min(UNITS, key=lambda unit: _mismatch(subject, unit))
-            yield subject.found("error", name, f"positions are {ratio:.3g} times what the robot's size allows: in {UNITS[factor]}, not m?")
+        if ratio > LARGE:
+            factor = min(LENGTHS, key=lambda unit: _mismatch(subject, unit))
+            yield subject.found("error", name, tell_places(ratio, LENGTHS[factor]))
         elif channels.height is not None and ratio < 0.02:
             yield subject.found("error", name, f"positions are {ratio:.3g} times what the robot's size lets expect: in km, not m?")
 

@@ -64,6 +64,7 @@ class At:
         p: the effect's parameters by name.
         z: its states.
         step: the time step in s: what is faster is not resolved.
+        earlier: the command as it was so many seconds ago; None where only the present is known.
         sizes: of quantities there, by name.
     """
 
@@ -76,6 +77,7 @@ class At:
     speed: Any = 0.0
     along: Any = 0.0
     turned: Any = 0.0
+    earlier: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class Law:
         family: what it is one form of.
         place: what it acts on, where the stage does not tell: "vessel".
         gauge: whether a gauge that measures an input may have it, too: an offset, a gain.
+        delays: whether it asks for the command's past (`At.earlier`): it acts before all other effects on an input.
     """
 
     name: str
@@ -110,6 +113,7 @@ class Law:
     family: str = ""
     place: str = ""
     gauge: bool = False
+    delays: bool = False
 
     @property
     def part(self) -> str:

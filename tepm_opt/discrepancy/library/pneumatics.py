@@ -52,6 +52,6 @@ PNEUMATICS = (
         "leak", "input", (Quantity("loss", "1", 0.0, (0.01, 0.1), 0.0, 1.0),), _leak,
         explains="pressure is lost through a hole, in proportion to the flow through it", reference="Torricelli 1643",
     ),
-    *(law for law in INPUT if law.name in {"input_gain", "input_offset", "input_dead_zone"}),
+    *(law for law in INPUT if law.name in {"time_delay", "input_gain", "input_offset", "input_dead_zone"}),
 )  # fmt: skip
 """Effects between a commanded pressure and the chamber: for inputs that are pressures, in the place of `signals.INPUT`."""

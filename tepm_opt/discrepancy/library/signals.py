@@ -1,4 +1,4 @@
-"""What happens to signals on their way in and out: lags, gains, offsets, dead zones, limits."""
+"""What happens to signals on their way in and out: dead times, lags, gains, offsets, dead zones, limits."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import casadi as ca
 from tepm_opt.discrepancy.library.effect import At, Law, Quantity
 
 TIMES = (0.01, 0.1, 1.0)  # of the machine's own time
+DELAYS = (0.1, 0.5, 2.0)  # of it; near enough to each other for a fit to find what lies between
 PARTS = (0.01, 0.1)
 LIMITS = tuple(1.6**k for k in range(-3, 5))  # so close that one lies just below whatever the signal reaches
 
@@ -23,6 +24,11 @@ def _lagged(at: At, time: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
 
 def _time(name: str) -> Quantity:
     return Quantity(name, "time", 0.0, TIMES, 0.0, 30.0)
+
+
+def _late(at: At) -> tuple[ca.SX, list[ca.SX]]:
+    """The command as it was; the present one where the past is not known."""
+    return at.signal if at.earlier is None else at.earlier(at.p["delay"]), []
 
 
 def _dead(at: At) -> tuple[ca.SX, list[ca.SX]]:
@@ -57,6 +63,11 @@ def _swings(at: At) -> tuple[ca.SX, list[ca.SX]]:
 
 
 INPUT = (
+    Law(
+        "time_delay", "input", (Quantity("delay", "time", 0.0, DELAYS, 0.0, 30.0),), _late, smooth=False, delays=True,
+        explains="the command acts after a dead time, unchanged",
+        reference="pure transport delay; Åström and Murray, Feedback Systems, 2nd ed., section 9.2",
+    ),
     Law(
         "input_lag", "input", (_time("time"),), lambda at: _lagged(at, at.p["time"]), states=1, smooth=False,
         explains="what acts follows the command like a first-order lag",

@@ -12,11 +12,13 @@ from typing import Any, TypeVar
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
+from tepm_opt.hw.board.errors import FLASH, LinkError, NoBoardError, RefusedError
 from tepm_opt.hw.board.limits import Limits, told
 from tepm_opt.hw.board.linklog import RECEIVED, SENT, LinkLog
 from tepm_opt.hw.board.ports import Clock, Port
 from tepm_opt.hw.board.protocol import ACK, ARM, ASK, CLEAR, CONFIG, HELLO, LIMITS, SET, STATUS, Fault, Message, Result, State
 from tepm_opt.hw.board.status import REASONS, BoardStatus, Hello, LinkStatistics
+from tepm_opt.hw.board.strangers import Overheard
 
 TRIES, PATIENCE = 5, 0.05
 """How often a request is sent, and seconds until it is sent again."""
@@ -24,23 +26,6 @@ SILENT = 0.2
 """Seconds without STATUS, or without one that acknowledges set points, after which none is sent any more."""
 VENTING, AGAIN = 2.0, 0.1
 """Seconds for which CLEAR is tried while monitors still show pressure, and between two tries."""
-FLASH = "flash the firmware that comes with this program"
-
-
-class LinkError(RuntimeError):
-    """The board does not answer, refuses, or the line to it is gone."""
-
-
-class RefusedError(LinkError):
-    """The board refuses a request.
-
-    Attributes:
-        result: why.
-    """
-
-    def __init__(self, message: str, result: int) -> None:
-        super().__init__(message)
-        self.result = result
 
 
 @dataclass(frozen=True)
@@ -74,6 +59,7 @@ class Link:
         self.status: BoardStatus | None = None
         self.statistics = LinkStatistics()
         self._decoder = protocol.Decoder(protocol.TO_HOST)
+        self._overheard = Overheard()
         self._hello: Hello | None = None
         self._limits: Limits | None = None
         self._answers: dict[tuple[int, int], protocol.Values | None] = {}  # of the requests that wait for one, by id and code
@@ -92,16 +78,14 @@ class Link:
         """What the board says about itself; it may be starting.
 
         Raises:
-            LinkError: it says nothing in time, or speaks another protocol.
+            NoBoardError: nothing answers in time, or something else does.
+            LinkError: it speaks another protocol.
         """
         self._hello = None
         end = self._clock() + timeout
         while self._hello is None:
             if self._clock() >= end:
-                hint = "is the firmware on it, and is the baud rate its own?"
-                if self.statistics.bad > TRIES:
-                    hint = f"{self.statistics.bad} frames came that are none: is the baud rate its own? If so, {FLASH}"
-                raise LinkError(f"no answer from the board within {timeout:g} s: {hint}")
+                raise NoBoardError(self._overheard, timeout)
             self.send(ASK, id=self._next_id())
             self.wait(lambda: self._hello is not None, 0.25)
         if self._hello.version != protocol.VERSION:
@@ -345,6 +329,8 @@ class Link:
         if self._log:
             self._log(RECEIVED, data)
         now = self._clock()
+        if self._decoder.good == 0:
+            self._overheard.take(data)
         for kind, values in self._decoder.feed(data):
             self.statistics.received += 1
             if kind is LIMITS:

@@ -11,8 +11,9 @@ import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.board.errors import LinkError, RefusedError
 from tepm_opt.hw.board.limits import Limits, differences
-from tepm_opt.hw.board.link import Link, LinkError, RefusedError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.linklog import LinkLog, new_log
 from tepm_opt.hw.board.ports import BAUD, Clock, Port, SerialPort
 from tepm_opt.hw.board.protocol import DISARM, ESTOP, POSITION_MODE, State

@@ -14,7 +14,8 @@ import numpy as np
 
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.calibration import Calibration
-from tepm_opt.hw.board.link import Link, LinkError
+from tepm_opt.hw.board.errors import LinkError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.protocol import COUNTS_PER_V, ResetCause
 from tepm_opt.hw.board.status import BoardStatus, Hello
 from tepm_opt.hw.tracker import Tracker
@@ -125,14 +126,13 @@ def packages() -> Check:
     )
 
 
-def tools(needed: bool) -> Check:
+def tools() -> Check:
     """Whether the firmware can be compiled and flashed here."""
     name, missing = "tools to flash", [tool for tool in TOOLS if shutil.which(tool) is None]
     if not missing:
         return right(name, f"{', '.join(TOOLS)} are here; the firmware is in {FIRMWARE}.")
     install = f"sudo apt install {' '.join(TOOLS[tool] for tool in missing)}"
-    says = f"{', '.join(missing)} not installed"
-    return wrong(name, f"{says}.", install) if needed else not_yet(name, f"{says}; needed only to flash the firmware.", install)
+    return not_yet(name, f"{', '.join(missing)} not installed; needed only to flash the firmware.", install)
 
 
 def last_reset(hello: Hello) -> Check:

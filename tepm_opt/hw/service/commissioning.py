@@ -9,8 +9,9 @@ from pathlib import Path
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.calibration import Calibration
+from tepm_opt.hw.board.errors import LinkError, NoBoardError, RefusedError
 from tepm_opt.hw.board.limits import Limits, differences
-from tepm_opt.hw.board.link import Link, LinkError, RefusedError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.ports import FoundPort, PortBusyError, find_ports
 from tepm_opt.hw.board.protocol import CHANNELS, POSITION_MODE, Result, State
 from tepm_opt.hw.board.status import BoardStatus
@@ -84,7 +85,6 @@ class Commissioning:
     find: Callable[[], list[FoundPort]] = find_ports
     _found: Robot | None = None
     _usable = False
-    _silent = False
 
     def checks(self) -> Iterator[Check]:
         """One after the other, as they are made."""
@@ -94,7 +94,7 @@ class Commissioning:
         yield self._permission()
         link, opened = self._open()
         yield opened
-        yield checks.tools(needed=self._silent)
+        yield checks.tools()
         if link is None:
             reason = "needs a board that answers."
             for name in ("last reset", "limits", "state", "emergency stop", "dynamometers", "pressure monitors", "motors", "line"):
@@ -147,7 +147,7 @@ class Commissioning:
         """The link, if the board answers; what is said if it does not."""
         name = "firmware"
         if self.port is None or not self._usable:
-            return None, not_yet(name, "needs a port that can be opened.", f"a new board first: {flash(self.port)}")
+            return None, not_yet(name, "needs a port that can be opened.")
         try:
             line = self.open_line(self.port)
         except InputError as error:
@@ -157,9 +157,11 @@ class Commissioning:
         link = line.link()
         try:
             self._hello = link.hello()
+        except NoBoardError as error:
+            link.close()
+            return None, wrong(name, f"{error.says}.", error.overheard.advise(flash(self.port)))
         except LinkError as error:
             link.close()
-            self._silent = True
             return None, wrong(name, f"{error}.", flash(self.port))
         except BaseException:
             link.close()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.link import Link, LinkError
+from tepm_opt.hw.board.errors import LinkError, NoBoardError
+from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.status import BoardStatus
 from tepm_opt.hw.service.line import Line
 from tepm_opt.hw.tracker import Frame, Tracker
@@ -102,11 +104,8 @@ class Monitor:
     def _greet(self, link: Link) -> bool:
         """Ask the board who it is, which is what makes it talk to a host; whether it answered."""
         if link.status is None:
-            try:
+            with contextlib.suppress(NoBoardError):
                 link.hello(PERIOD)
-            except LinkError as error:
-                if "no answer" not in str(error):
-                    raise
         return link.status is not None
 
     def _reopen(self) -> bool:

@@ -49,6 +49,38 @@ class Box:
         return SOFTNESS * (most + ca.log(ca.sum1(ca.exp(faces - most)) / 6))
 
 
+@dataclass(frozen=True)
+class TurnedBox:
+    """A box along axes of its own.
+
+    Attributes:
+        centre: in G in m.
+        size: along its axes in m.
+        rotation: matrix from its axes to those of G, by rows.
+    """
+
+    centre: tuple[float, float, float]
+    size: tuple[float, float, float]
+    rotation: tuple[tuple[float, ...], ...]
+
+    def outside(self, point: ca.SX) -> ca.SX:
+        """See `Obstacle`; as for `Box`."""
+        x, y, z = (side / 2 for side in self.size)
+        return Box((-x, -y, -z), (x, y, z)).outside(ca.DM(self.rotation).T @ (point - ca.DM(self.centre)))
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """All that is behind a plane: a point of it in G in m, and the normal, 1 long, towards where the robot may be."""
+
+    point: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+    def outside(self, point: ca.SX) -> ca.SX:
+        """See `Obstacle`; exact."""
+        return ca.dot(ca.DM(self.normal), point - ca.DM(self.point))
+
+
 def distance(obstacle: Obstacle) -> ca.Function:
     """`outside` as a function of a point."""
     point = ca.SX.sym("point", 3)
