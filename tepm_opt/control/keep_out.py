@@ -115,7 +115,7 @@ class KeepOut:
         return {DISTANCE: least.distance, OBSTACLE: least.obstacle, POINT: least.point}
 
     def at_rest(self) -> str:
-        """What is told where the arm without inputs is inside an obstacle; empty where it is not, or does not stand."""
+        """Sentence about an obstacle that the arm without inputs is inside of; empty where it is not, or does not stand."""
         rest = solve_statics(self.model, np.zeros(self.model.layout.inputs))
         if not rest.solved:
             return ""
@@ -130,7 +130,7 @@ class KeepOut:
 
 
 def tell_rest(distances: Mapping[str, float]) -> str:
-    """What is told of an arm that is inside obstacles before anything moves; empty where it is inside of none.
+    """Sentence about an arm that is inside obstacles before anything moves; empty where it is inside of none.
 
     Args:
         distances: least distance of the arm at rest to each obstacle by name, in m.

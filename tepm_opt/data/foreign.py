@@ -19,7 +19,7 @@ BYTES = (
     (b"\x89MCAP", "an MCAP recording"),
     (b"\x1f\x8b", "a gzip archive"),
 )
-"""How files begin."""
+"""First bytes of files by their kind."""
 ROOTS = {"mujoco": "an MJCF model of MuJoCo", "robot": "a URDF model", "sdf": "an SDF model of Gazebo", "html": "a web page"}
 """Root elements of XML."""
 CSV = "tepm reads CSV here: open it in its program and save it as CSV"
@@ -27,7 +27,7 @@ TOML = "tepm reads TOML here"
 
 
 def kind_of(begin: bytes) -> str:
-    """What a file is by its first bytes; empty where it is none of the kinds that people bring by mistake."""
+    """Name of a file's kind by its first bytes; empty where it is none of the kinds that people bring by mistake."""
     if begin.startswith(b"PK\x03\x04"):
         return "an Excel workbook" if b"xl/" in begin or b"[Content_Types].xml" in begin else "a zip archive"
     if found := next((kind for mark, kind in BYTES if begin.startswith(mark)), ""):

@@ -31,8 +31,9 @@ def run_file(path: Path, name: str, valid: str, wanted: Callable[[ModuleType], W
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(f"{path}: no such Python file; valid: {valid}")
     module = importlib.util.module_from_spec(spec)
-    folder, before = path.resolve().parent, set(sys.modules)
+    folder, before, keeps_nothing = path.resolve().parent, set(sys.modules), sys.dont_write_bytecode
     sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True  # Python takes kept code for current where a file changed within a second and kept its size
     try:
         spec.loader.exec_module(module)
         return wanted(module)
@@ -41,6 +42,7 @@ def run_file(path: Path, name: str, valid: str, wanted: Callable[[ModuleType], W
     except (Exception, SystemExit) as error:
         raise InputError(f"{path}: {_failure(error, path)}") from error
     finally:
+        sys.dont_write_bytecode = keeps_nothing
         sys.path.remove(str(folder))
         for other in set(sys.modules) - before:  # what stands beside it is read anew the next time
             if Path(getattr(sys.modules[other], "__file__", None) or "").parent == folder:

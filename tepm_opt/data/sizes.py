@@ -39,12 +39,12 @@ class Quantity:
         return max(fits, key=fits.__getitem__) if fits else ""
 
     def valid(self, largest: float, limit: float) -> str:
-        """What is valid, with the unit that was perhaps meant: "0 … 500000 Pa: in kPa?"."""
+        """Valid range, with the unit that was perhaps meant: "0 … 500000 Pa: in kPa?"."""
         unit = self.suspect_unit(largest, limit)
         return f"0 … {limit:g} {self.unit}" + (f": in {unit}?" if unit else "")
 
     def judge(self, largest: float, limit: float) -> str:
-        """What is wrong with values of which the largest is far too small or beyond the limit; empty where nothing is."""
+        """Sentence about values of which the largest is far too small or beyond the limit; empty where nothing is."""
         if not np.isfinite(limit) or not (0 < largest <= SMALL * limit or largest > limit * (1 + 1e-6)):
             return ""
         return f"{self.name}s reach {largest:g}; valid: {self.valid(largest, limit)}"
@@ -55,7 +55,7 @@ TENSION = Quantity("tension", "N", {"mN": 1e-3, "g": 9.80665e-3, "kg": 9.80665, 
 
 
 def judge_inputs(inputs: np.ndarray, limits: np.ndarray) -> str:
-    """What is wrong with inputs that are plausible in another unit only; empty where nothing is.
+    """Sentence about inputs that are plausible in another unit only; empty where nothing is.
 
     Values that are too small in every unit stay: rounding leaves such.
 
@@ -73,7 +73,7 @@ def judge_inputs(inputs: np.ndarray, limits: np.ndarray) -> str:
 
 
 def judge_force(force: float, most: float) -> str:
-    """What is wrong with a force on the tip, in N, that is more than all tendons together can pull; empty where nothing is."""
+    """Sentence about a force on the tip, in N, that is more than all tendons together can pull; empty where nothing is."""
     if not force > most:
         return ""
     return f"a tip force of {force:g} N is more than all tendons together can pull ({most:g} N): in g or mN?"
@@ -96,7 +96,7 @@ def tell_places(ratio: float, unit: str) -> str:
 
 
 def judge_places(places: np.ndarray, base: Sequence[float], height: float) -> str:
-    """What is wrong with places of the tip that are far beyond a robot's size; empty where nothing is.
+    """Sentence about places of the tip that are far beyond a robot's size; empty where nothing is.
 
     Args:
         places: (places, 3) in m in G; NaN where there is none.

@@ -44,7 +44,7 @@ def without_beginnings(dataset: RunSet, points: Sequence[np.ndarray], noise: flo
         own = (run.points - np.nanmean(run.points, axis=0)) / noise
         if np.nanmean(own[:first] ** 2) > LIVELIER * np.nanmean(own**2):
             continue
-        runs[k] = _from(run, first)
+        runs[k] = _crop_run(run, first)
         seconds = run.time[first] - run.time[0]
         remarks.append(f"The first {seconds:.2g} s of {run.file} are left out: what was before them counts there, and no file holds it.")
     return dataset.with_runs(runs), remarks
@@ -58,7 +58,7 @@ def _squares(run: Run, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return numbers, total / np.maximum(count, 1)
 
 
-def _from(run: Run, first: int) -> Run:
+def _crop_run(run: Run, first: int) -> Run:
     """A run from a row on, whose state is to be found anew."""
     extra = {name: values[first:] for name, values in run.extra.items()}
     return replace(

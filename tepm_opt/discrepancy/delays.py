@@ -13,7 +13,7 @@ Late = Sequence[tuple[int, float]]
 
 
 SYMBOLS = 5
-"""Of each dead time: value and slope of the input then, each without what was before the run and by that, and the time."""
+"""Symbols of each dead time: value and slope of the input then, each without what was before the run and by that, and the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,15 @@ class DeadTime:
     symbols: tuple[ca.SX, ...]
 
     @staticmethod
-    def of(label: str, number: int, time: ca.SX, before: ca.SX) -> DeadTime:
-        """With symbols of its own."""
+    def with_symbols(label: str, number: int, time: ca.SX, before: ca.SX) -> DeadTime:
+        """A dead time with symbols of its own.
+
+        Args:
+            label: of the effect that asks for it.
+            number: of the input.
+            time: how long ago in s, in symbols of the parameters.
+            before: the input before the run.
+        """
         names = "value", "value by before", "slope", "slope by before", "time"
         return DeadTime(label, number, time, before, tuple(ca.SX.sym(f"{label} {name}") for name in names))
 
@@ -48,7 +55,7 @@ class DeadTime:
         return value + weight * self.before - (slope + steep * self.before) * (self.time - at)
 
 
-def delayed(at: np.ndarray, time: np.ndarray, column: np.ndarray) -> np.ndarray:
+def interpolate_delayed(at: np.ndarray, time: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Values and slopes of a column at other times, (times, 4): each as a constant and a factor of what was before the first sample.
 
     Samples are joined by straight lines. Before the first one the column has one value, from which it goes to the first sample within a
@@ -78,5 +85,8 @@ def with_past(columns: np.ndarray, time: np.ndarray, late: Late) -> np.ndarray:
         time: of the rows, (times,) in s.
         late: inputs that are asked for, and how long ago.
     """
-    more = [np.column_stack([delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)]) for number, seconds in late]
+    more = [
+        np.column_stack([interpolate_delayed(time - seconds, time, columns[:, number]), np.full(len(time), seconds)])
+        for number, seconds in late
+    ]
     return np.hstack([columns, *more])

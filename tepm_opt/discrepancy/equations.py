@@ -268,7 +268,7 @@ class Equations:
         before = self.state(f"{part} before")
         self.rate(before, 0.0)
         self._settled[before.name()] = command
-        self._late.append(DeadTime.of(label, list(self._inputs).index(part), time, before))
+        self._late.append(DeadTime.with_symbols(label, list(self._inputs).index(part), time, before))
         return self._late[-1].signal
 
     def _switch(self, law: Law, part: str) -> ca.SX:

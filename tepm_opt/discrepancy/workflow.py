@@ -104,20 +104,20 @@ def discover(
     """
     began, settings = time.monotonic(), settings or SearchSettings.of(plant)
     require_fit_runs(dataset)
-    found = _discovered(dataset, plant, noise, seed, store, key, settings, progress)
+    found = _explain_all_data(dataset, plant, noise, seed, store, key, settings, progress)
     if found.verdict.status is VerdictStatus.UNEXPLAINED and plant.quick and not plant.static:
         shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
         if remarks:
             progress("once more without beginnings that nothing explains", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-shorter")
-            again = _discovered(shorter, plant, noise, seed, aside, key, settings, progress)
+            again = _explain_all_data(shorter, plant, noise, seed, aside, key, settings, progress)
             if again.verdict.effects:
                 notes = tuple(dict.fromkeys((*remarks, *again.verdict.notes)))
                 found = replace(again, verdict=replace(again.verdict, notes=notes))
     return replace(found, verdict=replace(found.verdict, seconds=time.monotonic() - began))
 
 
-def _discovered(
+def _explain_all_data(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int, store: Path | None, key: str,
     settings: SearchSettings, progress: Progress,
 ) -> Discovery:  # fmt: skip

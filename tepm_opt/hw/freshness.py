@@ -8,14 +8,13 @@ least n with pⁿ · (readings in `FALSE_ALARM_HOURS`) < 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
+from tepm_opt.hw.guard import GAUGES
 from tepm_opt.hw.rig import Sample
-from tepm_opt.models.hardware import Hardware
+from tepm_opt.models.hardware import COUNTS_PER_V, Hardware
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
@@ -37,8 +36,6 @@ LOST_S = 0.1
 """Seconds without a valid pose of a point after which that is told."""
 APART, EXCHANGED, RECENT_S = 10.0, 0.25, 0.3
 """Sigmas that a point has to jump by; part of the jump that an exchange of two points may leave; age in s of the places compared with."""
-GAUGES = {"pressure": "pressure gauge {}", "tension": "dynamometer {}"}
-"""Names of the gauges, by what they measure."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +57,6 @@ class DeclaredNoise:
     @staticmethod
     def of_robot(robot: Robot) -> DeclaredNoise:
         """Noise that a robot file declares, on the grid of the counts that its gauges are read in."""
-        from tepm_opt.hw.board.protocol import COUNTS_PER_V
-
         hardware = robot.hardware or Hardware()
         pressure, tension = hardware.pressure, hardware.tension
         return DeclaredNoise(
@@ -85,6 +80,8 @@ def chance_of_repeat(sigma: float, grid: float) -> float:
     width = grid / sigma
     if width < 0.05:
         return width / (2 * math.sqrt(math.pi))
+    from scipy.special import ndtr  # here, so that help is printed without SciPy
+
     cells = np.arange(-math.ceil(8 / width), math.ceil(8 / width) + 1)
     return float(((ndtr((cells + 0.5) * width) - ndtr((cells - 0.5) * width)) ** 2).sum())
 
@@ -320,8 +317,3 @@ class FreshnessMonitor:
             name = GAUGES[kind].format(self._actuators[k])
             faults[f"{name} frozen"] = f"{name} frozen: it repeats its last reading bit by bit; it is taken for not measured"
         return np.where(frozen, np.nan, values)
-
-
-def cause_of(faults: Mapping[str, str], about: str) -> str:
-    """The fault of a gauge or point, such as "pressure gauge 13 frozen", or "" where there is none."""
-    return next((name for name in faults if name.startswith(f"{about} ")), "")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tepm_opt.hw.freshness import GAUGES, cause_of
 from tepm_opt.outcome import Ending, Outcome
 
 if TYPE_CHECKING:
@@ -17,6 +17,10 @@ MARGIN = 0.05
 BLIND_S, STALE_S, UNMEASURED_S = 1.0, 0.2, 0.2
 """Seconds without any tracked point, with a tip that is sent but is none (repeated, exchanged), and without a pressure or tension that was
 measured before, after which a rig is stopped."""
+
+
+GAUGES = {"pressure": "pressure gauge {}", "tension": "dynamometer {}"}
+"""Names of the gauges, by what they measure."""
 
 
 class Stopped(RuntimeError):  # noqa: N818  it says what happened
@@ -102,3 +106,8 @@ class Watch:
             why = cause_of(sample.faults, GAUGES[kind].format(self._actuators[at]))
             told = f"{kind}_{self._actuators[at]} was not measured for {UNMEASURED_S:g} s"
             raise Stopped(Ending.UNMEASURED, f"{why}: {told}" if why else told)
+
+
+def cause_of(faults: Mapping[str, str], about: str) -> str:
+    """The fault of a gauge or point, such as "pressure gauge 13 frozen", or "" where there is none."""
+    return next((name for name in faults if name.startswith(f"{about} ")), "")

@@ -84,7 +84,7 @@ class PlanRun(Tabular):
 
 
 def tell_rest_inside(model: CompiledModel, obstacles: Mapping[str, Obstacle]) -> str:
-    """What is told where a reference point of the arm without inputs is in an obstacle; empty where none is.
+    """Sentence about a reference point of the arm without inputs that is in an obstacle; empty where none is.
 
     Args:
         model: compiled model.

@@ -9,6 +9,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from tepm_opt.data.documents import Number, Section, between
 
+COUNTS_PER_V = 32768 / 5
+"""Counts that a board sends for a volt: all analog inputs are given as if converted with 15 bits over 5 V."""
 Point = Annotated[tuple[Number, Number, Number], Field(description="three numbers in m")]
 Each = Number | tuple[Number, ...]
 """One number for all actuators, or a list with one for each."""

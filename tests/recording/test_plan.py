@@ -143,7 +143,7 @@ def test_circle_of_pressures(tmp_path: Path) -> None:
 def test_known_force_and_file(tmp_path: Path) -> None:
     time = np.array([2.0, 3.0, 4.0])
     force = np.array([[0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]])
-    write_setpoints(tmp_path / "in.csv", SetPoints(time, np.full((3, 12), 1.5), force), ACTUATORS)
+    write_setpoints(tmp_path / "in.csv", SetPoints(time, np.repeat([1.5e4, 1.5], 6) * np.ones((3, 1)), force), ACTUATORS)
     points = only(tmp_path, 'file = "f.csv"\nrole = "fit"\ninputs = "in.csv"\nlead_s = 0.5').setpoints
     np.testing.assert_array_equal(points.time, [0, 0.5, 1.5, 2.5])
     np.testing.assert_array_equal(points.tip_force, force[[0, 0, 1, 2]])

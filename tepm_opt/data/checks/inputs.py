@@ -30,7 +30,7 @@ class Measured:
 
     @property
     def unit(self) -> str:
-        """Of the values."""
+        """Unit of the values."""
         return self.quantity.unit
 
 

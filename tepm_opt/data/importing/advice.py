@@ -13,12 +13,12 @@ MOST = 8  # refusals one after another
 Content = Mapping[str, Any]
 
 
-def merged(one: Content, other: Content) -> dict[str, Any]:
+def merge_maps(one: Content, other: Content) -> dict[str, Any]:
     """The content of a map with other entries; tables key by key."""
     found = dict(one)
     for name, value in other.items():
         old = found.get(name)
-        found[name] = merged(old, value) if isinstance(value, dict) and isinstance(old, dict) else value
+        found[name] = merge_maps(old, value) if isinstance(value, dict) and isinstance(old, dict) else value
     return found
 
 
@@ -47,7 +47,7 @@ def try_entries(content: Content, error: InputError, attempt: Callable[[Content]
             return found, error
         try:
             for entry in entries:
-                found = merged(found, tomllib.loads(entry))
+                found = merge_maps(found, tomllib.loads(entry))
             attempt(found)
         except tomllib.TOMLDecodeError:
             return found, error

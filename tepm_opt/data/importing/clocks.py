@@ -64,7 +64,7 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     own = names[0]
     if other := [one for one in names if len(sheet.columns[one]) != len(sheet.columns[name])]:
         raise _other_rows(each, sheet, name, other[0])
-    raw, one, period = _counted(given, sheet, names, entry, rows)
+    raw, one, period = _read_counter(given, sheet, names, entry, rows)
     kept = np.flatnonzero(np.isfinite(raw))
     told: tuple[str, ...] = ()
     if period is not None:
@@ -90,7 +90,7 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     return Clock(time - time[0] if entry.from_start else time, known, told), kept
 
 
-def _counted(given: ImportMap, sheet: Sheet, names: list[str], entry: TimeMap, rows: Rows) -> tuple[np.ndarray, float, float | None]:
+def _read_counter(given: ImportMap, sheet: Sheet, names: list[str], entry: TimeMap, rows: Rows) -> tuple[np.ndarray, float, float | None]:
     """Time as it is counted (NaN where it is empty), what one of it is in s, and the value at which it rolls over."""
     if len(names) > 1:
         parts = [seconds(given, sheet, name, entry, unit)[rows] for name, unit in zip(names, entry.units, strict=True)]

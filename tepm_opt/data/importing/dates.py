@@ -61,7 +61,7 @@ def local_seconds(
 
 
 def _order_of(pairs: list[tuple[int, int]]) -> str | None:
-    """What the numbers of dates leave open: an order, "either" where both mean the same, None where they differ."""
+    """Order that the numbers of dates allow, "either" where both mean the same, None where they differ."""
     if any(first > 12 for first, _ in pairs):
         return DAY_FIRST
     if any(second > 12 for _, second in pairs):

@@ -41,12 +41,12 @@ def time_column(sheet: Sheet) -> str | None:
     parts = time_parts(sheet)
     free = [name for name in sheet.order if name not in sheet.twice and name not in parts and not counts_rows(sheet, name)]
     named = [name for name in free if _TIME.fullmatch(name)]
-    named += [name for name in free if name not in named and (_written(sheet.columns[name]))]
+    named += [name for name in free if name not in named and (_hold_local_times(sheet.columns[name]))]
     rising = [name for name in free if _rises(sheet.columns[name])]
     return next(iter([name for name in named if name in rising] + named + ([] if parts else rising)), None)
 
 
-def _written(values: np.ndarray) -> bool:
+def _hold_local_times(values: np.ndarray) -> bool:
     return values.dtype.kind == "O" and len(values) > 0 and are_local_times(values)
 
 
@@ -164,7 +164,7 @@ def _time_entry(sheet: Sheet) -> tuple[set[str], str]:
     stated = "" if sheet.rate is None else f"  # the file states {sheet.rate:g} Hz"
     if time is not None:
         values = sheet.columns[time]
-        if _written(values):
+        if _hold_local_times(values):
             return {time}, f"time = {{ column = {toml(time)} }}{stated}"
         unit = _time_unit(sheet, time)
         keys: dict[str, Any] = {"column": time, "unit": unit}
@@ -198,10 +198,10 @@ def triples(names: Iterable[str]) -> list[tuple[str, str, str]]:
             axis = found[-1]
             groups.setdefault(name[: axis.start(1)] + "*" + name[axis.end(1) :], {})[axis[1].lower()] = name
     found = [(each["x"], each["y"], each["z"]) for each in groups.values() if len(each) == 3]
-    return found or _columns_of_matrix(names) or _lettered(names)
+    return found or _columns_of_matrix(names) or _columns_of_letters(names)
 
 
-def _lettered(names: Sequence[str]) -> list[tuple[str, str, str]]:
+def _columns_of_letters(names: Sequence[str]) -> list[tuple[str, str, str]]:
     """Points that a letter behind the axis tells apart: `Xa`, `Ya`, `Za`."""
     found: dict[str, dict[str, str]] = {}
     for name in names:

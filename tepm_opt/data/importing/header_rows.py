@@ -89,7 +89,7 @@ def join_names(groups: Sequence[Sequence[str]], names: Sequence[str]) -> list[st
 
 @dataclass(frozen=True)
 class Shape:
-    """How a file seems to be written, for proposals."""
+    """Form in which a file seems to be written, for proposals."""
 
     path: Path
     lines: list[str]
@@ -97,7 +97,7 @@ class Shape:
     separator: str
 
     def usual(self, separator: str) -> int:
-        """How many fields most lines have."""
+        """Number of fields that most lines have."""
         counts = Counter(len(fields_of(line, separator)) for line in self.lines[:LOOKED_AT] if line.strip())
         return max(counts, key=lambda count: (counts[count], count))
 
@@ -106,7 +106,7 @@ class Shape:
         return fields_of(self.lines[number - 1], self.separator)
 
     def _numbers(self, number: int) -> tuple[int, int]:
-        """How many fields of a line are given, and how many of these are numbers."""
+        """Number of fields of a line that are given, and of those of them that are numbers."""
         given = [each for each in self.fields(number) if each]
         return len(given), sum(is_number(each) or _DIGITS.fullmatch(each) is not None for each in given)
 
@@ -156,7 +156,7 @@ class Shape:
             *([f"csv.first = {first}"] if units and groups else []),
         ]
 
-    def _joined(self, header: int) -> list[str]:
+    def _join_names(self, header: int) -> list[str]:
         names, groups = self.fields(header), self.groups(header)
         return join_names([self.fields(groups)], names) if groups else names
 
@@ -176,7 +176,7 @@ class Shape:
         usual, own = self.usual(self.separator), self.form.header
         if usual <= 1 or len(fields_of(line, self.separator)) == usual or (number := self.header()) in (0, own):
             return
-        what = f"line {own}: {line.strip()[:60]!r} does not name the {usual} columns; line {number} does: {named(self._joined(number))}"
+        what = f"line {own}: {line.strip()[:60]!r} does not name the {usual} columns; line {number} does: {named(self._join_names(number))}"
         raise refusal(self.path, what, *self._entries(number))
 
     def refuse_group_row(self, names: Sequence[str]) -> None:
@@ -186,7 +186,7 @@ class Shape:
             return
         number = self.header()
         if number > own and self.groups(number) == own:
-            what = f"line {own} names groups, line {number} their columns: {named(self._joined(number))}"
+            what = f"line {own} names groups, line {number} their columns: {named(self._join_names(number))}"
             raise refusal(self.path, what, *self._entries(number))
 
     def refuse_units_row(self, names: Sequence[str], first: int) -> None:

@@ -43,7 +43,7 @@ class TimeMap(Section):
     repeated: Literal["first", "last"] | None = None
 
     @model_validator(mode="after")
-    def _together(self) -> TimeMap:
+    def _check_together(self) -> TimeMap:
         if isinstance(self.column, list) != isinstance(self.unit, list) or len(self.names or "s") != len(self.units):
             raise ValueError('several columns need as many units; valid: unit = ["h", "min", "s", "ms"]')
         return self

@@ -13,7 +13,7 @@ PUT, BETWEEN = "; put into the map: ", " and "
 
 
 class TableError(InputError):
-    """What was found in a table, and the entries of the map that mend it.
+    """Finding in a table, and the entries of the map that mend it.
 
     Attributes:
         found: file and finding, without the entries.

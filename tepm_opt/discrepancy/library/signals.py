@@ -1,4 +1,4 @@
-"""What happens to signals on their way in and out: dead times, lags, gains, offsets, dead zones, limits."""
+"""Laws of signals on their way in and out: dead times, lags, gains, offsets, dead zones, limits."""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.board.protocol import CHANNELS, COUNTS_PER_V, DAC_CODES
-from tepm_opt.models.hardware import Hardware
+from tepm_opt.hw.board.protocol import CHANNELS, DAC_CODES
+from tepm_opt.models.hardware import COUNTS_PER_V, Hardware
 from tepm_opt.models.robot import Robot
 
 

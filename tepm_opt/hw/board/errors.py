@@ -1,4 +1,4 @@
-"""What goes wrong between this computer and a board."""
+"""Errors between this computer and a board."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
-from tepm_opt.hw.board.protocol import COUNTS_PER_V
+from tepm_opt.models.hardware import COUNTS_PER_V
 
 if TYPE_CHECKING:
     from tepm_opt.hw.board.calibration import Calibration

@@ -24,8 +24,6 @@ from cobs import cobs
 VERSION = 2
 CHANNELS = 6
 """Actuators that a board can have: the arrays of all messages have this length."""
-COUNTS_PER_V = 32768 / 5
-"""All analog inputs are given as if converted with 15 bits over 5 V."""
 DAC_CODES = 4096
 POSITION_MODE = 0x80
 """Bit of the field `enabled` of SET: tendon set points are steps, not counts of the dynamometers."""

@@ -19,7 +19,7 @@ PORTS = "is it the right port? `tepm hw ports` lists what there is"
 
 
 class Answer(Enum):
-    """What came over a line instead of an answer."""
+    """Kinds of text that come over a line instead of an answer."""
 
     NOTHING = "nothing"
     ZEROS = "zeros"
@@ -44,7 +44,7 @@ class Overheard:
 
     @property
     def answer(self) -> Answer:
-        """What kind of thing it was."""
+        """Kind of the text that came."""
         some = bytes(self._bytes).replace(b"\0", b"")
         if not self._bytes:
             return Answer.NOTHING
@@ -63,7 +63,7 @@ class Overheard:
         return found if len(found) <= SHOWN else f"{found[:SHOWN]}…"
 
     def describe(self, seconds: float) -> str:
-        """What came within so many seconds, in a sentence without its end."""
+        """Begin of a sentence about what came within so many seconds."""
         return {
             Answer.NOTHING: f"nothing answers in {seconds:g} s",
             Answer.ZEROS: f"no answer in {seconds:g} s, only zeros come",
@@ -72,7 +72,7 @@ class Overheard:
         }[self.answer]
 
     def advise(self, flash: str) -> str:
-        """What to look at, first things first.
+        """Advice on what to look at, first things first.
 
         Args:
             flash: how to put the firmware on a board, which comes last, and not at all where another firmware talks.

@@ -14,9 +14,9 @@ from tepm_opt.data.documents import explain
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board.errors import LinkError
 from tepm_opt.hw.board.link import Link
-from tepm_opt.hw.board.protocol import COUNTS_PER_V, DAC_CODES
+from tepm_opt.hw.board.protocol import DAC_CODES
 from tepm_opt.hw.board.status import BoardStatus
-from tepm_opt.models.hardware import Hardware, PressureLines, TensionLines
+from tepm_opt.models.hardware import COUNTS_PER_V, Hardware, PressureLines, TensionLines
 from tepm_opt.models.robot import Robot
 
 if TYPE_CHECKING:

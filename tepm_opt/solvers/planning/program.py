@@ -18,7 +18,7 @@ SOFTNESS = 1e-3  # m over which the faces of a box are blended
 class Obstacle(Protocol):
     """Something that no reference point may be in."""
 
-    def outside(self, point: ca.SX) -> ca.SX:
+    def distance_to(self, point: ca.SX) -> ca.SX:
         """Distance of a point (3,) in G to the obstacle in m or a little less; negative in it."""
         ...
 
@@ -30,7 +30,7 @@ class Sphere:
     centre: tuple[float, float, float]
     radius: float
 
-    def outside(self, point: ca.SX) -> ca.SX:
+    def distance_to(self, point: ca.SX) -> ca.SX:
         """See `Obstacle`; exact."""
         return ca.sqrt(ca.sumsqr(point - ca.DM(self.centre)) + 1e-12) - self.radius
 
@@ -42,7 +42,7 @@ class Box:
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
-    def outside(self, point: ca.SX) -> ca.SX:
+    def distance_to(self, point: ca.SX) -> ca.SX:
         """See `Obstacle`; a smooth maximum over the faces, up to 1.8 mm less than the farthest."""
         faces = ca.vertcat(ca.DM(self.low) - point, point - ca.DM(self.high)) / SOFTNESS
         most = ca.mmax(faces)
@@ -63,10 +63,10 @@ class TurnedBox:
     size: tuple[float, float, float]
     rotation: tuple[tuple[float, ...], ...]
 
-    def outside(self, point: ca.SX) -> ca.SX:
+    def distance_to(self, point: ca.SX) -> ca.SX:
         """See `Obstacle`; as for `Box`."""
         x, y, z = (side / 2 for side in self.size)
-        return Box((-x, -y, -z), (x, y, z)).outside(ca.DM(self.rotation).T @ (point - ca.DM(self.centre)))
+        return Box((-x, -y, -z), (x, y, z)).distance_to(ca.DM(self.rotation).T @ (point - ca.DM(self.centre)))
 
 
 @dataclass(frozen=True)
@@ -76,15 +76,15 @@ class HalfSpace:
     point: tuple[float, float, float]
     normal: tuple[float, float, float]
 
-    def outside(self, point: ca.SX) -> ca.SX:
+    def distance_to(self, point: ca.SX) -> ca.SX:
         """See `Obstacle`; exact."""
         return ca.dot(ca.DM(self.normal), point - ca.DM(self.point))
 
 
 def distance(obstacle: Obstacle) -> ca.Function:
-    """`outside` as a function of a point."""
+    """`distance_to` as a function of a point."""
     point = ca.SX.sym("point", 3)
-    return ca.Function("outside", [point], [obstacle.outside(point)])
+    return ca.Function("outside", [point], [obstacle.distance_to(point)])
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.data.importing.advice import merged
+from tepm_opt.data.importing.advice import merge_maps
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.import_data import ImportRun, run_import, suggest_map
 from tests.data.importing.layouts import even, text
@@ -355,7 +355,7 @@ def led(odd: Odd, folder: Path) -> tuple[str, ImportRun]:
             if proposed == [""] or "\n" in str(error):
                 raise
             for entry in proposed:
-                content = merged(content, tomllib.loads(entry))
+                content = merge_maps(content, tomllib.loads(entry))
     raise AssertionError(first)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt.data.importing.advice import merged
+from tepm_opt.data.importing.advice import merge_maps
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.import_data import ImportRun, run_import, suggest_map
 from tests.data.importing.test_refusals import entries, write_map
@@ -35,7 +35,7 @@ def followed(file: Path, text: str, folder: Path) -> tuple[list[str], ImportRun]
             if not entries(str(error)):
                 raise
             for entry in entries(str(error)):
-                content = merged(content, tomllib.loads(entry))
+                content = merge_maps(content, tomllib.loads(entry))
     raise AssertionError(said)
 
 

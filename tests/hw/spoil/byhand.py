@@ -237,7 +237,7 @@ HOST_SLIPS = (
     ),
     Slip("a measurement that is NaN counts as one", _GUARD, "        last[np.isfinite(values)] = now\n", "        last[:] = now\n"),
     Slip("measurements that stop are not missed", _GUARD, "if (now - last > UNMEASURED_S).any():", "if False:"),
-    Slip("measured tensions are not guarded", _GUARD, '        self._check_measured("tension", sample.tensions, sample.time)\n', ""),
+    Slip("measured tensions are not guarded", _GUARD, '        self._check_measured("tension", sample)\n', ""),
     Slip(
         "measured pressures may be half as much again",
         _GUARD,

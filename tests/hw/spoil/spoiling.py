@@ -30,7 +30,7 @@ DRAWS = {
 }
 """Files that the robot's safety hangs on, and how many spoilings are drawn from each."""
 
-OTHER = {f"{BOARD}/{name}.py" for name in ("__init__", "linklog", "ports", "status")}
+OTHER = {f"{BOARD}/{name}.py" for name in ("__init__", "errors", "linklog", "ports", "status", "strangers")}
 """Files of the same folders that are left alone: what they do wrong is a line that is silent, a log or words that are wrong."""
 
 
