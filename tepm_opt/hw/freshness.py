@@ -1,8 +1,8 @@
 """Measurements that are none: poses and gauges that repeat bit by bit while noise is expected, and points that are exchanged.
 
-A reading repeats the one before by chance with the probability p = Σ p_i², the sum over the cells of its grid. For Gaussian noise of
-standard deviation σ on a grid q that is about q / (2 √π σ); three coordinates multiply. A channel is stale after n repeats in a row, the
-least n with pⁿ · (readings in `FALSE_ALARM_HOURS`) < 1.
+A value in the middle of a cell of its grid q, with Gaussian noise of standard deviation σ, is read in this cell with the probability
+p = erf(q / (√8 σ)), and in a row of n more readings with pⁿ; elsewhere repeats are rarer. Three coordinates multiply. A channel is stale
+after n repeats in a row, the least n with pⁿ · (readings in `FALSE_ALARM_HOURS`) < 1.
 """
 
 from __future__ import annotations
@@ -69,21 +69,13 @@ class DeclaredNoise:
 
 
 def chance_of_repeat(sigma: float, grid: float) -> float:
-    """Probability that a reading equals the one before, of a value at rest in the middle of a cell of its grid (the likeliest place).
+    """Probability that a reading repeats the one before, which repeated already: that of the likeliest cell of its grid.
 
     Args:
         sigma: standard deviation of the noise; 0: readings always repeat.
         grid: resolution; 0: continuous readings never repeat.
     """
-    if sigma <= 0:
-        return 1.0
-    width = grid / sigma
-    if width < 0.05:
-        return width / (2 * math.sqrt(math.pi))
-    from scipy.special import ndtr  # here, so that help is printed without SciPy
-
-    cells = np.arange(-math.ceil(8 / width), math.ceil(8 / width) + 1)
-    return float(((ndtr((cells + 0.5) * width) - ndtr((cells - 0.5) * width)) ** 2).sum())
+    return math.erf(grid / sigma / math.sqrt(8)) if sigma > 0 else 1.0
 
 
 def repeats_until_stale(chance: float, rate: float) -> int | None:

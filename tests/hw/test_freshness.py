@@ -40,15 +40,16 @@ def samples(count: int, noise: DeclaredNoise = NOISE, seed: int = 0) -> list[Sam
     return found
 
 
-@pytest.mark.parametrize("width", [0.01, 0.1, 0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("width", [0.1, 0.5, 1.0, 2.0, 5.0])
 def test_the_chance_of_a_repeat(width):
-    """As drawn, in the middle of a cell; where the grid is fine as the formula says; never below it elsewhere."""
-    random = np.random.default_rng(1)
-    values = np.round(random.normal(size=(2, 400_000)) / width)
-    drawn = float((values[0] == values[1]).mean())
-    assert chance_of_repeat(1.0, width) == pytest.approx(drawn, abs=4 * np.sqrt(drawn / 4e5) + 1e-4)
-    moved = np.round((random.normal(size=(2, 400_000)) + width / 2) / width)
-    assert float((moved[0] == moved[1]).mean()) <= chance_of_repeat(1.0, width) + 5e-3
+    """Of one more after repeats: as drawn for a value in the middle of a cell; no row of repeats is likelier, wherever the value is."""
+    random, chance = np.random.default_rng(1), chance_of_repeat(1.0, width)
+    for place in (0.0, 0.25, 0.5):
+        values = np.round((random.normal(size=(7, 200_000)) + place * width) / width)
+        rows = [float((values[: n + 1] == values[0]).all(axis=0).mean()) for n in range(7)]
+        assert all(row <= chance**n + 4 * np.sqrt(chance**n / 2e5) for n, row in enumerate(rows))
+        if place == 0 and rows[6] > 1e-3:
+            assert rows[6] / rows[5] == pytest.approx(chance, rel=0.1)
 
 
 def test_no_noise_is_not_judged():
@@ -64,14 +65,16 @@ def test_no_noise_is_not_judged():
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 0.02, 0.3, 1.0, 2.0, 6.0, 50.0]))
 def test_no_false_alarm_over_noise(seed, width):
-    """Grids from none to fifty sigmas, where all readings repeat: nothing is told and no gauge is withheld."""
+    """Grids from none to fifty sigmas, where all readings repeat: nothing is told, and no more than single honest repeats are withheld."""
     noise = replace(NOISE, point_grid=width * NOISE.point, pressure_grid=width * NOISE.pressure, tension_grid=width * NOISE.tension)
     watch, commands = monitor(noise), np.concatenate([np.full(6, 2e5), np.full(6, 3.0)])
+    withheld = 0
     for sample in samples(600, noise, seed):
         given = watch.look(sample, commands)
         assert not given.faults
         assert np.isfinite(given.pressures).all()
-        assert given.stale == ()
+        withheld += len(given.stale)
+    assert withheld <= 12  # a thousandth of 2400 poses is 2.4 on average
 
 
 @settings(max_examples=15, deadline=None)
