@@ -287,9 +287,9 @@ class TestARealRig:
         path = ("line", "--from", "0.0,0,0.35", "--to", "0.004,0,0.35", "--duration", 2)
         done = tepm("mpc", *path, "--controller", "mode1", "--out", "out")
         assert done.status == 1
-        assert "ended early: the tracker saw nothing: no tracked point for 1 s" in done.out
+        assert "ended early: the tracker saw nothing: no tracked point for 0.2 s" in done.out
         assert "tracker lost s1, s2, s3, s4" in (here / "out" / "log.csv").read_text()
-        assert summary(here / "out", "mpc")["rig_complaints"] > 90
+        assert summary(here / "out", "mpc")["rig_complaints"] > 15
         assert names_in(here / "out") == FILES
 
 

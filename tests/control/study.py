@@ -28,7 +28,9 @@ from tests.control.bench_arm import BenchArm, bench_settings, guided, length_ref
 
 APPROACH, PAUSE = 3.0, 0.5  # s
 SEEDS = tuple(range(1, 11))
-WIDE = Guard(largest_error=np.inf, tracking_timeout=np.inf)  # modes 1 and 2 leave fast references by far; a sensor may be dead
+WIDE = Guard(
+    largest_error=np.inf, tracking_timeout=np.inf, tip_timeout=np.inf
+)  # modes 1 and 2 leave fast references by far; a sensor may be dead
 HOLD_AT, HOLD = 2.0, 8.0  # s after the approach at which something happens, and for how long is held
 
 

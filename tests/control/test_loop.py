@@ -202,7 +202,7 @@ def test_rig_that_rests_at_the_start_is_not_taken_there(short):
 @pytest.mark.parametrize(
     ("change", "ending", "at", "says"),
     [
-        (blind, Ending.BLIND, 2.0, "no tracked point for 1 s"),
+        (blind, Ending.BLIND, 1.2, "no tracked point for 0.2 s"),
         (astray, Ending.DISAGREED, 1.5, "more than 200 mm off"),
         (strained, Ending.LIMIT, 1.0, "tension_22"),
         (burst, Ending.LIMIT, 1.0, "measured pressure_11 is 120 % of its limit"),
@@ -228,6 +228,7 @@ def test_ends(short, change, ending, at, says):
     ("change", "limits", "ending", "at"),
     [
         (blind, {"tracking_timeout": 0.4}, Ending.BLIND, 1.4),
+        (tipless, {"tip_timeout": 0.4}, Ending.BLIND, 1.4),
         (astray, {"error_timeout": 0.2}, Ending.DISAGREED, 1.2),
         (astray, {"largest_error": 1.0}, Ending.DONE, 4.49),  # it is 0.87 m off
         (strained, {"limit_margin": 0.1}, Ending.DONE, 4.49),  # 7.5 N of 7 N
