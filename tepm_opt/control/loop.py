@@ -41,7 +41,7 @@ class Guard:
         start_tolerance: largest distance in m, in the median, of the tracked points at the start from the model's.
         largest_error: distance in m of the tip from its target beyond which the loop stops after `error_timeout`.
         error_timeout: time in s.
-        tracking_timeout: time in s without any tracked point after which it stops; the tip is 3 to 15 mm further off after 0.3 s,
+        tracking_timeout: time in s without any tracked point after which the closed loop stops; the tip is 3 to 15 mm further off after 0.3 s,
             50 mm after 1 s.
         tip_timeout: time in s without the tip after which it stops, where other points are tracked; it is 7 mm further off after 1 s.
         limit_margin: part of its limit by which a measured tension or pressure may exceed it.
@@ -182,8 +182,8 @@ class _Supervisor:
     def __init__(self, guard: Guard, robot: Robot) -> None:
         self._guard = guard
         names = Layout.of(robot).actuator_names
-        self._watch = Watch(names, robot.input_max, guard.limit_margin, guard.tracking_timeout, tracked=True)
-        self._far, self._near, self._seen = False, np.inf, np.inf
+        self._watch = Watch(names, robot.input_max, guard.limit_margin, tracked=True)
+        self._far, self._near, self._seen, self._tracked = False, np.inf, np.inf, np.inf
 
     def check(self, sample: Sample, target: np.ndarray | None = None) -> None:
         """A sample, and where the tip shall be (3,) in m while the loop is closed.
@@ -193,10 +193,14 @@ class _Supervisor:
         """
         self._watch.check(sample)
         guard, now = self._guard, sample.time
+        tracked = target is None or bool(np.isfinite(sample.points).all(axis=1).any())
+        self._tracked = now if tracked else min(self._tracked, now)
         off = 0.0 if target is None else float(np.linalg.norm(sample.points[-1] - target))
         self._seen = now if np.isfinite(off) else min(self._seen, now)
         self._far = off > guard.largest_error if np.isfinite(off) else self._far  # a lost tip is where it was
         self._near = min(self._near, now) if self._far else now
+        if now - self._tracked > guard.tracking_timeout:
+            raise Stopped(Ending.BLIND, f"no tracked point for {guard.tracking_timeout:g} s")
         if now - self._seen > guard.tip_timeout:
             raise Stopped(Ending.BLIND, f"the tip was not tracked for {guard.tip_timeout:g} s")
         if now - self._near > guard.error_timeout:

@@ -279,12 +279,12 @@ def test_start_that_disagrees_is_refused(short, change, says):
 
 
 def test_short_trouble_is_no_reason_to_stop(short):
-    """Half a second without points, a third off by half a metre, one point lost for good."""
+    """0.15 s without points, 0.3 s off by half a metre, one point lost for good."""
 
     def change(now: float, sample: Sample) -> Sample:
         points = sample.points + 0.5 * (2.0 < now < 2.3)
         points[1] = np.nan
-        return replace(sample, points=np.full((4, 3), np.nan) if 1.0 < now < 1.5 else points)
+        return replace(sample, points=np.full((4, 3), np.nan) if 1.0 < now < 1.15 else points)
 
     assert close_loop(Fake(short, change), Still(short), ROBOT, GUARD).outcome.ending is Ending.DONE
 
