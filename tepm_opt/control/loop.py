@@ -41,8 +41,8 @@ class Guard:
         start_tolerance: largest distance in m, in the median, of the tracked points at the start from the model's.
         largest_error: distance in m of the tip from its target beyond which the loop stops after `error_timeout`.
         error_timeout: time in s.
-        tracking_timeout: time in s without any tracked point after which the closed loop stops; the tip is 3 to 15 mm further off after 0.3 s,
-            50 mm after 1 s.
+        tracking_timeout: time in s without any tracked point after which the closed loop stops: the tip is up to 4 mm further off after
+            0.2 s, 15 mm after 0.3 s, 50 mm after 1 s.
         tip_timeout: time in s without the tip after which it stops, where other points are tracked; it is 7 mm further off after 1 s.
         limit_margin: part of its limit by which a measured tension or pressure may exceed it.
     """
