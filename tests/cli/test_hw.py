@@ -333,7 +333,6 @@ class TestCalibrate:
         assert done.status == 2
         assert "dynamometer 12 changed by 0 counts, 11 by 2723" in done.err
 
-    @pytest.mark.slow
     def test_pressure(self, tepm: Command, bench: Bench) -> None:
         bench.world.board.monitor(2, 1.1)
         done = tepm("hw", "calibrate", "pressure", "x", "--actuator", "13", "--at-kPa", "0,100", "--yes")
@@ -471,7 +470,6 @@ class TestBase:
         assert "10 rows" in done.out
         assert "mm rms" in done.out
 
-    @pytest.mark.slow
     def test_straight_arm_does_not_tell(self, tepm: Command, here: Path, posed: PosedRig) -> None:
         values = np.repeat([[1e5] * 6 + [0.0] * 6], 3, axis=0)
         write_setpoints(here / "inputs.csv", SetPoints(np.arange(3.0), values, np.zeros((3, 3))), ACTUATORS)

@@ -97,7 +97,6 @@ class TestCircle:
         lengths = values(here / "inputs.csv" / "lengths.csv")[:, 1:]
         assert np.abs(lengths[:, :3] - lengths[:, 3:]).max() <= LENGTHS_ALIKE
 
-    @pytest.mark.slow
     def test_summary_agrees_with_the_files(self, tepm: Command, here: Path, solved_circle: Path) -> None:
         told = summary(solved_circle, "ik")
         expected = {"robot": "kang2017", "mode": "hybrid", "points": 32, "solved": 32, "interrupted": False, "unsolved": []}

@@ -18,7 +18,6 @@ from tests.solvers.dynamics import with_dynamics
 BENT = ("--pressures", "1e5,0,2e5,3e5,1e5,0", "--tensions", "1,2,3,4,5,6", "--tip-force", "0.1,0,0")
 
 
-@pytest.mark.slow
 def test_table(tepm: Command, here: Path) -> None:
     done = tepm("robot", "modes")
     assert (done.status, done.err) == (0, "")

@@ -114,7 +114,6 @@ def test_set_points_on_a_perfect_bench_are_reached(use):
     assert bool(held.enabled[late].all()) == (use is TendonUse.ADJUSTS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("use", [pytest.param(TendonUse.FOLLOWS, marks=pytest.mark.slow), TendonUse.ADJUSTS])
 def test_arm_comes_to_a_point_of_the_circle_and_stays(kang, use):
     """On the perfect rig, whose sway nothing damps: the tip within 3 mm of the target, all the last second long."""

@@ -48,7 +48,6 @@ def test_points_of_a_trajectory(kang: CompiledModel, tmp_path: Path) -> None:
     same(gain, tmp_path / "gain.csv")
 
 
-@pytest.mark.slow
 def test_motion_modes_and_machines(kang: CompiledModel, tmp_path: Path) -> None:
     motion = run_simulation(kang, SimulationTask(run_ik(kang, circle(3)).setpoints()))
     motion.save(tmp_path)

@@ -22,9 +22,6 @@ from tests.tools import variant
 PLACE = np.array([0.0, 0.02, 0.3])
 
 
-pytestmark = pytest.mark.slow
-
-
 class ToyHose(Effect):
     """A spring from the tip and, half as stiff, from the point below to a place."""
 
@@ -108,6 +105,7 @@ def test_odd_segments_have_points_between_levels(model: Model) -> None:
     assert np.abs(known.points[0] - held.points).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_both_schemes_and_both_backends_agree(compiled: CompiledModel, kang: CompiledModel, asked: SetPoints) -> None:
     fine, explicit = simulate(compiled, asked, step=0.005), simulate(compiled, asked, "rk4")
     assert np.abs(fine.points - explicit.points).max() < 2e-5

@@ -271,7 +271,6 @@ class TestWhatRunsCannotTell:
         assert unidentifiable(estimate) == []
         assert len(unidentifiable(estimate, max_relative_std=0.0)) == len(estimate.values), "but nothing is known exactly"
 
-    @pytest.mark.slow
     def test_profile_of_what_is_well_known(self, kang: CompiledModel) -> None:
         run = steady(kang, random_inputs(kang, 20, 6, 0.0, 0.4), {"K_a": 1.01 * kang.values["K_a"]})
         found = identify(problem(kang, (run,), "K_a", "r", static=True))

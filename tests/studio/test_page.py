@@ -161,7 +161,6 @@ def test_a_run_beyond_the_limits_says_so(kang: CompiledModel) -> None:
         assert "valid: 0 … 500000 Pa" in opened.film._words.content
 
 
-@pytest.mark.slow
 def test_the_closed_loop(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> None:
     """Started, pushed, stopped on the page; in virtual time as fast as it goes."""
     view = studio.loop
