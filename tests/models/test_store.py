@@ -22,16 +22,17 @@ def content(compiler, tmp_path_factory) -> bytes:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(store.CACHE_VARIABLE, str(tmp_path_factory.mktemp("cache")))
         compiled()
-        (path,) = store.cache_folder().iterdir()
+        (path,) = store.cache_folder().glob("*.so")
     return path.read_bytes()
 
 
 @pytest.fixture
 def compilations(content, monkeypatch) -> list[str]:
-    """A list that gets the text of each compilation; they take no time."""
-    texts = []
-    monkeypatch.setattr(c_compiler, "_compile", lambda compiler, text, flags: texts.append(text) or content)
-    return texts
+    """A list that gets the object files of each library that is linked; neither that nor compiling takes time."""
+    linked = []
+    monkeypatch.setattr(c_compiler, "_compile", lambda compiler, text, flags: text.encode())
+    monkeypatch.setattr(c_compiler, "_link", lambda compiler, objects, flags: linked.append(objects) or content)
+    return linked
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def kept(empty_cache, compilations) -> Path:
     compiled()
     assert len(compilations) == 1
     compilations.clear()
-    (path,) = empty_cache.iterdir()
+    (path,) = empty_cache.glob("*.so")
     return path
 
 
@@ -82,7 +83,7 @@ def test_it_is_closed_to_others_from_the_start(empty_cache, compilations):
         compiled()
     finally:
         os.umask(mask)
-    (path,) = empty_cache.iterdir()
+    (path,) = empty_cache.glob("*.so")
     assert stat.S_IMODE(empty_cache.stat().st_mode) == 0o700
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
@@ -95,7 +96,8 @@ def test_a_folder_that_others_control_is_not_used(empty_cache, kept, compilation
     if how == "link":
         empty_cache.rename(there)
         empty_cache.symlink_to(there)
-    (path,) = there.iterdir()
+    (path,) = there.glob("*.so")
+    before = sorted(there.iterdir())
     path.write_bytes(content)
     there.chmod({"writable": 0o777, "group": 0o770}.get(how, 0o700))
     if how == "stranger":
@@ -106,7 +108,7 @@ def test_a_folder_that_others_control_is_not_used(empty_cache, kept, compilation
     assert len(compilations) == 1
     assert not trace.exists()
     assert path.read_bytes() == content
-    assert list(there.iterdir()) == [path]
+    assert sorted(there.iterdir()) == before
 
 
 @pytest.mark.parametrize("how", ["same name", "own digest", "stranger", "writable", "link", "pipe", "folder"])
@@ -130,7 +132,7 @@ def test_a_file_that_others_may_have_written_is_not_loaded(kept, compilations, e
     compiled()
     assert len(compilations) == 1
     assert trace.exists() == (how == "own digest")  # its owner put it there: it is loaded, and found not to have the symbols
-    assert [each for each in kept.parent.iterdir() if each.is_file() and not each.is_symlink()] == [kept]
+    assert [each for each in kept.parent.glob("*.so") if each.is_file() and not each.is_symlink()] == [kept]
 
 
 @pytest.mark.parametrize("how", ["cut", "empty", "text", "flipped", "of another unit"])
@@ -147,9 +149,29 @@ def test_a_broken_library_is_compiled_anew(kept, compilations, content, tmp_path
     compiled()
     assert len(compilations) == 1
     assert kept.read_bytes() == content
-    assert list(kept.parent.iterdir()) == [kept]
+    assert list(kept.parent.glob("*.so")) == [kept]
     compiled()
     assert len(compilations) == 1
+
+
+@pytest.mark.parametrize("how", ["flipped", "writable", "link"])
+def test_an_object_file_that_others_may_have_written_is_not_linked(kept, compilations, tmp_path, how):
+    """Its text is compiled anew."""
+    honest = min(kept.parent.glob("input_map-*.o"))
+    content = honest.read_bytes()
+    kept.unlink()
+    if how == "link":
+        honest.rename(tmp_path / "evil.o")
+        honest.symlink_to(tmp_path / "evil.o")
+    else:
+        honest.write_bytes(content if how == "writable" else content[::-1])
+        honest.chmod(0o666 if how == "writable" else 0o600)
+    compiled()
+    (objects,) = compilations
+    assert content in objects
+    assert content[::-1] not in objects
+    assert not honest.is_symlink()
+    assert stat.S_IMODE(honest.stat().st_mode) == 0o600
 
 
 def test_a_folder_that_is_put_in_its_place_meanwhile_is_not_looked_at(kept, tmp_path):
@@ -159,4 +181,4 @@ def test_a_folder_that_is_put_in_its_place_meanwhile_is_not_looked_at(kept, tmp_
     with store.opened_folder() as folder:
         kept.parent.rename(tmp_path / "gone")
         kept.parent.mkdir()
-        assert [path.name for path in folder.iterdir()] == [kept.name]
+        assert [path.name for path in folder.glob("*.so")] == [kept.name]

@@ -97,7 +97,7 @@ class CompiledStep:
         if not setup.fits:
             raise InputError(f"backend 'c': {setup}; valid: {FITS}")
         instead = "the predictive controller steps in Python, with the same commands, some ten times slower"
-        library = compiler.build(setup.sizes.source(setup.told), "step", SYMBOLS, ccode.FLAGS, instead)
+        library = compiler.build([compiler.Part("step", setup.sizes.source(setup.told), ccode.FLAGS)], "step", SYMBOLS, instead)
         if library is None and insists:
             raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")
         return CompiledStep(setup, library, doubts) if library else None

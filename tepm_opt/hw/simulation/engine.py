@@ -71,8 +71,9 @@ def _library(nodes: int, ends: tuple[tuple[int, ...], ...], lanes: int) -> ctype
     listed = ", ".join(f"{{{', '.join(map(str, each))}}}" for each in ends)
     parts = [(folder / name).read_text(encoding="utf-8") for name in ("mechanics.c", "devices.c")]
     kinds = f"enum {{ {', '.join(kind.upper() for kind in KINDS)} }};"
+    instead = "rigs run on MuJoCo, some 70 times slower"
     text = "\n".join([*sizes, f"static const int ENDS[EDGES][4] = {{{listed}}};", kinds, *parts])
-    built = compiler.build(text, "rig", ("record", "carry", "force_at_rest"), FLAGS, "rigs run on MuJoCo, some 70 times slower")
+    built = compiler.build([compiler.Part("rig", text, FLAGS)], "rig", ("record", "carry", "force_at_rest"), instead)
     if built is not None:
         built.record.argtypes, built.record.restype = [Pointer, Pointer, Pointer, Integer, *[Pointer] * 5], Integer
         built.carry.argtypes, built.carry.restype = [Pointer] * 2, None

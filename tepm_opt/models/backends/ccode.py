@@ -18,6 +18,8 @@ FLAGS = (
     "-freciprocal-math",  # edges are divided by their lengths, component by component
     "-fno-semantic-interposition",  # calls within the library are calls, or nothing, and no look-ups
 )
+KERNEL_FLAGS = ("-O1", "-fira-region=one", "-fira-algorithm=priority", *FLAGS[1:])
+"""Flags of kernels. They are straight lines: -O3 finds nothing in them to make faster, and takes three times as long."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,35 @@ class Unit:
 
     @cached_property
     def source(self) -> str:
-        """The C text."""
-        generator = ca.CodeGenerator("kernels", {"casadi_int": "int", "with_header": False})
-        for function in self.kernels.values():
-            generator.add(function)
+        """The C text of all together, in one file."""
+        return "\n".join((_kernels_of(*self.kernels.values()), self._head, *map(self._lanes_of, self.lanes), *self._loops))
+
+    @cached_property
+    def parts(self) -> dict[str, str]:
+        """The same as texts that are compiled apart: one of each kernel by its name, and one of the loops, `LOOPS`."""
+        found, declared = {}, []
+        for name, function in self.kernels.items():
+            pieces = _pieces(function, self.sizes["NU"] // 2) if name not in self.lanes else []
+            for piece, _ in pieces:
+                found[piece.name()] = "\n".join((_HIDDEN, _kernels_of(piece)))
+            declared += [_DECLARED.format(name=name), *(_DECLARED.format(name=piece.name()) for piece, _ in pieces)]
+            if pieces:
+                declared.append(_joined_text(function, pieces))
+                continue
+            more = (self._vectors, self._lanes_of(name)) if name in self.lanes else ()
+            found[name] = "\n".join((_HIDDEN, _kernels_of(function), *more))
+        declared += [_DECLARED_LANES.format(name=name) for name in self.lanes]
+        found[LOOPS] = "\n".join((_kernels_of(), _HIDDEN, self._head, *declared, *self._loops))
+        return found
+
+    @cached_property
+    def _vectors(self) -> str:
+        each = "\n".join(f"ONE_BY_ONE({name})" for name in _ONE_BY_ONE)
+        return f"#define LANES {self.sizes['LANES']}\n{_VECTORS}\n{each}"
+
+    @cached_property
+    def _head(self) -> str:
+        """Sizes, index arrays, and the arithmetic of vectors."""
         work = {"SZ_W": max(f.sz_w() for f in self.kernels.values()), "SZ_IW": max(f.sz_iw() for f in self.kernels.values())}
         sizes: dict[str, float] = {**self.sizes, **work}
         arrays = dict(self.arrays)
@@ -56,12 +83,63 @@ class Unit:
                 pattern = function.sparsity_out(0)
                 sizes[f"{name}_nnz"] = pattern.nnz()
                 arrays |= {f"{name}_row": pattern.row(), f"{name}_col": pattern.get_col()}
-        lines = [f"#define {name} {value}" for name, value in sizes.items()]
+        lines = [f"#define {name} {value}" for name, value in sizes.items() if name != "LANES"]
         lines += [f"static const int {name}[] = {{{', '.join(map(str, values)) or '0'}}};" for name, values in arrays.items()]
-        loops = [(resources.files("tepm_opt.models.backends") / name).read_text(encoding="utf-8") for name in self.loops]
-        kernels = _WRITTEN.sub("", _READ.sub(r"arg[\1][\2]", generator.dump()))  # no argument and no result is ever left out
-        each = "\n".join(f"ONE_BY_ONE({name})" for name in _ONE_BY_ONE)
-        return "\n".join((kernels, *lines, _VECTORS, each, *(_in_lanes(kernels, name, self.kernels[name]) for name in self.lanes), *loops))
+        return "\n".join((self._vectors, *lines))
+
+    @cached_property
+    def _loops(self) -> list[str]:
+        return [(resources.files("tepm_opt.models.backends") / name).read_text(encoding="utf-8") for name in self.loops]
+
+    def _lanes_of(self, name: str) -> str:
+        return _in_lanes(_kernels_of(self.kernels[name]), name, self.kernels[name])
+
+
+LONGEST = 8000
+"""Operations above which a Jacobian is compiled in pieces."""
+LOOPS = "loops"
+"""Name of the part that has no kernel."""
+_HIDDEN = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("hidden")))'
+_DECLARED = "int {name}(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);"
+_DECLARED_WITH_NAMES = "int {name}(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)"
+_DECLARED_LANES = "void {name}_lanes(const vector *const *arg, vector *const *res);"
+
+
+def _pieces(function: ca.Function, actuators: int) -> list[tuple[ca.Function, list[int]]]:
+    """A long Jacobian as one function for each actuator, with the numbers of its nonzeros; none for others.
+
+    A compiler needs four times as long for twice as long a text. A row, of one actuator, depends on few of the operations, so that all
+    pieces together are hardly longer.
+    """
+    if function.n_out() != 1 or function.n_instructions() <= LONGEST:
+        return []
+    arguments = [ca.SX.sym(function.name_in(k), function.size1_in(k)) for k in range(function.n_in())]
+    values, rows = ca.vertcat(*function(*arguments).nonzeros()), function.sparsity_out(0).row()
+    found = []
+    for actuator in range(actuators):
+        numbers = [number for number, row in enumerate(rows) if row % actuators == actuator]
+        found.append((ca.Function(f"{function.name()}_{actuator}", arguments, [ca.cse(values[numbers])]), numbers))
+    return found
+
+
+def _joined_text(function: ca.Function, pieces: Sequence[tuple[ca.Function, Sequence[int]]]) -> str:
+    """C of a function that calls its pieces."""
+    calls = []
+    for piece, numbers in pieces:
+        count, listed = len(numbers), ", ".join(map(str, numbers)) or "0"
+        calls += [f"  {{ static const int at[] = {{{listed}}}; double got[{count + 1}], *result[] = {{got}};"]
+        calls += [f"    {piece.name()}(arg, result, iw, w, mem); for (int i = 0; i < {count}; i++) res[0][at[i]] = got[i]; }}"]
+    head = _DECLARED_WITH_NAMES.format(name=function.name())
+    return "\n".join((f"{head} {{", *calls, "  return 0;\n}"))
+
+
+def _kernels_of(*functions: ca.Function) -> str:
+    """CasADi's C of functions, of which no argument and no result is ever left out."""
+    prefix = f"of_{functions[0].name()}" if len(functions) == 1 else "kernels"  # its helpers have their own names in each text
+    generator = ca.CodeGenerator(prefix, {"casadi_int": "int", "with_header": False})
+    for function in functions:
+        generator.add(function)
+    return _WRITTEN.sub("", _READ.sub(r"arg[\1][\2]", generator.dump()))
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
@@ -92,13 +170,13 @@ _OPERATORS = {"<": "less", "<=": "most", "==": "same", "!=": "other", "&&": "and
 
 
 _LOOP = """
-static void {name}_lanes(const vector *const *arg, vector *const *res) {{
+void {name}_lanes(const vector *const *arg, vector *const *res) {{
   static const int in[] = {{{inputs}}}, out[] = {{{outputs}}};
   enum {{ N_IN = sizeof in / sizeof *in, N_OUT = sizeof out / sizeof *out }};
-  static _Thread_local double given[{given}], got[{got}], work[SZ_W + 1]; /* as large as the model */
+  static _Thread_local double given[{given}], got[{got}], work[{work}]; /* as large as the model */
   double *result[N_OUT], *at;
   const double *argument[N_IN];
-  static _Thread_local casadi_int integers[SZ_IW + 1];
+  static _Thread_local casadi_int integers[{integers}];
   for (int lane = 0; lane < LANES; lane++) {{
     at = given;
     for (int i = 0; i < N_IN; i++) {{ argument[i] = at; for (int k = 0; k < in[i]; k++) *at++ = arg[i][k][lane]; }}
@@ -123,13 +201,22 @@ def _in_lanes(text: str, name: str, function: ca.Function) -> str:
         code = re.sub(r"\((\w+)\?(\w+):0\)", r"lanes_if(\1,\2)", code)
         code = re.sub(r"\(!(\w+)\)", r"lanes_not(\1)", code)
         if not re.search(r"[?<>!&|]|\b(?!lanes_)[A-Za-z_]\w*\(", code):
-            return f"static void {name}_lanes(const vector *const *arg, vector *const *res) {{\n{code}\n}}"
+            return f"void {name}_lanes(const vector *const *arg, vector *const *res) {{\n{code}\n}}"
     sizes = [function.nnz_in(k) for k in range(function.n_in())], [function.nnz_out(k) for k in range(function.n_out())]
     inputs, outputs = (", ".join(map(str, part)) for part in sizes)
-    return _LOOP.format(name=name, inputs=inputs, outputs=outputs, given=max(sum(sizes[0]), 1), got=max(sum(sizes[1]), 1))
+    return _LOOP.format(
+        name=name,
+        inputs=inputs,
+        outputs=outputs,
+        given=max(sum(sizes[0]), 1),
+        got=max(sum(sizes[1]), 1),
+        work=function.sz_w() + 1,
+        integers=function.sz_iw() + 1,
+    )
 
 
 def build(unit: Unit) -> ctypes.CDLL | None:
     """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
     instead = "CasADi's virtual machine is used, with the same results, some 50 times slower"
-    return compiler.build(unit.source, unit.stem, unit.symbols, FLAGS, instead)
+    parts = [compiler.Part(name, text, FLAGS if name == LOOPS else KERNEL_FLAGS) for name, text in unit.parts.items()]
+    return compiler.build(parts, unit.stem, unit.symbols, instead)

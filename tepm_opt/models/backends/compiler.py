@@ -1,4 +1,4 @@
-"""C to libraries: text is compiled once and kept under the hash of all it depends on."""
+"""C to libraries: texts are compiled once, each to an object file that is kept under the hash of all it depends on, and linked."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cache
 from importlib import util
 from pathlib import Path
@@ -47,46 +49,120 @@ def _machine(compiler: tuple[str, ...]) -> str:
     return "\n".join((*compiler, version, platform.platform(), flags))
 
 
-def build(text: str, stem: str, symbols: Sequence[str], flags: Sequence[str], instead: str) -> ctypes.CDLL | None:
-    """The library of a C text, kept or compiled; None (and one warning) where that is not possible.
+@dataclass(frozen=True)
+class Part:
+    """A C text that is compiled alone.
+
+    Attributes:
+        name: with which the name of its object file begins.
+        text: in C.
+        flags: of the compiler.
+    """
+
+    name: str
+    text: str
+    flags: tuple[str, ...]
+
+
+def build(parts: Sequence[Part], stem: str, symbols: Sequence[str], instead: str) -> ctypes.CDLL | None:
+    """The library of some C texts, kept or compiled; None (and one warning) where that is not possible.
+
+    Each text is an object file of its own, kept like the library: what other libraries share is compiled once. As many are compiled at
+    the same time as there are cores.
 
     Args:
-        text: in C.
+        parts: C texts.
         stem: with which the names of its files begin.
         symbols: functions that are called from outside.
-        flags: of the compiler.
         instead: what is used without it, for the warning where compiling fails.
     """
     compiler = find_compiler()
     if compiler is None:
         store.warn_once(NONE)
         return None
-    flags = (*flags, *shlex.split(os.environ.get(FLAGS_VARIABLE, "")))
-    key = hashlib.sha256("\n".join((text, *flags, _machine(compiler))).encode()).hexdigest()[:24]
-    name = f"{stem}-{key}"
     try:
+        names = [_name_of(part, compiler) for part in parts]
+        name = f"{stem}-{_digest(*names)}"
         with store.opened_folder() as folder:
             if library := store.load(folder, name, symbols):
                 return library
             with store.turn(folder, name):
                 if library := store.load(folder, name, symbols):
                     return library
-                return store.open_library(store.keep(folder, name, _compile(compiler, text, flags)), symbols)
+                objects = _compile_all(folder, compiler, parts, names)
+                return store.open_library(store.keep(folder, name, _link(compiler, objects, parts[0].flags)), symbols)
     except (OSError, subprocess.CalledProcessError, ValueError, AttributeError) as error:
         detail = getattr(error, "stderr", None) or str(error)
         store.warn_once(f"compiling failed: {instead}: {detail.strip().splitlines()[0]}")
         return None
 
 
+def _name_of(part: Part, compiler: tuple[str, ...]) -> str:
+    return f"{part.name}-{_digest(part.text, *_flags_of(part, compiler), _machine(compiler))}"
+
+
+def _digest(*texts: str) -> str:
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:24]
+
+
+def _flags_of(part: Part, compiler: tuple[str, ...]) -> tuple[str, ...]:
+    """Flags of a part, without those that only GCC knows where the compiler is another, and the user's last."""
+    own = [flag for flag in part.flags if not flag.startswith("-fira-") or "Free Software Foundation" in _machine(compiler)]
+    return (*own, *shlex.split(os.environ.get(FLAGS_VARIABLE, "")))
+
+
+def _compile_all(folder: Path, compiler: tuple[str, ...], parts: Sequence[Part], names: Sequence[str]) -> list[bytes]:
+    """Object files of all parts, the longest text first.
+
+    Raises:
+        subprocess.CalledProcessError: the compiler refuses.
+    """
+
+    def kept(part: Part, name: str) -> bytes:
+        with store.turn(folder, name):
+            content = store.read_object(folder, name)
+            if content is None:
+                content = _compile(compiler, part.text, _flags_of(part, compiler))
+                store.keep(folder, name, content, ".o")
+        return content
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    pool = ThreadPoolExecutor(cores)
+    try:
+        jobs = {name: pool.submit(kept, part, name) for part, name in sorted(zip(parts, names, strict=True), key=_length, reverse=True)}
+        return [jobs[name].result() for name in names]
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _length(job: tuple[Part, str]) -> int:
+    return len(job[0].text)
+
+
 def _compile(compiler: tuple[str, ...], text: str, flags: Sequence[str]) -> bytes:
-    """The library of a C text.
+    """The object file of a C text.
 
     Raises:
         subprocess.CalledProcessError: the compiler refuses.
     """
     with tempfile.TemporaryDirectory(prefix="tepm_opt-") as folder:  # closed to others
-        code, library = Path(folder) / "network.c", Path(folder) / "network.so"
+        code, made = Path(folder) / "part.c", Path(folder) / "part.o"
         code.write_text(text, encoding="utf-8")
-        command = [*compiler, *flags, "-shared", "-fPIC", "-o", str(library), str(code), "-lm"]
+        subprocess.run([*compiler, *flags, "-fPIC", "-c", "-o", str(made), str(code)], check=True, capture_output=True, text=True)
+        return made.read_bytes()
+
+
+def _link(compiler: tuple[str, ...], objects: Sequence[bytes], flags: Sequence[str]) -> bytes:
+    """The library of object files.
+
+    Raises:
+        subprocess.CalledProcessError: the linker refuses.
+    """
+    with tempfile.TemporaryDirectory(prefix="tepm_opt-") as folder:
+        files = [Path(folder) / f"{k}.o" for k in range(len(objects))]
+        for file, content in zip(files, objects, strict=True):
+            file.write_bytes(content)
+        library, sanitizers = Path(folder) / "library.so", [flag for flag in flags if flag.startswith("-fsanitize")]
+        command = [*compiler, *sanitizers, "-shared", "-o", str(library), *map(str, files), "-lm"]
         subprocess.run(command, check=True, capture_output=True, text=True)
         return library.read_bytes()

@@ -91,13 +91,28 @@ def _own_folder(reason: str) -> tempfile.TemporaryDirectory[str]:
 
 def load(folder: Path, name: str, symbols: Sequence[str]) -> ctypes.CDLL | None:
     """The library of a name that was kept; None where there is none that is whole, the own user's, and has these symbols."""
-    for path in sorted(folder.glob(f"{name}-*.so")):
+    for path, _ in _whole(folder, name, ".so"):
         try:
-            if path.stem == f"{name}-{_digest(_read(path))}":
-                return open_library(path, symbols)
+            return open_library(path, symbols)
         except (OSError, AttributeError):
             continue
     return None
+
+
+def read_object(folder: Path, name: str) -> bytes | None:
+    """The object file of a name that was kept; None where there is none that is whole and the own user's."""
+    return next((content for _, content in _whole(folder, name, ".o")), None)
+
+
+def _whole(folder: Path, name: str, suffix: str) -> Iterator[tuple[Path, bytes]]:
+    """Files of a name that are as they were written, and the own user's, with their contents."""
+    for path in sorted(folder.glob(f"{name}-*{suffix}")):
+        try:
+            content = _read(path)
+        except OSError:
+            continue
+        if path.stem == f"{name}-{_digest(content)}":
+            yield path, content
 
 
 def open_library(path: Path, symbols: Sequence[str]) -> ctypes.CDLL:
@@ -113,17 +128,25 @@ def open_library(path: Path, symbols: Sequence[str]) -> ctypes.CDLL:
     return library
 
 
-def keep(folder: Path, name: str, content: bytes) -> Path:
-    """Keep a library; it replaces all others of that name, and appears when it is whole. The digest in its name tells if it still is.
+def keep(folder: Path, name: str, content: bytes, suffix: str = ".so") -> Path:
+    """Keep a library or an object file, which replaces all others of that name and appears when it is whole.
+
+    The digest in its name tells if it still is.
+
+    Args:
+        folder: of all of them.
+        name: with the hash of all that it depends on.
+        content: of the file.
+        suffix: ".so" of a library, ".o" of an object file.
 
     Raises:
         InputError: the folder cannot be written to.
     """
-    path = folder / f"{name}-{_digest(content)}.so"
+    path = folder / f"{name}-{_digest(content)}{suffix}"
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
         temporary.chmod(0o600)
-    for other in folder.glob(f"{name}-*.so"):
+    for other in folder.glob(f"{name}-*{suffix}"):
         if other.name != path.name:
             with suppress(OSError):  # Windows keeps what is loaded
                 other.unlink()
