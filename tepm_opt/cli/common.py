@@ -44,8 +44,18 @@ def load(robot: str | None, model: Path | None) -> CompiledModel:
     if robot and model:
         raise InputError("--robot and --model exclude each other: the model file names its robot")
     nominal = read_model(model) if model else Model.of(robot or "kang2017")
-    with stderr.status("compiling the network"):
+    with compiling("the network"):
         return compile_model(nominal)
+
+
+@contextmanager
+def compiling(what: str) -> Iterator[None]:
+    """Say on a terminal what is compiled, and how much of it."""
+    from tepm_opt.models.backends.compiler import report_to
+
+    status = stderr.status(f"compiling {what}")
+    with status, report_to(lambda _, done, of: status.update(f"compiling {what}: {done:.0f} of {of:.0f} kernels")):
+        yield
 
 
 def vector(text: str | None, name: str, count: int = 3) -> list[float] | None:

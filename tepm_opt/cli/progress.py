@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from tepm_opt.cli.common import stderr
+from tepm_opt.models.backends.compiler import report_to
 
 FORGOTTEN = 2.0  # s without news after which a stage gives way to the next one
 EVERY = 10.0  # s between lines where there is no terminal
@@ -116,13 +117,15 @@ def shown(quiet: bool, told: bool = False) -> Iterator[Bars]:
     with Progress(*columns, console=stderr, transient=True, disable=quiet or not stderr.is_terminal) as display:
         bars = Bars(display, told and not quiet)
         if quiet or stderr.is_terminal:
-            yield bars
+            with report_to(bars):
+                yield bars
             return
         over = Event()
         clock = Thread(target=_tell_now_and_then, args=(bars, over), daemon=True)
         clock.start()
         try:
-            yield bars
+            with report_to(bars):
+                yield bars
         finally:
             over.set()
             clock.join()

@@ -54,6 +54,16 @@ def test_the_cache_is_keyed_by_the_network_not_by_its_parameters(empty_cache, mo
     assert sorted(empty_cache.iterdir()) == libraries
 
 
+def test_it_is_told_how_much_is_compiled(empty_cache, compiler):
+    told = []
+    with c_compiler.report_to(lambda stage, done, of: told.append((stage, done, of))):
+        compile_model(SMALL, backend="c")
+    parts = len(list(empty_cache.glob("*.o")))
+    assert told == [("compiling kernels", done, parts) for done in range(parts + 1)]
+    compile_model(SMALL, backend="c")
+    assert len(told) == parts + 1
+
+
 @pytest.mark.slow
 def test_who_comes_while_it_is_compiled_waits_for_it(empty_cache, monkeypatch, compiler):
     compiled, compile_text, together = Counter(), c_compiler._compile, Barrier(2)

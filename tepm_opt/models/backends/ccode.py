@@ -47,7 +47,9 @@ class Unit:
     @cached_property
     def source(self) -> str:
         """The C text of all together, in one file."""
-        return "\n".join((_kernels_of(*self.kernels.values()), self._head, *map(self._lanes_of, self.lanes), *self._loops))
+        return "\n".join(
+            (_kernels_of(*self.kernels.values()), self._head, *(f"static {self._lanes_of(name)}" for name in self.lanes), *self._loops)
+        )
 
     @cached_property
     def parts(self) -> dict[str, str]:
@@ -169,8 +171,7 @@ _ALONE = "|".join(("sq", "sqrt", "sign", "fmin", "fmax", *_ONE_BY_ONE))
 _OPERATORS = {"<": "less", "<=": "most", "==": "same", "!=": "other", "&&": "and", "||": "or"}
 
 
-_LOOP = """
-void {name}_lanes(const vector *const *arg, vector *const *res) {{
+_LOOP = """void {name}_lanes(const vector *const *arg, vector *const *res) {{
   static const int in[] = {{{inputs}}}, out[] = {{{outputs}}};
   enum {{ N_IN = sizeof in / sizeof *in, N_OUT = sizeof out / sizeof *out }};
   static _Thread_local double given[{given}], got[{got}], work[{work}]; /* as large as the model */

@@ -11,14 +11,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import util
+from itertools import count
 from pathlib import Path
 
 from tepm_opt.models.backends import store
+from tepm_opt.progress import Progress, silent
 
 NONE = (
     "no C compiler found: everything works, with the same results, but some 10 to 70 times slower; "
@@ -26,6 +29,8 @@ NONE = (
 )
 
 
+STAGE = "compiling kernels"
+"""Name of the stage in which parts are compiled."""
 FLAGS_VARIABLE = "TEPM_OPT_CFLAGS"
 """Environment variable with further flags of the compiler, which come last: `-O1` compiles twice as fast and computes half as fast."""
 
@@ -47,6 +52,19 @@ def _machine(compiler: tuple[str, ...]) -> str:
     except (OSError, StopIteration):
         flags = platform.processor()
     return "\n".join((*compiler, version, platform.platform(), flags))
+
+
+_listeners: list[Progress] = []
+
+
+@contextmanager
+def report_to(progress: Progress) -> Iterator[None]:
+    """Tell `progress` meanwhile how many parts are compiled, from whichever thread, instead of who was told before."""
+    _listeners.append(progress)
+    try:
+        yield
+    finally:
+        _listeners.remove(progress)
 
 
 @dataclass(frozen=True)
@@ -118,15 +136,19 @@ def _compile_all(folder: Path, compiler: tuple[str, ...], parts: Sequence[Part],
         subprocess.CalledProcessError: the compiler refuses.
     """
 
+    progress, done = _listeners[-1] if _listeners else silent, count(1)
+
     def kept(part: Part, name: str) -> bytes:
         with store.turn(folder, name):
             content = store.read_object(folder, name)
             if content is None:
                 content = _compile(compiler, part.text, _flags_of(part, compiler))
                 store.keep(folder, name, content, ".o")
+        progress(STAGE, next(done), len(parts))
         return content
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    progress(STAGE, 0, len(parts))
     pool = ThreadPoolExecutor(cores)
     try:
         jobs = {name: pool.submit(kept, part, name) for part, name in sorted(zip(parts, names, strict=True), key=_length, reverse=True)}
