@@ -44,12 +44,12 @@ def load(robot: str | None, model: Path | None) -> CompiledModel:
     if robot and model:
         raise InputError("--robot and --model exclude each other: the model file names its robot")
     nominal = read_model(model) if model else Model.of(robot or "kang2017")
-    with compiling("the network"):
+    with show_compiling("the network"):
         return compile_model(nominal)
 
 
 @contextmanager
-def compiling(what: str) -> Iterator[None]:
+def show_compiling(what: str) -> Iterator[None]:
     """Say on a terminal what is compiled, and how much of it."""
     from tepm_opt.models.backends.compiler import report_to
 

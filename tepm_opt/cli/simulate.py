@@ -12,7 +12,7 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
-from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, compiling, folder_for, load, report, stderr, warn
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report, show_compiling, stderr, warn
 from tepm_opt.cli.progress import shown
 from tepm_opt.errors import InputError, unknown_name
 
@@ -129,7 +129,7 @@ def simulate(
         raise InputError(f"--hold: {inputs} has measured points, and inputs of recorded runs change linearly between samples")
     if inputs.resolve() in {(out / name).resolve() for name in (TRAJECTORY, LENGTHS)}:
         raise InputError(f"--out {out}: {inputs} would be overwritten; name another folder")
-    with compiling("the motion"):
+    with show_compiling("the motion"):
         _ = compiled.stepper  # here, so that it does not count as simulating
     kept = "nothing was finished"
     try:

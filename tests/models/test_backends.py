@@ -222,6 +222,8 @@ def test_flags_of_the_environment_come_last(
     used: list[str] = []
     compile_text = compiling._compile
     monkeypatch.setattr(compiling, "_compile", lambda command, text, flags: used.extend(flags) or compile_text(command, text, flags))
-    assert compiling.build("int answer(void) { return 42; }", "answer", ("answer",), FLAGS, "nothing") is not None
+    assert (
+        compiling.build([compiling.Part("answer", "int answer(void) { return 42; }", FLAGS)], "answer", ("answer",), "nothing") is not None
+    )
     assert used[: len(FLAGS)] == list(FLAGS)
     assert used[-1] == last

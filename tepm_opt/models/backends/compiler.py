@@ -138,7 +138,7 @@ def _compile_all(folder: Path, compiler: tuple[str, ...], parts: Sequence[Part],
 
     progress, done = _listeners[-1] if _listeners else silent, count(1)
 
-    def kept(part: Part, name: str) -> bytes:
+    def read_or_compile(part: Part, name: str) -> bytes:
         with store.turn(folder, name):
             content = store.read_object(folder, name)
             if content is None:
@@ -151,7 +151,10 @@ def _compile_all(folder: Path, compiler: tuple[str, ...], parts: Sequence[Part],
     progress(STAGE, 0, len(parts))
     pool = ThreadPoolExecutor(cores)
     try:
-        jobs = {name: pool.submit(kept, part, name) for part, name in sorted(zip(parts, names, strict=True), key=_length, reverse=True)}
+        jobs = {
+            name: pool.submit(read_or_compile, part, name)
+            for part, name in sorted(zip(parts, names, strict=True), key=_length, reverse=True)
+        }
         return [jobs[name].result() for name in names]
     finally:
         pool.shutdown(cancel_futures=True)
