@@ -333,6 +333,7 @@ class TestCalibrate:
         assert done.status == 2
         assert "dynamometer 12 changed by 0 counts, 11 by 2723" in done.err
 
+    @pytest.mark.slow
     def test_pressure(self, tepm: Command, bench: Bench) -> None:
         bench.world.board.monitor(2, 1.1)
         done = tepm("hw", "calibrate", "pressure", "x", "--actuator", "13", "--at-kPa", "0,100", "--yes")

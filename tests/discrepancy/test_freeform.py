@@ -140,6 +140,7 @@ class TestAlternatives:
             began += 5.0 + float(run.time[-1])
         assert best(alternatives(fitted(kang, runs))).place.label == "measurement[all](time)"
 
+    @pytest.mark.slow
     def test_noise_alone_closes_nothing(self, kang: CompiledModel, true: CompiledModel) -> None:
         found = alternatives(fitted(kang, measured(true, planned(FILES))))
         assert max(each.closes for each in found) < 0.25

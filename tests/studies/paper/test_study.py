@@ -47,6 +47,7 @@ def test_stiffness_of_a_linear_actuator_with_dead_ends():
     assert stiffness(AREA, pressures, lengths) == pytest.approx(STIFFNESS)
 
 
+@pytest.mark.slow
 def test_quick_study_leaves_a_page_and_the_same_bytes_twice(tmp_path, capsys):
     """Fig. 7 alone: page with published and ours, JSON, CSV, PNG; a second run is equal byte for byte."""
     digests = []
