@@ -54,7 +54,7 @@ def show_compiling(what: str) -> Iterator[None]:
     from tepm_opt.models.backends.compiler import report_to
 
     status = stderr.status(f"compiling {what}")
-    with status, report_to(lambda _, done, of: status.update(f"compiling {what}: {done:.0f} of {of:.0f} kernels")):
+    with status, report_to(lambda stage, done, of: status.update(f"compiling {what}: {done:.0f} of {of:.0f} kernels")):
         yield
 
 

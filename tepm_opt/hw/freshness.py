@@ -5,6 +5,7 @@ p = erf(q / (√8 σ)), and in a row of n more readings with pⁿ; elsewhere rep
 after n repeats in a row, the least n with pⁿ · (readings in `FALSE_ALARM_HOURS`) < 1.
 """
 
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 from __future__ import annotations
 
 import math

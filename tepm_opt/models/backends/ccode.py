@@ -1,5 +1,6 @@
 """Generated C: kernels and the loops around them become a shared library, kept under the hash of all it depends on."""
 
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 from __future__ import annotations
 
 import ctypes
