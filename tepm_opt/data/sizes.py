@@ -1,6 +1,5 @@
 """Values that are in another unit than they should be: one judgement, in the same words, for data sets, set points and options."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

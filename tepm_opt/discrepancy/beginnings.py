@@ -1,6 +1,5 @@
 """Beginnings of runs that a model misses for what happened before them: a machine at work has a past that no file holds."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 from __future__ import annotations
 
 from collections.abc import Sequence

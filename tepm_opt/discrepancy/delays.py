@@ -1,6 +1,5 @@
 """Dead times: what an input was some time ago, between its samples too, with its derivative by that time."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 from __future__ import annotations
 
 from collections.abc import Sequence

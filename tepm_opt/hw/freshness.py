@@ -5,7 +5,6 @@ p = erf(q / (√8 σ)), and in a row of n more readings with pⁿ; elsewhere rep
 after n repeats in a row, the least n with pⁿ · (readings in `FALSE_ALARM_HOURS`) < 1.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 from __future__ import annotations
 
 import math
@@ -228,7 +227,7 @@ class FreshnessMonitor:
     def _look_at_points(self, sample: Sample, commands: np.ndarray | None, faults: dict[str, str]) -> np.ndarray:
         """Flags of the points to withhold, (points,)."""
         channels, now, points = self._places_of, sample.time, sample.points
-        known = np.isfinite(points).all(axis=1)
+        known: np.ndarray = np.asarray(np.isfinite(points).all(axis=1))
         repeated = channels.update(points, now, commands)
         frozen, count = channels.find_frozen(now), int(known.sum())
         together = count > 1 and bool(repeated[known].all())

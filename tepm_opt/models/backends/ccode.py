@@ -1,6 +1,5 @@
 """Generated C: kernels and the loops around them become a shared library, kept under the hash of all it depends on."""
 
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 from __future__ import annotations
 
 import ctypes
@@ -57,7 +56,7 @@ class Unit:
         """The same as texts that are compiled apart: one of each kernel by its name, and one of the loops, `LOOPS`."""
         found, declared = {}, []
         for name, function in self.kernels.items():
-            pieces = _pieces(function, self.sizes["NU"] // 2) if name not in self.lanes else []
+            pieces = _pieces(function, int(self.sizes["NU"]) // 2) if name not in self.lanes else []
             for piece, _ in pieces:
                 found[piece.name()] = "\n".join((_HIDDEN, _kernels_of(piece)))
             declared += [_DECLARED.format(name=name), *(_DECLARED.format(name=piece.name()) for piece, _ in pieces)]
@@ -117,7 +116,7 @@ def _pieces(function: ca.Function, actuators: int) -> list[tuple[ca.Function, li
     if function.n_out() != 1 or function.n_instructions() <= LONGEST:
         return []
     arguments = [ca.SX.sym(function.name_in(k), function.size1_in(k)) for k in range(function.n_in())]
-    values, rows = ca.vertcat(*function(*arguments).nonzeros()), function.sparsity_out(0).row()
+    values, rows = ca.SX(function(*arguments)).nz[:], function.sparsity_out(0).row()
     found = []
     for actuator in range(actuators):
         numbers = [number for number, row in enumerate(rows) if row % actuators == actuator]
