@@ -16,6 +16,8 @@ from tepm_opt.hw.board.errors import NoBoardError
 from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.ports import SerialPort
 from tepm_opt.hw.board.strangers import KEPT, Answer, Overheard
+from tepm_opt.hw.service.line import Line
+from tepm_opt.hw.service.monitor import BOOTING, Monitor
 from tests.paths import SHARED
 
 ASCII = SHARED / "cases" / "19-foreign-firmware" / "ascii_arduino.py"
@@ -73,6 +75,39 @@ def test_zeros_and_noise() -> None:
     assert "384 bytes came that are no message" in said(noise)
     assert "baud rate" in said(noise)
     assert said(noise + MARLIN).startswith("no answer"), "a little text in noise is noise"
+
+
+class Talker:
+    """A port on which another firmware talks, on a clock of its own."""
+
+    def __init__(self, text: bytes) -> None:
+        self.text, self.time = text, 0.0
+
+    def clock(self) -> float:
+        return self.time
+
+    def read(self, timeout: float) -> bytes:
+        self.time += max(timeout, 0.01)
+        return self.text
+
+    def write(self, data: bytes) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("text", "shown"), [(MARLIN, "text comes: 'echo:Marlin bugfix-2.1.x'"), (b"", "nothing answers in 4 s")])
+def test_the_monitor_shows_what_comes(text: bytes, shown: str) -> None:
+    """Once a board had time to start; nobody is told to flash first."""
+    talker = Talker(text)
+    for reading in Monitor(lambda: Line(talker, talker.clock, threaded=False)):
+        if reading.time > 4:
+            break
+        assert reading.time >= BOOTING or reading.words == "no answer from the board yet"
+    assert reading.words.startswith(shown)
+    assert "right port" in reading.words
+    assert "flash" not in reading.words or reading.words.index("power") < reading.words.index("flash")
 
 
 @pytest.fixture

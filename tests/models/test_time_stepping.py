@@ -81,7 +81,7 @@ def test_pieces_of_a_long_jacobian_are_the_whole(kang, monkeypatch):
     arguments = [np.random.default_rng(k).uniform(0.5, 2, whole.size1_in(k)) for k in range(whole.n_in())]
     pieces = ccode._pieces(whole, 6)
     numbers = [number for _, each in pieces for number in each]
-    values = np.concatenate([np.ravel(piece(*arguments)) for piece, _ in pieces])
+    values = np.concatenate([piece(*arguments).full().ravel() for piece, _ in pieces])
     assert sorted(numbers) == list(range(whole.nnz_out(0)))
     np.testing.assert_allclose(values, np.array(whole(*arguments).nonzeros())[numbers], rtol=1e-12, atol=1e-12)
     assert max(piece.n_instructions() for piece, _ in pieces) < whole.n_instructions()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,8 +15,8 @@ from tepm_opt.hw.tracker import Frame, Tracker
 
 PERIOD, RETRY = 0.1, 0.5
 """Seconds between two readings, and between two attempts to open a line that is gone."""
-SILENT = 0.5
-"""Seconds after which a board is called silent."""
+SILENT, BOOTING = 0.5, 3.0
+"""Seconds after which a board is called silent, and in which one that has just got power may not answer yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +66,7 @@ class Monitor:
         self._link: Link | None = self._line.link()
         self._time, self._gone = 0.0, ""
         self._frame: Frame | None = None
+        self._no_board: NoBoardError | None = None
         self._seen: list[tuple[float, int]] = []
         self._torn: int | None = None  # frames damaged before the first STATUS: opening a port cuts into one
 
@@ -104,8 +104,10 @@ class Monitor:
     def _greet(self, link: Link) -> bool:
         """Ask the board who it is, which is what makes it talk to a host; whether it answered."""
         if link.status is None:
-            with contextlib.suppress(NoBoardError):
+            try:
                 link.hello(PERIOD)
+            except NoBoardError as error:
+                self._no_board = error
         return link.status is not None
 
     def _reopen(self) -> bool:
@@ -144,7 +146,9 @@ class Monitor:
         if self._gone:
             return f"{self._gone}; trying to open it again"
         if status is None:
-            return "no answer from the board yet: is the firmware on it?"
+            if self._no_board is None or self._time < BOOTING:
+                return "no answer from the board yet"
+            return str(NoBoardError(self._no_board.overheard, round(self._time)))  # what came instead is heard all the time
         silent = self._line.clock() - status.time
         return f"the board is silent for {silent:.1f} s; before: {status.describe()}" if silent > SILENT else status.describe()
 
