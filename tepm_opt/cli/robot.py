@@ -76,12 +76,10 @@ def _refuse_heavy(robot: str) -> None:
         InputError: naming the mass and the largest one that stands.
     """
     from tepm_opt.cli.common import load
-    from tepm_opt.solvers.statics import is_upright, solve_statics, tell_weight
+    from tepm_opt.solvers.statics import tell_buckling
 
-    model = load(robot, None)
-    rest = solve_statics(model, [0.0] * model.layout.inputs)
-    if not is_upright(rest) and (heavy := tell_weight(model)):
-        raise tepm.InputError(f"{robot}: the arm buckles under its own weight{heavy}")
+    if wrong := tell_buckling(load(robot, None)):
+        raise tepm.InputError(f"{robot}: {wrong}")
 
 
 app.command("modes")(spread(modes))

@@ -11,7 +11,7 @@ from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt import plots
-from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_force, given_inputs, load, report, unsolved_lines
+from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_force, given_inputs, load, report, unsolved_lines, warn
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
@@ -47,6 +47,8 @@ def statics(
     as_json: JsonOption = False,
 ) -> int:
     """Solve equilibria: shape, actuator lengths, stability."""
+    from tepm_opt.solvers.statics import tell_buckling
+
     if inputs is not None and (pressures or tensions or tip_force):
         raise InputError("a set-point file and --pressures, --tensions or --tip-force exclude each other")
     folder = None if out is None else output_folder(out)
@@ -55,6 +57,8 @@ def statics(
         setpoints = tepm.read_setpoints(inputs, compiled.layout.actuator_names, compiled.input_max)
     else:
         setpoints = tepm.SetPoints.single(given_inputs(compiled, pressures, tensions), given_force(compiled, tip_force))
+    if wrong := tell_buckling(compiled):
+        warn(f"{compiled.model.source}: {wrong}")
     with shown(as_json) as progress:
         run = tepm.run_statics(compiled, setpoints, progress)
     if folder is not None:

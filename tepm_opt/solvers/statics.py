@@ -220,6 +220,17 @@ def tell_weight(model: CompiledModel) -> str:
     return "" if most is None else f": m_d = {model.values['m_d']:g} kg is too heavy; valid: up to {most:.2g} kg"
 
 
+def tell_buckling(model: CompiledModel) -> str:
+    """Sentence about an arm that buckles under its own weight, with the largest mass that stands.
+
+    It is empty where the arm stands, or has effects, such as a load.
+    """
+    if model.model.effects or is_upright(solve_statics(model, np.zeros(model.layout.inputs))):
+        return ""
+    heavy = tell_weight(model)
+    return f"the arm buckles under its own weight{heavy}" if heavy else ""
+
+
 def _newton(
     model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: StaticsSettings, mapped: bool, reached: float = 1.0
 ) -> Equilibrium:

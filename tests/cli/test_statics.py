@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tepm_opt.models.robot import robot_text
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import input_columns, length_columns, names_in, shape_columns, summary, table, tips, write_rows
 
@@ -97,6 +98,16 @@ def test_effects_against_their_equivalents(tepm: Command, here: Path) -> None:
         (("--model", "dead.toml", "--pressures", shifted), ("--pressures", pressures)),
     ):
         np.testing.assert_allclose(*(tepm("statics", *options, "--json").json()["tip_m"] for options in (effect, plain)), atol=1e-8)
+
+
+def test_an_arm_that_has_fallen_over_is_told(tepm: Command, here: Path) -> None:
+    """22 kg instead of 220 g: it hangs, which is an equilibrium; `robot check` refuses it. Nothing is told of the paper's arm."""
+    (here / "heavy.toml").write_text(robot_text("kang2017").replace("m_d = 0.22 ", "m_d = 22.0 "))
+    done, check = tepm("statics", "--robot", "heavy.toml"), tepm("robot", "check", "heavy.toml")
+    told = "the arm buckles under its own weight: m_d = 22 kg is too heavy; valid: up to 0.41 kg"
+    assert (done.status, told in done.err) == (0, True)
+    assert (check.status, told in check.err) == (2, True)
+    assert tepm("statics").err == ""
 
 
 @pytest.mark.slow
