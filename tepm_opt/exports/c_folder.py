@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib import resources
@@ -107,10 +106,9 @@ def _unit(model: CompiledModel, unit: Unit, what: str, api: str, arrays: Mapping
         api: name of the file with the functions.
         arrays: of constants beside the parameters.
     """
-    loops = re.sub(r"^(casadi_real casadi_\w+\()", r"static \1", unit.source, flags=re.M)
     lines = [f"static const double {name}[] = {numbers(values.ravel())};" for name, values in (arrays or {}).items()]
     lines += [f"static const double THETA[] = {{ {_parameters(model)} }};", '#include "robot.h"', USABLE]
-    return "\n".join((HEAD.format(name=_comment(model.robot.name), what=what), loops, *lines, _template(api)))
+    return "\n".join((HEAD.format(name=_comment(model.robot.name), what=what), unit.source, *lines, _template(api)))
 
 
 def _parameters(model: CompiledModel) -> str:

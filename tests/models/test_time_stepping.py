@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.models.backends import ccode
 from tepm_opt.models.compile import compile_model
 from tepm_opt.solvers.simulate import Directions, simulate
 from tests.independent import Network
@@ -72,19 +71,6 @@ def test_both_backends_do_rk4_alike(pair):
     setpoints = gentle(c, 0.02, 3, 0.02)
     first, second = (simulate(m, setpoints, "rk4") for m in (c, python))
     np.testing.assert_allclose(first.levels, second.levels, rtol=0, atol=1e-12)
-
-
-def test_pieces_of_a_long_jacobian_are_the_whole(kang, monkeypatch):
-    """Each nonzero is in one piece, with its value."""
-    monkeypatch.setattr(ccode, "LONGEST", 100)
-    whole = kang.reference_stepper.dynamics.functions["properties_by"]
-    arguments = [np.random.default_rng(k).uniform(0.5, 2, whole.size1_in(k)) for k in range(whole.n_in())]
-    pieces = ccode._pieces(whole, 6)
-    numbers = [number for _, each in pieces for number in each]
-    values = np.concatenate([piece(*arguments).full().ravel() for piece, _ in pieces])
-    assert sorted(numbers) == list(range(whole.nnz_out(0)))
-    np.testing.assert_allclose(values, np.array(whole(*arguments).nonzeros())[numbers], rtol=1e-12, atol=1e-12)
-    assert max(piece.n_instructions() for piece, _ in pieces) < whole.n_instructions()
 
 
 def test_implicit_steps_are_of_third_order(kang):

@@ -49,7 +49,7 @@ int robot_motion_step(void *memory, const double u[ROBOT_INPUTS], const double f
   memset(&o->p, 0, sizeof o->p);
   const double *arg[] = {THETA};
   double *res[] = {moves->inputs.delay};
-  run(delay, &o->w, arg, res);
+  run(delay, arg, res);
   double late = fmax(moves->inputs.delay[COMMANDS], moves->inputs.delay[FORCES]);
   if (o->dropped && o->time[now] - late < o->time[1]) return ROBOT_FORGOTTEN;
   move_on(&m, &o->w, &o->c, &o->p);

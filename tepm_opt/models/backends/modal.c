@@ -128,7 +128,7 @@ static void damp(work *w, const double *basis, double *damping) {
   for (int s = 0; s < NLEV; s++) {
     const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta}, *d = w->first;
     double *res[] = {w->first, w->second};
-    run(segment_damping, w, arg, res);
+    segment_damping(arg, res);
     memcpy(z, z + NB, NB * sizeof *z);
     for (int k = 0; k < NB; k++) memcpy(z[NB + k], basis + (s * NB + k) * NSHAPE, NMODE * sizeof(double));
     for (int r = 0; r < 2 * NB; r++)

@@ -32,8 +32,8 @@ int integrate(int scheme, int hold, long first, long last, long samples, const d
     if (groups) choose(&m, w);
     const double *arg[] = {theta};
     double *res[] = {o->inputs.delay}, *res_by[] = {o->inputs.by_delay};
-    run(delay, w, arg, res);
-    run(delay_by, w, arg, res_by);
+    run(delay, arg, res);
+    run(delay_by, arg, res_by);
     move_on(&m, w, c, p);
     status = o->status;
     const double effort[] = {m.steps, m.iterations, m.factors, m.halvings, m.reached, c->error, m.longest};

@@ -5,7 +5,7 @@ static void take_stock(stepper *m, work *w, const state *s) {
   tell(m, w, t);
   const double *now[] = {s->u, zero, s->y_inputs, &moment, w->theta};
   double *result[] = {a, y};
-  run(input_motion, w, now, result);
+  run(input_motion, now, result);
   memcpy(w->a, a, sizeof w->a);
   set_properties(m, w, w->a, t);
   memcpy(w->x, s->x, sizeof w->x);

@@ -24,7 +24,7 @@ static __attribute__((noinline)) double known_at(stepper *m, work *w, double t, 
   const double *arg[] = {w->theta};
   double *res[] = {both};
   tell(m, w, t);
-  run(delay, w, arg, res);
+  run(delay, arg, res);
   memcpy(m->motion.inputs.delay, both, sizeof both);
 #endif
   return t - m->motion.inputs.delay[what];
@@ -38,7 +38,7 @@ static void move_inputs(stepper *m, work *w, state *s, double at, double duratio
   for (int k = 0; k < NU; k++) rate[k] = (u[k] - s->u[k]) * often;
   const double *arg[] = {u, rate, s->y_inputs, &duration, w->theta};
   double *res[] = {a, y};
-  run(input_motion, w, arg, res);
+  run(input_motion, arg, res);
   move_inputs_along(m, w, arg, at, duration, left);
   memcpy(w->a, a, sizeof w->a);
   memcpy(s->u, u, sizeof s->u);
@@ -50,7 +50,7 @@ static void set_properties(stepper *m, work *w, const double *a, double t) {
   look(m, known_at(m, w, t, FORCES), 0, NU, NEXT, w->external);
   const double *arg[] = {a, w->external, w->theta};
   double *res[] = {w->P[0], w->level_0};
-  run(properties, w, arg, res);
+  run(properties, arg, res);
   pack(w);
 }
 
@@ -158,7 +158,7 @@ static void record(stepper *m, work *w, levels x, levels v, const tangent *d) {
   tell(m, w, o->inputs.time[o->sample]);
   const double *arg[] = {x[0], w->theta};
   double *res[] = {observed, observed + NOBS - NU / 2};
-  run(observe, w, arg, res);
+  run(observe, arg, res);
   memcpy(row, observed, NOBS * sizeof(double));
   memcpy(place, x, sizeof(levels));
   memcpy(place + (NLEV + 1) * NB, v, sizeof(levels));

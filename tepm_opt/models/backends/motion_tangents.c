@@ -17,7 +17,7 @@ static void delay_along(stepper *m, work *w) {
 #ifdef CLOCK
   const double *arg[] = {w->theta};
   double *res[] = {m->motion.inputs.by_delay};
-  run(delay_by, w, arg, res);
+  run(delay_by, arg, res);
 #endif
 }
 
@@ -32,7 +32,7 @@ static void move_inputs_along(stepper *m, work *w, const double **arg, double at
   history *h = &m->motion.inputs;
   double *by[] = {w->by_inputs};
   delay_along(m, w);
-  run(input_motion_by, w, arg, by);
+  run(input_motion_by, arg, by);
   for (int g = 0; g < m->groups; g++) {
     tangent *d = m->d + g;
     vector *in = w->in_directions.in, *out = w->in_directions.out;
@@ -134,7 +134,7 @@ static int linearise(stepper *m, work *w, double step, const double *a, int rest
   delay_along(m, w);
   const double *arg_P[] = {a, w->external, w->theta};
   double *res_P[] = {w->by_properties};
-  run(properties_by, w, arg_P, res_P);
+  run(properties_by, arg_P, res_P);
   vector time = (vector){0} + step, *by = w->in_directions.by, *matrix = w->in_forces.matrix;
   batch *b = &w->in_forces.b;
   for (int first = 0; first < NLEV; first += LANES) {
@@ -259,7 +259,7 @@ static int rest_along(stepper *m, work *w, const state *s, double t) {
 static void record_along(stepper *m, work *w, const double **arg, const tangent *d, long k) {
   if (!m->groups) return;
   double *by = w->in_directions.observed_by, *res_by[] = {by};
-  run(observe_by, w, arg, res_by);
+  run(observe_by, arg, res_by);
   for (int g = 0; g < m->groups; g++) {
     vector *out = m->motion.records.d_observed + (k * m->groups + g) * NOBS, *in = w->in_directions.x;
     memcpy(in, d[g].x, (NLEV + 1) * NB * sizeof(vector));

@@ -1,16 +1,14 @@
-/* Loops over the chain of segments, around the kernels that CasADi generates above this text in the same unit:
+/* Loops over the chain of segments, around the kernels (see kernels.py) above this text in the same unit:
    assembly, block-tridiagonal Cholesky, Newton for statics, adjoint sensitivities. statics.py is the reference twin.
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NDRIVEN of them changed by inputs, NU inputs,
-   NEXT external force components, NTHETA parameters, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel,
-   SZ_W, SZ_IW work of the kernels. Statuses and limits are macros too: interface.py has them. Level 0 is fixed.
+   NEXT external force components, NTHETA parameters, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel.
+   Statuses and limits are macros too: interface.py has them. Level 0 is fixed.
 
    What grows with segments, modules or parameters lies in `work`, which is the caller's (statics_calls.c): stacks are small in threads. */
 
 #define NVEC ((2 * NB + LANES - 1) / LANES)
 #define LD (NVEC * LANES)                /* rows of a panel column, padded to whole vectors */
-
-typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
 typedef struct {
   double x[NLEV + 1][NB], trial[NLEV + 1][NB];   /* levels */
@@ -18,8 +16,7 @@ typedef struct {
   double force[NLEV + 1][NB], step[NLEV + 2][NB];
   double panel[NLEV + 1][NB][LD];                /* column c of level l: its diagonal block, then its coupling to l + 1 */
   double first[2 * NB * NB], second[NB * NB];
-  double a[NU], level_0[NB], kernel_work[SZ_W + 1];
-  casadi_int kernel_iwork[SZ_IW + 1];
+  double a[NU], level_0[NB];
   const double *theta;
   turns turns;
   struct {                                       /* of `adjoint` */
@@ -29,14 +26,12 @@ typedef struct {
   struct { double by_a[NU / 2][NU], shift[NU / 2][NLEV + 1][NB], matrix[NU / 2 * NU / 2]; } inverse; /* of `solve_together` */
 } work;
 
-static void run(kernel *f, work *w, const double **arg, double **res) { f(arg, res, w->kernel_iwork, w->kernel_work, 0); }
-
 static double energy(work *w, double x[][NB]) {
   double total = 0, part;
   for (int s = 0; s < NLEV; s++) {
     const double *arg[] = {x[s], x[s + 1], w->P[s], w->theta};
     double *res[] = {&part};
-    run(segment_energy, w, arg, res);
+    segment_energy(arg, res);
     total += part;
   }
   return total;
@@ -61,8 +56,8 @@ static inline double assemble(work *w, int convex) {
   for (int s = 0; s < NLEV; s++) {
     const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta};
     double *res[] = {&part, force, w->first, w->second};
-    if (convex) run(segment_convex, w, arg, res);
-    else run(segment_stiffness, w, arg, res);
+    if (convex) segment_convex(arg, res);
+    else segment_stiffness(arg, res);
     total += part;
     for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
     place(w, s);
@@ -77,7 +72,7 @@ static void gradient(work *w) {
   for (int s = 0; s < NLEV; s++) {
     const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta};
     double *res[] = {force};
-    run(segment_gradient, w, arg, res);
+    segment_gradient(arg, res);
     for (int i = 0; i < NB; i++) { w->force[s][i] += force[i]; w->force[s + 1][i] += force[NB + i]; }
   }
 }
@@ -194,14 +189,14 @@ static int factor_safely(work *w) {
 static void set_properties(work *w, const double *external) {
   const double *arg[] = {w->a, external, w->theta};
   double *res[] = {w->P[0], w->level_0};
-  run(properties, w, arg, res);
+  properties(arg, res);
 }
 
 /* Effective actuation a under the commanded u. */
 static void map_inputs(work *w, const double *u, double *a) {
   const double *arg[] = {u, w->theta};
   double *res[] = {a};
-  run(input_map, w, arg, res);
+  input_map(arg, res);
 }
 
 /* Equilibrium from the start w->x, in place. info: iterations, residual in N, energy in J. Returns a status. */
@@ -241,7 +236,7 @@ static int settle(work *w, double tolerance, int max_iterations, double *info) {
 static void look(work *w, double *observed) {
   const double *arg[] = {w->x[0], w->theta};
   double *res[] = {observed, observed + NPOINT};
-  run(observe, w, arg, res);
+  observe(arg, res);
 }
 
 /* `sensitivity` for up to ROWS rows, with the factor at hand; `shift`, unless null, takes each row's gradient by the gradient
@@ -257,7 +252,7 @@ static void adjoint(work *w, const double *u, int mapped, const double *external
   for (int row = 0; row < rows; row++) {
     const double *weight = weights + row * (NPOINT + NLEN), *arg[] = {w->x[0], w->theta, weight, weight + NPOINT};
     double *res[] = {by_x[0], sum[row]};
-    run(observe_adjoint, w, arg, res);
+    observe_adjoint(arg, res);
     memcpy(by_level_0[row], by_x[0], sizeof by_x[0]);
     for (int l = 1; l <= NLEV; l++) for (int i = 0; i < NB; i++) step[l][i][row] = -by_x[l][i];
   }
@@ -272,8 +267,8 @@ static void adjoint(work *w, const double *u, int mapped, const double *external
     for (int row = 0; row < ROWS; row++) for (int i = 0; i < NB; i++) { pair[row][0][i] = step[s][i][row]; pair[row][1][i] = step[s + 1][i][row]; }
     const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta, pair[0][0]};
     double *res[] = {kernel_P[0], spare[0]};
-    if (by_theta) run(segment_theta_adjoint, w, arg, res);
-    else run(segment_adjoint, w, arg, res);
+    if (by_theta) segment_theta_adjoint(arg, res);
+    else segment_adjoint(arg, res);
     for (int row = 0; row < rows; row++) {
       memcpy(by_P[row][0] + s * count, kernel_P[0] + row * count, count * sizeof(double));
       if (by_theta) for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[row][k];
@@ -283,17 +278,17 @@ static void adjoint(work *w, const double *u, int mapped, const double *external
     if (by_theta) {
       const double *arg[] = {w->a, external, w->theta, by_P[row][0], by_level_0[row]};
       double *res[] = {by_theta + row * NTHETA};
-      run(properties_theta_adjoint, w, arg, res);
+      properties_theta_adjoint(arg, res);
       for (int s = 0; s < NLEV; s++) for (int k = 0; k < NDRIVEN; k++) driven[s][k] = by_P[row][s][DRIVEN[k]];
     } else memcpy(driven, by_P[row], sizeof w->adjoint.driven);
     const double *arg[] = {w->a, external, w->theta, driven[0]};
     double *res[] = {by_a, by_external + row * NEXT};
-    run(properties_adjoint, w, arg, res);
+    properties_adjoint(arg, res);
     const double *arg_map[] = {u, w->theta, by_a};
     double *res_map[] = {by_u + row * NU, spare[0]};
     if (mapped) memcpy(by_u + row * NU, by_a, sizeof w->adjoint.by_a);
     else {
-      run(input_map_adjoint, w, arg_map, res_map);
+      input_map_adjoint(arg_map, res_map);
       for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[0][k];
     }
     if (by_theta) for (int k = 0; k < NTHETA; k++) by_theta[row * NTHETA + k] += sum[row][k];

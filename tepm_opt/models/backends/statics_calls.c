@@ -74,7 +74,7 @@ int matrices(const double *x, const double *u, int mapped, const double *externa
   for (int s = 0; s < NLEV; s++) {
     const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], theta};
     double *res[] = {w->first, w->second};
-    run(segment_damping, w, arg, res);
+    segment_damping(arg, res);
     place(w, s);
   }
   store_band(w, damping);

@@ -1,11 +1,11 @@
-/* Steps in time around the kernels that CasADi generates above this text in the same unit: Crouzeix's two-stage SDIRK with a
+/* Steps in time around the kernels (see kernels.py) above this text in the same unit: Crouzeix's two-stage SDIRK with a
    block-tridiagonal elimination, classical RK4, forward sensitivities. time_stepping.py is the reference twin.
 
    Segments go through a kernel side by side, each in a lane of vectors (motion_network.c, motion_tangents.c).
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P (MASS the one of the mass), NU inputs, NEXT external
-   force components, NTHETA parameters, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges,
-   SZ_W, SZ_IW work of the kernels. Where an effect asks what time it is, CLOCK and BEGAN are the places of the time in the session and of
+   force components, NTHETA parameters, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges.
+   Where an effect asks what time it is, CLOCK and BEGAN are the places of the time in the session and of
    when the motion began in theta. For every sparse Jacobian `f` there are f_nnz, f_row and f_col. Level 0 is fixed.
    Statuses, schemes and limits are macros too: interface.py has them. */
 #define NINPUT (NU + NEXT)
@@ -14,7 +14,7 @@
 
 typedef double levels[NLEV + 1][NB];
 typedef double edge_states[NLEV][AT_LEAST_1(NEDGE)];
-typedef int kernel(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
+typedef void kernel(const double *const *, double *const *);
 
 typedef struct { /* accelerations at the two latest steps' first or second stage, the latest first */
   double known, time[2];
@@ -77,8 +77,6 @@ typedef struct {
   double by[NLEV][segment_by_nnz]; /* segment_by of every segment, as the selection orders it */
   selection chosen;
   double by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
-  double kernel_work[SZ_W + 1];
-  casadi_int kernel_iwork[SZ_IW + 1];
   turns turns; /* from here on what functions need for themselves: stacks are small in threads */
   struct { levels guess, from; } in_newton;
   struct { double a[2][NU]; levels x_0, v_0, V[2], A[2]; edge_states Y[2]; state start; } in_step;
@@ -139,11 +137,11 @@ typedef struct {
 static double larger(double a, double b) { return a > b ? a : b; }
 
 /* Calls a kernel. What vectors have left in the upper halves of registers slows the mathematical library's code down by far: cleared before. */
-static void run(kernel *f, work *w, const double **arg, double **res) {
+static void run(kernel *f, const double **arg, double **res) {
 #ifdef __AVX__
   __builtin_ia32_vzeroupper();
 #endif
-  f(arg, res, w->kernel_iwork, w->kernel_work, 0);
+  f(arg, res);
 }
 
 /* Finds the sample at or before a time and returns the part of the way to the next one: inputs change linearly, or hold until it;
