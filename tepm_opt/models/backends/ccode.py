@@ -10,7 +10,7 @@ from importlib import resources
 
 import casadi as ca
 
-from tepm_opt.models.backends import compiler
+from tepm_opt.models.backends import compiler, store
 from tepm_opt.models.backends.kernels import PREAMBLE, Kernel
 
 FLAGS = (
@@ -29,7 +29,9 @@ class Unit:
     Attributes:
         kernels: CasADi functions; of a Jacobian `<name>_by` the C text also gets `<name>_by_nnz`, `…_row` and `…_col`.
         sizes: macros by name; LANES is the number of doubles in a vector.
-        arrays: static arrays of integers by name.
+        counts: numbers that effects change. For each, and each `…_nnz`, the C text also gets `<name>_ROOM`, the next power of two: for
+            lengths of arrays, so that one more effect seldom changes the loops.
+        arrays: arrays of integers by name.
         loops: names of the C files in this package, one after the other.
         symbols: functions that are called from outside.
         lanes: kernels that come as `<name>_lanes`, which takes and returns vectors: several segments at once.
@@ -38,6 +40,7 @@ class Unit:
 
     kernels: Mapping[str, ca.Function]
     sizes: Mapping[str, float]
+    counts: Mapping[str, int]
     arrays: Mapping[str, Sequence[int]]
     loops: tuple[str, ...]
     symbols: tuple[str, ...]
@@ -47,17 +50,24 @@ class Unit:
     @cached_property
     def source(self) -> str:
         """The C text of all together, in one file."""
-        written = self._written.values()
-        return "\n".join(
-            ("#define FORMULAS static", self._start, *(part for kernel in written for part in (kernel.formulas, kernel.call)), *self._loops)
-        )
+        kernels = (text for kernel in self._written.values() for text in (*kernel.formulas, kernel.call))
+        linked = ("FORMULAS static __attribute__((noinline))", "CALL static inline", "TABLE static const int")
+        return "\n".join((*(f"#define {how}" for how in linked), self._start, *kernels, *self._tables.values(), *self._loops))
 
     @cached_property
     def parts(self) -> dict[str, str]:
-        """The same as texts that are compiled apart: the formulas of each kernel by its name, and all the rest, `LOOPS`."""
-        start = f"{_HIDDEN}\n{self._start}"
-        found = {name: f"{start}\n{kernel.formulas}" for name, kernel in self._written.items()}
-        found[LOOPS] = "\n".join((start, *(kernel.call for kernel in self._written.values()), *self._loops))
+        """The same as texts that are compiled apart: formulas by kernel, `TABLES` of what a model is beside them, and the `LOOPS`."""
+        hidden = '__attribute__((visibility("hidden")))'
+        linked = (f"FORMULAS {hidden}", f"CALL {hidden}", f"TABLE {hidden} const int")
+        start = "\n".join((*(f"#define {how}" for how in linked), self._start))
+        found = {
+            f"{name}_{k}" if k else name: f"{start}\n{text}"
+            for name, kernel in self._written.items()
+            for k, text in enumerate(kernel.formulas)
+        }
+        found[TABLES] = "\n".join((start, *(kernel.call for kernel in self._written.values()), *self._tables.values()))
+        declared = (f"{kernel.declared};" for kernel in self._written.values())
+        found[LOOPS] = "\n".join((start, *declared, *(f"extern TABLE {name};" for name in self._tables), *self._loops))
         return found
 
     @cached_property
@@ -69,27 +79,40 @@ class Unit:
         return f"#define LANES {self.sizes['LANES']}\n{PREAMBLE}"
 
     @cached_property
-    def _loops(self) -> list[str]:
-        """Sizes, index arrays, and the loops."""
-        sizes: dict[str, float] = {name: value for name, value in self.sizes.items() if name != "LANES"}
+    def _patterns(self) -> dict[str, ca.Sparsity]:
+        return {name: function.sparsity_out(0) for name, function in self.kernels.items() if name.endswith("_by")}
+
+    @property
+    def _all_counts(self) -> dict[str, int]:
+        return {**self.counts, **{f"{name}_nnz": pattern.nnz() for name, pattern in self._patterns.items()}}
+
+    @cached_property
+    def _tables(self) -> dict[str, str]:
+        """Definitions of the integers that one more effect or another mount changes, by what is declared of them."""
         arrays = dict(self.arrays)
-        for name, function in self.kernels.items():
-            if name.endswith("_by"):
-                pattern = function.sparsity_out(0)
-                sizes[f"{name}_nnz"] = pattern.nnz()
-                arrays |= {f"{name}_row": pattern.row(), f"{name}_col": pattern.get_col()}
-        lines = [f"#define {name} {value}" for name, value in sizes.items()]
-        lines += [f"static const int {name}[] = {{{', '.join(map(str, values)) or '0'}}};" for name, values in arrays.items()]
+        for name, pattern in self._patterns.items():
+            arrays |= {f"{name}_row": pattern.row(), f"{name}_col": pattern.get_col()}
+        found = {name: f"TABLE {name} = {value};" for name, value in self._all_counts.items()}
+        return found | {f"{name}[]": f"TABLE {name}[] = {{{', '.join(map(str, values)) or '0'}}};" for name, values in arrays.items()}
+
+    @cached_property
+    def _loops(self) -> list[str]:
+        """Sizes and the loops."""
+        sizes = {**self.sizes, **{f"{name}_ROOM": 1 << value.bit_length() for name, value in self._all_counts.items()}}
+        lines = [f"#define {name} {value}" for name, value in sizes.items() if name != "LANES"]
         return [*lines, *((resources.files("tepm_opt.models.backends") / name).read_text(encoding="utf-8") for name in self.loops)]
 
 
-LOOPS = "loops"
-"""Name of the part that has no kernel."""
-_HIDDEN = '#define FORMULAS __attribute__((visibility("hidden")))'
+LOOPS, TABLES = "loops", "tables"
+"""Names of the parts that have no formulas."""
 
 
 def build(unit: Unit) -> ctypes.CDLL | None:
     """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
     instead = "CasADi's virtual machine is used, with the same results, some 50 times slower"
-    parts = [compiler.Part(name, text, FLAGS if name == LOOPS else KERNEL_FLAGS) for name, text in unit.parts.items()]
+    try:
+        parts = [compiler.Part(name, text, FLAGS if name == LOOPS else KERNEL_FLAGS) for name, text in unit.parts.items()]
+    except ValueError as error:  # an effect that is no mere arithmetic
+        store.warn_once(f"{error}: {instead}")
+        return None
     return compiler.build(parts, unit.stem, unit.symbols, instead)

@@ -52,7 +52,6 @@ def statics_unit(network: Network) -> Unit:
         "ROWS": ROWS,
         "NU": layout.inputs,
         "NEXT": 3 * layout.points,
-        "NTHETA": len(network.parameter_names),
         "NPOINT": 3 * layout.points,
         "NLEN": layout.inputs // 2,
         "NMODE": min(MODES, layout.levels * layout.block),
@@ -62,6 +61,7 @@ def statics_unit(network: Network) -> Unit:
     return Unit(
         network.functions,
         sizes,
+        {"NTHETA": len(network.parameter_names)},
         {"DRIVEN": network.driven},
         (*STATICS, "statics_calls.c", "kinematics.c", "modal.c"),
         symbols,
@@ -254,16 +254,16 @@ def stepping_unit(dynamics: Dynamics) -> Unit:
         "MASS": properties - 1,
         "NU": layout.inputs,
         "NEXT": 3 * layout.points,
-        "NTHETA": len(dynamics.parameter_names),
         "NOBS": 3 * layout.points + layout.inputs // 2,
         "NEDGES": len(layout.edges),
         "NIN": dynamics.input_states,
         "NEDGE": dynamics.edge_states,
     }
     names = dynamics.parameter_names
-    sizes |= {name.upper(): names.index(name) for name in (CLOCK, BEGAN) if name in names}
+    counts = {"NTHETA": len(names)} | {name.upper(): names.index(name) for name in (CLOCK, BEGAN) if name in names}
+    sizes |= {"TIMED": int(CLOCK in names)}
     symbols, lanes = ("integrate", "state_size", "tangent_size"), ("segment_motion", "segment_tangent", "segment_by")
-    return Unit(dynamics.functions, sizes, {}, STEPPING, symbols, lanes)
+    return Unit(dynamics.functions, sizes, counts, {}, STEPPING, symbols, lanes)
 
 
 def stepping_alone_unit(dynamics: Dynamics) -> Unit:
@@ -271,7 +271,7 @@ def stepping_alone_unit(dynamics: Dynamics) -> Unit:
     full = stepping_unit(dynamics)
     jacobians = [name for name in full.kernels if name.endswith("_by")]
     kernels = {name: function for name, function in full.kernels.items() if name not in jacobians}
-    sizes = {**full.sizes, **{f"{name}_nnz": 1 for name in jacobians}}
+    sizes = {**full.sizes, **{f"{name}_nnz_ROOM": 1 for name in jacobians}}
     loops = tuple("motion_alone.c" if name == "motion_tangents.c" else name for name in STEPPING[:-1])
     return replace(full, kernels=kernels, sizes=sizes, loops=loops, lanes=full.lanes[:2], symbols=())
 

@@ -14,6 +14,8 @@ import casadi as ca
 
 PIECE = 250
 """Instructions of a piece: shorter ones compute as fast, longer ones take longer to compile."""
+PIECES = 16
+"""Pieces of a text that is compiled apart."""
 SMALL = 16
 """Multiples of an eighth up to this number are formulas' and stay in the text; all other numbers are data."""
 
@@ -64,8 +66,10 @@ static inline vector lanes_sign(vector x) { for (int i = 0; i < LANES; i++) x[i]
         *(f"OF_TWO({name})" for name in _OF_TWO),
     )
 )
-"""Before all kernels, behind the macros LANES, the number of doubles in a vector, and FORMULAS, how they are linked."""
-_HEAD = "(const {type} *const *arg, {type} *const *res, const int *in, const int *out, const double *number"
+"""Before all kernels, behind the macros LANES, doubles in a vector, and FORMULAS and CALL, how both parts of a kernel are linked."""
+_HEAD = (
+    "FORMULAS void {name}(const {type} *const *arg, {type} *const *res, const int *in, const int *out, const double *number, {type} *kept)"
+)
 
 
 class Kernel:
@@ -78,8 +82,9 @@ class Kernel:
         lanes: whether T is a vector, and the name `<name>_lanes`: several segments at once.
 
     Attributes:
-        formulas: C that is the same for all models with the same formulas.
+        formulas: C that is the same for all models with the same formulas, in texts that may be compiled apart.
         call: C of the function itself, which hands its places and numbers to the formulas.
+        declared: the line that declares it.
 
     Raises:
         ValueError: an instruction that has no form in C here.
@@ -93,9 +98,12 @@ class Kernel:
         self._out: list[tuple[int, int]] = []  # results
         self._zero: list[tuple[int, int]] = []  # results that are always 0
         self._numbers: list[float] = []
+        self._room = 1  # values that are handed on at once
         self._read(function)
-        self.formulas = "\n".join(self._pieces())
-        self.call = self._call()
+        pieces = list(self._pieces())
+        self.formulas = ["\n".join(pieces[first : first + PIECES]) for first in range(0, len(pieces), PIECES)]
+        self.declared = f"CALL void {self._name}(const {self._type} *const *arg, {self._type} *const *res)"
+        self.call = self._call(len(pieces))
 
     def _read(self, f: ca.Function) -> None:
         """Note the instructions, each with a value of its own."""
@@ -122,12 +130,11 @@ class Kernel:
             at[to[0]] = len(self._values) - 1
 
     def _pieces(self) -> Iterator[str]:
-        """C of one piece after the other, and of the function that calls them."""
+        """C of one piece after the other."""
         last = {j: k for k, (_, of, _) in enumerate(self._values) for j in of}
         cuts = range(0, len(self._values), PIECE)
         kept: dict[int, int] = {}  # place in the array of a value that later pieces need
         free: list[int] = []
-        size, head = 0, _HEAD.format(type=self._type)
         for number, first in enumerate(cuts):
             there: set[int] = set()
             lines: list[str] = []
@@ -144,16 +151,15 @@ class Kernel:
                 there.add(k)
                 lines.append(f"{self._type} a{k} = {self._form(op).format(*(f'a{j}' for j in of))};")
                 if last.get(k, k) >= first + PIECE:
-                    kept[k] = free.pop() if free else size
-                    size = max(size, kept[k] + 1)
+                    if not free:
+                        free.append(self._room)
+                        self._room += 1
+                    kept[k] = free.pop()
                     lines.append(f"kept[{kept[k]}] = a{k};")
-            yield f"static __attribute__((noinline)) void {self._name}_{number}{head}, {self._type} *kept) {{"
-            yield from lines
-            yield "}"
-        yield f"FORMULAS void {self._name}_formulas{head}) {{\n  {self._type} kept[{size + 1}];"
-        for number in range(len(cuts)):
-            yield f"  {self._name}_{number}(arg, res, in, out, number, kept);"
-        yield "}"
+            yield "\n".join((f"{self._head(number)} {{", *lines, "}"))
+
+    def _head(self, number: int) -> str:
+        return _HEAD.format(name=f"{self._name}_{number}", type=self._type)
 
     def _load(self, j: int, kept: dict[int, int]) -> str:
         """C that brings a value into a piece that has not made it."""
@@ -175,19 +181,18 @@ class Kernel:
         name = f"{self._prefix or 'one_'}{_LOGIC[op]}" if op in _LOGIC else f"{self._prefix}{_FUNCTIONS[op]}"
         return f"{name}({{0}}, {{1}})" if op in _OF_TWO_VALUES else f"{name}({{0}})"
 
-    def _call(self) -> str:
-        head, kind = _HEAD.format(type=self._type), self._type
+    def _call(self, pieces: int) -> str:
         tables = {"in": self._in, "out": self._out} | ({"zero": self._zero} if self._zero else {})
-        lines = [f"FORMULAS void {self._name}_formulas{head});"]
-        lines.append(f"static inline void {self._name}(const {kind} *const *arg, {kind} *const *res) {{")
+        lines = [*(f"{self._head(number)};" for number in range(pieces)), f"{self.declared} {{"]
         lines += [f"  static const int {name}[] = {{{_listed(place for _, place in places)}}};" for name, places in tables.items()]
-        lines.append(f"  static const double number[] = {{{_listed(self._numbers)}}};")
+        lines.append(f"  static const double number[] = {{{_listed(self._numbers)}}};\n  {self._type} kept[{self._room}];")
         first = 0
         for result, places in groupby(self._zero, lambda place: place[0]):
             last = first + len(list(places))
-            lines.append(f"  for (int k = {first}; k < {last}; k++) res[{result}][zero[k]] = ({kind}){{0}};")
+            lines.append(f"  for (int k = {first}; k < {last}; k++) res[{result}][zero[k]] = ({self._type}){{0}};")
             first = last
-        return "\n".join((*lines, f"  {self._name}_formulas(arg, res, in, out, number);", "}"))
+        lines += [f"  {self._name}_{number}(arg, res, in, out, number, kept);" for number in range(pieces)]
+        return "\n".join((*lines, "}"))
 
 
 _OF_TWO_VALUES = {

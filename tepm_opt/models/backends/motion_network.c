@@ -162,7 +162,7 @@ static int assemble(stepper *m, work *w, double step) {
 /* The edges' pulls at the last evaluation are trusted from now on. */
 static void trust(work *w) { memcpy(w->trusted, w->pull, sizeof w->pull); }
 
-#ifdef CLOCK
+#if TIMED
 static void know_time(work *w) { w->packed_theta[CLOCK] = (vector){0} + w->theta[CLOCK]; }
 #endif
 

@@ -6,7 +6,7 @@ static void look(stepper *m, double t, int left, int from, int count, double *va
   for (int k = 0; k < count; k++) values[k] = row[k] + part * (row[NINPUT + k] - row[k]);
 }
 
-#ifdef CLOCK
+#if TIMED
 /* From now on kernels know that it is this time. */
 static void tell(stepper *m, work *w, double t) {
   w->theta[CLOCK] = w->theta[BEGAN] + (t - m->motion.inputs.time[0]);
@@ -19,7 +19,7 @@ static void tell(stepper *m, work *w, double t) {
 /* When what acts at a time was commanded, or when forces that act then are known of; not inlined, so that the time is rounded alike
    wherever that is asked. */
 static __attribute__((noinline)) double known_at(stepper *m, work *w, double t, int what) {
-#ifdef CLOCK
+#if TIMED
   double both[2];
   const double *arg[] = {w->theta};
   double *res[] = {both};

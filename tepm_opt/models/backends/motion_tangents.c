@@ -14,7 +14,7 @@ static void look_along(history *h, double t, int left, int from, int count, int 
 
 /* How the delay changes with the parameters at the time that kernels know. */
 static void delay_along(stepper *m, work *w) {
-#ifdef CLOCK
+#if TIMED
   const double *arg[] = {w->theta};
   double *res[] = {m->motion.inputs.by_delay};
   run(delay_by, arg, res);
@@ -48,7 +48,7 @@ static void move_inputs_along(stepper *m, work *w, const double **arg, double at
 }
 
 /* Parts of a direction that enter a segment: levels, velocities, edge states, properties, parameters. */
-enum { AT_V = 2 * NB, AT_Y = 4 * NB, AT_P = AT_Y + NEDGE, AT_THETA = AT_P + NPROP, SEGMENT = AT_THETA + NTHETA };
+enum { AT_V = 2 * NB, AT_Y = 4 * NB, AT_P = AT_Y + NEDGE, AT_THETA = AT_P + NPROP };
 
 static void properties_along(stepper *m, work *w, double t, const vector *a, int group, vector *P_level_0) {
   vector *in = w->in_directions.in;
@@ -71,8 +71,8 @@ static int choose_terms(term *terms, int count, const int *row, const int *colum
 static void choose(stepper *m, work *w) {
   const history *h = &m->motion.inputs;
   selection *c = &w->chosen;
-  char of_theta[NTHETA], of_segment[NPROP + NTHETA];
-  int count = 0, kept_at[segment_by_nnz];
+  char of_theta[NTHETA_ROOM], of_segment[NPROP + NTHETA_ROOM];
+  int count = 0, kept_at[segment_by_nnz_ROOM];
   for (int row = 0; row < BY_ROWS; row++) {
     c->start[row] = count;
     for (int of_velocities = 0; of_velocities < 2; of_velocities++) {

@@ -2,8 +2,9 @@
    assembly, block-tridiagonal Cholesky, Newton for statics, adjoint sensitivities. statics.py is the reference twin.
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P, NDRIVEN of them changed by inputs, NU inputs,
-   NEXT external force components, NTHETA parameters, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel.
-   Statuses and limits are macros too: interface.py has them. Level 0 is fixed.
+   NEXT external force components, NPOINT point coordinates, NLEN lengths, ROWS weights of an adjoint kernel. NTHETA, the number of
+   parameters, is a constant beside the kernels, and NTHETA_ROOM no less. Statuses and limits are macros too: interface.py has them.
+   Level 0 is fixed.
 
    What grows with segments, modules or parameters lies in `work`, which is the caller's (statics_calls.c): stacks are small in threads. */
 
@@ -20,7 +21,7 @@ typedef struct {
   const double *theta;
   turns turns;
   struct {                                       /* of `adjoint` */
-    double sum[ROWS][NTHETA], spare[ROWS][NTHETA], by_x[NLEV + 1][NB], by_P[ROWS][NLEV][NPROP], by_a[NU], driven[NLEV][NDRIVEN];
+    double sum[ROWS][NTHETA_ROOM], spare[ROWS * NTHETA_ROOM], by_x[NLEV + 1][NB], by_P[ROWS][NLEV][NPROP], by_a[NU], driven[NLEV][NDRIVEN];
     vector step[NLEV + 2][NB];
   } adjoint;
   struct { double by_a[NU / 2][NU], shift[NU / 2][NLEV + 1][NB], matrix[NU / 2 * NU / 2]; } inverse; /* of `solve_together` */
@@ -244,7 +245,7 @@ static void look(work *w, double *observed) {
 static void adjoint(work *w, const double *u, int mapped, const double *external, int rows, const double *weights, double *by_u,
                     double *by_external, double *by_theta, double *shift) {
   double by_level_0[ROWS][NB] = {{0}}, kernel_P[ROWS][NPROP], pair[ROWS][2][NB];
-  double (*sum)[NTHETA] = w->adjoint.sum, (*spare)[NTHETA] = w->adjoint.spare, (*by_x)[NB] = w->adjoint.by_x;
+  double (*sum)[NTHETA_ROOM] = w->adjoint.sum, *spare = w->adjoint.spare, (*by_x)[NB] = w->adjoint.by_x;
   double (*by_P)[NLEV][NPROP] = w->adjoint.by_P, (*driven)[NDRIVEN] = w->adjoint.driven, *by_a = w->adjoint.by_a;
   vector (*step)[NB] = w->adjoint.step;
   memset(sum, 0, sizeof w->adjoint.sum);
@@ -266,12 +267,12 @@ static void adjoint(work *w, const double *u, int mapped, const double *external
   for (int s = 0; s < NLEV; s++) {
     for (int row = 0; row < ROWS; row++) for (int i = 0; i < NB; i++) { pair[row][0][i] = step[s][i][row]; pair[row][1][i] = step[s + 1][i][row]; }
     const double *arg[] = {w->x[s], w->x[s + 1], w->P[s], w->theta, pair[0][0]};
-    double *res[] = {kernel_P[0], spare[0]};
+    double *res[] = {kernel_P[0], spare};
     if (by_theta) segment_theta_adjoint(arg, res);
     else segment_adjoint(arg, res);
     for (int row = 0; row < rows; row++) {
       memcpy(by_P[row][0] + s * count, kernel_P[0] + row * count, count * sizeof(double));
-      if (by_theta) for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[row][k];
+      if (by_theta) for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[row * NTHETA + k];
     }
   }
   for (int row = 0; row < rows; row++) {
@@ -285,11 +286,11 @@ static void adjoint(work *w, const double *u, int mapped, const double *external
     double *res[] = {by_a, by_external + row * NEXT};
     properties_adjoint(arg, res);
     const double *arg_map[] = {u, w->theta, by_a};
-    double *res_map[] = {by_u + row * NU, spare[0]};
+    double *res_map[] = {by_u + row * NU, spare};
     if (mapped) memcpy(by_u + row * NU, by_a, sizeof w->adjoint.by_a);
     else {
       input_map_adjoint(arg_map, res_map);
-      for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[0][k];
+      for (int k = 0; k < NTHETA; k++) sum[row][k] += spare[k];
     }
     if (by_theta) for (int k = 0; k < NTHETA; k++) by_theta[row * NTHETA + k] += sum[row][k];
   }

@@ -4,10 +4,11 @@
    Segments go through a kernel side by side, each in a lane of vectors (motion_network.c, motion_tangents.c).
 
    Sizes are macros: NB coordinates a level, NLEV free levels, NPROP rows of P (MASS the one of the mass), NU inputs, NEXT external
-   force components, NTHETA parameters, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges.
-   Where an effect asks what time it is, CLOCK and BEGAN are the places of the time in the session and of
-   when the motion began in theta. For every sparse Jacobian `f` there are f_nnz, f_row and f_col. Level 0 is fixed.
-   Statuses, schemes and limits are macros too: interface.py has them. */
+   force components, NOBS observations, NIN internal states of the inputs, NEDGE those of a segment's edges.
+   TIMED says whether an effect asks what time it is, of which CLOCK and BEGAN are the places in theta: of the time in the session and of
+   when the motion began. For every sparse Jacobian `f` there are f_nnz, f_row and f_col. These and NTHETA, the number of parameters, are
+   constants beside the kernels, and NTHETA_ROOM, f_nnz_ROOM no less. Level 0 is fixed. Statuses, schemes and limits are macros too:
+   interface.py has them. */
 #define NINPUT (NU + NEXT)
 #define ALIGNED __attribute__((aligned(64))) /* what crosses lines of the cache takes a seventh more time */
 #define AT_LEAST_1(n) ((n) ? (n) : 1)
@@ -53,7 +54,7 @@ typedef struct { /* levels and edge states of a stage, or their rates */
 } lane_rates;
 
 typedef struct { /* entries of segment_by by levels and edge states, row by row, those of velocities behind the others of their row */
-  int start[BY_ROWS + 1], moving[BY_ROWS], entry[segment_by_nnz], column[segment_by_nnz];
+  int start[BY_ROWS + 1], moving[BY_ROWS], entry[segment_by_nnz_ROOM], column[segment_by_nnz_ROOM];
   int count; /* of all entries that any direction needs: those by properties and parameters behind the others */
 } selection;
 
@@ -61,8 +62,8 @@ typedef struct { int row, at, column; } term; /* an entry of a sparse Jacobian, 
 
 typedef struct { /* what a group of directions needs of the Jacobians; of a segment's, terms of forces, then of edge states */
   int inputs, properties, forces, edges, observed;
-  term by_inputs[input_motion_by_nnz + 1], by_properties[properties_by_nnz + 1];
-  term by_segment[segment_by_nnz + 1], by_observed[observe_by_nnz + 1];
+  term by_inputs[input_motion_by_nnz_ROOM], by_properties[properties_by_nnz_ROOM];
+  term by_segment[segment_by_nnz_ROOM], by_observed[observe_by_nnz_ROOM];
 } changes;
 
 typedef struct {
@@ -71,12 +72,12 @@ typedef struct {
   double P[NLEV][NPROP], level_0[NB], a[NU], external[AT_LEAST_1(NEXT)];
   levels step;
   vector pull[BATCHES][NEDGES], trusted[BATCHES][NEDGES]; /* of the edges: at the last evaluation, and in the last stage that was solved */
-  double theta[NTHETA];
+  double theta[NTHETA_ROOM];
   blocks matrix ALIGNED;
-  vector packed_P[BATCHES][NPROP] ALIGNED, packed_theta[NTHETA]; /* a segment is a lane of a batch */
-  double by[NLEV][segment_by_nnz]; /* segment_by of every segment, as the selection orders it */
+  vector packed_P[BATCHES][NPROP] ALIGNED, packed_theta[NTHETA_ROOM]; /* a segment is a lane of a batch */
+  double by[NLEV][segment_by_nnz_ROOM]; /* segment_by of every segment, as the selection orders it */
   selection chosen;
-  double by_properties[properties_by_nnz], by_inputs[input_motion_by_nnz + 1];
+  double by_properties[properties_by_nnz_ROOM], by_inputs[input_motion_by_nnz_ROOM];
   turns turns; /* from here on what functions need for themselves: stacks are small in threads */
   struct { levels guess, from; } in_newton;
   struct { double a[2][NU]; levels x_0, v_0, V[2], A[2]; edge_states Y[2]; state start; } in_step;
@@ -84,9 +85,9 @@ typedef struct {
   struct { levels x, v; double observed[NOBS]; } in_record;
   struct { batch b ALIGNED; vector force[2 * NB], states[AT_LEAST_1(NEDGE)], matrix[4 * NB * NB] ALIGNED; } in_forces;
   struct {
-    vector in[2 * NU + NIN + NEXT + 4 * NB + NEDGE + NPROP + NTHETA], out[NU + NIN], P[NLEV * NPROP + NB], rhs[NLEV + 2][NB];
-    vector x[(NLEV + 1) * NB + NTHETA], by[segment_by_nnz];
-    double observed_by[observe_by_nnz];
+    vector in[2 * NU + NIN + NEXT + 4 * NB + NEDGE + NPROP + NTHETA_ROOM], out[NU + NIN], P[NLEV * NPROP + NB], rhs[NLEV + 2][NB];
+    vector x[(NLEV + 1) * NB + NTHETA_ROOM], by[segment_by_nnz_ROOM];
+    double observed_by[observe_by_nnz_ROOM];
   } in_directions;
 } work;
 
@@ -98,7 +99,7 @@ typedef struct { /* inputs over time */
   const vector *d_rows; /* [sample][group][NINPUT], or null */
   int groups;
   const vector *d_theta;
-  double by_delay[AT_LEAST_1(delay_by_nnz)];
+  double by_delay[delay_by_nnz_ROOM];
 } history;
 
 typedef struct { double *observed, *trajectory; vector *d_observed; } records; /* what is left at the samples, row by row */
