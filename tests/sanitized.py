@@ -6,4 +6,4 @@ from tepm_opt.models.backends import ccode
 
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1", "-O1")
 ccode.FLAGS = (*(flag for flag in ccode.FLAGS if flag != "-O3"), *SANITIZED)
-ccode.KERNEL_FLAGS = (*ccode.KERNEL_FLAGS, *SANITIZED)
+ccode.SEGMENT_FLAGS = ccode.KERNEL_FLAGS = (*ccode.KERNEL_FLAGS, *SANITIZED)

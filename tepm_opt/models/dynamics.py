@@ -70,7 +70,7 @@ def write_dynamics(model: Model) -> Dynamics:
         "properties": function("properties", [a, external, theta], [columns, level_0]),
         "properties_by": _jacobian("properties_by", [a, external, theta], [columns, level_0], [a, external, theta]),
         "observe": function("observe", [x, theta], [points, lengths]),
-        "observe_by": _jacobian("observe_by", [x, theta], [points, lengths], [x, theta]),
+        "observe_by": _observe_jacobian(writer),
         **inputs,
         **moving,
     }
@@ -82,15 +82,45 @@ FORWARD, BACKWARD = 0.0, 1.0  # CasADi's weights of the directions
 
 
 def _jacobian(name: str, arguments: list[ca.SX], results: list[ca.SX], by: list[ca.SX]) -> ca.Function:
-    """Sparse Jacobian of all results by some of the arguments, forward or backward, whichever takes fewer operations.
+    """Sparse Jacobian of all results by some of the arguments."""
+    stacked, columns = ca.vertcat(*(ca.vec(ca.densify(result)) for result in results)), ca.vertcat(*(ca.vec(symbol) for symbol in by))
+    return ca.Function(name, arguments, ca.cse([_derivative(stacked, columns)]))
+
+
+def _derivative(results: ca.SX, by: ca.SX) -> ca.SX:
+    """Sparse derivative of a column by another, forward or backward, whichever takes fewer operations.
 
     CasADi chooses by the number of directions; a row here, of one actuator, depends on few of the operations: all that effects make
     of inputs is a quarter as long backward.
     """
-    stacked, columns = ca.vertcat(*(ca.vec(ca.densify(result)) for result in results)), ca.vertcat(*(ca.vec(symbol) for symbol in by))
     ways = ({"helper_options": {"ad_weight": weight, "ad_weight_sp": weight}} for weight in (FORWARD, BACKWARD))
-    written = (ca.Function(name, arguments, ca.cse([ca.jacobian(stacked, columns, way)])) for way in ways)
-    return min(written, key=lambda function: function.n_instructions())
+    return min((ca.cse([ca.jacobian(results, by, way)])[0] for way in ways), key=_length)
+
+
+def _length(expression: ca.SX) -> int:
+    return int(ca.Function("length", ca.symvar(expression), [expression]).n_instructions())
+
+
+def _observe_jacobian(writer: Writer) -> ca.Function:
+    """`observe_by`: by the chain rule from the last effect on what is measured to the first, each of which changes points one by one."""
+    x, places, lengths = writer.places()
+    theta, count = writer.theta, places.numel()
+    value, stages = places, []
+    for kind, own, context in writer.effects:
+        if kind.has("outputs"):
+            here = ca.SX.sym("here", *places.shape)
+            after = kind.outputs(here, own, context)
+            by = _derivative(ca.vec(after), ca.vertcat(ca.vec(here), theta))
+            after, by = ca.substitute([after, by], [here], [value])
+            stages.append(by)
+            value = after
+    by_place, by_theta = ca.SX.eye(count), ca.SX(count, theta.numel())
+    for by in reversed(stages):
+        by_theta += ca.mtimes(by_place, by[:, count:])
+        by_place = ca.mtimes(by_place, by[:, :count])
+    of_points = ca.horzcat(ca.mtimes(by_place, ca.jacobian(ca.vec(places), x)), by_theta)
+    of_lengths = ca.horzcat(ca.jacobian(lengths, x), ca.SX(lengths.numel(), theta.numel()))
+    return ca.Function("observe_by", [x, theta], ca.cse([ca.vertcat(of_points, of_lengths)]))
 
 
 def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:

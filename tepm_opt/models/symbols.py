@@ -180,20 +180,25 @@ class Writer:
         return found
 
     def observe(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """All levels 0 … n (block · (n + 1)), reference points in G (3 · points), actuator lengths (modules · actuators)."""
+        """All levels 0 … n (block · (n + 1)), reference points as measured in G (3 · points), actuator lengths (modules · actuators)."""
+        x, places, lengths = self.places()
+        for kind, own, context in self.effects:
+            places = kind.outputs(places, own, context)
+        return x, ca.vec(places), lengths
+
+    def places(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """All levels 0 … n (block · (n + 1)), where the reference points are in G (3, points), actuator lengths (modules · actuators)."""
         layout = self.layout
         x = ca.SX.sym("x", layout.block * (layout.levels + 1))
         nodes = ca.reshape(x, 3, layout.actuators * (layout.levels + 1))
         level = [nodes[:, k * layout.actuators : (k + 1) * layout.actuators] for k in range(layout.levels + 1)]
         centres = ca.horzcat(*(ca.sum2(points) / layout.actuators for points in level))
         points = ca.mtimes(ca.DM(self.rotation), ca.mtimes(centres, ca.DM(layout.point_weights.T))) + ca.DM(self.position)
-        for kind, own, context in self.effects:
-            points = kind.outputs(points, own, context)
         spans = [[norm(level[k + 1][:, j] - level[k][:, j]) for k in range(layout.levels)] for j in range(layout.actuators)]
         lengths = [
             sum(spans[j][h * layout.segments : (h + 1) * layout.segments]) for h in range(layout.modules) for j in range(layout.actuators)
         ]
-        return x, ca.vec(points), ca.vertcat(*lengths)
+        return x, points, ca.vertcat(*lengths)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,11 @@ FLAGS = (
     "-freciprocal-math",  # edges are divided by their lengths, component by component
     "-fno-semantic-interposition",  # calls within the library are calls, or nothing, and no look-ups
 )
-KERNEL_FLAGS = ("-O1", "-fira-region=one", "-fira-algorithm=priority", *FLAGS[1:])
-"""Flags of kernels. They are straight lines: -O3 finds nothing in them to make faster, and takes three times as long."""
+_ALLOCATION = ("-fira-region=one", "-fira-algorithm=priority")  # of registers: quick, and as good in straight lines
+SEGMENT_FLAGS = ("-O2", *_ALLOCATION, *FLAGS[1:])
+"""Flags of kernels of a segment, which take most of the time: -O3 finds nothing more in straight lines."""
+KERNEL_FLAGS = ("-O1", *_ALLOCATION, *FLAGS[1:])
+"""Flags of the other kernels: -O2 takes twice as long to compile some, for a tenth of the time of a call."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,12 @@ def build(unit: Unit) -> ctypes.CDLL | None:
     """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
     instead = "CasADi's virtual machine is used, with the same results, some 50 times slower"
     try:
-        parts = [compiler.Part(name, text, FLAGS if name == LOOPS else KERNEL_FLAGS) for name, text in unit.parts.items()]
+        parts = [compiler.Part(name, text, _flags_of(name)) for name, text in unit.parts.items()]
     except ValueError as error:  # an effect that is no mere arithmetic
         store.warn_once(f"{error}: {instead}")
         return None
     return compiler.build(parts, unit.stem, unit.symbols, instead)
+
+
+def _flags_of(part: str) -> tuple[str, ...]:
+    return FLAGS if part == LOOPS else SEGMENT_FLAGS if part.startswith("segment_") else KERNEL_FLAGS
