@@ -53,7 +53,7 @@ class Unit:
     @cached_property
     def source(self) -> str:
         """The C text of all together, in one file."""
-        kernels = (text for kernel in self._written.values() for text in (*kernel.formulas, kernel.call))
+        kernels = (text for kernel in self._kernel_texts.values() for text in (*kernel.formulas, kernel.call))
         linked = ("FORMULAS static __attribute__((noinline))", "CALL static inline", "TABLE static const int")
         return "\n".join((*(f"#define {how}" for how in linked), self._start, *kernels, *self._tables.values(), *self._loops))
 
@@ -65,16 +65,16 @@ class Unit:
         start = "\n".join((*(f"#define {how}" for how in linked), self._start))
         found = {
             f"{name}_{k}" if k else name: f"{start}\n{text}"
-            for name, kernel in self._written.items()
+            for name, kernel in self._kernel_texts.items()
             for k, text in enumerate(kernel.formulas)
         }
-        found[TABLES] = "\n".join((start, *(kernel.call for kernel in self._written.values()), *self._tables.values()))
-        declared = (f"{kernel.declared};" for kernel in self._written.values())
+        found[TABLES] = "\n".join((start, *(kernel.call for kernel in self._kernel_texts.values()), *self._tables.values()))
+        declared = (f"{kernel.declared};" for kernel in self._kernel_texts.values())
         found[LOOPS] = "\n".join((start, *declared, *(f"extern TABLE {name};" for name in self._tables), *self._loops))
         return found
 
     @cached_property
-    def _written(self) -> dict[str, Kernel]:
+    def _kernel_texts(self) -> dict[str, Kernel]:
         return {name: Kernel(function, name in self.lanes) for name, function in self.kernels.items()}
 
     @property

@@ -184,8 +184,8 @@ class Kernel:
     def _call(self, pieces: int) -> str:
         tables = {"in": self._in, "out": self._out} | ({"zero": self._zero} if self._zero else {})
         lines = [*(f"{self._head(number)};" for number in range(pieces)), f"{self.declared} {{"]
-        lines += [f"  static const int {name}[] = {{{_listed(place for _, place in places)}}};" for name, places in tables.items()]
-        lines.append(f"  static const double number[] = {{{_listed(self._numbers)}}};\n  {self._type} kept[{self._room}];")
+        lines += [f"  static const int {name}[] = {{{_c_list(place for _, place in places)}}};" for name, places in tables.items()]
+        lines.append(f"  static const double number[] = {{{_c_list(self._numbers)}}};\n  {self._type} kept[{self._room}];")
         first = 0
         for result, places in groupby(self._zero, lambda place: place[0]):
             last = first + len(list(places))
@@ -201,6 +201,6 @@ _OF_TWO_VALUES = {
 }
 
 
-def _listed(values: Iterable[float]) -> str:
+def _c_list(values: Iterable[float]) -> str:
     """Values as C has them; of these, repr has inf and nan in other words."""
     return ", ".join(map(repr, values)).replace("inf", "INFINITY").replace("nan", "NAN") or "0"
