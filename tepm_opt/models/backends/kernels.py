@@ -125,7 +125,7 @@ class Kernel:
             elif op in _OPERATORS or op in _LOGIC or op in _FUNCTIONS:
                 what = None
             else:
-                raise ValueError(f"{f.name()}: no C for instruction {op} of CasADi {ca.__version__}")
+                raise ValueError(f"{f.name()}: no C for instruction {op} of CasADi {ca.CasadiMeta.version()}")
             self._values.append((op, tuple(at[j] for j in of) if what is None else (), what))
             at[to[0]] = len(self._values) - 1
 
@@ -170,7 +170,7 @@ class Kernel:
             return f"{self._type} a{j} = arg[{what[0]}][in[{slot}]];"
         if what is None:
             return f"{self._type} a{j} = kept[{kept[j]}];"
-        if abs(what) <= SMALL and (8 * what).is_integer():
+        if abs(what) <= SMALL and 8 * what % 1 == 0:
             return f"{self._type} a{j} = {broadcast}{what!r};"
         self._numbers.append(what)
         return f"{self._type} a{j} = {broadcast}number[{len(self._numbers) - 1}];"
