@@ -45,8 +45,10 @@ def discrepancy(
     Writes verdict.json, model.toml (for --model of every command), report.html and its figures. An interrupted run goes on where it
     was when started again. Exit status: 0 named or nothing missing, 1 indistinguishable or unexplained.
     """
+    from tepm_opt.discrepancy.answer import HEAD, effect_rows, sentences_beside_table
     from tepm_opt.discrepancy.freeform.page import paragraph
     from tepm_opt.jobs.discrepancy import EFFECTS, MODEL, VALUES, VERDICT
+    from tepm_opt.solvers.text import aligned
 
     try:
         with shown(as_json, told=True) as progress:
@@ -75,10 +77,12 @@ def discrepancy(
         print((out / VERDICT).read_text(encoding="utf-8"), end="")
     else:
         stdout.print(f"[bold {'green' if found else 'yellow'}]{verdict.status.value}[/]")
+        rows = effect_rows(verdict.effects)
         for line in (
-            verdict.paragraph,
-            *verdict.notes,
+            *(aligned(HEAD, rows) if rows else ()),
+            *sentences_beside_table(verdict),
             verdict.step,
+            *verdict.notes,
             *([paragraph(result.law), f"{result.law.file}"] if result.law is not None else []),
             f"{verdict.seconds:.0f} s, {verdict.fits} fits; {out / PAGE}, {out / (VALUES if plant else MODEL)}, {out / VERDICT}",
         ):

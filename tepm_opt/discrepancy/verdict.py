@@ -140,7 +140,8 @@ class Verdict(Tabular):
 
     Attributes:
         status: what became of the question.
-        paragraph: the answer in words.
+        sentences: the answer in words: what is missing (the table of `answer.effect_rows` with more than one effect), where the model
+            misses, how the errors fall.
         next: what to do now, in words, and `command`, which does it, where it is known what was asked.
         effects: named ones; with `INDISTINGUISHABLE` the rivals; with `UNEXPLAINED` those that are sure nevertheless.
         rivals: considered and rejected, most probable first.
@@ -156,7 +157,7 @@ class Verdict(Tabular):
     """
 
     status: VerdictStatus
-    paragraph: str
+    sentences: tuple[str, ...]
     effects: tuple[Named, ...]
     rivals: tuple[Rival, ...]
     where: tuple[Place, ...]
@@ -170,6 +171,11 @@ class Verdict(Tabular):
     fits: int = 0
     next: str = ""
     command: str = ""
+
+    @property
+    def paragraph(self) -> str:
+        """The answer in words."""
+        return " ".join(self.sentences)
 
     @property
     def step(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.answer import sizes, with_unit
 from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.localise import TIMES_NOISE
 from tepm_opt.discrepancy.plant import Candidate
@@ -18,14 +19,8 @@ from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Errors, Named, Value, VerdictStatus, shrinks
 from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.text import with_deviation
 from tepm_opt.solvers.uncertainty import unidentifiable
 
-SHOWN = {
-    "Pa": (1e-3, "kPa"), "m": (1e3, "mm"), "kg": (1e3, "g"), "rad": (180 / np.pi, "deg"), "s": (1e3, "ms"), "1": (100.0, "%"),
-    "1/Pa": (1e5, "%/kPa"), "1/N": (100.0, "%/N"), "s/Pa": (1e6, "ms/kPa"),
-}  # fmt: skip
-LONG = 1e4  # of a small unit, from which on the SI unit is shown
 MOST_SIZES = 3  # effects whose sizes are said in the paragraph
 EVEN = 0.5  # probability from which an effect is said to be missing, not perhaps
 NEARLY_ALL = 0.9  # part of the gap that a rival closes from which it is said what else speaks against it
@@ -52,11 +47,11 @@ def next_step(status: VerdictStatus, shift: str = "") -> str:
     return ONE_CLOCK if shift else NEXT[status]
 
 
-def paragraph(
+def sentences(
     status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation,
     unit: str,
-) -> str:  # fmt: skip
-    """The answer in one paragraph.
+) -> tuple[str, ...]:  # fmt: skip
+    """The answer: what is missing, where the model misses, and how the errors fall.
 
     Args:
         status: kind of answer.
@@ -75,27 +70,32 @@ def paragraph(
     floor = f"noise {size(errors.noise_floor)}"
     if status is VerdictStatus.NO_DISCREPANCY:
         return (
-            f"Nothing is missing: with the known parameters recalibrated within their priors ({_moved(known)}) only noise is left. "
-            f"On validation runs the error falls from {size(errors.nominal)} to {size(errors.recalibrated)} ({floor})."
+            f"Nothing is missing: with the known parameters recalibrated within their priors ({_moved(known)}) only noise is left.",
+            f"On validation runs the error falls from {size(errors.nominal)} to {size(errors.recalibrated)} ({floor}).",
         )
     if status in (VerdictStatus.NAMED, VerdictStatus.PARTIAL):
         names = _names(named)
         head = "Missing" if status is VerdictStatus.NAMED else "Partly explained"
         return (
-            f"{head}: {names}. {where} {shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} "
-            f"in the model ({floor}), which closes {100 * errors.closed:.0f} % of the gap."
+            f"{head}: {names}.",
+            where,
+            f"{shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} in the model ({floor}), "
+            f"which closes {100 * errors.closed:.0f} % of the gap.",
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
         return (
-            f"{_groups(named, explanation)}. {where} {shrinks} to {size(errors.corrected)} with the most probable in the model ({floor})."
+            f"{_groups(named, explanation)}.",
+            where,
+            f"{shrinks} to {size(errors.corrected)} with the most probable in the model ({floor}).",
         )
     alone = [h for h in explanation.tried if len(h.effects) == 1]
     best = max([h for h in alone if not h.estimate.out_of_reach] or alone, key=explanation.closes, default=None)
     nearest = f"; {best.effects[0].label} alone would close {_percent(explanation.closes(best))}" if best else ""
     return (
-        f"Unexplained: structure above the noise remains that no known effect explains{nearest}. {where} On validation runs the error is "
-        f"{size(errors.nominal)} (nominal) and {size(errors.recalibrated)} (recalibrated); a black box without physics reaches "
-        f"{size(errors.black_box)} ({floor})."
+        f"Unexplained: structure above the noise remains that no known effect explains{nearest}.",
+        where,
+        f"On validation runs the error is {size(errors.nominal)} (nominal) and {size(errors.recalibrated)} (recalibrated); "
+        f"a black box without physics reaches {size(errors.black_box)} ({floor}).",
     )
 
 
@@ -245,17 +245,11 @@ def _needs(best: Hypothesis, hypothesis: Hypothesis) -> list[str]:
         if free.refines or free.name in others:
             continue
         if at and abs(value - there) > ANOTHER * min(width, abs(value)):
-            bound.append(f"{free.name} at the end of its range ({_with_unit(value, free.unit)})")
+            bound.append(f"{free.name} at the end of its range ({with_unit(value, free.unit)})")
         elif "." not in free.name and abs(value - there) > ANOTHER * width:
-            apart.append(f"{free.name} {_with_unit(value, free.unit)} instead of {_with_unit(there, free.unit)}")
+            apart.append(f"{free.name} {with_unit(value, free.unit)} instead of {with_unit(there, free.unit)}")
     found = [*bound, *apart][:MOST_SIZES]
     return [f"it would need {', '.join(found)}"] if found else []
-
-
-def _with_unit(value: float, unit: str) -> str:
-    """A value as people say it."""
-    factor, shown = SHOWN.get(unit, (1.0, unit))
-    return f"{factor * value:.3g} {'' if shown == '-' else shown}".strip()
 
 
 def unfitted(score: Score) -> str:
@@ -267,8 +261,8 @@ def _names(named: Sequence[Named]) -> str:
     """The effects with their sizes, or without where there are so many that nobody would read on; the table of effects has them."""
     few, texts = len(named) <= MOST_SIZES, {True: list[str](), False: list[str]()}
     for each in named:
-        sizes = f"{_values(each)}; probability " if few else ""
-        texts[each.probability >= EVEN].append(f"{each.candidate.label} ({sizes}{each.probability:.2f}{_in_runs(each)})")
+        size = f"{', '.join(sizes(each))}; probability " if few else ""
+        texts[each.probability >= EVEN].append(f"{each.candidate.label} ({size}{each.probability:.2f}{_in_runs(each)})")
     names = "; perhaps also ".join((" and " if few else ", ").join(part) for part in texts.values() if part)
     return names if few else f"{len(named)} effects, with their probabilities: {names}"
 
@@ -293,22 +287,6 @@ def _groups(named: Sequence[Named], explanation: Explanation) -> str:
 def _moved(known: Mapping[str, Value]) -> str:
     moved = [f"{name} {100 * (v.value / v.nominal - 1):+.1f} %" for name, v in known.items() if v.nominal]
     return ", ".join(moved) or "none is free"
-
-
-def _values(named: Named) -> str:
-    """Values of an effect's parameters, and which are not told from null; not those of its shape that are not told from the usual ones."""
-    parts, null = [], dict[str, list[str]]()
-    for name, value in named.parameters.items():
-        if not value.clear:
-            if f"{named.candidate.label}.{name}" not in named.candidate.shapes:
-                null.setdefault(_with_unit(value.nominal, value.unit) if value.nominal else "0", []).append(name.replace("_", " "))
-            continue
-        factor, unit = SHOWN.get(value.unit, (1.0, value.unit))
-        if factor * abs(value.value) >= LONG:
-            factor, unit = 1.0, value.unit
-        parts.append(f"{name.replace('_', ' ')} {with_deviation(factor * value.value, factor * value.std)} {unit}")
-    parts += [f"{' and '.join(names)} not significantly different from {nominal}" for nominal, names in null.items()]
-    return ", ".join(parts)
 
 
 def _shown(value: float, unit: str) -> str:

@@ -291,7 +291,7 @@ def _verdict(
     notes = words.notes(dataset, plant.signals, explanation, best, noise, errors)
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
-    text = words.paragraph(status, named, errors, localisation.sentence, known, explanation, unit)
+    text = words.sentences(status, named, errors, localisation.sentence, known, explanation, unit)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
     return Verdict(
         status,

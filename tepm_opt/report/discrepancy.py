@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from tepm_opt.discrepancy.answer import HEAD, effect_rows, sentences_beside_table
 from tepm_opt.discrepancy.localise import Localisation
 from tepm_opt.discrepancy.verdict import Errors, Verdict, VerdictStatus
 from tepm_opt.report.charts import Chart
@@ -52,6 +53,9 @@ def write_discrepancy_page(
     write(
         path, "discrepancy.html", figures, charts,
         verdict=verdict,
+        head=HEAD,
+        rows=effect_rows(verdict.effects),
+        sentences=sentences_beside_table(verdict),
         groups=[_errors(verdict)],
         status=verdict.status.value,
         heading=heading(verdict.status, len(verdict.effects)),

@@ -16,7 +16,7 @@ from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.verdict import Value
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.report.charts import Chart
-from tepm_opt.solvers.text import with_deviation
+from tepm_opt.solvers.text import percent, with_deviation
 
 CSS_PIXELS = 96  # an inch of a page
 NONE = ("", "1", "-")  # units of pure numbers
@@ -123,15 +123,6 @@ def with_unit(text: str, unit: str) -> str:
 def symbol(unit: str) -> str:
     """A unit as tables have it: powers raised, 1 of pure numbers."""
     return "1" if unit in NONE else unit.replace("^2", "²").replace("^3", "³")
-
-
-def percent(part: float | None) -> str:
-    """A part of one in percent; what is nearly all or nothing is not rounded to it."""
-    if part is None or not np.isfinite(part):
-        return "–"
-    if 0 < part < 0.01 or 0.99 < part < 1:
-        return "< 1 %" if part < 0.5 else "> 99 %"
-    return f"{100 * part:.0f} %"
 
 
 def _size(value: Value) -> str:

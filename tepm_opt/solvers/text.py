@@ -25,7 +25,22 @@ def with_deviation(value: float, std: float) -> str:
     if not (np.isfinite(std) and std > 0):
         return f"{value:.6g}"
     known = max(2, min(9, 2 + int(np.floor(np.log10(max(abs(value) / std, 1.0))))))
-    return f"{value:.{known}g} ± {std:.2g}"
+    return f"{_plain(value, known)} ± {_plain(std, 2)}"
+
+
+def _plain(value: float, digits: int) -> str:
+    """A number of so many digits, without an exponent where five digits do."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):g}" if "e+" in text and abs(value) < 1e5 else text
+
+
+def percent(part: float | None) -> str:
+    """A part of one in percent; what is nearly all or nothing is not rounded to it."""
+    if part is None or not np.isfinite(part):
+        return "–"
+    if 0 < part < 0.01 or 0.99 < part < 1:
+        return "< 1 %" if part < 0.5 else "> 99 %"
+    return f"{100 * part:.0f} %"
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
@@ -36,6 +51,13 @@ def listed(names: Sequence[str], most: int = 4) -> str:
 def shortened(text: str, length: int) -> str:
     """A text of at most so many characters, with an ellipsis where something is missing."""
     return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
+def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table for a terminal, columns two spaces apart."""
+    table = [head, *rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table]
 
 
 def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -38,7 +38,7 @@ LOCALISATION = Localisation(
 )
 VERDICT = Verdict(
     status=VerdictStatus.NAMED,
-    paragraph="Muscle 13 is 12 % weaker than the others & nothing else is missing.",
+    sentences=("Muscle 13 is weaker.", "It is 12 % weaker than the others & nothing else is missing."),
     effects=(Named(candidate("actuator_gain", "13"), 0.997, {"loss": Value(0.1203, 0.0007, "1", 0.0)}, 0.94),),
     rivals=(
         Rival(candidate("pressure_crosstalk"), 0.003, "closes 55 % <less> than half the rest", 0.55),
@@ -80,7 +80,8 @@ def written(folder: Path, verdict: Verdict = VERDICT, localisation: Localisation
 def test_key_facts(tmp_path: Path) -> None:
     words = Page(written(tmp_path)).words
     facts = (
-        "The missing effect is named", VERDICT.paragraph, LOCALISATION.sentence,
+        "The missing effect is named", VERDICT.sentences[1], LOCALISATION.sentence,
+        "effectwheresizeprobabilityshare of the gap", "actuator_gain", "actuator 13", "loss 12.03 ± 0.07 %", "1.00",
         "steps <1>.csv", "8.10 mm", "62 %", "0.001",
         "actuator_gain[13]", "actuator 13", "loss", "0.1203 ± 0.0007", "> 99 %", "94 %",
         "pressure_crosstalk", "closes 55 % <less> than half the rest", "sensor_offset[s4]",
@@ -127,7 +128,7 @@ def test_several_effects_are_not_one() -> None:
 def test_what_is_not_there_is_left_out(tmp_path: Path) -> None:
     bare = Verdict(
         VerdictStatus.NO_DISCREPANCY,
-        "Nothing is missing.",
+        ("Nothing is missing.",),
         (),
         (),
         (),

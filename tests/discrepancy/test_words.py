@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.answer import effect_rows, sizes, with_unit
 from tepm_opt.discrepancy.evidence import Evidence
 from tepm_opt.discrepancy.fits import Hypothesis
 from tepm_opt.discrepancy.network import candidate
 from tepm_opt.discrepancy.screen import Score
 from tepm_opt.discrepancy.search import Explanation
 from tepm_opt.discrepancy.verdict import Named, Value, VerdictStatus
-from tepm_opt.discrepancy.words import _names, _values, _with_unit, alone, next_step, repeats, unfitted
+from tepm_opt.discrepancy.words import _names, alone, next_step, repeats, unfitted
 from tepm_opt.solvers.plant import Free
 
 
@@ -33,11 +34,11 @@ def test_repeated_runs_tell_the_repeatability() -> None:
 def test_long_times_are_in_seconds() -> None:
     """Small units are for small values."""
 
-    def told(seconds: float) -> str:
-        return _values(Named(candidate("time_delay"), 1.0, {"delay": Value(seconds, 0.002, "s", 0.0)}, 1.0))
+    def told(seconds: float) -> list[str]:
+        return sizes(Named(candidate("time_delay"), 1.0, {"delay": Value(seconds, 0.002, "s", 0.0)}, 1.0))
 
-    assert told(0.03) == "delay 30 ± 2 ms"
-    assert told(30.4) == "delay 30.4 ± 0.002 s"
+    assert told(0.03) == ["delay 30 ± 2 ms"]
+    assert told(30.4) == ["delay 30.4 ± 0.002 s"]
 
 
 def test_many_effects_are_listed_without_their_sizes() -> None:
@@ -59,14 +60,18 @@ def test_sizes_that_are_not_told_from_null_are_not_given() -> None:
         {"holders": Value(0.00204, 0.023, "1", 0.0), "plates": Value(0.24, 0.065, "1", 0.0)},
         1.0,
     )
-    assert _values(holders) == "plates 24 ± 6.5 %, holders not significantly different from 0"
+    assert sizes(holders) == ["plates 24 ± 6.5 %", "holders not significantly different from 0"]
+    assert effect_rows([holders]) == [
+        ("mass_distribution", "–", "plates 24 ± 6.5 %", "1.00", "100 %"),
+        ("", "", "holders not significantly different from 0", "", ""),
+    ]
     delay = Named(candidate("time_delay"), 1.0, {"delay": Value(0.031, 0.002, "s", 0.03)}, 1.0)
-    assert _values(delay) == "delay not significantly different from 30 ms"
+    assert sizes(delay) == ["delay not significantly different from 30 ms"]
     loss = Named(candidate("actuator_gain", "13"), 1.0, {"loss": Value(0.099974, 3.7e-5, "1", 0.0)}, 1.0)
-    assert _values(loss) == "loss 9.9974 ± 0.0037 %", "as many digits as are known"
-    assert [_with_unit(0.95, unit) for unit in ("-", "1", "kg")] == ["0.95", "95 %", "950 g"]
+    assert sizes(loss) == ["loss 9.9974 ± 0.0037 %"], "as many digits as are known"
+    assert [with_unit(0.95, unit) for unit in ("-", "1", "kg")] == ["0.95", "95 %", "950 g"]
     bend = Named(candidate("pressure_crosstalk"), 1.0, {"bend": Value(-6e-7, 1e-8, "1/Pa", 0.0)}, 1.0)
-    assert _values(bend) == "bend -0.06 ± 0.001 %/kPa"
+    assert sizes(bend) == ["bend -0.06 ± 0.001 %/kPa"]
 
 
 def considered(
@@ -119,3 +124,8 @@ def test_a_rival_that_closes_nearly_all_has_a_reason() -> None:
 def test_every_status_has_a_next_step(status: VerdictStatus) -> None:
     assert next_step(status)
     assert next_step(status, "all runs: shifted clock") == "put inputs and positions on one clock"
+
+
+def test_a_table_says_where_and_in_which_runs() -> None:
+    weak = Named(candidate("actuator_gain", "13"), 0.42, {"loss": Value(0.1, 0.01, "1", 0.0)}, float("nan"), ("circle.csv",))
+    assert effect_rows([weak]) == [("actuator_gain", "actuator 13, only in circle.csv", "loss 10 ± 1 %", "0.42", "–")]
