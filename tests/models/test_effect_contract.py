@@ -172,6 +172,7 @@ def subject_of():
     everything = with_all_effects(NOMINAL)  # compiled for many tests, without what is made up
     for toy in TOYS:
         register(toy)
+
     @cache
     def compiled(group: str) -> CompiledModel:
         return compile_model({"everyday": with_effects(EVERYDAY), "made up": with_effects(TOYS), "all": everything}[group])
