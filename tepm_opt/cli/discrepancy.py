@@ -48,7 +48,7 @@ def discrepancy(
     from tepm_opt.discrepancy.answer import HEAD, effect_rows, sentences_beside_table
     from tepm_opt.discrepancy.freeform.page import paragraph
     from tepm_opt.jobs.discrepancy import EFFECTS, MODEL, VALUES, VERDICT
-    from tepm_opt.solvers.text import aligned
+    from tepm_opt.solvers.text import align_columns
 
     try:
         with shown(as_json, told=True) as progress:
@@ -79,7 +79,7 @@ def discrepancy(
         stdout.print(f"[bold {'green' if found else 'yellow'}]{verdict.status.value}[/]")
         rows = effect_rows(verdict.effects)
         for line in (
-            *(aligned(HEAD, rows) if rows else ()),
+            *(align_columns(HEAD, rows) if rows else ()),
             *sentences_beside_table(verdict),
             verdict.step,
             *verdict.notes,

@@ -38,7 +38,7 @@ def sentences_beside_table(verdict: Verdict) -> tuple[str, ...]:
 
 
 def place(effect: Named) -> str:
-    """Where and in which runs an effect acts; a dash where that is everywhere and always."""
+    """The part and the runs in which an effect acts; a dash where that is everywhere and always."""
     candidate = effect.candidate
     parts = [f"{candidate.part or ''} {candidate.detail}".strip()] if candidate.detail else []
     return ", ".join([*parts, *(["only in " + ", ".join(effect.runs)] if effect.runs else [])]) or "–"

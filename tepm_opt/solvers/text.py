@@ -53,7 +53,7 @@ def shortened(text: str, length: int) -> str:
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
-def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def align_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table for a terminal, columns two spaces apart."""
     table = [head, *rows]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
