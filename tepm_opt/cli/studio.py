@@ -41,9 +41,9 @@ def studio(
         recordings = open_recordings(what)
         compiled = compile_model(next(iter(recordings.models.values())))
     with Studio(compiled, recordings, rig, port) as page:
-        open_page(page.address, browser)
         with stopped_by_signals():
             try:
+                open_page(page.address, browser)
                 threading.Event().wait()
             except KeyboardInterrupt:
                 stderr.print("closed")

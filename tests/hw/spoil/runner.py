@@ -76,6 +76,8 @@ def try_out(spoiling: Spoiling, folder: Path, tests: list[str] | None = None, li
         "-m",
         "pytest",
         "-x",
+        "-m",
+        "slow or not slow",
         "-q",
         "-rfE",
         "--tb=no",
