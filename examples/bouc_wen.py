@@ -1,6 +1,6 @@
 """A mass on a spring with a memory (Noël and Schoukens 2016), of which mass, damper and spring are known roughly."""
 
-from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("Bouc-Wen", time=0.01)  # s, of a swing over 2 pi, about
 q, v = m.state("q"), m.state("v")

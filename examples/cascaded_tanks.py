@@ -2,7 +2,7 @@
 
 import casadi as ca
 
-from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("cascaded tanks", time=100.0)
 upper, lower = m.state("upper", 5.0), m.state("lower", 5.0)

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from tepm_opt.discrepancy.casadi_plant import CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.library.signals import OUTPUT
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.laws.axis import AXIS
+from tepm_opt.discrepancy.laws.signals import OUTPUT
 
 
 def drive(force: Callable[[Equations], ca.SX]) -> CasadiPlant:

@@ -1,6 +1,6 @@
 """A linear drive: a motor pushes a carriage along a rail, an encoder tells where it is. Mass and viscous friction are known roughly."""
 
-from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("linear drive", time=0.2)  # s, of a start or a stop
 

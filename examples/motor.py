@@ -4,8 +4,8 @@ import control
 import numpy as np
 
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.callable_plant import Simulator
-from tepm_opt.discrepancy.library.effect import Law, Quantity
+from tepm_opt.discrepancy.adapters.callable_plant import Simulator
+from tepm_opt.discrepancy.laws.effect import Law, Quantity
 
 m = Simulator("motor", Signals.of(["voltage"], ["speed"], "rad/s"))
 m.known("gain", 12.0, "rad/s/V")

@@ -5,13 +5,13 @@ from math import pi
 
 import casadi as ca
 
-from tepm_opt.discrepancy.casadi_plant import CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.library.effect import Law
-from tepm_opt.discrepancy.library.pneumatics import PNEUMATICS
-from tepm_opt.discrepancy.library.signals import OUTPUT
-from tepm_opt.discrepancy.library.soft import SOFT
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.laws.axis import AXIS
+from tepm_opt.discrepancy.laws.effect import Law
+from tepm_opt.discrepancy.laws.pneumatics import PNEUMATICS
+from tepm_opt.discrepancy.laws.signals import OUTPUT
+from tepm_opt.discrepancy.laws.soft import SOFT
 
 Inside = Callable[[Equations, ca.SX, ca.SX], tuple[ca.SX, ca.SX]]
 

@@ -3,10 +3,10 @@
 import casadi as ca
 from pneumatic_arm import arm
 
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.library.pneumatics import PNEUMATICS
-from tepm_opt.discrepancy.library.signals import OUTPUT
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.laws.axis import AXIS
+from tepm_opt.discrepancy.laws.pneumatics import PNEUMATICS
+from tepm_opt.discrepancy.laws.signals import OUTPUT
 
 
 def inside(m: Equations, pressure: ca.SX, turning: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -2,7 +2,7 @@
 
 from math import pi
 
-from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("Silverbox", time=1 / (2 * pi * 66))  # s, of its swing over 2 pi
 y, v = m.state("y"), m.state("v")

@@ -7,10 +7,10 @@ and places of the markers. What is over EI, the bending stiffness at the base, s
 import numpy as np
 
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.callable_plant import Simulator
-from tepm_opt.discrepancy.library.bodies import BODIES
-from tepm_opt.discrepancy.library.rod import equilibrium
-from tepm_opt.discrepancy.library.tendons import TENDONS
+from tepm_opt.discrepancy.adapters.callable_plant import Simulator
+from tepm_opt.discrepancy.laws.bodies import BODIES
+from tepm_opt.discrepancy.laws.rod import equilibrium
+from tepm_opt.discrepancy.laws.tendons import TENDONS
 
 LENGTH, PIECES = 0.36, 18  # m
 ALONG = (np.arange(PIECES) + 0.5) / PIECES

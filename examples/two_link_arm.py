@@ -2,7 +2,7 @@
 
 import casadi as ca
 
-from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.adapters.equations import Equations
 
 GRAVITY = 9.81  # m/s²
 LENGTH = 0.4  # m, from shoulder to elbow

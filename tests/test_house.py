@@ -53,7 +53,7 @@ def test_no_effect_is_named_outside_its_folder() -> None:
     allowed = [
         package / "models" / "effects",
         package / "hw" / "simulation" / "imperfections",
-        package / "discrepancy" / "library",
+        package / "discrepancy" / "laws",
         package / "studies" / "blind",
     ]
     names = "|".join(effect.name for effect in (*effects(), *STANDARD))

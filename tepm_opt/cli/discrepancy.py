@@ -45,8 +45,8 @@ def discrepancy(
     Writes verdict.json, model.toml (for --model of every command), report.html and its figures. An interrupted run goes on where it
     was when started again. Exit status: 0 named or nothing missing, 1 indistinguishable or unexplained.
     """
-    from tepm_opt.discrepancy.answer import HEAD, effect_rows, sentences_beside_table
-    from tepm_opt.discrepancy.freeform.page import paragraph
+    from tepm_opt.discrepancy.reporting.effect_table import HEAD, effect_rows, sentences_beside_table
+    from tepm_opt.discrepancy.symbolic.page import paragraph
     from tepm_opt.jobs.discrepancy import EFFECTS, MODEL, VALUES, VERDICT
     from tepm_opt.solvers.text import align_columns
 

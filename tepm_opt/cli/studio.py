@@ -40,11 +40,10 @@ def studio(
     else:
         recordings = open_recordings(what)
         compiled = compile_model(next(iter(recordings.models.values())))
-    with Studio(compiled, recordings, rig, port) as page:
-        with stopped_by_signals():
-            try:
-                open_page(page.address, browser)
-                threading.Event().wait()
-            except KeyboardInterrupt:
-                stderr.print("closed")
+    with Studio(compiled, recordings, rig, port) as page, stopped_by_signals():
+        try:
+            open_page(page.address, browser)
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            stderr.print("closed")
     return SOLVED

@@ -19,12 +19,12 @@ from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.trials import read_trials
-from tepm_opt.discrepancy.freeform.invent import Invention
-from tepm_opt.discrepancy.freeform.invent import invent as invented
-from tepm_opt.discrepancy.freeform.page import as_json, curves, page
-from tepm_opt.discrepancy.network import SearchableNetwork
-from tepm_opt.discrepancy.verdict import VerdictStatus
-from tepm_opt.discrepancy.workflow import Discovery, discover, require_fit_runs
+from tepm_opt.discrepancy.adapters.network import SearchableNetwork
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.pipeline import Discovery, discover, require_fit_runs
+from tepm_opt.discrepancy.symbolic.invent import Invention
+from tepm_opt.discrepancy.symbolic.invent import invent as invented
+from tepm_opt.discrepancy.symbolic.page import as_json, curves, page
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.advice import MODEL, VALUES, Asked, advised
 from tepm_opt.jobs.joined import joined

@@ -18,7 +18,7 @@ from tepm_opt.data.frames import Tabular
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.network import narrow
+from tepm_opt.discrepancy.adapters.network import narrow
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import MODEL, checked_dataset
 from tepm_opt.models.compile import CompiledModel

@@ -10,7 +10,7 @@ from typing import Any
 
 from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig
 from tepm_opt.jobs.closed_loop import LoopSetup

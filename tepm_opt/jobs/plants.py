@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any, cast
 
 from tepm_opt.data.python_files import run_file
-from tepm_opt.discrepancy.plant import SearchablePlant
+from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.errors import InputError
 
 NEEDED = ("signals", "known", "candidates", "values", "states", "predict", "with_values", "free", "corrected")

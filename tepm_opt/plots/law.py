@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from tepm_opt.discrepancy.freeform.invent import Invention
-from tepm_opt.discrepancy.freeform.page import curves
-from tepm_opt.discrepancy.freeform.writing import UNITS, curve
+from tepm_opt.discrepancy.symbolic.invent import Invention
+from tepm_opt.discrepancy.symbolic.page import curves
+from tepm_opt.discrepancy.symbolic.writing import UNITS, curve
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.plots.palette import CORRECTED, MEASURED, RECALIBRATED
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tepm_opt.discrepancy.answer import HEAD, effect_rows, sentences_beside_table
-from tepm_opt.discrepancy.localise import Localisation
-from tepm_opt.discrepancy.verdict import Errors, Verdict, VerdictStatus
+from tepm_opt.discrepancy.assessment.residual_locations import Localisation
+from tepm_opt.discrepancy.assessment.result import Errors, Verdict, VerdictStatus
+from tepm_opt.discrepancy.reporting.effect_table import HEAD, effect_rows, sentences_beside_table
 from tepm_opt.report.charts import Chart
 from tepm_opt.report.template import Group, Row, digits, percent, write
 

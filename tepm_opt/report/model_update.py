@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.jobs.model_update import ModelUpdate
 from tepm_opt.report.discrepancy import error_rows, heading
 from tepm_opt.report.template import Group, Row, digits, write

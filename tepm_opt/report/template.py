@@ -13,7 +13,7 @@ import jinja2
 import numpy as np
 
 from tepm_opt.data.files import write_atomically
-from tepm_opt.discrepancy.verdict import Value
+from tepm_opt.discrepancy.assessment.result import Value
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.report.charts import Chart
 from tepm_opt.solvers.text import percent, with_deviation

@@ -170,7 +170,7 @@ class TestDiscrepancy:
             header, rows = table(path)
             rows[:, -12:] += 4e-3 * np.sin(40 * rows[:, :1] + np.arange(12))
             write_rows(path, header, rows)
-        monkeypatch.setattr("tepm_opt.discrepancy.network.candidates", lambda model: ())
+        monkeypatch.setattr("tepm_opt.discrepancy.adapters.network.candidates", lambda model: ())
         done = tepm("discrepancy", "data", "--despite-errors")
         assert done.status == 1, done.err
         assert done.out.startswith("unexplained\n")

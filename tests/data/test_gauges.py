@@ -10,8 +10,8 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.data.trials import read_trials
-from tepm_opt.discrepancy.measured import behind, gauged
-from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.preparation.measured_inputs import behind, gauged
+from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.errors import InputError
 
 SIGNALS = Signals.of(("pressure", "valve"), ("y",), "m")

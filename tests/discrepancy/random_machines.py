@@ -12,13 +12,13 @@ import numpy as np
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.data.tables import write_columns
-from tepm_opt.discrepancy.callable_plant import CallablePlant, Simulator
-from tepm_opt.discrepancy.casadi_plant import CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.library.effect import Law
-from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
-from tepm_opt.discrepancy.library.vessels import VESSEL
+from tepm_opt.discrepancy.adapters.callable_plant import CallablePlant, Simulator
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.laws.axis import AXIS
+from tepm_opt.discrepancy.laws.effect import Law
+from tepm_opt.discrepancy.laws.signals import INPUT, OUTPUT
+from tepm_opt.discrepancy.laws.vessels import VESSEL
 from tepm_opt.solvers.plant import PredictionError
 
 GROUPS = ("", "cold", "warm")

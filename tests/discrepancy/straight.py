@@ -9,7 +9,7 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.solvers.plant import Free, Prediction
 
 KNOWN = ("stiffness", "mass")

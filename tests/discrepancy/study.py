@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tepm_opt.discrepancy.verdict import Verdict, VerdictStatus
+from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.effects import effects
 

@@ -21,11 +21,11 @@ from pydantic import ValidationError
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.discrepancy.freeform.formula import named
-from tepm_opt.discrepancy.freeform.invent import BEYOND, Invention, error_on, invent
-from tepm_opt.discrepancy.freeform.places import Course
-from tepm_opt.discrepancy.freeform.terms import Terms
-from tepm_opt.discrepancy.freeform.writing import curve
+from tepm_opt.discrepancy.symbolic.formula import named
+from tepm_opt.discrepancy.symbolic.invent import BEYOND, Invention, error_on, invent
+from tepm_opt.discrepancy.symbolic.places import Course
+from tepm_opt.discrepancy.symbolic.terms import Terms
+from tepm_opt.discrepancy.symbolic.writing import curve
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import compile_model

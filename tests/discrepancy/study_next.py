@@ -18,12 +18,12 @@ import numpy as np
 from tepm_opt.data.datasets import in_session
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.discrepancy.belief import CLEAR
-from tepm_opt.discrepancy.design import Move, Separable, information
-from tepm_opt.discrepancy.evidence import weights
-from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
-from tepm_opt.discrepancy.network import SearchableNetwork
-from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.adapters.network import SearchableNetwork
+from tepm_opt.discrepancy.assessment.credibility import CLEAR
+from tepm_opt.discrepancy.experiments.information import Move, Separable, information
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.selection.cross_validation import weights
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.next_run import Proposal, Rig, any_run, best_run
 from tepm_opt.models.channels import channels_of

@@ -14,7 +14,7 @@ import pytest
 from tepm_opt.cli import run as tepm
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.verdict import Verdict, VerdictStatus
+from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.compile import CompiledModel

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.discrepancy import belief
-from tepm_opt.discrepancy.belief import Doubt, Judgement, doubts, judged
-from tepm_opt.discrepancy.constancy import Sizes
-from tepm_opt.discrepancy.evidence import Evidence
-from tepm_opt.discrepancy.fits import Hypothesis, SearchSettings
-from tepm_opt.discrepancy.network import candidate
-from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.search import Explanation
-from tepm_opt.discrepancy.verdict import Errors, VerdictStatus
+from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.assessment import credibility as belief
+from tepm_opt.discrepancy.assessment.constancy import Sizes
+from tepm_opt.discrepancy.assessment.credibility import Doubt, Judgement, doubts, judged
+from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.selection.cross_validation import Evidence
+from tepm_opt.discrepancy.selection.fitting import Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.forward_backward import Explanation
 
 LAG, LOAD = candidate("regulator_lag"), candidate("external_load")
 SHRUNK = Errors(noise_floor=5e-4, nominal=5e-3, recalibrated=4e-3, corrected=6e-4, black_box=1e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.black_box import black_box
+from tepm_opt.discrepancy.assessment.black_box import black_box
 
 NOISE = 1e-4  # m
 

@@ -13,11 +13,11 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.data.tables import write_columns
 from tepm_opt.data.trials import read_trials
-from tepm_opt.discrepancy.callable_plant import CallablePlant, Simulator
-from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.library.effect import Law, Quantity
-from tepm_opt.discrepancy.library.signals import INPUT
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.adapters.callable_plant import CallablePlant, Simulator
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.laws.axis import AXIS
+from tepm_opt.discrepancy.laws.effect import Law, Quantity
+from tepm_opt.discrepancy.laws.signals import INPUT
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.plots.discrepancy import discovery_figures
@@ -28,8 +28,8 @@ DEAD = Law("dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 
 LEVER = """
 import numpy as np
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.callable_plant import Simulator
-from tepm_opt.discrepancy.library.effect import Law, Quantity
+from tepm_opt.discrepancy.adapters.callable_plant import Simulator
+from tepm_opt.discrepancy.laws.effect import Law, Quantity
 
 m = Simulator("a lever on a spring", Signals.of(["torque"], ["angle"], "rad"))
 m.known("compliance", 0.1, "rad/(N m)")

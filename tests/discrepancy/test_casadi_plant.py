@@ -16,10 +16,10 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lsim, resample
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.library.signals import INPUT, OUTPUT
+from tepm_opt.discrepancy.adapters.casadi_plant import Between, CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.laws.axis import AXIS
+from tepm_opt.discrepancy.laws.signals import INPUT, OUTPUT
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.plant import START, PredictionError
 

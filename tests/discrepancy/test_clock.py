@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.clock import doubt, shifted
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.preparation.clock import doubt, shifted
 from tepm_opt.jobs.discrepancy import run_discrepancy
 
 RATE = 50
@@ -107,7 +107,7 @@ def test_one_clock_among_good_ones() -> None:
 
 
 PLANT = """
-from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("tank", laws=())
 x, u = m.state("x"), m.input("u", size=1.0)

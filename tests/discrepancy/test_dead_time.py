@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tepm_opt.data.run import Run, RunSet
-from tepm_opt.discrepancy.beginnings import without_beginnings
-from tepm_opt.discrepancy.callable_plant import Simulator
-from tepm_opt.discrepancy.casadi_plant import Between, CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.signals import INPUT
-from tepm_opt.discrepancy.workflow import discover
+from tepm_opt.discrepancy.adapters.callable_plant import Simulator
+from tepm_opt.discrepancy.adapters.casadi_plant import Between, CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.laws.signals import INPUT
+from tepm_opt.discrepancy.pipeline import discover
+from tepm_opt.discrepancy.preparation.beginnings import without_beginnings
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.plant import START
 from tests.paths import SHARED

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.discrepancy.design import APART, FOUND, information
+from tepm_opt.discrepancy.experiments.information import APART, FOUND, information
 from tests.discrepancy.straight import KNOWN, Straight, effect, planned
 
 NOISE, RUNS = 0.3, planned("a.csv", "b.csv")

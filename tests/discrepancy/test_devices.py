@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.devices import devices_seen
-from tepm_opt.discrepancy.network import SearchableNetwork, candidates
-from tepm_opt.discrepancy.plant import Candidate
+from tepm_opt.discrepancy.adapters.network import SearchableNetwork, candidates
+from tepm_opt.discrepancy.preparation.devices import devices_seen
+from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.model import Model
 from tests.discrepancy.small import planned

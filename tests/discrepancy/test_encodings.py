@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.trials import read_trials
-from tepm_opt.discrepancy.casadi_plant import CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.axis import AXIS
-from tepm_opt.discrepancy.verdict import Verdict, VerdictStatus
-from tepm_opt.discrepancy.workflow import discover
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
+from tepm_opt.discrepancy.laws.axis import AXIS
+from tepm_opt.discrepancy.pipeline import discover
 from tests.discrepancy.machines import Columns, drive_runs, written
 
 AREA = 1e-4  # m²

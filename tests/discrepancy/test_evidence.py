@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import evidence as evidences
-from tepm_opt.discrepancy.evidence import Evidence, leave_out, weights
+from tepm_opt.discrepancy.selection import cross_validation as evidences
+from tepm_opt.discrepancy.selection.cross_validation import Evidence, leave_out, weights
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters

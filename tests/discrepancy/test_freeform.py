@@ -9,11 +9,11 @@ import pytest
 
 from tepm_opt.data.run import Run, spaced
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.discrepancy.freeform import curves, score
-from tepm_opt.discrepancy.freeform.curves import Lags, Plays, Powers, Spline
-from tepm_opt.discrepancy.freeform.places import ALL, Course, Place, places
-from tepm_opt.discrepancy.freeform.responses import APART, Normal, courses, moved
-from tepm_opt.discrepancy.freeform.score import Scored, alternatives
+from tepm_opt.discrepancy.symbolic import curves, score
+from tepm_opt.discrepancy.symbolic.curves import Lags, Plays, Powers, Spline
+from tepm_opt.discrepancy.symbolic.places import ALL, Course, Place, places
+from tepm_opt.discrepancy.symbolic.responses import APART, Normal, courses, moved
+from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters

@@ -8,7 +8,7 @@ from statistics import median
 import pytest
 
 from tepm_opt.data.datasets import DataSet
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.models.channels import channels_of
 from tepm_opt.studies.blind.excitation import RATE, excitations
 from tests.discrepancy.hidden import CASES, ROBOT, label, make, played

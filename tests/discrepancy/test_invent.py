@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.freeform.invent import Invention, extrapolated, invent
-from tepm_opt.discrepancy.freeform.page import as_json, formula_text, page, paragraph
-from tepm_opt.discrepancy.freeform.responses import courses
-from tepm_opt.discrepancy.freeform.writing import curve, write
+from tepm_opt.discrepancy.symbolic.invent import Invention, extrapolated, invent
+from tepm_opt.discrepancy.symbolic.page import as_json, formula_text, page, paragraph
+from tepm_opt.discrepancy.symbolic.responses import courses
+from tepm_opt.discrepancy.symbolic.writing import curve, write
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effect_files import load_effects, unload_effect
 from tepm_opt.models.effects import effects, find_effect

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tepm_opt.discrepancy.library.axis import AXIS, BY_DIRECTION
-from tepm_opt.discrepancy.library.effect import At, Law, Quantity
-from tepm_opt.discrepancy.library.signals import DRIVE, INPUT, OUTPUT
+from tepm_opt.discrepancy.laws.axis import AXIS, BY_DIRECTION
+from tepm_opt.discrepancy.laws.effect import At, Law, Quantity
+from tepm_opt.discrepancy.laws.signals import DRIVE, INPUT, OUTPUT
 
 SIZES = {"signal": 5.0, "time": 0.4, "force": 30.0, "speed": 0.7, "position": 0.2, "1": 1.0}
 UNITS = {"signal": "V", "time": "s", "force": "N", "speed": "m/s", "position": "m", "1": "1"}

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.library.effect import At, Law
-from tepm_opt.discrepancy.library.pneumatics import PNEUMATICS
-from tepm_opt.discrepancy.library.soft import SOFT
-from tepm_opt.discrepancy.library.vessels import VESSEL
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.laws.effect import At, Law
+from tepm_opt.discrepancy.laws.pneumatics import PNEUMATICS
+from tepm_opt.discrepancy.laws.soft import SOFT
+from tepm_opt.discrepancy.laws.vessels import VESSEL
 from tepm_opt.errors import InputError
 
 SIZES = {"signal": 5.0, "time": 0.4, "force": 30.0, "speed": 0.7, "position": 0.2, "1": 1.0}

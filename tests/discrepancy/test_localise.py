@@ -10,8 +10,8 @@ import pytest
 
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.localise import Localisation, localise
-from tepm_opt.discrepancy.verdict import Place
+from tepm_opt.discrepancy.assessment.residual_locations import Localisation, localise
+from tepm_opt.discrepancy.assessment.result import Place
 
 NOISE = 3e-4  # m
 RATE = 50.0  # Hz

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.tables import write_columns
-from tepm_opt.discrepancy.library.bodies import BODIES
-from tepm_opt.discrepancy.library.effect import At, Law
-from tepm_opt.discrepancy.library.tendons import TENDONS
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.laws.bodies import BODIES
+from tepm_opt.discrepancy.laws.effect import At, Law
+from tepm_opt.discrepancy.laws.tendons import TENDONS
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tests.discrepancy.test_callable_plant import run_of
 
@@ -22,10 +22,10 @@ SIGNAL, ALONG, TURNED = np.array([0.0, 1.0, 4.0]), np.array([0.0, 0.5, 1.0]), np
 ROD = """
 import numpy as np
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.callable_plant import Simulator
-from tepm_opt.discrepancy.library.bodies import BODIES
-from tepm_opt.discrepancy.library.rod import equilibrium
-from tepm_opt.discrepancy.library.tendons import TENDONS
+from tepm_opt.discrepancy.adapters.callable_plant import Simulator
+from tepm_opt.discrepancy.laws.bodies import BODIES
+from tepm_opt.discrepancy.laws.rod import equilibrium
+from tepm_opt.discrepancy.laws.tendons import TENDONS
 
 ALONG = (np.arange(10) + 0.5) / 10
 m = Simulator("a rod", Signals.of(["tension"], ["middle", "tip"], "m", axes=("x", "z")))

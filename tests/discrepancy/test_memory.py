@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import black_box, first_order, fits, localise
-from tepm_opt.discrepancy.network import SearchableNetwork
-from tepm_opt.discrepancy.workflow import discover
+from tepm_opt.discrepancy.adapters.network import SearchableNetwork
+from tepm_opt.discrepancy.assessment import black_box
+from tepm_opt.discrepancy.assessment import residual_locations as localise
+from tepm_opt.discrepancy.pipeline import discover
+from tepm_opt.discrepancy.selection import fitting as fits
+from tepm_opt.discrepancy.selection import linearised as first_order
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import Model
 from tests.discrepancy.small import NOISE, changed, cut, dataset_of, measured, planned, true_values

@@ -7,7 +7,7 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.localise import Localisation, localise
+from tepm_opt.discrepancy.assessment.residual_locations import Localisation, localise
 
 SIGNALS = Signals.of(("u",), ("y",), "m")
 TIME = np.arange(0, 60, 0.05)

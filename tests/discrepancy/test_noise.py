@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.noise import fitted, told
+from tepm_opt.discrepancy.preparation.noise import fitted, told
 from tepm_opt.solvers.residuals import Residual
 
 RATE, NOISE, ROWS = 50, 3e-4, 700

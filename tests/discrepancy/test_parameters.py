@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.casadi_plant import CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.parameters import known_within
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.problem.parameters import known_within
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.identify import Problem, identify
 

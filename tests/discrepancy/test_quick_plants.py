@@ -9,11 +9,11 @@ import pytest
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.equations import Equations
-from tepm_opt.discrepancy.evidence import REFITS, leave_out
-from tepm_opt.discrepancy.first_order import linearised
-from tepm_opt.discrepancy.screen import screen
-from tepm_opt.discrepancy.words import beyond
+from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.reporting.sentences import beyond
+from tepm_opt.discrepancy.selection.cross_validation import REFITS, leave_out
+from tepm_opt.discrepancy.selection.linearised import linearised
+from tepm_opt.discrepancy.selection.screening import screen
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.residuals import Residual, independent_after
 

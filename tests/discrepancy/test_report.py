@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.localise import Localisation
-from tepm_opt.discrepancy.network import candidate
-from tepm_opt.discrepancy.verdict import Errors, Named, Place, Rival, Value, Verdict, VerdictStatus
+from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.assessment.residual_locations import Localisation
+from tepm_opt.discrepancy.assessment.result import Errors, Named, Place, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from tepm_opt.discrepancy.library.rod import Bent, axes, equilibrium, times, turned
+from tepm_opt.discrepancy.laws.rod import Bent, axes, equilibrium, times, turned
 
 LENGTH, PIECES = 0.4, 40
 ALONG = (np.arange(PIECES) + 0.5) / PIECES

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import rivals, rounds, search
-from tepm_opt.discrepancy.evidence import Evidence, weights
-from tepm_opt.discrepancy.fits import Effects, Hypothesis, SearchSettings, may
-from tepm_opt.discrepancy.network import candidate
-from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.screen import Score
-from tepm_opt.discrepancy.search import Explanation, explain
+from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.selection import alternatives as rivals
+from tepm_opt.discrepancy.selection import forward_backward as search
+from tepm_opt.discrepancy.selection import ranking as rounds
+from tepm_opt.discrepancy.selection.cross_validation import Evidence, weights
+from tepm_opt.discrepancy.selection.fitting import Effects, Hypothesis, SearchSettings, may
+from tepm_opt.discrepancy.selection.forward_backward import Explanation, explain
+from tepm_opt.discrepancy.selection.screening import Score
 
 BLOCKS, SAMPLES, NOISE = 20, 90, 3e-4
 EFFECTS = {label: candidate("sensor_offset", label) for label in ("s1", "s2", "s3", "s4")}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.plant import Candidate, freed
-from tepm_opt.discrepancy.separation import foreseen, separation
+from tepm_opt.discrepancy.experiments.separation import foreseen, separation
+from tepm_opt.discrepancy.problem.plant import Candidate, freed
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tests.discrepancy.straight import Straight, effect, planned
 

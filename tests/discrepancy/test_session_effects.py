@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.discrepancy.network import candidate
-from tepm_opt.discrepancy.suggest import suggested
+from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.selection.shape_suggestions import suggested
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.model import Model

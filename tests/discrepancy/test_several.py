@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
-from tepm_opt.discrepancy.network import candidates, wide
-from tepm_opt.discrepancy.plant import Candidate
-from tepm_opt.discrepancy.several import lost, pursued, rivals, settled, several
+from tepm_opt.discrepancy.adapters.network import candidates, wide
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.matching_pursuit import lost, pursued, rivals, settled, several
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
@@ -119,7 +119,7 @@ def test_several_are_not_taken_together_where_first_order_does_not_hold(
     effects, start = pursued(fits, base, missing)
     assert several(fits, base, missing) is not None
     far = {name: 3 * value if "." in name else value for name, value in start.items()}
-    monkeypatch.setattr("tepm_opt.discrepancy.several.pursued", lambda *_: (effects, far))
+    monkeypatch.setattr("tepm_opt.discrepancy.selection.matching_pursuit.pursued", lambda *_: (effects, far))
     assert several(fits, base, missing) is None
 
 
@@ -129,7 +129,7 @@ def test_what_the_model_cannot_do_without_leaves_the_others_their_shares(
     idle = next(c for c in missing if c.label == "time_delay")
     with_idle = fits.fit((*found.effects, idle), found.estimate.named)
     assert with_idle is not None
-    monkeypatch.setattr("tepm_opt.discrepancy.several._less", lambda *_: (None, float("inf")))
+    monkeypatch.setattr("tepm_opt.discrepancy.selection.matching_pursuit._less", lambda *_: (None, float("inf")))
     kept, shares = settled(fits, with_idle, missing)
     assert set(kept.effects) == set(with_idle.effects)
     assert all(0 < shares[effect] < float("inf") for effect in found.effects), shares

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.constancy import onward, runs_of, sizes, spread
-from tepm_opt.discrepancy.first_order import Linearised, linearised
-from tepm_opt.discrepancy.fits import Fits, Hypothesis, SearchSettings
-from tepm_opt.discrepancy.network import SearchableNetwork, candidate, wrong_values
-from tepm_opt.discrepancy.plant import Candidate, InSomeRuns, acting, freed
-from tepm_opt.discrepancy.search import explain
-from tepm_opt.discrepancy.spans import longest, spans
+from tepm_opt.discrepancy.adapters.network import SearchableNetwork, candidate, wrong_values
+from tepm_opt.discrepancy.assessment.constancy import onward, runs_of, sizes, spread
+from tepm_opt.discrepancy.problem.plant import Candidate, InSomeRuns, acting, freed
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.forward_backward import explain
+from tepm_opt.discrepancy.selection.linearised import Linearised, linearised
+from tepm_opt.discrepancy.selection.run_subsets import longest, spans
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
@@ -106,7 +106,7 @@ class TestFirstOrder:
     def test_memory_is_bounded_by_thinning(
         self, fits: Fits, without: Hypothesis, network: SearchableNetwork, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("tepm_opt.discrepancy.first_order.MEMORY", 80_000)
+        monkeypatch.setattr("tepm_opt.discrepancy.selection.linearised.MEMORY", 80_000)
         few = linearised(without.estimate, fits.problem.free, (), network.candidates)
         assert few.count.sum() < 0.5 * sum(np.isfinite(run.points).sum() for run in fits.problem.sparse.runs)
         assert few.gain([LIMITED])[0] == pytest.approx(1.0, abs=0.1)

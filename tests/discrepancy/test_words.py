@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.answer import effect_rows, sizes, with_unit
-from tepm_opt.discrepancy.evidence import Evidence
-from tepm_opt.discrepancy.fits import Hypothesis
-from tepm_opt.discrepancy.network import candidate
-from tepm_opt.discrepancy.screen import Score
-from tepm_opt.discrepancy.search import Explanation
-from tepm_opt.discrepancy.verdict import Named, Value, VerdictStatus
-from tepm_opt.discrepancy.words import _names, alone, next_step, repeats, unfitted
+from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.assessment.result import Named, Value, VerdictStatus
+from tepm_opt.discrepancy.reporting.effect_table import effect_rows, sizes, with_unit
+from tepm_opt.discrepancy.reporting.sentences import _names, alone, next_step, repeats, unfitted
+from tepm_opt.discrepancy.selection.cross_validation import Evidence
+from tepm_opt.discrepancy.selection.fitting import Hypothesis
+from tepm_opt.discrepancy.selection.forward_backward import Explanation
+from tepm_opt.discrepancy.selection.screening import Score
 from tepm_opt.solvers.plant import Free
 
 

@@ -13,9 +13,9 @@ import pytest
 import typer
 
 from tepm_opt.cli.program import app
-from tepm_opt.discrepancy.verdict import VerdictStatus
-from tepm_opt.discrepancy.words import ONE_CLOCK, next_step
-from tepm_opt.discrepancy.workflow import Discovery
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.pipeline import Discovery
+from tepm_opt.discrepancy.reporting.sentences import ONE_CLOCK, next_step
 from tepm_opt.jobs.advice import Asked, advised
 from tests.discrepancy.test_report import LOCALISATION, VERDICT
 

@@ -10,7 +10,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.jobs.plants import load_plant
 
-GOOD = """from tepm_opt.discrepancy.equations import Equations
+GOOD = """from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("a lag", laws=())
 x = m.state("x")

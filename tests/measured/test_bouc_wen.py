@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tepm_opt.data.tables import read_table
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tests.measured.prepared import EXAMPLES
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tepm_opt.discrepancy.verdict import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tests.measured.prepared import EXAMPLES, prepared
 

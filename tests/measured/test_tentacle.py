@@ -14,8 +14,8 @@ import pytest
 
 from tepm_opt.data.run import RunSet
 from tepm_opt.data.trials import read_trials
-from tepm_opt.discrepancy.verdict import VerdictStatus
-from tepm_opt.discrepancy.workflow import discover
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.pipeline import discover
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.jobs.plants import load_plant
 from tests.paths import SHARED

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tepm_opt.discrepancy.freeform.curves import Lags, Powers
-from tepm_opt.discrepancy.freeform.formula import Formula
-from tepm_opt.discrepancy.freeform.places import Place
-from tepm_opt.discrepancy.freeform.terms import Term, Terms
-from tepm_opt.discrepancy.freeform.writing import write
+from tepm_opt.discrepancy.symbolic.curves import Lags, Powers
+from tepm_opt.discrepancy.symbolic.formula import Formula
+from tepm_opt.discrepancy.symbolic.places import Place
+from tepm_opt.discrepancy.symbolic.terms import Term, Terms
+from tepm_opt.discrepancy.symbolic.writing import write
 from tepm_opt.models.effect import Effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot

@@ -12,7 +12,7 @@ import pytest
 
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.network import candidates, wide
+from tepm_opt.discrepancy.adapters.network import candidates, wide
 from tepm_opt.models.backends import compiler
 from tepm_opt.models.backends.ccode import Unit
 from tepm_opt.models.backends.compiled import statics_unit, stepping_unit

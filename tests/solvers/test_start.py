@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from tepm_opt.data.run import Run, Start
-from tepm_opt.discrepancy.casadi_plant import CasadiPlant
-from tepm_opt.discrepancy.equations import Equations
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.plant import START
 from tepm_opt.solvers.residuals import Residual

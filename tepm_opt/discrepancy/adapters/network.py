@@ -1,0 +1,158 @@
+"""The network with what could be missing in it: every known effect with every detail, all in one model at their null values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from tepm_opt.data.channels import Channels
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.models.compile import compile_model
+from tepm_opt.models.effect import ActiveEffect, Effect
+from tepm_opt.models.effects import effects, find_effect
+from tepm_opt.models.layout import Layout
+from tepm_opt.models.model import Model
+from tepm_opt.models.robot import UNITS
+from tepm_opt.solvers.network_plant import NetworkPlant
+
+PARAMETER = "parameter"  # the cause that a value of the robot file is wrong
+THROUGH = {
+    "axial": ("inputs", "pressure_memory", "tension_memory", "delay", "edge_energy", "tendon_energy", "edge_memory", "properties"),
+    "force": ("loads", "properties"),
+    "measurement": ("outputs",),
+}  # what an effect acts through, by its hooks
+WRONG_BY = 2.0  # times what the robot file says, up and down
+
+
+def candidate(name: str, detail: str | None = None, layout: Layout | None = None) -> Candidate:
+    """An effect of the network, on its detail where it has one, as a candidate; of one whose parameters depend on it with the layout."""
+    effect, label = find_effect(name), ActiveEffect(name, detail).label
+    own = effect.parameters if layout is None else effect.parameters_of(layout)
+    shape = any(p.is_shape and not p.refines for p in own)  # parameters without which the others say nothing
+    acts_first = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "tendon_energy", "delay"))
+    inputs = acts_first or effect.detail == "actuator"  # what one actuator does otherwise its gauges may show
+    return Candidate(
+        name,
+        detail,
+        {f"{label}.{parameter.name}": parameter.null for parameter in own},
+        tuple({f"{label}.{p.name}": probe.get(p.name, p.probe) for p in own} for probe in ({}, *effect.further_probes)),
+        "input" if inputs else "body",
+        effect.smooth and (not shape or effect.has("suggested")),
+        tuple(f"{label}.{p.name}" for p in own if p.is_shape),
+        explains=effect.explains,
+        part=effect.detail or "",
+        reference=effect.reference,
+        acts=tuple(kind for kind, hooks in THROUGH.items() if any(effect.has(hook) for hook in hooks)),
+        exact=effect.exact,
+        happens=f"{label}.{effect.happens}" if effect.happens else "",
+        suggested=partial(_suggested, effect, label) if effect.has("suggested") else None,
+    )
+
+
+def _suggested(effect: Effect, label: str, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> dict[str, float]:
+    """See `Effect.suggested`; by full name."""
+    return {f"{label}.{name}": value for name, value in effect.suggested(clock, began, left).items()}
+
+
+def candidates(model: Model) -> tuple[Candidate, ...]:
+    """All effects that the model does not have yet, one for every detail of those that have one."""
+    layout = Layout.of(model.robot)
+    every = [candidate(effect.name, detail, layout) for effect in effects() for detail in layout.details(effect.detail) or (None,)]
+    present = {effect.label for effect in model.effects}
+    return tuple(candidate for candidate in every if candidate.label not in present)
+
+
+def wrong_values(model: Model) -> tuple[Candidate, ...]:
+    """The causes that a value of the robot file is wrong, beyond its prior or although it is taken to be right; one for every value."""
+    nominal = model.robot.parameters.model_dump()
+    return tuple(
+        Candidate(
+            PARAMETER,
+            name,
+            {name: value},
+            ({name: 1.05 * value},),
+            explains="a value of the robot file is wrong",
+            part="parameter",
+            acts=("axial", "force", "measurement"),
+            exact="s/m" not in UNITS[name],  # damping is somebody's formula
+            ranges={name: (value / WRONG_BY, WRONG_BY * value)},
+        )
+        for name, value in nominal.items()
+        if value > 0 and name in UNITS
+    )
+
+
+def wide(model: Model, missing: Iterable[Candidate]) -> Model:
+    """The model with all candidates at their null values: the same motion, and one compilation for every fit that follows."""
+    added = [ActiveEffect(c.name, c.detail, {name.removeprefix(f"{c.label}."): null for name, null in c.null.items()}) for c in missing]
+    return replace(model, effects=(*model.effects, *added))
+
+
+def narrow(model: Model, values: Mapping[str, float], kept: Iterable[Candidate]) -> Model:
+    """The model with those candidates only, and all parameters at `values` (full names)."""
+    kept = [candidate for candidate in kept if candidate.name != PARAMETER]
+    parameters = {name: values[name] for name, nominal in model.robot.parameters.model_dump().items() if values[name] != nominal}
+    present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]
+    layout = Layout.of(model.robot)
+    return replace(model, parameters=parameters, effects=tuple(acting_effect(*each, values, layout) for each in present))
+
+
+def acting_effect(name: str, detail: str | None, values: Mapping[str, float], layout: Layout) -> ActiveEffect:
+    """An effect with its parameters out of a whole model's; those that rounding put beside a bound are at it.
+
+    Args:
+        name: of the effect.
+        detail: where it acts.
+        values: of all parameters by full name.
+        layout: of the robot.
+    """
+    prefix, own = ActiveEffect(name, detail).label, find_effect(name).parameters_of(layout)
+    return ActiveEffect(name, detail, {p.name: min(max(values[f"{prefix}.{p.name}"], p.low), p.high) for p in own})
+
+
+@dataclass(frozen=True, eq=False)
+class SearchableNetwork(NetworkPlant):
+    """A network in which effects may be missing, see `plant.SearchablePlant`.
+
+    Attributes:
+        known_model: what is known of the machine; the effects it has are fitted anew with the known parameters.
+        candidates: effects that it does not have, at their null values in the compiled model.
+        signals: of its robot's data.
+    """
+
+    known_model: Model = field(kw_only=True)
+    candidates: tuple[Candidate, ...] = field(kw_only=True)
+    signals: Signals = field(kw_only=True)
+
+    @staticmethod
+    def of(known: Model, channels: Channels, static: bool = False) -> SearchableNetwork:
+        """A network with all effects that it does not have yet; compiles it."""
+        missing = candidates(known)
+        wrong = wrong_values(known)
+        return SearchableNetwork(
+            compile_model(wide(known, missing)), static, known_model=known, candidates=(*missing, *wrong), signals=channels.signals
+        )
+
+    @property
+    def name(self) -> str:
+        """The robot's."""
+        return self.known_model.robot.name
+
+    @property
+    def derivatives_apart(self) -> float:
+        """Derivatives of its motion are smooth."""
+        return 0.04
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """The robot's parameters with priors and those of the effects that it has."""
+        missing = {name for candidate in self.candidates for name in candidate.parameters}
+        return (*self.known_model.robot.priors, *(name for name in self.values if "." in name and name not in missing))
+
+    def corrected(self, kept: Sequence[Candidate]) -> Model:
+        """The model with these effects only and the values it has."""
+        return narrow(self.known_model, self.model.values, kept)

@@ -1,0 +1,1 @@
+"""The next run: information, and the separation of the hypotheses that are left."""

@@ -1,0 +1,1 @@
+"""Data before the search: noise, clocks, measured inputs, devices and beginnings of runs."""

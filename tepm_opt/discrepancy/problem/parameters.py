@@ -1,0 +1,111 @@
+"""Parameters of a machine that a plant file describes: what is known, and what effects that may be missing add."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, isfinite
+from typing import Self
+
+from tepm_opt.data.run import Run
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.solvers.plant import Free
+
+
+def known_within(
+    name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None, std: float = inf,
+    groups: Sequence[str] = (),
+) -> list[Free]:  # fmt: skip
+    """A parameter that is known within a part of its value, or between two values; one for each group of runs where there are some.
+
+    Args:
+        name: of the parameter.
+        value: the best guess.
+        unit: of it.
+        within: how far it may be off, in parts of the value.
+        low, high: how small and large it may be, instead.
+        std: standard deviation of the guess, of a normal distribution within the range; without limits the range is ten of them.
+        groups: of runs, each of which has a value of its own: "name[group]".
+
+    Raises:
+        InputError: the value is outside its range, or there is none.
+    """
+    off = 10 * std if isfinite(std) else abs(value) * within
+    low, high = value - off if low is None else low, value + off if high is None else high
+    if not low < high:
+        raise InputError(f"{name} has no range ({low:g} … {high:g}); valid: low and high, low below high")
+    if not low <= value <= high:
+        raise InputError(f"{name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
+    scale = std if isfinite(std) else (high - low) / 4 if isfinite(high - low) else abs(value)
+    scale, mean = max(scale, 1e-3 * abs(value)) or 1.0, value if isfinite(std) else 0.0
+    return [Free(full, unit, value, low, high, scale, mean, std) for full in [of_group(name, group) for group in groups] or [name]]
+
+
+def of_group(name: str, group: str) -> str:
+    """The full name of a parameter that a group of runs has for itself."""
+    return f"{name}[{group}]"
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """A machine with its parameters: what every kind of plant file has in common, see `plant.SearchablePlant`.
+
+    Attributes:
+        name: of the machine.
+        signals: inputs and outputs.
+        parameters: by full name with their ranges; `start` is the value they have.
+        known: names of the parameters that are known within their ranges.
+        candidates: effects that may be missing.
+        grouped: names of the parameters that groups of runs have for themselves, each with its groups.
+    """
+
+    name: str
+    signals: Signals
+    parameters: Mapping[str, Free]
+    known: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    grouped: Mapping[str, tuple[str, ...]]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of all parameters by full name."""
+        return {name: free.start for name, free in self.parameters.items()}
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """The same machine with other values of some parameters."""
+        changed = {name: replace(self.parameters[name], start=value) for name, value in values.items()}
+        return replace(self, parameters={**self.parameters, **changed})
+
+    def free(self, names: Sequence[str]) -> tuple[Free, ...]:
+        """Parameters by full name with their ranges.
+
+        Raises:
+            InputError: no such parameter; a value outside its range.
+        """
+        for name in names:
+            if name not in self.parameters:
+                raise unknown_name("parameter", name, self.parameters)
+            free = self.parameters[name]
+            if not free.low - 1e-9 * free.scale <= free.start <= free.high + 1e-9 * free.scale:
+                raise InputError(f"parameter {name} = {free.start:g} is outside its range; valid: {free.low:g} … {free.high:g}")
+        return tuple(self.parameters[name] for name in names)
+
+    def of_run(self, run: Run) -> dict[str, str]:
+        """Full names of the parameters that count for a run, by the names that its machine has for them; in the parameters' order.
+
+        Raises:
+            InputError: the run is of no known group.
+        """
+        short = {of_group(name, group): (name, group) for name, groups in self.grouped.items() for group in groups}
+        for name, groups in self.grouped.items():
+            if run.group not in groups:
+                raise unknown_name("group", run.group, groups, f"{run.file}: {name}")
+        own = {full: short.get(full, (full, run.group)) for full in self.parameters}
+        return {name: full for full, (name, group) in own.items() if group == run.group}
+
+    def corrected(self, kept: Sequence[Candidate]) -> dict[str, float]:
+        """Values by full name of what is known and of the parameters of these effects."""
+        names = [*self.known, *(name for candidate in kept for name in candidate.parameters)]
+        return {name: self.parameters[name].start for name in names}

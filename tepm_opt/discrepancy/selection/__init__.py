@@ -1,0 +1,1 @@
+"""Model selection: screening, fits, cross-validation, forward selection and backward elimination."""
