@@ -18,7 +18,7 @@ from benchmarks.parts import Session
 from benchmarks.timing import Contender, Task
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.pipeline import Discovery
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model

@@ -9,8 +9,8 @@ from .data.setpoints import read_setpoints as read_setpoints
 from .data.setpoints import write_setpoints as write_setpoints
 from .discrepancy.assessment.result import Verdict as Verdict
 from .discrepancy.assessment.result import VerdictStatus as VerdictStatus
-from .discrepancy.pipeline import Discovery as Discovery
 from .discrepancy.pipeline import discover as discover
+from .discrepancy.state import Discovery as Discovery
 from .errors import InputError as InputError
 from .exports.c_folder import export_c as export_c
 from .exports.c_folder import export_controller as export_controller

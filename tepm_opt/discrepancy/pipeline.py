@@ -1,76 +1,145 @@
-"""The discrepancy workflow: is there a gap, where, which effect is missing, and how does the gap shrink once it is in the model?"""
+"""The discrepancy workflow as a pipeline of stages: prepare, recalibrate, screen, select, validate, assess, report.
+
+Each stage takes the state that the stage before it returned and adds what it found. States are frozen, so that a stage can be run, timed
+or replaced alone (`discover(…, stages=…)`).
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.outliers import without_strays
 from tepm_opt.data.run import RunSet
-from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.assessment.black_box import black_box
-from tepm_opt.discrepancy.assessment.constancy import Sizes, onward, runs_of, sizes
+from tepm_opt.discrepancy.assessment.constancy import Sizes, sizes
 from tepm_opt.discrepancy.assessment.credibility import Judgement, doubts, judged
-from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE, Localisation, localise
-from tepm_opt.discrepancy.assessment.result import Errors, Named, Rival, Value, Verdict, VerdictStatus
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
 from tepm_opt.discrepancy.preparation import clock
 from tepm_opt.discrepancy.preparation.beginnings import without_beginnings
 from tepm_opt.discrepancy.preparation.devices import devices_seen
 from tepm_opt.discrepancy.preparation.measured_inputs import behind, gauged, separated, with_measured_inputs
 from tepm_opt.discrepancy.preparation.noise import fitted, told
+from tepm_opt.discrepancy.preparation.time_step import choose_time_step
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
-from tepm_opt.discrepancy.reporting import sentences as words
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
-from tepm_opt.discrepancy.selection.forward_backward import Explanation, explain
+from tepm_opt.discrepancy.reporting.report import build_verdict
+from tepm_opt.discrepancy.selection.fitting import Fits, SearchSettings
+from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import linearised
-from tepm_opt.discrepancy.symbolic.invent import Invention
+from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.parallel import beside
-from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.predict import LONGEST_STEP
+from tepm_opt.solvers.identify import Problem, identify
+from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import independent_after
 from tepm_opt.solvers.start import begun
-from tepm_opt.solvers.start import predictions as predicted
-from tepm_opt.solvers.text import shortened
-
-PRECISE_STEP = 0.01  # s, for the predictions that are reported
-FINEST_STEP = 0.005  # s, for the values: what a longer step damps shows in a damping beside a deviation of a few 1e-4
 
 
-@dataclass(frozen=True, eq=False)
-class Discovery:
-    """What the workflow found, with what figures need.
+def prepare(state: Question) -> Prepared:
+    """Remove outliers, read the regulators off the gauges, choose the time step."""
+    dataset, plant, noise = state.dataset, state.plant, state.noise
+    state.progress("simulating the runs with the model as it is", 0, 0)
+    nominal, remarks = predict_runs(plant, dataset, noise), list[str]()
+    missing = behind(plant.candidates, dataset.gauges)
+    if not plant.static:
+        dataset, remarks = without_strays(dataset, nominal, noise)
+    devices = devices_seen(dataset, plant) if isinstance(plant, SearchableNetwork) and not plant.static else None
+    if devices is not None:
+        dataset, remarks, missing = dataset.with_runs(devices.runs), [*remarks, f"{devices.note}."], devices.among(missing)
+    step = choose_time_step(plant, dataset, nominal, noise, state.settings)
+    problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
+    known: dict[str, Any] = vars(state) | {"dataset": dataset}
+    return Prepared(**known, nominal=nominal, missing=missing, devices=devices, problem=problem, remarks=remarks)
 
-    Attributes:
-        verdict: the answer.
-        dataset: what it is about.
-        noise: of what is measured, 1 sigma per axis.
-        localisation: where the model misses.
-        predictions: modelled points of every run by "nominal", "recalibrated" and "corrected", (rows, points, 3) in m each.
-        explanation: all fits.
-        law: what was found where no known effect explains what is left and a law was asked for.
-    """
 
-    verdict: Verdict
-    dataset: RunSet
-    noise: float | np.ndarray
-    localisation: Localisation
-    predictions: dict[str, list[np.ndarray]]
-    explanation: Explanation
-    law: Invention | None = None
+def recalibrate(state: Prepared) -> Recalibrated:
+    """Fit the known parameters alone; take the noise from what that leaves of motions."""
+    problem, noise, remarks = _with_initial_states(state.problem), state.noise, state.remarks
+    first = Fits(problem, state.settings, progress=state.progress)
+    fit = first.fit((), {})
+    if fit is not None and not problem.plant.static:
+        noise, scatters = fitted(noise, problem.runs, fit.estimate.residuals)
+        remarks = [*remarks, *told(scatters, noise, state.plant.signals)]
+    done = first.done if np.all(noise == problem.noise) else {}
+    shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
+    fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done)
+    known: dict[str, Any] = vars(state) | {"noise": noise, "remarks": remarks}
+    return Recalibrated(**known, fits=fits)
 
-    def __repr__(self) -> str:
-        """The outcome and the main numbers, in a line."""
-        return f"Discovery({self.verdict.status.value}, {shortened(self.dataset.name, 40)}, {len(self.explanation.tried)} fits)"
+
+def screen(state: Recalibrated) -> Screened:
+    """Exclude candidates by a search with measured inputs, where gauges measure inputs and have not shown the regulators already."""
+    fits, signals = state.fits, state.plant.signals
+    shown = None if state.devices is not None else with_measured_inputs(fits.problem.runs, signals)
+    if shown is None:
+        return Screened(**vars(state), candidates=state.missing)
+    state.progress("with measured inputs, for what happens behind them", 0, 0)
+    aside = None if state.store is None else state.store.with_name(f"{state.store.name}-measured")
+    behind_them = Fits(replace(fits.problem, runs=shown), state.settings, aside, state.key, state.progress)
+    body = explain(behind_them, behind(state.missing, gauged(fits.problem.runs, signals)), state.seed)
+    state.progress("with commanded inputs", 0, 0)
+    return Screened(**vars(state), candidates=separated(body, state.missing, state.settings))
+
+
+def select(state: Screened) -> Selected:
+    """Select the set of effects that explains the gap."""
+    return Selected(**vars(state), explanation=explain(state.fits, state.candidates, state.seed))
+
+
+def validate(state: Selected) -> Validated:
+    """Predict all runs with the nominal, the recalibrated and the corrected model and a black box."""
+    state.progress("judging on validation runs", 0, 0)
+    dataset, noise = state.dataset, state.noise
+    compared = compare_models(state.fits, state.explanation, dataset, state.plant.signals, state.nominal, noise, state.seed)
+    predictions = compared.predictions
+    doubt = "" if state.plant.static else clock.doubt(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
+    return Validated(
+        **vars(state),
+        predictions=predictions,
+        bound=compared.bound,
+        localisation=compared.localisation,
+        best=compared.best,
+        errors=validation_errors(dataset, noise, predictions, compared.bound),
+        clock_doubt=doubt,
+    )
+
+
+def assess(state: Validated) -> Assessed:
+    """Weigh every selected effect; drop all of them where a clock or something unknown is the likelier cause."""
+    explanation, settings = state.explanation, state.settings
+    odds = doubts(explanation, settings, state.seed)
+    judgement = judged(explanation, state.errors, settings, bool(state.dataset.validation), odds, _constancy(state))
+    dropped = explanation.best.effects and (state.clock_doubt or judgement.status is VerdictStatus.UNEXPLAINED)
+    if not dropped:
+        return Assessed(**vars(state), judgement=judgement)
+    predictions = state.predictions | {"corrected": state.predictions["recalibrated"]}
+    known: dict[str, Any] = vars(state) | {
+        "explanation": replace(explanation, best=explanation.without, shares={}, groups={}),
+        "predictions": predictions,
+        "best": explanation.without.estimate,
+        "errors": validation_errors(state.dataset, state.noise, predictions, state.bound),
+    }
+    return Assessed(**known, judgement=Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks))
+
+
+def report(state: Assessed) -> Discovery:
+    """Put the answer into words and tables."""
+    verdict = build_verdict(
+        state.dataset, state.plant, state.noise, state.explanation, state.best, state.errors, state.localisation, state.judgement,
+        state.clock_doubt, state.remarks,
+    )  # fmt: skip
+    return Discovery(verdict, state.dataset, state.noise, state.localisation, state.predictions, state.explanation)
+
+
+STAGES: tuple[Callable[[Any], Any], ...] = (prepare, recalibrate, screen, select, validate, assess, report)
+"""The workflow: each takes the state that the one before it returns, from a `Question` to a `Discovery`."""
 
 
 def require_fit_runs(dataset: RunSet) -> None:
@@ -86,292 +155,72 @@ def require_fit_runs(dataset: RunSet) -> None:
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def discover(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
-    settings: SearchSettings | None = None, progress: Progress = silent,
+    settings: SearchSettings | None = None, progress: Progress = silent, stages: Sequence[Callable[[Any], Any]] = STAGES,
 ) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
     Args:
         dataset: checked data.
-        plant: what is known of the machine, with the effects that may be missing at their null values.
-        noise: assumed of what is measured, 1 sigma per axis, or of each point, (points, 1).
+        plant: the model, with the effects that may be missing at their null values.
+        noise: of the measurements, 1 sigma per axis in m, or of each point, (points, 1).
         seed: of all random draws.
         store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
-        key: what `store` must have been made from to be used.
-        settings: when structure counts and when an effect is believed.
+        key: content of `store` is used only if it was made with the same key.
+        settings: thresholds of the search.
         progress: told of every piece of work.
+        stages: of the pipeline.
 
     Raises:
         InputError: no run to fit to, or the model cannot do the runs.
     """
-    began, settings = time.monotonic(), settings or SearchSettings.of(plant)
+    began = time.monotonic()
     require_fit_runs(dataset)
-    found = _explain_all_data(dataset, plant, noise, seed, store, key, settings, progress)
+    question = Question(dataset, plant, noise, settings or SearchSettings.of(plant), seed, store, key, progress)
+    found = run_stages(question, stages)
     if found.verdict.status is VerdictStatus.UNEXPLAINED and plant.quick and not plant.static:
         shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
         if remarks:
             progress("once more without beginnings that nothing explains", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-shorter")
-            again = _explain_all_data(shorter, plant, noise, seed, aside, key, settings, progress)
+            again = run_stages(replace(question, dataset=shorter, store=aside), stages)
             if again.verdict.effects:
                 notes = tuple(dict.fromkeys((*remarks, *again.verdict.notes)))
                 found = replace(again, verdict=replace(again.verdict, notes=notes))
     return replace(found, verdict=replace(found.verdict, seconds=time.monotonic() - began))
 
 
-def _explain_all_data(
-    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int, store: Path | None, key: str,
-    settings: SearchSettings, progress: Progress,
-) -> Discovery:  # fmt: skip
-    """`discover`, all data taken as they are."""
-    missing = behind(plant.candidates, dataset.gauges)
-    progress("simulating the runs with the model as it is", 0, 0)
-    nominal = _predict(plant, dataset, noise)
-    remarks: list[str] = []
-    if not plant.static:
-        dataset, remarks = without_strays(dataset, nominal, noise)
-    seen = devices_seen(dataset, plant) if isinstance(plant, SearchableNetwork) and not plant.static else None
-    if seen is not None:
-        dataset, remarks = dataset.with_runs(seen.runs), [*remarks, f"{seen.note}."]
-    step = _step(plant, dataset, nominal, noise, settings)
-    problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
-    try:
-        first = Fits(_recalibrated(problem), settings, progress=progress)
-        noise, scattering = _noise_seen(first, noise, plant.signals)
-        remarks += scattering
-        done = first.done if np.all(noise == problem.noise) else {}
-        shown, values = ((), {}) if seen is None else (seen.shown, seen.values)
-        fits = Fits(replace(first.problem, noise=noise), settings, store, key, progress, shown, values, done)
-        del first  # its fits are as large as the data
-        possible = _possible(fits, missing, plant.signals, seed) if seen is None else seen.among(missing)
-        explanation = explain(fits, possible, seed)
-    except PredictionError as error:
-        raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
-    progress("judging on validation runs", 0, 0)
-    predictions, bound, localisation, best = _compared(fits, explanation, dataset, plant.signals, nominal, noise, seed)
-    recalibrated = predictions["recalibrated"]
-    shift = "" if plant.static else clock.doubt(dataset.runs, recalibrated, predictions["corrected"], noise)
-    errors = _errors(dataset, noise, predictions, bound)
-    constancy = _constancy(fits.problem, explanation)
-    judgement = judged(explanation, errors, settings, bool(dataset.validation), doubts(explanation, settings, seed), constancy)
-    if explanation.best.effects and (shift or judgement.status is VerdictStatus.UNEXPLAINED):
-        # they take the place of a clock, which is no effect, or of what nobody knows
-        explanation = replace(explanation, best=explanation.without, shares={}, groups={})
-        predictions["corrected"], best = recalibrated, explanation.without.estimate
-        errors = _errors(dataset, noise, predictions, bound)
-        judgement = Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks)
-    looked_for = [effect for effect in explanation.best.effects if effect not in explanation.shown]
-    acts = dict.fromkeys(explanation.shown, ()) | {effect: runs_of(effect, best, dataset, noise) for effect in looked_for}
-    verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, judgement, acts, shift)
-    notes = tuple(dict.fromkeys((*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)))
-    verdict = replace(verdict, notes=notes)
-    return Discovery(verdict, dataset, noise, localisation, predictions, explanation)
+def run_stages(question: Question, stages: Sequence[Callable[[Any], Any]] = STAGES) -> Discovery:
+    """Run the stages one after the other, each timed.
 
-
-def _noise_seen(fits: Fits, noise: float | np.ndarray, signals: Signals) -> tuple[float | np.ndarray, list[str]]:
-    """The noise as what recalibration leaves of motions shows it, and what a reader should know of it."""
-    first = fits.fit((), {})
-    if first is None or fits.problem.plant.static:
-        return noise, []
-    found, scatters = fitted(noise, fits.problem.runs, first.estimate.residuals)
-    return found, told(scatters, noise, signals)
-
-
-def _possible(fits: Fits, missing: Sequence[Candidate], signals: Signals, seed: int) -> Sequence[Candidate]:
-    """The candidates that are left once measured inputs, where there are some, have shown what happens behind them."""
-    problem = fits.problem
-    shown = with_measured_inputs(problem.runs, signals)
-    if shown is None:
-        return missing
-    fits.progress("with measured inputs, for what happens behind them", 0, 0)
-    aside = None if fits.store is None else fits.store.with_name(f"{fits.store.name}-measured")
-    behind_them = Fits(replace(problem, runs=shown), fits.settings, aside, fits.key, fits.progress)
-    body = explain(behind_them, behind(missing, gauged(problem.runs, signals)), seed)
-    fits.progress("with commanded inputs", 0, 0)
-    return separated(body, missing, fits.settings)
-
-
-def _compared(
-    fits: Fits, explanation: Explanation, dataset: RunSet, signals: Signals,
-    nominal: list[np.ndarray], noise: float | np.ndarray, seed: int,
-) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray], Localisation, ParameterEstimate]:  # fmt: skip
-    """Predictions of all runs, those of a black box for the judged ones, where the model misses, and the best fit with the precise step.
-
-    Args:
-        fits: with the problem they are of.
-        explanation: what the search found.
-        dataset: all runs.
-        signals: what is measured.
-        nominal: predictions of the model as it was.
-        noise: of what is measured, 1 sigma per axis.
-        seed: of random draws.
+    Raises:
+        InputError: the model cannot do the runs.
     """
-    static = fits.problem.plant.static
-
-    def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
-        best = _refined(explanation.best.estimate)
-        return best, _predict(onward(best.plant, dataset), dataset, noise)
-
-    def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
-        recalibrated = _predict(explanation.without.estimate.plant, dataset, noise)
-        nothing = not explanation.best.effects and explanation.without.only_noise(fits.settings)
-        compared = nominal if nothing else recalibrated
-        place = localise(dataset.runs, compared, noise, signals, static, seed, fits.problem.block)
-        return recalibrated, place, _bounded(dataset, recalibrated, static)
-
-    (recalibrated, place, bound), (best, points) = beside(looked_at, corrected, fits.problem.plant.concurrent)
-    return {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}, bound, place, best
+    state: Any = question
+    seconds: dict[str, float] = {}
+    for stage in stages:
+        began = time.monotonic()
+        try:
+            state = stage(state)
+        except PredictionError as error:
+            raise InputError(f"{question.dataset.name}: the model cannot do the runs: {error}") from error
+        seconds[stage.__name__] = time.monotonic() - began
+    return replace(state, seconds=seconds)
 
 
-def _constancy(problem: Problem, explanation: Explanation) -> dict[Candidate, dict[str, Sizes]]:
+def _constancy(state: Validated) -> dict[Candidate, dict[str, Sizes]]:
     """Sizes of every effect in parts of the data, but for those that gauges have shown."""
-    best = explanation.best
-    if problem.plant.quick or not best.effects:
+    best = state.explanation.best
+    if state.plant.quick or not best.effects:
         return {}
-    linear = linearised(best.estimate, problem.free, best.effects, ())
-    return {effect: sizes(linear, effect) for effect in best.effects if effect not in explanation.shown}
+    linear = linearised(best.estimate, state.fits.problem.free, best.effects, ())
+    return {effect: sizes(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
 
 
-def _recalibrated(problem: Problem) -> Problem:
-    """The problem of a quick plant as recalibration leaves it: states from which its runs begin, blocks as long as residuals remember."""
+def _with_initial_states(problem: Problem) -> Problem:
+    """The problem of a quick plant with estimated initial states, and blocks as long as residuals remember."""
     if not problem.plant.quick:
         return problem
     found = identify(problem)
     runs = tuple(begun(found.plant, run, noise, problem.step) for run, noise in zip(problem.runs, problem.noises, strict=True))
     block = problem.block if problem.plant.static else independent_after(found.residuals, runs)
     return replace(problem, runs=runs, block=block)
-
-
-def _predict(plant: Plant, dataset: RunSet, noise: float | np.ndarray) -> list[np.ndarray]:
-    try:
-        return [found.points for found in predicted(plant, dataset.runs, noise, PRECISE_STEP)]
-    except PredictionError as error:
-        raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
-
-
-def _step(plant: Plant, dataset: RunSet, precise: Sequence[np.ndarray], noise: float | np.ndarray, settings: SearchSettings) -> float:
-    """The longest time step whose errors do not count beside the noise."""
-    if plant.static:
-        return PRECISE_STEP
-    try:
-        coarse = predicted(plant, dataset.fit, noise, LONGEST_STEP)
-    except PredictionError:
-        return PRECISE_STEP
-    fit = [points for run, points in zip(dataset.runs, precise, strict=True) if run.role == "fit"]
-    square = np.mean(np.array([np.mean(((a.points - b) / noise) ** 2) for a, b in zip(coarse, fit, strict=True)]))
-    return LONGEST_STEP if square < settings.max_noise_excess / 5 else PRECISE_STEP
-
-
-def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
-    """The fit with the finest step, from its values."""
-    free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
-    step = PRECISE_STEP if estimate.problem.plant.quick else FINEST_STEP
-    try:
-        return identify(replace(estimate.problem, free=free, step=step), 3, near=True)
-    except PredictionError:
-        return estimate
-
-
-def _verdict(
-    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, explanation: Explanation, best: ParameterEstimate,
-    errors: Errors, localisation: Localisation, judgement: Judgement, acts: Mapping[Candidate, tuple[str, ...]], shift: str,
-) -> Verdict:  # fmt: skip
-    unit = plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
-    status = judgement.status
-    named = [
-        Named(
-            other,
-            probability,
-            _values(best if hypothesis is explanation.best else hypothesis.estimate, hypothesis.form_error, other),
-            _only(explanation, effect, hypothesis),
-            acts.get(effect, ()),
-        )
-        for effect, other, hypothesis, probability in judgement.listed
-    ]
-    rivals = _rivals(explanation, named, judgement.cause)
-    corrected = plant.with_values(best.plant.values).corrected(explanation.best.effects)
-    notes = words.notes(dataset, plant.signals, explanation, best, noise, errors)
-    form_error = explanation.best.form_error
-    known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
-    text = words.sentences(status, named, errors, localisation.sentence, known, explanation, unit)
-    where = tuple(place for place in localisation.places if place.p <= 0.01)
-    return Verdict(
-        status,
-        text,
-        tuple(named),
-        rivals,
-        where,
-        known,
-        errors,
-        corrected,
-        notes,
-        machine=plant.name,
-        unit=unit,
-        fits=len(explanation.tried),
-        next=words.next_step(status, shift),
-    )
-
-
-def _only(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:
-    """Part of the structure left by recalibration that is gone with the effect and there without it."""
-    rest = tuple(c for c in explanation.best.effects if c != effect)
-    there = max(explanation.without.excess, 1e-12)
-    fitted = next((h.excess for h in explanation.tried if h.effects == rest), None)
-    if fitted is None and effect in explanation.shares and np.isfinite(explanation.shares[effect]):
-        return min(explanation.shares[effect] * hypothesis.excess / there, 1.0)  # to first order
-    return ((explanation.without.excess if fitted is None else fitted) - hypothesis.excess) / there
-
-
-def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nominal: float) -> Value:
-    at = [f.name for f in estimate.problem.free].index(name)
-    std = float(np.hypot(estimate.std[at], form_error[at]))
-    return Value(float(estimate.values[at]), std, estimate.problem.free[at].unit, nominal)
-
-
-def _values(estimate: ParameterEstimate, form_error: np.ndarray, candidate: Candidate) -> dict[str, Value]:
-    return {name.rpartition(".")[2]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
-
-
-def _rivals(explanation: Explanation, named: Sequence[Named], cause: Mapping[Candidate, float]) -> tuple[Rival, ...]:
-    """One entry for every effect that was not named: its best detail, fitted or not."""
-    taken = {each.candidate.name for each in named}
-    found: dict[str, Rival] = {}
-    for effect, group in explanation.groups.items():
-        for hypothesis, weight in group[1:]:
-            other = next(c for c in hypothesis.effects if c not in explanation.best.effects)
-            closes = explanation.closes(hypothesis)
-            rival = Rival(other, weight * cause[effect], words.beaten(explanation, effect, hypothesis), closes)
-            if other.name not in taken and (other.name not in found or found[other.name].probability < rival.probability):
-                found[other.name] = rival
-    for hypothesis in explanation.tried:
-        for other in hypothesis.effects:
-            if len(hypothesis.effects) == 1 and other.name not in taken and other.name not in found:
-                found[other.name] = Rival(other, 0.0, words.alone(explanation, hypothesis), explanation.closes(hypothesis))
-    for score in explanation.scores:
-        if score.candidate.name not in taken and score.candidate.name not in found:
-            found[score.candidate.name] = Rival(score.candidate, 0.0, words.unfitted(score), None)
-    return tuple(sorted(found.values(), key=lambda rival: (-rival.probability, -(rival.closes or -1.0), rival.candidate.label)))
-
-
-def _judged(dataset: RunSet) -> list[int]:
-    """Numbers of the validation runs that measured something; of all runs where there are none."""
-    runs = dataset.runs
-    return [k for k, run in enumerate(runs) if run.role == "validation" and np.isfinite(run.points).any()] or list(range(len(runs)))
-
-
-def _bounded(dataset: RunSet, recalibrated: Sequence[np.ndarray], static: bool) -> list[np.ndarray]:
-    """Points of the judged runs as a black box has them that learns from the runs fitted to, (rows, points, 3) in m each."""
-    learnt, judged = [k for k, run in enumerate(dataset.runs) if run.role == "fit"], _judged(dataset)
-    left = [dataset.runs[k].points - recalibrated[k] for k in learnt]
-    size = np.maximum(np.max([np.abs(run.inputs).max(axis=0) for run in dataset.runs], axis=0), 1e-12)
-    guessed = black_box([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], static)
-    return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
-
-
-def _errors(dataset: RunSet, noise: float | np.ndarray, predictions: dict[str, list[np.ndarray]], bound: Sequence[np.ndarray]) -> Errors:
-    """Of the predictions, and of a black box's for the judged runs."""
-    judged = _judged(dataset)
-    size, alone = (noise, 1.0) if np.ndim(noise) else (1.0, float(noise))  # quantities of different kinds are compared by their noise
-    measured = np.concatenate([dataset.runs[k].points for k in judged]) / size
-    found = {name: error_over_time(measured, np.concatenate([points[k] for k in judged]) / size) for name, points in predictions.items()}
-    floor = float(np.sqrt(axes_measured(measured)) * alone)
-    return Errors(noise_floor=floor, black_box=error_over_time(measured, np.concatenate(bound) / size), **found)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.pipeline import Discovery
 from tepm_opt.discrepancy.reporting.sentences import ONE_CLOCK
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.record import LOG
 
 MODEL, VALUES = "model.toml", "values.json"

@@ -15,9 +15,9 @@ from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
+from tepm_opt.discrepancy.assessment.validation import FINEST_STEP
 from tepm_opt.discrepancy.experiments.hypotheses import contenders
 from tepm_opt.discrepancy.experiments.separation import separation
-from tepm_opt.discrepancy.pipeline import FINEST_STEP
 from tepm_opt.discrepancy.problem.plant import everywhere
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings, labels
 from tepm_opt.errors import InputError

@@ -15,8 +15,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from tepm_opt.data.metrics import point_errors, shape_error
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.setpoints import AXES
-from tepm_opt.discrepancy.pipeline import Discovery
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.plots.palette import CORRECTED, MEASURED, NOISE, RECALIBRATED, UNJUDGED, Role
 from tepm_opt.plots.palette import MODELS as ROLES

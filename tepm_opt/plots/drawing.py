@@ -9,7 +9,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from tepm_opt.control.controllers import DEFAULT
-from tepm_opt.discrepancy.pipeline import Discovery
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.demo import NAMES, DemoRun

@@ -10,7 +10,7 @@ import numpy as np
 
 from tepm_opt.data.metrics import shape_error
 from tepm_opt.data.setpoints import AXES
-from tepm_opt.discrepancy.pipeline import Discovery
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.ik import IkRun
 from tepm_opt.plots.discrepancy import SMALLEST_SPAN, SPREAD, across, compared, error_name, most_corrected, unit_shown

@@ -13,7 +13,6 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.pipeline import Discovery
 from tepm_opt.discrepancy.reporting.sentences import beaten
 from tepm_opt.discrepancy.selection import fitting
 from tepm_opt.discrepancy.selection import ranking as rounds
@@ -21,6 +20,7 @@ from tepm_opt.discrepancy.selection.fitting import Fits, SearchSettings
 from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import linearised
 from tepm_opt.discrepancy.selection.screening import screen
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import FITS, MODEL, VERDICT, run_discrepancy
 from tepm_opt.models.compile import CompiledModel, compile_model

@@ -10,11 +10,11 @@ import pytest
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.adapters.network import candidate
-from tepm_opt.discrepancy.pipeline import Discovery
 from tepm_opt.discrepancy.selection.cross_validation import leave_out
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.screening import Score
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.solvers.gain import input_curve, solve_gain, workspace_map

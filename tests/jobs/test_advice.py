@@ -14,8 +14,8 @@ import typer
 
 from tepm_opt.cli.program import app
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.pipeline import Discovery
 from tepm_opt.discrepancy.reporting.sentences import ONE_CLOCK, next_step
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.advice import Asked, advised
 from tests.discrepancy.test_report import LOCALISATION, VERDICT
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.pipeline import Discovery
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tests.measured.prepared import EXAMPLES, prepared
 from tests.paths import SHARED

@@ -9,7 +9,7 @@ import pytest
 
 from tepm_opt.data.trials import read_trials
 from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
-from tepm_opt.discrepancy.pipeline import Discovery
+from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.jobs.plants import load_plant
 from tests.measured.prepared import EXAMPLES, prepared

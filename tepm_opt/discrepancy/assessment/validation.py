@@ -1,0 +1,127 @@
+"""Predictions of the compared models for all runs, and their errors on the validation runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tepm_opt.data.metrics import axes_measured, error_over_time
+from tepm_opt.data.run import RunSet
+from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.assessment.black_box import black_box
+from tepm_opt.discrepancy.assessment.constancy import onward
+from tepm_opt.discrepancy.assessment.residual_locations import Localisation, localise
+from tepm_opt.discrepancy.assessment.result import Errors
+from tepm_opt.discrepancy.preparation.time_step import PRECISE_STEP
+from tepm_opt.discrepancy.selection.fitting import Fits
+from tepm_opt.discrepancy.selection.forward_backward import Explanation
+from tepm_opt.solvers.identify import ParameterEstimate, identify
+from tepm_opt.solvers.parallel import beside
+from tepm_opt.solvers.plant import Plant, PredictionError
+from tepm_opt.solvers.start import predictions
+
+FINEST_STEP = 0.005  # s, of the values: a longer step's numerical damping shows in a damping beside a deviation of a few 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Predictions of the compared models.
+
+    Attributes:
+        predictions: by "nominal", "recalibrated" and "corrected", (rows, points, 3) in m a run.
+        bound: points of the validation runs as a black box predicts them.
+        localisation: where the model misses.
+        best: the selected fit with the precise time step.
+    """
+
+    predictions: dict[str, list[np.ndarray]]
+    bound: list[np.ndarray]
+    localisation: Localisation
+    best: ParameterEstimate
+
+
+def predict_runs(plant: Plant, dataset: RunSet, noise: float | np.ndarray) -> list[np.ndarray]:
+    """Points of all runs with the precise time step, (rows, points, 3) in m each.
+
+    Raises:
+        PredictionError: the model cannot do the runs.
+    """
+    return [found.points for found in predictions(plant, dataset.runs, noise, PRECISE_STEP)]
+
+
+def compare_models(
+    fits: Fits, explanation: Explanation, dataset: RunSet, signals: Signals,
+    nominal: list[np.ndarray], noise: float | np.ndarray, seed: int,
+) -> Comparison:  # fmt: skip
+    """Predict all runs with the nominal, the recalibrated and the corrected model, and the validation runs with a black box.
+
+    Args:
+        fits: of the search.
+        explanation: with the selected effects.
+        dataset: all runs.
+        signals: what is measured.
+        nominal: predictions of the model as it was.
+        noise: of the measurements, 1 sigma per axis.
+        seed: of random draws.
+    """
+    plant = fits.problem.plant
+
+    def predict_corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
+        best = _refine_fit(explanation.best.estimate)
+        return best, predict_runs(onward(best.plant, dataset), dataset, noise)
+
+    def predict_recalibrated() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
+        recalibrated = predict_runs(explanation.without.estimate.plant, dataset, noise)
+        nothing = not explanation.best.effects and explanation.without.only_noise(fits.settings)
+        compared = nominal if nothing else recalibrated
+        place = localise(dataset.runs, compared, noise, signals, plant.static, seed, fits.problem.block)
+        return recalibrated, place, _predict_black_box(dataset, recalibrated, plant.static)
+
+    (recalibrated, place, bound), (best, points) = beside(predict_recalibrated, predict_corrected, plant.concurrent)
+    return Comparison({"nominal": nominal, "recalibrated": recalibrated, "corrected": points}, bound, place, best)
+
+
+def validation_errors(
+    dataset: RunSet, noise: float | np.ndarray, predictions: Mapping[str, list[np.ndarray]], bound: Sequence[np.ndarray]
+) -> Errors:
+    """Errors of the models and of the black box on the validation runs.
+
+    Args:
+        dataset: all runs.
+        noise: of the measurements, 1 sigma per axis.
+        predictions: by model, (rows, points, 3) in m a run.
+        bound: points of the validation runs as a black box predicts them.
+    """
+    judged = _validation_runs(dataset)
+    size, alone = (noise, 1.0) if np.ndim(noise) else (1.0, float(noise))  # quantities of different kinds are compared by their noise
+    measured = np.concatenate([dataset.runs[k].points for k in judged]) / size
+    found = {name: error_over_time(measured, np.concatenate([points[k] for k in judged]) / size) for name, points in predictions.items()}
+    floor = float(np.sqrt(axes_measured(measured)) * alone)
+    return Errors(noise_floor=floor, black_box=error_over_time(measured, np.concatenate(bound) / size), **found)
+
+
+def _validation_runs(dataset: RunSet) -> list[int]:
+    """Numbers of the validation runs that measured something; of all runs where there are none."""
+    runs = dataset.runs
+    return [k for k, run in enumerate(runs) if run.role == "validation" and np.isfinite(run.points).any()] or list(range(len(runs)))
+
+
+def _predict_black_box(dataset: RunSet, recalibrated: Sequence[np.ndarray], static: bool) -> list[np.ndarray]:
+    """Points of the validation runs as a black box has them that learns from the runs fitted to, (rows, points, 3) in m each."""
+    learnt, judged = [k for k, run in enumerate(dataset.runs) if run.role == "fit"], _validation_runs(dataset)
+    left = [dataset.runs[k].points - recalibrated[k] for k in learnt]
+    size = np.maximum(np.max([np.abs(run.inputs).max(axis=0) for run in dataset.runs], axis=0), 1e-12)
+    guessed = black_box([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], static)
+    return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
+
+
+def _refine_fit(estimate: ParameterEstimate) -> ParameterEstimate:
+    """The fit with the finest time step, started from its values."""
+    free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
+    step = PRECISE_STEP if estimate.problem.plant.quick else FINEST_STEP
+    try:
+        return identify(replace(estimate.problem, free=free, step=step), 3, near=True)
+    except PredictionError:
+        return estimate

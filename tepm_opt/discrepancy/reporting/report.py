@@ -1,0 +1,111 @@
+"""The verdict, put together from what the stages found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tepm_opt.data.run import RunSet
+from tepm_opt.discrepancy.assessment.constancy import runs_of
+from tepm_opt.discrepancy.assessment.credibility import Judgement
+from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE, Localisation
+from tepm_opt.discrepancy.assessment.result import Errors, Named, Rival, Value, Verdict
+from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
+from tepm_opt.discrepancy.reporting import sentences
+from tepm_opt.discrepancy.selection.fitting import Hypothesis
+from tepm_opt.discrepancy.selection.forward_backward import Explanation
+from tepm_opt.solvers.identify import ParameterEstimate
+
+
+def build_verdict(
+    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, explanation: Explanation, best: ParameterEstimate,
+    errors: Errors, localisation: Localisation, judgement: Judgement, clock_doubt: str, remarks: Sequence[str],
+) -> Verdict:  # fmt: skip
+    """The answer in words and tables.
+
+    Args:
+        dataset: all runs.
+        plant: the model that was asked about.
+        noise: of the measurements, 1 sigma per axis.
+        explanation: all fits, with the selected effects.
+        best: the selected fit with the precise time step.
+        errors: on validation runs.
+        localisation: where the model misses.
+        judgement: credibility of the effects.
+        clock_doubt: a sentence where positions and inputs seem to tell different times, else empty.
+        remarks: of the preparation, in sentences.
+    """
+    unit = plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
+    status = judgement.status
+    acts: dict[Candidate, tuple[str, ...]] = dict.fromkeys(explanation.shown, ())
+    acts |= {effect: runs_of(effect, best, dataset, noise) for effect in explanation.best.effects if effect not in explanation.shown}
+    named = [
+        Named(
+            other,
+            probability,
+            _values(best if hypothesis is explanation.best else hypothesis.estimate, hypothesis.form_error, other),
+            _share_alone(explanation, effect, hypothesis),
+            acts.get(effect, ()),
+        )
+        for effect, other, hypothesis, probability in judgement.listed
+    ]
+    form_error = explanation.best.form_error
+    known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
+    notes = sentences.notes(dataset, plant.signals, explanation, best, noise, errors)
+    return Verdict(
+        status,
+        sentences.sentences(status, named, errors, localisation.sentence, known, explanation, unit),
+        tuple(named),
+        _rivals(explanation, named, judgement.cause),
+        tuple(place for place in localisation.places if place.p <= 0.01),
+        known,
+        errors,
+        plant.with_values(best.plant.values).corrected(explanation.best.effects),
+        tuple(dict.fromkeys((*([f"{clock_doubt}."] if clock_doubt else []), *remarks, *judgement.remarks, *notes))),
+        machine=plant.name,
+        unit=unit,
+        fits=len(explanation.tried),
+        next=sentences.next_step(status, clock_doubt),
+    )
+
+
+def _share_alone(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:
+    """Part of the structure left by recalibration that only this effect removes."""
+    rest = tuple(c for c in explanation.best.effects if c != effect)
+    there = max(explanation.without.excess, 1e-12)
+    fitted = next((h.excess for h in explanation.tried if h.effects == rest), None)
+    if fitted is None and effect in explanation.shares and np.isfinite(explanation.shares[effect]):
+        return min(explanation.shares[effect] * hypothesis.excess / there, 1.0)  # to first order
+    return ((explanation.without.excess if fitted is None else fitted) - hypothesis.excess) / there
+
+
+def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nominal: float) -> Value:
+    at = [f.name for f in estimate.problem.free].index(name)
+    std = float(np.hypot(estimate.std[at], form_error[at]))
+    return Value(float(estimate.values[at]), std, estimate.problem.free[at].unit, nominal)
+
+
+def _values(estimate: ParameterEstimate, form_error: np.ndarray, candidate: Candidate) -> dict[str, Value]:
+    return {name.rpartition(".")[2]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
+
+
+def _rivals(explanation: Explanation, named: Sequence[Named], cause: Mapping[Candidate, float]) -> tuple[Rival, ...]:
+    """One entry for every effect that was not named: its best detail, fitted or not."""
+    taken = {each.candidate.name for each in named}
+    found: dict[str, Rival] = {}
+    for effect, group in explanation.groups.items():
+        for hypothesis, weight in group[1:]:
+            other = next(c for c in hypothesis.effects if c not in explanation.best.effects)
+            closes = explanation.closes(hypothesis)
+            rival = Rival(other, weight * cause[effect], sentences.beaten(explanation, effect, hypothesis), closes)
+            if other.name not in taken and (other.name not in found or found[other.name].probability < rival.probability):
+                found[other.name] = rival
+    for hypothesis in explanation.tried:
+        for other in hypothesis.effects:
+            if len(hypothesis.effects) == 1 and other.name not in taken and other.name not in found:
+                found[other.name] = Rival(other, 0.0, sentences.alone(explanation, hypothesis), explanation.closes(hypothesis))
+    for score in explanation.scores:
+        if score.candidate.name not in taken and score.candidate.name not in found:
+            found[score.candidate.name] = Rival(score.candidate, 0.0, sentences.unfitted(score), None)
+    return tuple(sorted(found.values(), key=lambda rival: (-rival.probability, -(rival.closes or -1.0), rival.candidate.label)))
