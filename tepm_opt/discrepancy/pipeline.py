@@ -26,10 +26,11 @@ from tepm_opt.discrepancy.preparation.devices import devices_seen
 from tepm_opt.discrepancy.preparation.measured_inputs import behind, gauged, separated, with_measured_inputs
 from tepm_opt.discrepancy.preparation.noise import fitted, told
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting import sentences as words
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation, explain
-from tepm_opt.discrepancy.selection.linearised import linearised
+from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
@@ -151,7 +152,7 @@ def _explain_all_data(
     recalibrated = predictions["recalibrated"]
     shift = "" if plant.static else clock.doubt(dataset.runs, recalibrated, predictions["corrected"], noise)
     errors = _errors(dataset, noise, predictions, bound)
-    constancy = _constancy(fits.problem, explanation)
+    constancy = _constancy(fits.problem, explanation, settings)
     judgement = judged(explanation, errors, settings, bool(dataset.validation), doubts(explanation, settings, seed), constancy)
     if explanation.best.effects and (shift or judgement.status is VerdictStatus.UNEXPLAINED):
         # they take the place of a clock, which is no effect, or of what nobody knows
@@ -222,12 +223,12 @@ def _compared(
     return {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}, bound, place, best
 
 
-def _constancy(problem: Problem, explanation: Explanation) -> dict[Candidate, dict[str, Sizes]]:
+def _constancy(problem: Problem, explanation: Explanation, settings: SearchSettings) -> dict[Candidate, dict[str, Sizes]]:
     """Sizes of every effect in parts of the data, but for those that gauges have shown."""
     best = explanation.best
     if problem.plant.quick or not best.effects:
         return {}
-    linear = linearised(best.estimate, problem.free, best.effects, ())
+    linear = linearise(best.estimate, problem.free, best.effects, (), settings)
     return {effect: sizes(linear, effect) for effect in best.effects if effect not in explanation.shown}
 
 
