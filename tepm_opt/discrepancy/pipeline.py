@@ -29,10 +29,11 @@ from tepm_opt.discrepancy.preparation.measured_inputs import behind, gauged, sep
 from tepm_opt.discrepancy.preparation.noise import fitted, told
 from tepm_opt.discrepancy.preparation.time_step import choose_time_step
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting.report import build_verdict
-from tepm_opt.discrepancy.selection.fitting import Fits, SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import explain
-from tepm_opt.discrepancy.selection.linearised import linearised
+from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
@@ -212,7 +213,7 @@ def _constancy(state: Validated) -> dict[Candidate, dict[str, Sizes]]:
     best = state.explanation.best
     if state.plant.quick or not best.effects:
         return {}
-    linear = linearised(best.estimate, state.fits.problem.free, best.effects, ())
+    linear = linearise(best.estimate, state.fits.problem.free, best.effects, (), state.settings)
     return {effect: sizes(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
 
 

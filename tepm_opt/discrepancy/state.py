@@ -14,7 +14,8 @@ from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Verdict
 from tepm_opt.discrepancy.preparation.devices import DevicesSeen
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
-from tepm_opt.discrepancy.selection.fitting import Fits, SearchSettings
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.progress import Progress, silent

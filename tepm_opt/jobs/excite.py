@@ -14,7 +14,7 @@ from tepm_opt.data.datasets import in_session
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.experiments.information import APART, FOUND, Information, Move, Separable, information
-from tepm_opt.discrepancy.selection.fitting import SearchSettings
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.errors import InputError
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model

@@ -18,8 +18,9 @@ from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.validation import FINEST_STEP
 from tepm_opt.discrepancy.experiments.hypotheses import contenders
 from tepm_opt.discrepancy.experiments.separation import separation
-from tepm_opt.discrepancy.problem.plant import everywhere
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings, labels
+from tepm_opt.discrepancy.problem.plant import without_run_restriction
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, labels
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_setpoints
 from tepm_opt.jobs.discrepancy import MODEL, VERDICT, checked_datasets, read_verdict
@@ -113,7 +114,7 @@ class Rig:
         """Whether the machine stands under all set points and swings no farther than models are trusted, whichever hypothesis is true."""
         robot, run = self.model.robot, proposal.planned.sampled(self.rate, len(channels_of(self.model.robot).points))
         farthest = FARTHEST * robot.modules * robot.parameters.L_0
-        for plant in (everywhere(estimate.plant) for estimate in estimates):
+        for plant in (without_run_restriction(estimate.plant) for estimate in estimates):
             if isinstance(plant, NetworkPlant) and unbearable(plant.model, proposal.planned.setpoints, motion=False):
                 return False
             try:

@@ -50,7 +50,7 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
         "tip": tip_figure(*lines, seen.of, unit),
     }
     explanation = result.explanation
-    fitted = [h for h in explanation.tried if len(h.effects) == 1 and not (h.estimate.out_of_reach and h.estimate.problem.plant.quick)]
+    fitted = [h for h in explanation.tried if len(h.effects) == 1 and h.evidence.held_out]
     fitted += [explanation.best] * (len(explanation.best.effects) > 1)
     if fitted:
         closes = {_label(h): explanation.closes(h) for h in fitted}

@@ -22,8 +22,9 @@ from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.credibility import CLEAR
 from tepm_opt.discrepancy.experiments.information import Move, Separable, information
 from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.next_run import Proposal, Rig, any_run, best_run
 from tepm_opt.models.channels import channels_of

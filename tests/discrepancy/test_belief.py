@@ -15,8 +15,9 @@ from tepm_opt.discrepancy.assessment.constancy import Sizes
 from tepm_opt.discrepancy.assessment.credibility import Doubt, Judgement, doubts, judged
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus
 from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import Evidence
-from tepm_opt.discrepancy.selection.fitting import Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 
 LAG, LOAD = candidate("regulator_lag"), candidate("external_load")

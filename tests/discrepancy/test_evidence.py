@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection import cross_validation as evidences
 from tepm_opt.discrepancy.selection.cross_validation import Evidence, leave_out, weights
 from tepm_opt.models.compile import CompiledModel
@@ -15,7 +16,7 @@ from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tests.discrepancy.small import FILES, NOISE, STEP, changed, cut, measured, planned, true_values
 
-BLOCKS, SAMPLES = 40, 600
+BLOCKS, SAMPLES, SETTINGS = 40, 600, SearchSettings()
 
 
 def evidence(size: float = 1.0, parameters: int = 4, seed: int = 0) -> Evidence:
@@ -41,7 +42,7 @@ class TestLeaveOut:
     @pytest.mark.parametrize("count", [3, 1])
     def test_a_right_model_leaves_the_noise(self, kang: CompiledModel, runs: list[Run], count: int) -> None:
         estimate = fitted(kang, runs[:count])
-        found = leave_out(estimate)
+        found = leave_out(estimate, SETTINGS)
         assert found.parameters == 4
         assert found.count == estimate.count == sum(run.points.size for run in runs[:count])
         assert found.squares.sum() == pytest.approx(found.count, rel=0.05)
@@ -52,7 +53,7 @@ class TestLeaveOut:
     @pytest.mark.slow
     def test_is_what_refits_say(self, kang: CompiledModel, runs: list[Run]) -> None:
         """The step from the fit to all runs against fits to two of them."""
-        found = leave_out(fitted(kang, runs)).squares
+        found = leave_out(fitted(kang, runs), SETTINGS).squares
         single = []
         for k, run in enumerate(runs):
             others = fitted(kang, [other for other in runs if other is not run])
@@ -67,7 +68,7 @@ class TestLeaveOut:
         estimate = fitted(kang, runs)
         first, *rest = estimate.residuals
         hardly = [replace(r, by=r.by * np.r_[1e-3, 1, 1, 1]) for r in rest]  # one parameter is told by the first run alone
-        found = leave_out(replace(estimate, residuals=[first, *hardly])).squares
+        found = leave_out(replace(estimate, residuals=[first, *hardly]), SETTINGS).squares
         mean, precision = estimate.problem.prior
         others = sum(r.by.T @ r.by for r in hardly) + np.diag(precision)
         slope = sum(r.by.T @ r.values.ravel() for r in hardly) + precision * (estimate.values - mean)
@@ -80,7 +81,7 @@ class TestLeaveOut:
     @pytest.mark.slow
     def test_a_wrong_model_leaves_more(self, kang: CompiledModel, runs: list[Run]) -> None:
         moved = [replace(run, points=run.points + 2e-3 * np.sin(3 * run.time)[:, None, None]) for run in runs]
-        assert leave_out(fitted(kang, moved)).excess > 1.0
+        assert leave_out(fitted(kang, moved), SETTINGS).excess > 1.0
 
     @pytest.mark.slow
     @pytest.mark.parametrize("refines", [True, False], ids=["refines", "at a bound"])
@@ -91,16 +92,16 @@ class TestLeaveOut:
         stays = replace(first, refines=True) if refines else replace(first, low=at)
         beside = [replace(residual, by=residual.by[:, 1:]) for residual in estimate.residuals]
         without = replace(estimate, problem=replace(estimate.problem, free=tuple(others)), values=estimate.values[1:], residuals=beside)
-        found = leave_out(replace(estimate, problem=replace(estimate.problem, free=(stays, *others))))
-        np.testing.assert_allclose(found.squares, leave_out(without).squares, rtol=1e-6)
-        assert not np.allclose(found.squares, leave_out(estimate).squares, rtol=1e-4), "it does move where nothing holds it"
+        found = leave_out(replace(estimate, problem=replace(estimate.problem, free=(stays, *others))), SETTINGS)
+        np.testing.assert_allclose(found.squares, leave_out(without, SETTINGS).squares, rtol=1e-6)
+        assert not np.allclose(found.squares, leave_out(estimate, SETTINGS).squares, rtol=1e-4), "it does move where nothing holds it"
 
     @pytest.mark.slow
     def test_a_run_alone_is_left_out_by_whole_blocks(self, kang: CompiledModel, runs: list[Run]) -> None:
         estimate = fitted(kang, runs[:1])
         (residual,) = estimate.residuals
         counts = np.bincount(residual.block, residual.present.reshape(len(residual.values), -1).sum(axis=1))
-        np.testing.assert_array_equal(leave_out(estimate).counts, counts)
+        np.testing.assert_array_equal(leave_out(estimate, SETTINGS).counts, counts)
 
     @pytest.mark.slow
     def test_a_run_that_alone_tells_of_an_effect_of_some_runs_is_cut(
@@ -115,14 +116,14 @@ class TestLeaveOut:
         monkeypatch.setattr(evidences, "bounded_step", lambda *asked: folds.append(1) or step(*asked))
         for estimated, names, count in ((told, {first}, 2 + 4), (told, {second}, 3), (told, set(), 3), (estimate, {first}, 3)):
             folds.clear()
-            leave_out(estimated, names)
+            leave_out(estimated, SETTINGS, names)
             assert len(folds) == count
 
     @pytest.mark.slow
     def test_missing_samples_do_not_count(self, kang: CompiledModel, runs: list[Run]) -> None:
         holey = [replace(run, points=np.where(np.arange(4)[:, None] == 1, np.nan, run.points)) for run in runs]
         holey[0].points[50:120] = np.nan  # a second and a half in which nothing is seen
-        found = leave_out(fitted(kang, holey))
+        found = leave_out(fitted(kang, holey), SETTINGS)
         assert found.count == sum(int(np.isfinite(run.points).sum()) for run in holey)
         assert (found.counts > 0).all()
         assert found.squares.sum() == pytest.approx(found.count, rel=0.06)

@@ -13,8 +13,7 @@ from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment import black_box
 from tepm_opt.discrepancy.assessment import residual_locations as localise
 from tepm_opt.discrepancy.pipeline import discover
-from tepm_opt.discrepancy.selection import fitting as fits
-from tepm_opt.discrepancy.selection import linearised as first_order
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import Model
 from tests.discrepancy.small import NOISE, changed, cut, dataset_of, measured, planned, true_values
@@ -24,12 +23,12 @@ PER_SAMPLE = 2500  # B; 150 MB for 20 minutes
 
 @pytest.mark.slow
 def test_of_a_verdict_per_sample(kang: CompiledModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fits, "MEMORY", 0)  # as if the data were long: one fit at a time
-    monkeypatch.setattr(first_order, "MEMORY", 2_000_000)  # and what is long is thinned
     monkeypatch.setattr(black_box, "SAMPLES", 50)  # what does not grow any more with long data
     monkeypatch.setattr(localise, "CHUNK", 20_000)
     runs = measured(changed(kang, **true_values(kang)), planned(("single_pressure.csv", "elongation.csv", "mixed.csv")))
     runs = [replace(cut(run, 6.0), points=cut(run, 6.0).points + 3e-3 * (np.arange(4) == 2)[:, None]) for run in runs]
+
+    settings = SearchSettings(max_derivative_bytes=2_000_000)  # as if the data were long: one fit at a time, on thinned data
 
     def peak(copies: int) -> tuple[int, int]:
         """Samples of so many copies of the runs, and the most memory in B their verdict takes."""
@@ -37,7 +36,7 @@ def test_of_a_verdict_per_sample(kang: CompiledModel, monkeypatch: pytest.Monkey
         dataset = dataset_of(kang, every)
         tracemalloc.start()
         try:
-            discover(dataset, SearchableNetwork.of(Model.of("kang2017"), dataset.channels), NOISE)
+            discover(dataset, SearchableNetwork.of(Model.of("kang2017"), dataset.channels), NOISE, settings=settings)
             return sum(run.rows for run in every), tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

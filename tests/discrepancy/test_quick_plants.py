@@ -10,14 +10,16 @@ import pytest
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting.sentences import beyond
-from tepm_opt.discrepancy.selection.cross_validation import REFITS, leave_out
-from tepm_opt.discrepancy.selection.linearised import linearised
+from tepm_opt.discrepancy.selection.cross_validation import leave_out
+from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.selection.screening import screen
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.residuals import Residual, independent_after
 
 STEP, NOISE = 0.02, 0.01
+FOLDS = SearchSettings().fold_count
 
 
 def tank(**laws: object) -> Equations:
@@ -51,15 +53,15 @@ def problem(measured: tuple[Run, ...]) -> Problem:
     return Problem(plant, measured, plant.free(plant.known), NOISE)
 
 
-@pytest.mark.parametrize("count", [REFITS, 1])
+@pytest.mark.parametrize("count", [FOLDS, 1])
 def test_left_out_data_are_predicted_by_fits_to_the_rest(count: int) -> None:
     """Against fits that never saw a fold: whole runs, or parts of the one run there is."""
     asked = problem(runs(count, leak=2.6))
     estimate = identify(asked)
-    found = leave_out(estimate)
-    fold = np.arange(count * 200) // 200 if count > 1 else np.arange(200) * 24 // 200 % REFITS
+    found = leave_out(estimate, SearchSettings.of(estimate.plant))
+    fold = np.arange(count * 200) // 200 if count > 1 else np.arange(200) * 24 // 200 % FOLDS
     total = 0.0
-    for k in range(REFITS):
+    for k in range(FOLDS):
         hidden = (fold == k).reshape(count, 200)
         left = tuple(
             replace(run, points=np.where(rows[:, None, None], np.nan, run.points)) for run, rows in zip(asked.runs, hidden, strict=True)
@@ -74,7 +76,7 @@ def test_left_out_data_are_predicted_by_fits_to_the_rest(count: int) -> None:
 def test_neighbours_in_time_count_as_what_they_say() -> None:
     """A coordinate is worth a block's share: as many independent measurements as there are blocks."""
     estimate = identify(replace(problem(runs(2, leak=2.6)), block=0.5))
-    found = leave_out(estimate)
+    found = leave_out(estimate, SearchSettings.of(estimate.plant))
     assert len(found.counts) == 2 * 8
     assert found.worth == pytest.approx(16 / 400)
 
@@ -101,9 +103,9 @@ def test_a_probe_is_judged_by_what_a_few_steps_gain() -> None:
         for k, run in enumerate(runs(4, 2.0))
     )
     estimate = identify(Problem(machine, measured, machine.free(machine.known), NOISE))
-    score = next(
-        s for s in screen(linearised(estimate, estimate.problem.free, (), ()), machine.candidates) if s.candidate.name == "input_lag"
-    )
+    settings = SearchSettings.of(machine)
+    scores = screen(linearise(estimate, estimate.problem.free, (), (), settings), settings, machine.candidates)
+    score = next(s for s in scores if s.candidate.name == "input_lag")
     assert score.gain > 0.9
     assert score.start["input_lag[inflow].time"] == pytest.approx(lag, rel=0.3)
     assert score.start["leak"] == pytest.approx(2.3, rel=0.1), "what is known follows"

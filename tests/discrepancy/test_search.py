@@ -13,12 +13,11 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting.sentences import beaten
-from tepm_opt.discrepancy.selection import fitting
-from tepm_opt.discrepancy.selection import ranking as rounds
-from tepm_opt.discrepancy.selection.fitting import Fits, SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import explain
-from tepm_opt.discrepancy.selection.linearised import linearised
+from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.selection.screening import screen
 from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.errors import InputError
@@ -37,6 +36,7 @@ from tests.tools import stages_into
 NOMINAL = Model.of("kang2017")
 OFFSET = np.array([4e-3, -3e-3, 2e-3])  # m, of s3
 FILES = ("single_pressure.csv", "elongation.csv", "mixed.csv")
+SETTINGS = SearchSettings()
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ class TestScreening:
     @pytest.mark.parametrize("apart", [0.0, 0.04])
     def test_what_is_missing_promises_most(self, library: CompiledModel, runs: list[Run], apart: float) -> None:
         estimate = identify(replace(problem(library, runs), derivatives_apart=apart))
-        scores = screen(linearised(estimate, estimate.problem.free, (), candidates(NOMINAL)))
+        scores = screen(linearise(estimate, estimate.problem.free, (), candidates(NOMINAL), SETTINGS), SETTINGS)
         gains = [score.gain for score in scores]
         assert gains == sorted(gains, reverse=True)
         assert scores[0].candidate.label == "sensor_offset[s3]"
@@ -152,8 +152,8 @@ class TestScreening:
         lag = {"regulator_lag.filling_time": 4.0, "regulator_lag.exhausting_time": 4.0}
         slow = [cut(run, 6.0) for run in measured(changed(library, **lag), planned(FILES)[:2])]
         estimate = identify(problem(library, slow))
-        linear = linearised(estimate, estimate.problem.free, (), candidates(NOMINAL))
-        (found,) = (score for score in screen(linear) if score.candidate.label == "regulator_lag")
+        linear = linearise(estimate, estimate.problem.free, (), candidates(NOMINAL), SETTINGS)
+        (found,) = (score for score in screen(linear, SETTINGS) if score.candidate.label == "regulator_lag")
         (near,) = (c for c in linear.able if c.label == "regulator_lag")
         assert near.smooth
         assert found.gain > max(0.5, 2 * linear.gain((near,))[0])
@@ -164,7 +164,7 @@ class TestScreening:
         estimate = identify(problem(library, runs))
         sparse = replace(estimate, problem=replace(estimate.problem, derivatives_apart=0.04))
         whole, few = (
-            {s.candidate.label: s for s in screen(linearised(each, each.problem.free, (), candidates(NOMINAL)))}
+            {s.candidate.label: s for s in screen(linearise(each, each.problem.free, (), candidates(NOMINAL), SETTINGS), SETTINGS)}
             for each in (estimate, sparse)
         )
         assert whole.keys() == few.keys()
@@ -219,12 +219,12 @@ class TestFits:
         fits = Fits(problem(library, runs), SearchSettings(max_iterations=1))
         far, near = ({f"{effect.label}.x": x, f"{effect.label}.turns": turns} for x, turns in ((-0.1, 1.0), (OFFSET[0], 0.0)))
         astray = fits.fit((effect,), far)
-        assert fits.fit((effect,), near) is astray is fits.known((effect,))
-        found = fits.anew((effect,), near)
+        assert fits.fit((effect,), near) is astray is fits.find((effect,))
+        found = fits.refit((effect,), near)
         assert found is not None
         assert astray is not None
         assert found.excess < astray.excess
-        assert fits.anew((effect,), far) is found is fits.known((effect,))
+        assert fits.refit((effect,), far) is found is fits.find((effect,))
 
     def test_that_ended_early_go_on_when_asked_for(self, library: CompiledModel, runs: list[Run]) -> None:
         fits = Fits(problem(library, runs), SearchSettings())
@@ -237,20 +237,17 @@ class TestFits:
         assert early.estimate.out_of_reach
         assert early.estimate.iterations < wrong.estimate.iterations
         assert hasty.fit_all([(wrong.effects, {})], rival=right) == [early]
-        last = hasty.finished(early)
+        last = hasty.complete(early)
         assert not last.estimate.out_of_reach
         assert last.excess == pytest.approx(wrong.excess, rel=1e-4)
-        assert hasty.finished(last) is last
+        assert hasty.complete(last) is last
 
-    def test_that_end_early_do_not_change_the_winner(
-        self, library: CompiledModel, runs: list[Run], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        settings = SearchSettings(tolerance=1e-7)  # so that all have steps to make
-        monkeypatch.setattr(rounds, "NEAR", np.inf)  # and are fitted
+    def test_that_end_early_do_not_change_the_winner(self, library: CompiledModel, runs: list[Run]) -> None:
+        settings = SearchSettings(tolerance=1e-7, far_rival_ratio=np.inf)  # so that all are fitted and have steps to make
         found = []
-        for lost in (fitting.LOST, np.inf):
-            monkeypatch.setattr(fitting, "LOST", lost)
-            found.append(explain(Fits(problem(library, runs), settings), candidates(NOMINAL), 0))
+        for ratio in (settings.early_end_ratio, np.inf):
+            own = replace(settings, early_end_ratio=ratio)
+            found.append(explain(Fits(problem(library, runs), own), candidates(NOMINAL), 0))
         early, whole = found
         ended = [hypothesis for hypothesis in early.tried if hypothesis.estimate.out_of_reach]
         assert ended

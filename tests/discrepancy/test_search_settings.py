@@ -13,11 +13,12 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate
 from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection import alternatives as rivals
 from tepm_opt.discrepancy.selection import forward_backward as search
 from tepm_opt.discrepancy.selection import ranking as rounds
 from tepm_opt.discrepancy.selection.cross_validation import Evidence, weights
-from tepm_opt.discrepancy.selection.fitting import Effects, Hypothesis, SearchSettings, may
+from tepm_opt.discrepancy.selection.fitting import Effects, Hypothesis, may_act_beside
 from tepm_opt.discrepancy.selection.forward_backward import Explanation, explain
 from tepm_opt.discrepancy.selection.screening import Score
 
@@ -63,13 +64,13 @@ class Table:
     def fit_all(self, asked: Sequence[tuple[Effects, object]], _: object = None, bound: float = np.inf) -> list[Hypothesis]:
         return [self.fit(effects, start) for effects, start in asked]
 
-    def finished(self, found: Hypothesis) -> Hypothesis:
+    def complete(self, found: Hypothesis) -> Hypothesis:
         return found
 
-    def known(self, effects: Effects) -> Hypothesis | None:
+    def find(self, effects: Effects) -> Hypothesis | None:
         return self.done.get(tuple(sorted(effects, key=lambda c: c.label)))
 
-    def anew(self, effects: Effects, start: object) -> Hypothesis | None:
+    def refit(self, effects: Effects, start: object) -> Hypothesis | None:
         self.again = (*self.again, effects)
         return self.fit(effects, start)
 
@@ -175,7 +176,7 @@ class TestRules:
         """Both stand below the errors of forms; without s2 (the last in order) next to nothing more is left, without s1 much is."""
         monkeypatch.setattr(search, "_output", lambda *_: 1e4)
         table: Any = Table(SearchSettings(), {"": 30.0, "s1": 0.5, "s2": 7.0, "s1 s2": 0.4}, {})
-        best, _ = search._backward(table, table.fit((EFFECTS["s1"], EFFECTS["s2"]), {}))
+        best, _ = search._eliminate_backward(table, table.fit((EFFECTS["s1"], EFFECTS["s2"]), {}))
         assert [c.detail for c in best.effects] == ["s1"]
 
 
@@ -191,7 +192,7 @@ def test_rivals_begin_where_the_best_fit_ended_if_that_promises_more(promise: fl
         return SimpleNamespace(gain=lambda effects: (gain, start), able=[rival], excess=base.excess, count=np.ones(1))
 
     table.linear = linear  # type: ignore[method-assign]
-    (found,) = rivals._from_there(table, best, rest, [score], [rival])  # type: ignore[arg-type]
+    (found,) = rivals._start_from_best(table, best, rest, [score], [rival])  # type: ignore[arg-type]
     assert found.start == {"from": 1.0 if begins == "there" else 0.0}
     assert found.gain == score.gain, "what ranks them is what they do in its place"
     assert not table.again
@@ -209,7 +210,7 @@ def test_a_rival_whose_fit_went_astray_is_fitted_anew(before: float, again: bool
         return SimpleNamespace(gain=lambda effects: (0.0, {}), able=[rival], excess=(1.0 if base is best else 8.0) * count[0], count=count)
 
     table.linear = linear  # type: ignore[method-assign]
-    rivals._from_there(table, best, rest, [Score(rival, 0.1, {})], [rival])  # type: ignore[arg-type]
+    rivals._start_from_best(table, best, rest, [Score(rival, 0.1, {})], [rival])  # type: ignore[arg-type]
     assert table.again == (((rival,),) if again else ())
 
 
@@ -221,9 +222,9 @@ def test_what_acts_always_is_more_probable_than_what_acts_in_some_runs(
     rest, best, other = hypothesis((), 8.0), hypothesis((effect,), 1.0), hypothesis((EFFECTS["s2"],), 1.0)
     table: Any = Table(SearchSettings(), {}, {})
     table.done = {h.effects: h for h in (rest, best)}
-    monkeypatch.setattr(rivals, "fitted", lambda *_: [other])
+    monkeypatch.setattr(rivals, "fit_promising", lambda *_: [other])
     monkeypatch.setattr(rivals, "_scores", lambda *_: [])
-    monkeypatch.setattr(rivals, "_begun", lambda *_: [])
+    monkeypatch.setattr(rivals, "_fit_changes_in_pause", lambda *_: [])
     found = rivals.replacements(table, best, effect, list(EFFECTS.values()), 0)
     assert [round(p, 6) for _, p in found] == [weight, 1 - weight]
 
@@ -242,9 +243,9 @@ def test_two_that_promise_as_much_are_fitted_in_the_place_of_one(promise: float,
         return SimpleNamespace(gain=lambda effects: (gains.get(frozenset(effects), -9.0), {}), able=[PAYLOAD, *TWO], excess=base.excess)
 
     table.linear = linear
-    found = rivals._two(table, best, rest, PAYLOAD, [Score(TWO[0], 0.6, {})], [PAYLOAD, *TWO])
+    found = rivals._fit_pair(table, best, rest, PAYLOAD, [Score(TWO[0], 0.6, {})], [PAYLOAD, *TWO])
     assert [set(h.effects) for h in found] == [set(TWO)] * tried
-    assert not rivals._two(table, best, rest, candidate("base_tilt"), [Score(TWO[0], 0.6, {})], [PAYLOAD, *TWO])
+    assert not rivals._fit_pair(table, best, rest, candidate("base_tilt"), [Score(TWO[0], 0.6, {})], [PAYLOAD, *TWO])
 
 
 @pytest.mark.parametrize(("excess", "least", "most"), [(1.0, 0.04, 0.05), (0.5, 0.99, 1.0)])
@@ -253,7 +254,7 @@ def test_two_causes_must_say_more_than_one(monkeypatch: pytest.MonkeyPatch, exce
     rest, best, both = hypothesis((), 8.0), hypothesis((PAYLOAD,), 1.0), hypothesis(TWO, excess)
     table: Any = Table(SearchSettings(), {}, {})
     table.done = {h.effects: h for h in (rest, best)}
-    monkeypatch.setattr(rivals, "_two", lambda *_: [both])
+    monkeypatch.setattr(rivals, "_fit_pair", lambda *_: [both])
     monkeypatch.setattr(rivals, "_scores", lambda *_: [])
     found = rivals.replacements(table, best, PAYLOAD, [PAYLOAD, *TWO], 0)
     assert [h.effects for h, _ in found] == [best.effects, TWO]
@@ -268,7 +269,7 @@ def test_two_parts_that_leave_only_noise_are_no_scatter_of_all(monkeypatch: pyte
     rest, best, both = hypothesis((), 8.0), hypothesis((scatter,), 0.0), hypothesis(parts, excess)
     table: Any = Table(SearchSettings(), {}, {})
     table.done = {h.effects: h for h in (rest, best)}
-    monkeypatch.setattr(rivals, "_two", lambda *_: [both])
+    monkeypatch.setattr(rivals, "_fit_pair", lambda *_: [both])
     monkeypatch.setattr(rivals, "_scores", lambda *_: [])
     found = {h.effects: p for h, p in rivals.replacements(table, best, scatter, [scatter, *parts], 0)}
     assert found[parts] == pytest.approx(float(believed), abs=1e-3)
@@ -290,14 +291,14 @@ class TestForms:
     NEEDY = Candidate("stribeck_friction", "slide", {"d": 0.0}, beside=("dry_friction",))
 
     def test_do_not_stand_beside_each_other(self) -> None:
-        assert not may(self.RICH, [self.PLAIN])
-        assert may(self.RICH, [replace(self.PLAIN, detail="other")])
+        assert not may_act_beside(self.RICH, [self.PLAIN])
+        assert may_act_beside(self.RICH, [replace(self.PLAIN, detail="other")])
 
     def test_come_with_what_they_need(self) -> None:
-        assert not may(self.NEEDY, [])
-        assert may(self.NEEDY, [self.PLAIN])
+        assert not may_act_beside(self.NEEDY, [])
+        assert may_act_beside(self.NEEDY, [self.PLAIN])
 
     @pytest.mark.parametrize(("gain", "kept"), [(0.95, ["dry_friction"]), (0.5, ["hysteresis", "dry_friction"])])
     def test_the_plainer_one_is_tried_where_it_promises_as_much(self, gain: float, kept: list[str]) -> None:
         scores = [Score(self.RICH, 1.0, {}), Score(self.PLAIN, gain, {})]
-        assert [score.candidate.name for score in rounds.plainest(scores)] == kept
+        assert [score.candidate.name for score in rounds.drop_richer_forms(scores, SearchSettings())] == kept

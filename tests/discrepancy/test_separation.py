@@ -9,7 +9,7 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.experiments.separation import foreseen, separation
-from tepm_opt.discrepancy.problem.plant import Candidate, freed
+from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tests.discrepancy.straight import Straight, effect, planned
 
@@ -24,7 +24,7 @@ def measured(files: tuple[str, ...], seed: int = 0) -> list[Run]:
 
 
 def fitted(candidate: Candidate, runs: list[Run]) -> ParameterEstimate:
-    free = freed(PLANT.free(PLANT.known), PLANT, [candidate])
+    free = collect_free_parameters(PLANT.free(PLANT.known), PLANT, [candidate])
     return identify(Problem(PLANT, tuple(runs), free, NOISE))
 
 

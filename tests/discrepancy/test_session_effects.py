@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.discrepancy.adapters.network import candidate
-from tepm_opt.discrepancy.selection.shape_suggestions import suggested
+from tepm_opt.discrepancy.selection.shape_suggestions import apply_suggested_shapes
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.model import Model
@@ -54,7 +54,7 @@ def test_it_is_explained_from_what_the_residuals_suggest(company: CompiledModel,
     known = plant.free(tuple(KANG.priors))
     without = identify(Problem(plant, runs, known, NOISE, step=0.02, derivatives_apart=0.04))
     missing = candidate(name, "13" if find_effect(name).detail else None)
-    problem = suggested(without, [missing]).problem
+    problem = apply_suggested_shapes(without, [missing]).problem
     own = problem.plant.free(missing.parameters)
     start = tuple(replace(f, start=float(value)) for f, value in zip(known, without.values, strict=True))
     found = identify(replace(problem, free=(*start, *own)), 15)
@@ -85,4 +85,4 @@ def test_data_of_equilibria_suggest_nothing() -> None:
     estimate = ParameterEstimate.__new__(ParameterEstimate)
     object.__setattr__(estimate, "problem", without)
     object.__setattr__(estimate, "residuals", [])
-    assert suggested(estimate, [candidate("warm_up")]) is estimate
+    assert apply_suggested_shapes(estimate, [candidate("warm_up")]) is estimate

@@ -9,8 +9,15 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidates, wide
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
-from tepm_opt.discrepancy.selection.matching_pursuit import lost, pursued, rivals, settled, several
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
+from tepm_opt.discrepancy.selection.matching_pursuit import (
+    excess_without,
+    fit_by_matching_pursuit,
+    prune_insignificant,
+    select_by_matching_pursuit,
+    weigh_best_rival,
+)
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
@@ -57,14 +64,15 @@ def fits(library: CompiledModel, kang: CompiledModel) -> Fits:
 def found(fits: Fits, missing: tuple[Candidate, ...]) -> Hypothesis:
     base = fits.fit((), {})
     assert base is not None
-    best = several(fits, base, missing)
+    best = fit_by_matching_pursuit(fits, base, missing)
     assert best is not None
-    return settled(fits, best, missing)[0]
+    return prune_insignificant(fits, best, missing)[0]
 
 
 def test_all_are_found_and_nothing_else(fits: Fits, found: Hypothesis, missing: tuple[Candidate, ...]) -> None:
     assert {effect.label for effect in found.effects} == LABELS
-    assert min(settled(fits, found, missing)[1].values()) > 1, "none stays without a share, the tilt that takes away least of all neither"
+    shares = prune_insignificant(fits, found, missing)[1]
+    assert min(shares.values()) > 1, "none stays without a share, the tilt that takes away least of all neither"
     assert found.excess < 0.1
     assert found.estimate.named["payload.mass"] == pytest.approx(0.03, rel=0.2)
     assert found.estimate.named["actuator_gain[13].loss"] == pytest.approx(0.06, rel=0.2)
@@ -79,13 +87,13 @@ def test_what_an_effect_takes_away_to_first_order_is_what_a_fit_without_it_leave
             rest = fits.fit(tuple(c for c in found.effects if c != effect), found.estimate.named)
             assert rest is not None
             left = rest.estimate.cost / rest.estimate.count - found.estimate.cost / found.estimate.count
-            assert lost(linear, effect) == pytest.approx(left, rel=0.1)
-        assert lost(linear, effect) > 0.1
+            assert excess_without(linear, effect) == pytest.approx(left, rel=0.1)
+        assert excess_without(linear, effect) > 0.1
 
 
 def test_rivals_are_weighed(fits: Fits, found: Hypothesis, missing: tuple[Candidate, ...]) -> None:
     for effect in found.effects:
-        group = rivals(fits, found, effect, missing, 0)
+        group = weigh_best_rival(fits, found, effect, missing, 0)
         assert group[0][0] is found
         assert sum(weight for _, weight in group) == pytest.approx(1)
         assert group[0][1] > 0.9
@@ -96,8 +104,8 @@ def test_what_gauges_have_shown_stays(fits: Fits, found: Hypothesis, missing: tu
     idle = next(c for c in missing if c.label == "time_delay")
     with_idle = fits.fit((*found.effects, idle), found.estimate.named)
     assert with_idle is not None
-    assert idle not in settled(fits, with_idle, missing)[0].effects
-    kept, shares = settled(replace(fits, seen=(idle,)), with_idle, missing)
+    assert idle not in prune_insignificant(fits, with_idle, missing)[0].effects
+    kept, shares = prune_insignificant(replace(fits, seen=(idle,)), with_idle, missing)
     assert idle in kept.effects
     assert shares[idle] == float("inf")
 
@@ -106,8 +114,8 @@ def test_one_effect_does_not_ask_for_several(library: CompiledModel, kang: Compi
     one = fits_of(library, kang, {"payload.mass": 0.05})
     base = one.fit((), {})
     assert base is not None
-    assert len(pursued(one, base, missing)[0]) == 1, "a weight or a force that pulls down"
-    assert several(one, base, missing) is None
+    assert len(select_by_matching_pursuit(one, base, missing)[0]) == 1, "a weight or a force that pulls down"
+    assert fit_by_matching_pursuit(one, base, missing) is None
 
 
 def test_several_are_not_taken_together_where_first_order_does_not_hold(
@@ -116,11 +124,11 @@ def test_several_are_not_taken_together_where_first_order_does_not_hold(
     """As where the robot file is of another robot: with the values that first order asks for more is left than there was."""
     base = fits.fit((), {})
     assert base is not None
-    effects, start = pursued(fits, base, missing)
-    assert several(fits, base, missing) is not None
+    effects, start = select_by_matching_pursuit(fits, base, missing)
+    assert fit_by_matching_pursuit(fits, base, missing) is not None
     far = {name: 3 * value if "." in name else value for name, value in start.items()}
-    monkeypatch.setattr("tepm_opt.discrepancy.selection.matching_pursuit.pursued", lambda *_: (effects, far))
-    assert several(fits, base, missing) is None
+    monkeypatch.setattr("tepm_opt.discrepancy.selection.matching_pursuit.select_by_matching_pursuit", lambda *_: (effects, far))
+    assert fit_by_matching_pursuit(fits, base, missing) is None
 
 
 def test_what_the_model_cannot_do_without_leaves_the_others_their_shares(
@@ -129,7 +137,7 @@ def test_what_the_model_cannot_do_without_leaves_the_others_their_shares(
     idle = next(c for c in missing if c.label == "time_delay")
     with_idle = fits.fit((*found.effects, idle), found.estimate.named)
     assert with_idle is not None
-    monkeypatch.setattr("tepm_opt.discrepancy.selection.matching_pursuit._less", lambda *_: (None, float("inf")))
-    kept, shares = settled(fits, with_idle, missing)
+    monkeypatch.setattr("tepm_opt.discrepancy.selection.matching_pursuit._fit_without", lambda *_: (None, float("inf")))
+    kept, shares = prune_insignificant(fits, with_idle, missing)
     assert set(kept.effects) == set(with_idle.effects)
     assert all(0 < shares[effect] < float("inf") for effect in found.effects), shares

@@ -12,11 +12,12 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork, candidate, wrong_values
 from tepm_opt.discrepancy.assessment.constancy import onward, runs_of, sizes, spread
-from tepm_opt.discrepancy.problem.plant import Candidate, InSomeRuns, acting, freed
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.problem.plant import Candidate, InSomeRuns, collect_free_parameters, restrict_effects_to_runs
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import explain
-from tepm_opt.discrepancy.selection.linearised import Linearised, linearised
-from tepm_opt.discrepancy.selection.run_subsets import longest, spans
+from tepm_opt.discrepancy.selection.linearised import Linearised, linearise
+from tepm_opt.discrepancy.selection.run_subsets import list_run_spans, select_longest_span
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
@@ -97,48 +98,45 @@ class TestFirstOrder:
         """What a fit leaves without its effect is what was left before it, up to the second order."""
         with_it = fits.fit((LIMITED,), {"payload.mass": 0.01})
         assert with_it is not None
-        linear = linearised(with_it.estimate, fits.problem.free, (LIMITED,), network.candidates)
+        linear = linearise(with_it.estimate, fits.problem.free, (LIMITED,), network.candidates, fits.settings)
         left = linear.cost.sum() - linear.gain([])[0] * linear.excess
         before = without.estimate.cost * linear.count.sum() / without.estimate.count
         assert left == pytest.approx(before, rel=0.1)
         assert linear.gain([LIMITED])[0] * linear.excess == pytest.approx(0.0, abs=20.0), "what a refit to fewer samples gains"
 
-    def test_memory_is_bounded_by_thinning(
-        self, fits: Fits, without: Hypothesis, network: SearchableNetwork, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr("tepm_opt.discrepancy.selection.linearised.MEMORY", 80_000)
-        few = linearised(without.estimate, fits.problem.free, (), network.candidates)
+    def test_memory_is_bounded_by_thinning(self, fits: Fits, without: Hypothesis, network: SearchableNetwork) -> None:
+        few = linearise(without.estimate, fits.problem.free, (), network.candidates, SearchSettings(max_derivative_bytes=80_000))
         assert few.count.sum() < 0.5 * sum(np.isfinite(run.points).sum() for run in fits.problem.sparse.runs)
         assert few.gain([LIMITED])[0] == pytest.approx(1.0, abs=0.1)
 
 
 class TestSpans:
     def test_from_one_on_until_one_or_in_one(self) -> None:
-        assert spans(["a", "b", "c"]) == [("a",), ("a", "b"), ("b",), ("b", "c"), ("c",)]
+        assert list_run_spans(["a", "b", "c"]) == [("a",), ("a", "b"), ("b",), ("b", "c"), ("c",)]
 
     def test_a_run_that_does_not_show_an_effect_does_not_end_it(self) -> None:
         """One that speaks against it does."""
         for last, expected in ((1000.0 - 1.0, ("b", "c")), (1000.0 - 10.0, ("b",))):
             gains = {("b",): 1000.0, ("b", "c"): last, ("c",): 0.0}
             linear: Any = SimpleNamespace(gain=lambda effects, gains=gains: (gains[effects[-1].runs] / 1000, {}), excess=1000.0)
-            assert longest(linear, [(replace(PAYLOAD, runs=runs),) for runs in gains])[-1].runs == expected
+            assert select_longest_span(linear, [(replace(PAYLOAD, runs=runs),) for runs in gains], SearchSettings())[-1].runs == expected
 
 
 @pytest.mark.slow
 class TestPlant:
     def test_an_effect_acts_in_its_runs_only(self, network: SearchableNetwork, runs: list[Run]) -> None:
-        plant = acting(network, [LIMITED]).with_values({"payload.mass": MASS})
+        plant = restrict_effects_to_runs(network, [LIMITED]).with_values({"payload.mass": MASS})
         light, late = runs[0], next(run for run in runs if run.file in LATE)
         assert np.array_equal(plant.predict(light).points, network.predict(light).points)
         assert not np.allclose(plant.predict(late).points, network.predict(late).points)
         assert not plant.predict(light, ["payload.mass", "K_a"]).by[0].any()
         assert plant.predict(light, ["payload.mass", "K_a"]).by[1].any()
-        assert acting(network, [PAYLOAD]) is network
+        assert restrict_effects_to_runs(network, [PAYLOAD]) is network
 
     def test_a_wrong_value_is_free_of_its_prior(self, network: SearchableNetwork) -> None:
         stiffness = next(c for c in wrong_values(NOMINAL) if c.detail == "K_a")
         known = network.free(network.known)
-        free = {f.name: f for f in freed(known, network, [stiffness, RADIUS])}
+        free = {f.name: f for f in collect_free_parameters(known, network, [stiffness, RADIUS])}
         assert (free["K_a"].low, free["K_a"].high) == pytest.approx((179.43, 717.72))
         assert (free["r"].low, free["r"].high) == pytest.approx((0.02, 0.08))
         assert len(free) == len(known) + 1
@@ -174,7 +172,7 @@ class TestSizes:
         for own, same in ((everywhere, True), (once, False)):
             found = own.fit((PAYLOAD,), {"payload.mass": 0.01})
             assert found is not None
-            by_run = sizes(linearised(found.estimate, own.problem.free, (PAYLOAD,), ()), PAYLOAD)["run"]
+            by_run = sizes(linearise(found.estimate, own.problem.free, (PAYLOAD,), (), own.settings), PAYLOAD)["run"]
             assert (by_run.spread < 0.2) == same, by_run
 
     def test_chance_spreads_nothing(self) -> None:

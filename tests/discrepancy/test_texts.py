@@ -10,8 +10,9 @@ import pytest
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import leave_out
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.screening import Score
 from tepm_opt.discrepancy.state import Discovery
@@ -56,7 +57,7 @@ class Subjects:
 
     def hypothesis(self) -> Hypothesis:
         effects = tuple(candidate("sensor_offset", f"s{k}") for k in range(1, 5))
-        return Hypothesis(effects, self.estimate, leave_out(self.estimate))
+        return Hypothesis(effects, self.estimate, leave_out(self.estimate, SearchSettings()))
 
     def explanation(self) -> Explanation:
         found = self.hypothesis()
@@ -98,7 +99,7 @@ SHOWN: dict[str, Callable[[Subjects], object]] = {
         FamilyFit(degree=1, nodes=2, dynamics_degree=1, dynamics_nodes=2, validation_samples=1),
     ),
     "Score(": lambda s: Score(candidate("payload"), 0.5, {}),
-    "Evidence(": lambda s: leave_out(s.estimate),
+    "Evidence(": lambda s: leave_out(s.estimate, SearchSettings()),
     "Hypothesis(": lambda s: s.hypothesis(),
     "Explanation(": lambda s: s.explanation(),
     "Fits(": lambda s: Fits(s.problem, SearchSettings()),

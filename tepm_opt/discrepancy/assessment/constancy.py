@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.data.run import Run, RunSet
-from tepm_opt.discrepancy.problem.plant import Candidate, InSomeRuns, everywhere
+from tepm_opt.discrepancy.problem.plant import Candidate, InSomeRuns, without_run_restriction
 from tepm_opt.discrepancy.selection.linearised import Cell, Linearised
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.plant import Plant, PredictionError
@@ -121,7 +121,7 @@ def runs_of(effect: Candidate, best: ParameterEstimate, dataset: RunSet, noise: 
         dataset: all runs.
         noise: of what is measured, 1 sigma per axis.
     """
-    problem = replace(best.problem, plant=everywhere(best.plant), runs=dataset.validation, noise=noise)
+    problem = replace(best.problem, plant=without_run_restriction(best.plant), runs=dataset.validation, noise=noise)
     acting = [run.file for run in dataset.fit if not effect.runs or run.file in effect.runs]
     idle = len(dataset.fit) - len(acting)
     if problem.runs and problem.plant.states:

@@ -10,12 +10,12 @@ import numpy as np
 from tepm_opt.discrepancy.adapters.network import PARAMETER
 from tepm_opt.discrepancy.assessment.constancy import Sizes, steadiness
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus, shrinks, widens
-from tepm_opt.discrepancy.problem.plant import Candidate, everywhere
-from tepm_opt.discrepancy.selection.alternatives import SOME_RUNS
+from tepm_opt.discrepancy.problem.plant import Candidate, without_run_restriction
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
-from tepm_opt.discrepancy.selection.fitting import Hypothesis, SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
-from tepm_opt.discrepancy.selection.matching_pursuit import LISTED, LITTLE, MANY, odds
+from tepm_opt.discrepancy.selection.matching_pursuit import odds
 from tepm_opt.discrepancy.symbolic.places import ALL, Place
 from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
 from tepm_opt.solvers.hierarchy import clustering, off_centre
@@ -132,12 +132,12 @@ def judged(
         status = VerdictStatus.UNEXPLAINED
     elif unseen and not shrinks(errors):
         status = VerdictStatus.PARTIAL
-    elif unclear and all(cause[effect] >= LISTED for effect in best.effects):
+    elif unclear and all(cause[effect] >= settings.min_listed_probability for effect in best.effects):
         status = VerdictStatus.INDISTINGUISHABLE
-    elif (min(most.values()) >= CLEAR or _nearly_all(explanation, most)) and _more_than_shown(explanation, settings):
+    elif (min(most.values()) >= CLEAR or _nearly_all(explanation, most, settings)) and _more_than_shown(explanation, settings):
         status = VerdictStatus.NAMED
     else:
-        status = VerdictStatus.PARTIAL if max(most.values()) >= LISTED else VerdictStatus.UNEXPLAINED
+        status = VerdictStatus.PARTIAL if max(most.values()) >= settings.min_listed_probability else VerdictStatus.UNEXPLAINED
     remarks = (*_remarks(explanation, doubted, constancy), *(_refuted(effect) for effect in refuted))
     return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)
 
@@ -149,12 +149,13 @@ def _more_than_shown(explanation: Explanation, settings: SearchSettings) -> bool
     return best.only_noise(settings) or clear or set(best.effects) != set(explanation.shown)
 
 
-def _nearly_all(explanation: Explanation, probability: Mapping[Candidate, float]) -> bool:
+def _nearly_all(explanation: Explanation, probability: Mapping[Candidate, float], settings: SearchSettings) -> bool:
     """Whether of many effects those that are named take away nearly all that all of them do, and the others may well act."""
-    unsure = [effect for effect, most in probability.items() if most < CLEAR]
+    unsure = [effect for effect, likely in probability.items() if likely < CLEAR]
     best = explanation.best
-    little = sum(explanation.shares[effect] for effect in unsure) * best.excess <= LITTLE * (explanation.there_was - best.excess)
-    return len(best.effects) > MANY and little and min(probability.values()) >= LISTED
+    most = settings.max_unsure_share * (explanation.there_was - best.excess)
+    little = sum(explanation.shares[effect] for effect in unsure) * best.excess <= most
+    return len(best.effects) > settings.many_effects and little and min(probability.values()) >= settings.min_listed_probability
 
 
 def _remarks(
@@ -204,9 +205,9 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         least = max(NOISE_KNOWN, best.by_chance)
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
-    elif len(best.effects) > MANY:
-        even *= odds(best.excess, explanation.there_was)
-    even *= SOME_RUNS if effect.runs else 1
+    elif len(best.effects) > settings.many_effects:
+        even *= odds(best.excess, explanation.there_was, settings)
+    even *= settings.all_runs_odds if effect.runs else 1
     return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))
 
 
@@ -225,7 +226,7 @@ def _scatters(estimate: ParameterEstimate, effect: Candidate) -> float:
 
     Even odds where chance makes what is seen once in 500 times.
     """
-    plant = everywhere(estimate.plant)
+    plant = without_run_restriction(estimate.plant)
     if not isinstance(plant, NetworkPlant):
         return 1.0
     names = list(effect.parameters)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant, ranged
-from tepm_opt.discrepancy.selection.ranking import is_wide
+from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant, free_candidate_parameters
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import Free, PredictionError
 
@@ -113,7 +113,7 @@ class Information:
 
     def separable(self, move: Move, excess: float) -> Separable:
         """How well a move is shown; `excess` is what an effect must take away to be named, over the noise's squares."""
-        alone = self.left(move)
+        alone, is_wide = self.left(move), SearchSettings().is_wide
         compared = alone > 0 and not is_wide(move.candidate)
         others = [c for c in self._candidates if compared and c.label != move.candidate.label and not is_wide(c)]
         rests = [self.left(move, other) for other in others]
@@ -187,13 +187,13 @@ def _sized(candidate: Candidate) -> dict[str, float]:
 def _smooth(plant: SearchablePlant, candidate: Candidate) -> list[Move]:
     """A move for every parameter that says how strongly an effect acts; one for all of those that scatter."""
     probe = {name: value for name, value in _sized(candidate).items() if value != candidate.null[name]}
-    parts = [probe] if is_wide(candidate) else [{name: value} for name, value in probe.items()]
+    parts = [probe] if SearchSettings().is_wide(candidate) else [{name: value} for name, value in probe.items()]
     return [_move(plant, candidate, part, {n: v - candidate.null[n] for n, v in part.items()}) for part in parts]
 
 
 def _move(plant: SearchablePlant, candidate: Candidate, probe: Mapping[str, float], along: Mapping[str, float]) -> Move:
     """A move with the largest multiple that its parameters' ranges allow."""
-    ranges, most = {free.name: free for free in ranged(plant, candidate)}, np.inf
+    ranges, most = {free.name: free for free in free_candidate_parameters(plant, candidate)}, np.inf
     for name, value in probe.items():
         change = value - candidate.null[name]
         if change:

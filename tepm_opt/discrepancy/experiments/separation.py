@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from tepm_opt.data.run import Run, spaced
-from tepm_opt.discrepancy.problem.plant import everywhere
+from tepm_opt.discrepancy.problem.plant import without_run_restriction
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.plant import Plant, PredictionError
 
@@ -50,7 +50,7 @@ def foreseen(estimate: ParameterEstimate, run: Run, noise: float) -> Foreseen:
     Raises:
         PredictionError: the model cannot do the run.
     """
-    plant: Plant = everywhere(estimate.plant)
+    plant: Plant = without_run_restriction(estimate.plant)
     found = plant.predict(
         run, [free.name for free in estimate.problem.free], max(estimate.problem.step, estimate.problem.derivatives_apart)
     )

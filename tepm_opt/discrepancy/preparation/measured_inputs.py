@@ -10,7 +10,7 @@ import numpy as np
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.discrepancy.selection.fitting import SearchSettings
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 
 

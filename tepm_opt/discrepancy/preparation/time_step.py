@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tepm_opt.data.run import RunSet
-from tepm_opt.discrepancy.selection.fitting import SearchSettings
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.predict import LONGEST_STEP
 from tepm_opt.solvers.start import predictions

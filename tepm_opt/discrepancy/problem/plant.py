@@ -1,9 +1,10 @@
-"""What the search for missing effects asks of a model of a machine besides what identification asks (see `solvers.plant`)."""
+"""Candidate effects, and the interface of a plant in which they may be missing (extends `solvers.plant.Plant`)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import singledispatch
 from typing import Literal, Protocol
 
 import numpy as np
@@ -75,7 +76,7 @@ class Candidate:
 
     @property
     def form_of(self) -> str:
-        """What forms of the same thing at the same place have in common: "friction[slide]"; its label where it is of no family."""
+        """Key shared by all forms of one family at one place: "friction[slide]"; the label of a candidate without a family."""
         return f"{self.family}[{self.detail}]" if self.family else self.label
 
     @property
@@ -118,7 +119,7 @@ class SearchablePlant(Plant, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InSomeRuns:
-    """A plant in which some effects act in their own runs only.
+    """A plant in which some effects act in some runs only.
 
     Attributes:
         plant: in which they act in all runs.
@@ -162,7 +163,7 @@ class InSomeRuns:
         return self.plant.free(names)
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
-        """What a run should have measured; it does not change with the parameters of what does not act in it."""
+        """Prediction of a run; its derivatives by the parameters of effects that do not act in it are zero."""
         absent = {name: value for effect in self.effects if run.file not in effect.runs for name, value in effect.null.items()}
         if not absent:
             return self.plant.predict(run, by, step)
@@ -173,30 +174,35 @@ class InSomeRuns:
         return Prediction(found.points, whole)
 
 
-def acting(plant: Plant, effects: Iterable[Candidate]) -> Plant:
-    """The plant, with those of the effects that act in some runs only kept to these."""
+def restrict_effects_to_runs(plant: Plant, effects: Iterable[Candidate]) -> Plant:
+    """The plant with those effects that act in some runs only restricted to these runs."""
     partly = tuple(effect for effect in effects if effect.runs)
     return InSomeRuns(plant, partly) if partly else plant
 
 
-def everywhere(plant: Plant) -> Plant:
-    """The plant with all effects in all runs: what `acting` began with."""
-    return plant.plant if isinstance(plant, InSomeRuns) else plant
+@singledispatch
+def without_run_restriction(plant: Plant) -> Plant:
+    """The plant with all effects in all runs, the inverse of `restrict_effects_to_runs`."""
+    return plant
 
 
-def ranged(plant: Plant, candidate: Candidate) -> tuple[Free, ...]:
-    """The parameters of a candidate, to be found within its own ranges where it has some, else within the plant's."""
-
-    def widened(free: Free) -> Free:
-        if free.name not in candidate.ranges:
-            return free
-        low, high = candidate.ranges[free.name]
-        return replace(free, low=low, high=high, prior_std=float("inf"))
-
-    return tuple(widened(free) for free in plant.free(candidate.parameters))
+@without_run_restriction.register
+def _(plant: InSomeRuns) -> Plant:
+    return plant.plant
 
 
-def freed(known: Sequence[Free], plant: Plant, effects: Iterable[Candidate]) -> tuple[Free, ...]:
-    """What is fitted with some effects: the known parameters, within their ranges but for those that an effect frees, and the effects'."""
-    added = {free.name: free for effect in effects for free in ranged(plant, effect)}
+def free_candidate_parameters(plant: Plant, candidate: Candidate) -> tuple[Free, ...]:
+    """Free parameters of a candidate, each within the candidate's own range if it has one, else within the plant's."""
+    found = []
+    for free in plant.free(candidate.parameters):
+        if free.name in candidate.ranges:
+            low, high = candidate.ranges[free.name]
+            free = replace(free, low=low, high=high, prior_std=np.inf)
+        found.append(free)
+    return tuple(found)
+
+
+def collect_free_parameters(known: Sequence[Free], plant: Plant, effects: Iterable[Candidate]) -> tuple[Free, ...]:
+    """Free parameters of a fit with some effects: the known ones within their ranges, then the effects' in the effects' ranges."""
+    added = {free.name: free for effect in effects for free in free_candidate_parameters(plant, effect)}
     return (*(free for free in known if free.name not in added), *added.values())

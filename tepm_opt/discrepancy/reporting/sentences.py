@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE
 from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, VerdictStatus, shrinks
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting.effect_table import sizes, with_unit
-from tepm_opt.discrepancy.selection.alternatives import COINCIDE, ONE_CAUSE, SOME_RUNS, coincidence
+from tepm_opt.discrepancy.selection.alternatives import coincidence
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.screening import Score
@@ -198,13 +198,13 @@ def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) 
         f"in the place of {effect.label} it leaves {most}{_percent(1 - closes)} of the gap on held-out data, "
         f"{effect.label} {_percent(1 - best)}"
     )
-    text += f"; their outputs nearly coincide in these runs (cosine {same:.3f})" if same > COINCIDE else ""
+    text += f"; their outputs nearly coincide in these runs (cosine {same:.3f})" if same > explanation.settings.min_coincidence else ""
     return text + _against(explanation, hypothesis)
 
 
 def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
     """Why an effect that was fitted alone is not the answer."""
-    if hypothesis.estimate.out_of_reach and hypothesis.estimate.problem.plant.quick:  # data were not left out
+    if not hypothesis.evidence.held_out:
         return "alone it closes too little to be fitted to the end"
     least = "at least " if hypothesis.estimate.out_of_reach else ""
     return f"alone it closes {least}{_percent(explanation.closes(hypothesis))} of the gap on held-out data" + _against(
@@ -222,10 +222,11 @@ def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
     reasons = []
     if len(effects) > len(best.effects):
         reasons.append(
-            f"it takes {len(effects)} causes in the place of {len(best.effects)}, each {ONE_CAUSE:g} times less probable beforehand"
+            f"it takes {len(effects)} causes in the place of {len(best.effects)}, "
+            f"each {explanation.settings.one_cause_odds:g} times less probable beforehand"
         )
     if sum(bool(c.runs) for c in effects) > sum(bool(c.runs) for c in best.effects):
-        reasons.append(f"it would act in some runs only, {SOME_RUNS:g} times less probable beforehand")
+        reasons.append(f"it would act in some runs only, {explanation.settings.all_runs_odds:g} times less probable beforehand")
     reasons += _needs(best, hypothesis)
     left, there = hypothesis.excess, best.excess
     if left > AS_MUCH * there:

@@ -1,4 +1,4 @@
-"""What else would do: another effect in the place of one that was found, fitted and weighed."""
+"""Alternatives: other effects in the place of one that was found, fitted and weighed."""
 
 from __future__ import annotations
 
@@ -10,77 +10,74 @@ import numpy as np
 
 from tepm_opt.discrepancy.adapters.network import PARAMETER
 from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings, may
-from tepm_opt.discrepancy.selection.ranking import beats, fitted, is_wide
+from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, may_act_beside
+from tepm_opt.discrepancy.selection.ranking import beats, fit_promising
 from tepm_opt.discrepancy.selection.screening import Score
-
-ONE_CAUSE = 20.0  # times as probable that one cause acts as that two do in its place, where data say the same
-SOME_RUNS = 3.0  # times as probable that a cause acts always as that it acts in some of the runs, where data say the same
-COINCIDE = 0.98  # cosine from which two effects' outputs are called the same
-ASTRAY, ANEW = 3.0, 2  # times what is promised that an earlier fit leaves to be made anew, and how many are
-TOGETHER = 3  # parameters from which an effect of the body may do what two others do together
-FIRST = 3  # effects, those that promise most alone, that are tried in pairs
-MOST_OF = 0.1  # part of what is left without an effect as wide as several that two of single parts may promise to leave
-NEARLY = 0.5  # times what an effect leaves that two in its place may promise to leave besides
 
 
 def replacements(
     fits: Fits, best: Hypothesis, effect: Candidate, missing: Sequence[Candidate], seed: int
 ) -> list[tuple[Hypothesis, float]]:
-    """A hypothesis, and what it would be with another effect in the place of one of its own, with probabilities.
+    """Probabilities of a hypothesis and of those with another effect, or a pair, in the place of one of its own.
 
     Args:
-        fits: all so far.
+        fits: all fits so far.
         best: the hypothesis.
-        effect: of it.
+        effect: one of its effects.
         missing: the candidates.
         seed: of random draws.
     """
+    settings = fits.settings
     rest = fits.fit(tuple(c for c in best.effects if c != effect), best.estimate.named)
     others: list[Hypothesis] = []
     if rest is not None:
-        scores = _from_there(fits, best, rest, _scores(fits, rest, effect, missing), missing)
-        others += [h for h in fitted(fits, rest, scores, best) if effect not in h.effects]
-        others += [h for h in (*_begun(fits, rest, effect, missing), *_two(fits, best, rest, effect, scores, missing)) if h not in others]
-    others = [h for h in others if beats(h, best, seed, fits.settings) or all(c.form_of != effect.form_of for c in h.effects)]
+        scores = _start_from_best(fits, best, rest, _scores(fits, rest, effect, missing), missing)
+        others += [h for h in fit_promising(fits, rest, scores, best) if effect not in h.effects]
+        more = (*_fit_changes_in_pause(fits, rest, effect, missing), *_fit_pair(fits, best, rest, effect, scores, missing))
+        others += [h for h in more if h not in others]
+    others = [h for h in others if beats(h, best, seed, settings) or all(c.form_of != effect.form_of for c in h.effects)]
     group = [best, *(h for h in others if h is not best)]
     weight = weights([h.evidence for h in group], seed)
-    if rest is not None and not fits.problem.plant.quick:
-        weight = _agreed(group, weight, rest, fits.settings, seed)
-    weight = _plain(group, weight)
-    enough = [k for k, h in enumerate(group) if is_wide(effect) and h.left <= best.left + fits.settings.max_noise_excess and h is not best]
+    if rest is not None and not settings.refit_folds:
+        weight = _average_coincident(group, weight, rest, settings, seed)
+    weight = _favour_plain(group, weight, settings)
+    most = best.left + settings.max_noise_excess
+    enough = [k for k, h in enumerate(group) if settings.is_wide(effect) and h.left <= most and h is not best]
     if enough:  # what one or two single parts do but for what counts as noise is no scatter of all
         weight = np.eye(len(group))[min(enough, key=lambda k: group[k].left)]
     return list(zip(group, weight.tolist(), strict=True))
 
 
-def _plain(group: Sequence[Hypothesis], weight: np.ndarray) -> np.ndarray:
-    """Probabilities of hypotheses where what is plainer counts for more: what acts always, and one cause than two that would do as well.
+def _favour_plain(group: Sequence[Hypothesis], weight: np.ndarray, settings: SearchSettings) -> np.ndarray:
+    """Probabilities with priors for plain hypotheses: one cause rather than two, in all runs rather than in some.
 
     Args:
         group: the hypotheses, first the one in which others take an effect's place.
-        weight: their probabilities by what they predict, (hypotheses,).
+        weight: their probabilities from predictions alone, (hypotheses,).
+        settings: of the search.
     """
     partly = np.array([sum(bool(c.runs) for c in h.effects) for h in group])
     causes = np.array([len(h.effects) for h in group])
-    weight = weight / SOME_RUNS ** (partly - partly.min()) / ONE_CAUSE ** (causes - causes.min())
+    weight = weight / settings.all_runs_odds ** (partly - partly.min()) / settings.one_cause_odds ** (causes - causes.min())
     return weight / weight.sum()
 
 
-def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:
-    """Scores of what may take an effect's place, with values to fit from that begin at the best fit where they promise to leave less there.
+def _start_from_best(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:
+    """Scores of rivals, with first values linearised at the best fit where that promises to leave less.
 
-    What was fitted from elsewhere before and led astray is fitted anew.
+    Earlier fits of rivals that left far more than that are repeated from there.
 
     Args:
-        fits: all so far.
-        best: with the effect.
-        rest: without it.
-        scores: of what may take its place.
+        fits: all fits so far.
+        best: hypothesis with the effect.
+        rest: hypothesis without it.
+        scores: of the rivals.
         missing: the candidates.
     """
-    if fits.problem.plant.quick or (len(best.effects) == 1 and best.only_noise(fits.settings)):
+    settings = fits.settings
+    if not settings.linear_moves or (len(best.effects) == 1 and best.only_noise(settings)):
         return scores  # beside nothing else first order leads astray hardly anywhere
     here, there = fits.linear(rest, missing), fits.linear(best, missing)
     found, astray = [], []
@@ -90,72 +87,77 @@ def _from_there(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Sco
             gain, start = there.gain(effects)
             if (left := (1 - gain) * there.excess) < (1 - score.gain) * here.excess:
                 score = replace(score, start=start)
-                before = fits.known(effects)
-                if before is not None and before.excess > ASTRAY * max(left / there.count.sum(), best.excess):
+                before = fits.find(effects)
+                if before is not None and before.excess > settings.astray_ratio * max(left / there.count.sum(), best.excess):
                     astray.append((left, effects, start))
         found.append(score)
-    for _, effects, start in sorted(astray, key=lambda each: each[0])[:ANEW]:
-        fits.anew(effects, start)
+    for _, effects, start in sorted(astray, key=lambda each: each[0])[: settings.max_repeated_fits]:
+        fits.refit(effects, start)
     return found
 
 
-def _two(
+def _fit_pair(
     fits: Fits, best: Hypothesis, rest: Hypothesis, effect: Candidate, scores: Sequence[Score], missing: Sequence[Candidate]
 ) -> list[Hypothesis]:
-    """The fit of the two effects that promise most in the place of one, where that may be what they do together.
+    """Fit the pair of effects that promises most in the place of one that may be their common work.
 
-    In the place of one as wide as several two of single parts are asked for, also where that leaves only noise. Values of the robot file
-    that may be wrong are not asked: with one of them nearly everything does what another effect does.
+    In the place of a wide effect it is a pair of single parts, also where only noise is left. Values of the robot file are left out: with
+    one of them nearly every effect does what another one does.
 
     Args:
-        fits: all so far.
-        best: with the effect.
-        rest: without it.
-        effect: in whose place they are.
-        scores: of what may take its place alone.
+        fits: all fits so far.
+        best: hypothesis with the effect.
+        rest: hypothesis without it.
+        effect: the effect in whose place they are.
+        scores: of single rivals.
         missing: the candidates.
     """
-    wide, rich = is_wide(effect), effect.stage == "body" and len(effect.parameters) >= TOGETHER
-    if fits.problem.plant.quick or effect.runs or not (wide or (rich and not best.only_noise(fits.settings))):
+    settings = fits.settings
+    wide, rich = settings.is_wide(effect), effect.stage == "body" and len(effect.parameters) >= settings.min_rich_parameters
+    if not settings.linear_moves or effect.runs or not (wide or (rich and not best.only_noise(settings))):
         return []
     linear = fits.linear(best, missing)
-    able = [c for c in linear.able if c != effect and not is_wide(c) and may(c, rest.effects) and c.name != PARAMETER]
-    first = [c for c in able if c.part] if wide else [score.candidate for score in scores if score.candidate in able][:FIRST]
+    able = [c for c in linear.able if c != effect and not settings.is_wide(c) and may_act_beside(c, rest.effects) and c.name != PARAMETER]
+    first = [score.candidate for score in scores if score.candidate in able][: settings.rich_pair_candidates]
+    first = [c for c in able if c.part] if wide else first
     both = combinations(first, 2) if wide else ((one, other) for one in first for other in able)
     promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in both if pair[0].form_of != pair[1].form_of]
     gain, start, pair = max(promised, key=lambda each: each[0], default=(-np.inf, {}, ()))
-    if -gain * linear.excess > (MOST_OF * rest.excess * float(linear.count.sum()) if wide else NEARLY * linear.excess):
+    most = settings.max_wide_pair_share * rest.excess * float(linear.count.sum()) if wide else settings.max_pair_excess * linear.excess
+    if -gain * linear.excess > most:
         return []
     return [h for h in fits.fit_all([((*rest.effects, *pair), {**best.estimate.named, **start})], best) if h is not None]
 
 
-def _begun(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Hypothesis]:
-    """Fits of what may have happened in the pause before the runs from which on an effect acts for good."""
+def _fit_changes_in_pause(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fit lasting changes that may have happened in the pause before the runs from which on an effect acts."""
     runs = fits.problem.runs
     first = next((k for k, run in enumerate(runs) if run.file in effect.runs), 0)
     if not first or effect.runs != tuple(run.file for run in runs[first:]):
         return []
     ended = runs[first - 1].began + runs[first - 1].time[-1]
     happened = float(ended + runs[first].began) / 2
-    able = [c for c in missing if c.happens and c.detail == effect.detail and may(c, rest.effects)]
-    found = [fits.anew((*rest.effects, c), {**rest.estimate.named, **c.probes[0], c.happens: happened}) for c in able]
+    able = [c for c in missing if c.happens and c.detail == effect.detail and may_act_beside(c, rest.effects)]
+    found = [fits.refit((*rest.effects, c), {**rest.estimate.named, **c.probes[0], c.happens: happened}) for c in able]
     return [h for h in found if h is not None]
 
 
-def _agreed(group: Sequence[Hypothesis], weight: np.ndarray, rest: Hypothesis, settings: SearchSettings, seed: int) -> np.ndarray:
-    """Probabilities of hypotheses that say nearly the same as the first of them: those of held-out data and of the data fitted to, both.
+def _average_coincident(
+    group: Sequence[Hypothesis], weight: np.ndarray, rest: Hypothesis, settings: SearchSettings, seed: int
+) -> np.ndarray:
+    """Probabilities in which hypotheses whose outputs coincide with the first one's are also compared on the data fitted to.
 
-    What they would say of the runs is the same, so leaving out runs compares what the other parameters do there. Where one of them leaves
-    only noise, likelihoods are what they say they are, and what is seen counts alone.
+    Their outputs are the same, so leaving out runs compares only what the other parameters do there. Both probabilities are averaged.
+    Where one of them leaves only noise, likelihoods can be trusted, and those of the data fitted to are taken alone.
 
     Args:
         group: the hypotheses.
         weight: their probabilities from held-out data, (hypotheses,).
-        rest: without the effect in whose place they have others.
+        rest: hypothesis without the effect in whose place they have others.
         settings: of the search.
         seed: of random draws.
     """
-    same = [k for k, h in enumerate(group) if k == 0 or coincidence(rest, group[0], h) > COINCIDE]
+    same = [k for k, h in enumerate(group) if k == 0 or coincidence(rest, group[0], h) > settings.min_coincidence]
     if len(same) < 2:
         return weight
     both = [group[k] for k in same]
@@ -175,7 +177,8 @@ def coincidence(rest: Hypothesis, one: Hypothesis, other: Hypothesis) -> float:
 
 
 def _scores(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Score]:
-    """Scores of what may act in the place of an effect: where that acts in some runs only, in the same ones or in all."""
+    """Scores of rivals of an effect; of one that acts in some runs only, rivals in the same runs or in all."""
+    is_wide = fits.settings.is_wide
     if not effect.runs:
         return [score for score in fits.screen(rest, missing) if not is_wide(score.candidate) or score.candidate == effect]
     linear = fits.linear(rest, missing)

@@ -1,4 +1,4 @@
-"""How well hypotheses predict data they were not fitted to, and which of them is believed."""
+"""Cross-validation of hypotheses, and their probabilities from the predictions of left-out data."""
 
 from __future__ import annotations
 
@@ -8,17 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import Residual, independent_after
-
-DRAWS = 2000
-ALONE = 0.8  # part of what all runs tell of a parameter that one run tells alone
-FOLDS = 4  # parts a run is cut into where there are too few runs to leave one out
-REFITS, PARTS = 6, 4  # folds of fits of their own, and parts of a short data set in each, so that every fold has of everything
-REFIT_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +25,8 @@ class Evidence:
         counts: coordinates measured in every block, (blocks,).
         parameters: how many are free and matter.
         scatter: jackknife standard deviation of the free parameters over the folds, (parameters,).
-        worth: how many independent measurements a coordinate (of a block whose residuals remember longer than it is) is worth, at most 1:
-            neighbours in time say nearly the same.
+        worth: how many independent measurements a coordinate is worth, at most 1: neighbours in time say nearly the same.
+        held_out: whether the data were left out of the fits that predict them.
     """
 
     squares: np.ndarray
@@ -39,6 +34,7 @@ class Evidence:
     parameters: int
     scatter: np.ndarray
     worth: float = 1.0
+    held_out: bool = True
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -60,27 +56,27 @@ class Evidence:
         return max(float(self.squares.sum()) / max(self.count, 1), 1.0)
 
 
-def leave_out(estimate: ParameterEstimate, partly: Collection[str] = ()) -> Evidence:
-    """Cross-validation: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
+def leave_out(estimate: ParameterEstimate, settings: SearchSettings, partly: Collection[str] = ()) -> Evidence:
+    """Cross-validate a fit: every run (with fewer than three, every quarter of a run) is predicted by a fit to the others.
 
-    The refits are one Gauss-Newton step from the fit to all of them, within the bounds; predictions are linear in that step. What the fit
-    left at a bound stays there, and what only refines a form stays as it is: often a single run tells it. What the others do not tell of
-    the parameters is told by the run itself: its squares are those of the predictive distribution, not of the refits' values alone (for
-    linear models what the run adds to the squares of the others; Vehtari and Ojanen, Statistics Surveys 6, 2012). Where the plant is quick
-    they are fits of their own, see `refitted`.
+    A refit is one Gauss-Newton step from the fit to all runs, within the bounds; predictions are linear in that step. Parameters at a
+    bound stay there, and so do refinements of a form: often a single run tells them. The squares are those of the predictive distribution:
+    for linear models what the run adds to the squares of the others (Vehtari and Ojanen, Statistics Surveys 6, 2012). With
+    `settings.refit_folds` see `leave_out_by_refits`.
 
     Args:
         estimate: the fit.
+        settings: of the search.
         partly: parameters of effects that act in some runs only; a run that alone tells of one of them is cut into quarters, too.
     """
     problem, residuals = estimate.problem, estimate.residuals
-    if problem.plant.quick:
-        return refitted(estimate)
+    if settings.refit_folds:
+        return leave_out_by_refits(estimate, settings)
     count = len(problem.free)
     parts = []  # (values (rows, points · 3), by, block, counts) of every fold
-    for r, alone in zip(residuals, _alone(estimate, partly), strict=True):
+    for r, cut in zip(residuals, _runs_to_cut(estimate, partly, settings), strict=True):
         rows, first = len(r.values), int(r.block.min())
-        blocks = np.array_split(np.arange(first, int(r.block.max()) + 1), FOLDS if alone else 1)
+        blocks = np.array_split(np.arange(first, int(r.block.max()) + 1), settings.run_parts if cut else 1)
         edges = [np.searchsorted(r.block, (part[0], part[-1] + 1)) for part in blocks if len(part)]
         pieces = [slice(*edge) for edge in edges if edge[0] < edge[1]]  # views, which cost no memory
         values, by = r.values.reshape(rows, -1), r.by.reshape(rows, r.values.size // rows, count)
@@ -109,64 +105,68 @@ def leave_out(estimate: ParameterEstimate, partly: Collection[str] = ()) -> Evid
     return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter, worth)
 
 
-def _alone(estimate: ParameterEstimate, names: Collection[str]) -> np.ndarray:
-    """Which runs tell nearly all that is known of one of some parameters, (runs,); all runs where there are fewer than three."""
+def _runs_to_cut(estimate: ParameterEstimate, names: Collection[str], settings: SearchSettings) -> np.ndarray:
+    """Mask of the runs that alone tell one of some parameters, (runs,); all runs where there are fewer than three."""
     residuals, own = estimate.residuals, [free.name in names for free in estimate.problem.free]
     if len(residuals) < 3:
         return np.ones(len(residuals), dtype=bool)
     told = np.array([np.square(r.by[:, own]).sum(axis=0) for r in residuals])  # (runs, parameters)
-    return (told > ALONE * np.maximum(told.sum(axis=0), 1e-300)).any(axis=1)
+    return (told > settings.alone_share * np.maximum(told.sum(axis=0), 1e-300)).any(axis=1)
 
 
 def in_sample(estimate: ParameterEstimate, evidence: Evidence) -> Evidence:
-    """What a hypothesis leaves in the data it was fitted to, as its evidence says it of left-out data; nothing scatters."""
+    """Evidence from the data that a hypothesis was fitted to, without scatter of its parameters."""
     errors, counts = [], []
     for r in estimate.residuals:
         rows, first = len(r.values), r.block - r.block.min()
         errors.append(np.bincount(first, (r.values.reshape(rows, -1) ** 2).sum(axis=1)))
         counts.append(np.bincount(first, r.present.reshape(rows, -1).sum(axis=1)))
     every = np.concatenate(counts)
-    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], evidence.parameters, np.zeros_like(evidence.scatter))
+    scatter = np.zeros_like(evidence.scatter)
+    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], evidence.parameters, scatter, held_out=False)
 
 
-def refitted(estimate: ParameterEstimate) -> Evidence:
-    """Cross-validation by fits of their own to what is left when a part of the data is taken away.
+def leave_out_by_refits(estimate: ParameterEstimate, settings: SearchSettings) -> Evidence:
+    """Cross-validate a fit by simulated refits, each without one fold of the data.
 
     A fold is every sixth run, or every sixth part of the runs where there are few. States that a run begins with belong to the run, so
-    that all it measured tells them. The fits are Gauss-Newton's with the derivatives of the fit to everything, from where that ended; where
-    that was given up there are none: it leaves too much as it is.
+    that all it measured tells them. Refits keep the derivatives of the fit to all data and start from it. A fit that ended early is not
+    refitted: it leaves too much as it is.
     """
     problem = estimate.problem
-    folds = _folds(problem.runs)
+    folds = _number_folds(problem.runs, settings)
     own = sorted({int(k) for numbers in folds for k in np.unique(numbers)})
-    refits = in_parallel(lambda fold: _refit(estimate, [numbers != fold for numbers in folds]), own, threads=problem.plant.concurrent)
+    refits = in_parallel(
+        lambda fold: _refit(estimate, [numbers != fold for numbers in folds], settings.refit_steps), own, threads=problem.plant.concurrent
+    )
     errors, counts, measured = [], [], 0
     for k, numbers in enumerate(folds):
         rows = numbers[:, None] == np.array(own)
-        square = sum(_of_rows(left[k].values ** 2) * rows[:, j] for j, (_, left) in enumerate(refits))
-        present, block = _of_rows(estimate.residuals[k].present), estimate.residuals[k].block
+        square = sum(_sum_by_row(left[k].values ** 2) * rows[:, j] for j, (_, left) in enumerate(refits))
+        present, block = _sum_by_row(estimate.residuals[k].present), estimate.residuals[k].block
         errors.append(np.bincount(block - block.min(), square))
         counts.append(np.bincount(block - block.min(), present))
         measured += int((present > 0).sum())
     every = np.concatenate(counts)
     values = np.array([found for found, _ in refits])
     scatter = np.sqrt((len(own) - 1) * np.var(values, axis=0)) if len(own) > 1 else np.zeros(len(problem.free))
-    return Evidence(
-        np.concatenate(errors)[every > 0], every[every > 0], len(problem.free), scatter, min((every > 0).sum() / max(measured, 1), 1.0)
-    )
+    worth = min((every > 0).sum() / max(measured, 1), 1.0)
+    squares = np.concatenate(errors)[every > 0]
+    return Evidence(squares, every[every > 0], len(problem.free), scatter, worth, held_out=not estimate.out_of_reach)
 
 
-def _of_rows(values: np.ndarray) -> np.ndarray:
-    """Sums over all that is measured at a time, (rows,)."""
+def _sum_by_row(values: np.ndarray) -> np.ndarray:
+    """Sum over everything measured at one time, (rows,)."""
     return values.reshape(len(values), -1).sum(axis=1) if values.size else np.zeros(len(values))
 
 
-def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray]) -> tuple[np.ndarray, list[Residual]]:
+def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray], steps: int) -> tuple[np.ndarray, list[Residual]]:
     """Parameters fitted to some rows of every run, and the residuals of all rows with them.
 
     Args:
         estimate: the fit to all rows.
-        kept: which rows count, (rows,) of every run.
+        kept: mask of the rows to fit to, (rows,) of every run.
+        steps: most Gauss-Newton steps.
     """
     problem, values, left = estimate.problem, estimate.values, estimate.residuals
     if not len(values) or estimate.out_of_reach:
@@ -179,7 +179,7 @@ def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray]) -> tuple[np.
     def cost(residuals: Sequence[Residual], at: np.ndarray) -> float:
         return float(sum(np.sum(r.values[mask] ** 2) for r, mask in zip(residuals, masks, strict=True)) + precision @ (at - mean) ** 2)
 
-    for _ in range(REFIT_STEPS):
+    for _ in range(steps):
         slope = sum(by.T @ r.values.ravel() for by, r in zip(slopes, left, strict=True)) + precision * (values - mean)
         step, promised = bounded_step(square + np.diag(precision), slope, problem.low - values, problem.high - values, problem.scale)
         before = cost(left, values)
@@ -198,21 +198,22 @@ def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray]) -> tuple[np.
     return values, left
 
 
-def _folds(runs: Sequence[Run]) -> list[np.ndarray]:
+def _number_folds(runs: Sequence[Run], settings: SearchSettings) -> list[np.ndarray]:
     """Number of the fold of every row of every run, (rows,) each."""
-    if len(runs) >= REFITS:
-        return [np.full(run.rows, k % REFITS) for k, run in enumerate(runs)]
-    parts = -(-REFITS * PARTS // len(runs))
+    count = settings.fold_count
+    if len(runs) >= count:
+        return [np.full(run.rows, k % count) for k, run in enumerate(runs)]
+    most = -(-count * settings.fold_parts // len(runs))
     folds, first = [], 0
     for run in runs:
-        count = min(parts, run.rows)
-        folds.append((first + np.arange(run.rows) * count // run.rows) % REFITS)
-        first += count
+        parts = min(most, run.rows)
+        folds.append((first + np.arange(run.rows) * parts // run.rows) % count)
+        first += parts
     return folds
 
 
-def weights(evidence: Sequence[Evidence], seed: int, draws: int = DRAWS) -> np.ndarray:
-    """Probabilities of hypotheses, one of which is taken to be the best, (hypotheses,).
+def weights(evidence: Sequence[Evidence], seed: int, draws: int = 2000) -> np.ndarray:
+    """Probabilities of hypotheses, (hypotheses,), from `draws` of a Bayesian bootstrap.
 
     Pseudo-Bayesian model averaging with the Bayesian bootstrap over blocks of time (Yao, Vehtari, Simpson, Gelman, Bayesian
     Analysis 13, 2018): log densities of the left-out blocks, normal with the spread that each hypothesis shows; a parameter costs

@@ -1,46 +1,49 @@
-"""Which effects explain the data: screen, fit, judge on held-out data; forward and backward until neither changes anything."""
+"""Search of the effects that explain the data: forward selection and backward elimination until neither changes anything."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
 from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.alternatives import replacements
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, labels
-from tepm_opt.discrepancy.selection.matching_pursuit import FORM_ERROR_RATIO, MANY, grown, mended, rivals, settled, several
-from tepm_opt.discrepancy.selection.ranking import beats, fitted, is_wide, most_probable, plainest
-from tepm_opt.discrepancy.selection.run_subsets import longest, spans
+from tepm_opt.discrepancy.selection.matching_pursuit import (
+    extend_by_matching_pursuit,
+    fit_by_matching_pursuit,
+    form_error_allowance,
+    prune_insignificant,
+    weigh_best_rival,
+)
+from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, most_probable
+from tepm_opt.discrepancy.selection.run_subsets import list_run_spans, select_longest_span
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.text import shortened
 
-MOVES = 2  # sets of effects fitted of each kind of move that is not one effect more
-WORTH_WIDE = 0.5  # part of what the best pair leaves that an effect as wide as several must promise to close
-WORTH = 0.2  # part of what the best single effect leaves that a pair, or one in some runs, must promise to close besides
-PAIRED = 10  # candidates, those that promise most alone, that are tried in pairs where none of them helps alone
-ABREAST = 1.5  # times the excess of the best set of effects that another may leave to be followed, too
 Shares = dict[Candidate, float]
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What the search found.
+    """Result of the search.
 
     Attributes:
         without: the known parameters recalibrated, no effect added.
         best: effects that stand out, all fitted together with the parameters; none where nothing does.
-        widest: the most that was tried along.
+        widest: the largest set that was followed.
         tried: every hypothesis fitted, in order.
         scores: first-order gains of all candidates against `without`, beside what gauges show.
-        shares: for each effect of `best`: how many times the structure left only this effect takes away.
+        shares: for each effect of `best`: how many times the structure left only this effect removes.
         groups: for each effect of `best`: hypotheses that have another one in its place, `best` first, and their probabilities.
         begun: effects that gauges have shown, with which the search began; None where there are none.
+        settings: of the search.
     """
 
     without: Hypothesis
@@ -51,6 +54,7 @@ class Explanation:
     shares: Shares
     groups: Groups
     begun: Hypothesis | None = None
+    settings: SearchSettings = field(default_factory=SearchSettings)
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -67,7 +71,7 @@ class Explanation:
         return (self.begun or self.without).excess
 
     def closes(self, hypothesis: Hypothesis) -> float:
-        """Part of the structure left by recalibration that a hypothesis takes away."""
+        """Share of the structure left by recalibration that a hypothesis removes."""
         return 1 - hypothesis.excess / max(self.without.excess, 1e-12)
 
 
@@ -83,73 +87,74 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
     base = (fits.fit(fits.seen, {**without.estimate.named, **fits.values}) if fits.seen else None) or without
-    together = several(fits, base, missing)
-    best = together or _forward(fits, base, missing, seed)
+    together = fit_by_matching_pursuit(fits, base, missing)
+    best = together or _select_forward(fits, base, missing, seed)
     if together is None:
-        best = most_probable([best, *_at_once(fits, without, best, missing)], seed, 1)[0]
+        best = most_probable([best, *_fit_wide_alone(fits, without, best, missing)], seed, 1)[0]
     widest, visited, dropped = best, set[Effects](), set[Candidate]()
     while True:
         dropped |= {*best.effects}
-        best, shares, groups = _settled(fits, best, missing, seed)
+        best, shares, groups = _eliminate(fits, best, missing, seed)
         dropped -= {*best.effects}
         for _ in range(settings.max_effects):
             weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
             better, weight = max(weakest, key=lambda pair: pair[1])
             if better is best or weight < 0.5:
                 break
-            best, shares, groups = _settled(fits, fits.finished(better), missing, seed)
-        if best.effects in visited or fits.problem.plant.quick:
+            best, shares, groups = _eliminate(fits, fits.complete(better), missing, seed)
+        if best.effects in visited or not settings.repeat_forward:
             break
         visited.add(best.effects)
-        many = len(best.effects) > MANY
-        onward = grown(fits, best, [c for c in missing if c not in dropped]) if many else _forward(fits, best, missing, seed)
+        if len(best.effects) > settings.many_effects:
+            onward = extend_by_matching_pursuit(fits, best, [c for c in missing if c not in dropped])
+        else:
+            onward = _select_forward(fits, best, missing, seed)
         if onward is best:
             break
         best = widest = onward
     if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
-    return Explanation(
-        without, best, widest, list(fits.done.values()), fits.screen(base, missing), shares, groups, base if fits.seen else None
-    )
+    tried, scores = list(fits.done.values()), fits.screen(base, missing)
+    return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.seen else None, settings)
 
 
-def _forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> Hypothesis:
-    """The most probable of what surely explains more and more from a hypothesis on, until nothing does."""
+def _select_forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> Hypothesis:
+    """Extend a hypothesis as long as an extension surely explains more; returns the most probable one."""
     settings, best, front = fits.settings, base, [base]
     while front and not best.only_noise(settings):
-        grown = {h.effects: h for other in front for h in _grown(fits, other, missing, seed)}
+        grown = {h.effects: h for other in front for h in _extend(fits, other, missing, seed)}
         front = most_probable(list(grown.values()), seed, settings.beam)
-        front = [h for h in front if h.excess <= ABREAST * front[0].excess]
+        front = [h for h in front if h.excess <= settings.beam_excess_ratio * front[0].excess]
         best = most_probable([best, *front], seed, 1)[0] if settings.beam > 1 else next(iter(front), best)
     return best
 
 
-def _at_once(fits: Fits, without: Hypothesis, best: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
-    """Fits of what is as much as several effects, alone, where several parts of one kind leave more than noise: they may be one."""
+def _fit_wide_alone(fits: Fits, without: Hypothesis, best: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fit every wide effect alone where several effects of single parts leave more than noise: they may be one wide effect."""
     parts = [effect for effect in best.effects if effect.part and not effect.runs]
-    if fits.problem.plant.quick or best.only_noise(fits.settings) or len(parts) < 2:
+    if not fits.settings.linear_moves or best.only_noise(fits.settings) or len(parts) < 2:
         return []
     linear = fits.linear(without, missing)
-    asked = [((c,), {**without.estimate.named, **linear.gain((c,))[1]}) for c in linear.able if is_wide(c)]
+    asked = [((c,), {**without.estimate.named, **linear.gain((c,))[1]}) for c in linear.able if fits.settings.is_wide(c)]
     return [h for h in fits.fit_all(asked) if h is not None]
 
 
-def _settled(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int) -> tuple[Hypothesis, Shares, Groups]:
-    """What is left of a hypothesis after the way back, with the shares of its effects and their rivals.
+def _eliminate(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int) -> tuple[Hypothesis, Shares, Groups]:
+    """Eliminate effects of a hypothesis and weigh the rivals of the rest; returns it with the effects' shares and rivals.
 
-    Where that is nothing, because several stood in for one, the single effect that stands out and leaves least.
+    Where no effect is left, because several stood in for one, take the single effect that stands out and leaves least.
     """
-    if len(best.effects) > MANY:
-        best, shares = settled(fits, best, missing)
-        if len(best.effects) > MANY:
-            others = {e: [(best, 1.0)] if e in fits.seen else rivals(fits, best, e, missing, seed) for e in best.effects}
-            return best, shares, others
-    more = len(best.effects) > 1
-    best, shares = _backward(fits, best)
-    if more and not best.effects:
-        alone = [_backward(fits, fits.finished(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
-        best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
-    return best, shares, {e: [(best, 1.0)] if e in fits.seen else replacements(fits, best, e, missing, seed) for e in best.effects}
+    shares, weigh = Shares(), weigh_best_rival
+    if len(best.effects) > fits.settings.many_effects:
+        best, shares = prune_insignificant(fits, best, missing)
+    if len(best.effects) <= fits.settings.many_effects:
+        weigh = replacements
+        more = len(best.effects) > 1
+        best, shares = _eliminate_backward(fits, best)
+        if more and not best.effects:
+            alone = [_eliminate_backward(fits, fits.complete(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
+            best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
+    return best, shares, {e: [(best, 1.0)] if e in fits.seen else weigh(fits, best, e, missing, seed) for e in best.effects}
 
 
 def _motion(problem: Problem) -> float:
@@ -163,86 +168,83 @@ def _motion(problem: Problem) -> float:
     return total / max(count, 1)
 
 
-def _grown(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> list[Hypothesis]:
-    """The most probable of what surely explains more than `base`: with one effect more, or changed in another way where that is not all."""
+def _extend(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> list[Hypothesis]:
+    """The most probable hypotheses that surely explain more than `base`: with one effect more, or by other moves where that is not all."""
     settings = fits.settings
 
     def better(trials: Sequence[Hypothesis]) -> list[Hypothesis]:
-        first = [fits.finished(trial) for trial in most_probable([base, *trials], seed, settings.beam) if trial is not base]
+        first = [fits.complete(trial) for trial in most_probable([base, *trials], seed, settings.beam) if trial is not base]
         return [h for h in first if h.excess <= (1 - settings.min_share_closed) * base.excess and beats(h, base, seed, settings)]
 
     if len(base.effects) >= settings.max_effects:
         return []
-    found = better(_round(fits, base, missing))
-    if found and (fits.problem.plant.quick or any(h.only_noise(settings) for h in found)):
+    narrow = [score for score in fits.screen(base, missing) if not settings.is_wide(score.candidate)]
+    found = better(fit_promising(fits, base, narrow))
+    if found and (not settings.linear_moves or any(h.only_noise(settings) for h in found)):
         return found
-    return better([*found, *(_pairs if fits.problem.plant.quick else _other_moves)(fits, base, missing)])
+    return better([*found, *(_fit_other_moves if settings.linear_moves else _fit_pairs)(fits, base, missing)])
 
 
-def _other_moves(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
-    """Fits of what promises more than one effect more: two at once, another one in the place of one, one that acts in some runs only."""
-    linear, scores = fits.linear(base, missing), fits.screen(base, missing)
+def _fit_other_moves(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fit what promises more than one effect more: two at once, an exchange, a wide effect, an effect of some runs."""
+    settings, linear, scores = fits.settings, fits.linear(base, missing), fits.screen(base, missing)
     if not scores:
         return []
     asked: list[tuple[float, tuple[Candidate, ...]]] = []
-    first = [score.candidate for score in plainest(scores) if not is_wide(score.candidate)][:PAIRED]
-    alone = max((score.gain for score in scores if not is_wide(score.candidate)), default=0.0)
+    first = [s.candidate for s in drop_richer_forms(scores, settings) if not settings.is_wide(s.candidate)][: settings.pair_candidates]
+    alone = max((score.gain for score in scores if not settings.is_wide(score.candidate)), default=0.0)
+    worth = alone + settings.min_pair_share * (1 - alone)
 
-    def best_of(sets: Iterable[tuple[Candidate, ...]], least: float) -> None:
+    def propose(sets: Iterable[tuple[Candidate, ...]], least: float) -> None:
         ranked = sorted(((linear.gain(effects)[0], effects) for effects in sets), key=lambda pair: -pair[0])
-        asked.extend(pair for pair in ranked[:MOVES] if pair[0] > least)
+        asked.extend(pair for pair in ranked[: settings.fits_per_move] if pair[0] > least)
 
-    rest = 1 - alone
-    best_of(((*base.effects, one, other) for one, other in combinations(first, 2) if one.form_of != other.form_of), alone + WORTH * rest)
+    propose(((*base.effects, one, other) for one, other in combinations(first, 2) if one.form_of != other.form_of), worth)
     paired = max((gain for gain, _ in asked), default=alone)
-    wide = [c for c in linear.able if is_wide(c)]
-    best_of(((*base.effects, c) for c in wide), paired + WORTH_WIDE * (1 - paired))
+    wide = [c for c in linear.able if settings.is_wide(c)]
+    propose(((*base.effects, c) for c in wide), paired + settings.min_wide_share * (1 - paired))
     if base.effects:  # several of one kind may be one
-        best_of(((*(e for e in base.effects if not e.part), c) for c in wide), alone)
-    best_of(
+        propose(((*(e for e in base.effects if not e.part), c) for c in wide), alone)
+    propose(
         (
             (*(c for c in base.effects if c != gone), come)
             for gone in base.effects
             for come in linear.able
-            if come.form_of != gone.form_of and not is_wide(come)
+            if come.form_of != gone.form_of and not settings.is_wide(come)
         ),
         alone,
     )
-    parts = spans([run.file for run in fits.problem.runs])
-    limited = [longest(linear, [(*base.effects, replace(one, runs=runs)) for runs in parts]) for one in first if parts]
-    best_of(limited, alone + WORTH * rest)
+    spans = list_run_spans([run.file for run in fits.problem.runs])
+    limited = [
+        select_longest_span(linear, [(*base.effects, replace(one, runs=runs)) for runs in spans], settings) for one in first if spans
+    ]
+    propose(limited, worth)
     asked.sort(key=lambda pair: -pair[0])
-    trials = fits.fit_all([(effects, {**base.estimate.named, **linear.gain(effects)[1]}) for _, effects in asked[: MOVES + 1]])
+    first_of_all = asked[: settings.fits_per_move + 1]
+    trials = fits.fit_all([(effects, {**base.estimate.named, **linear.gain(effects)[1]}) for _, effects in first_of_all])
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
 
 
-def _round(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hypothesis | None = None) -> list[Hypothesis]:
-    """Fits of the candidates that promise most beside those of `base`; what competes with a rival, or with the first, may end early."""
-    return fitted(fits, base, [score for score in fits.screen(base, missing) if not is_wide(score.candidate)], rival)
-
-
-def _pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
-    """Fits of the pairs that promise most together where there is no effect yet: each may hide the other."""
-    scores = fits.screen(base, missing)
-    if len(scores) < 2 or base.effects or fits.settings.max_effects < 2:
+def _fit_pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fit the pairs that promise most together where there is no effect yet: each may hide the other."""
+    settings, scores = fits.settings, fits.screen(base, missing)
+    if len(scores) < 2 or base.effects or settings.max_effects < 2:
         return []
-    pairs = [
-        (pair, start) for pair, _, start in screen_pairs(base.estimate, plainest(scores), PAIRED) if pair[0].form_of != pair[1].form_of
-    ]
-    asked = [((*base.effects, *pair), {**base.estimate.named, **start}) for pair, start in pairs[: fits.settings.fits_first_round]]
+    screened = screen_pairs(base.estimate, drop_richer_forms(scores, settings), settings.pair_candidates)
+    pairs = [(pair, start) for pair, _, start in screened if pair[0].form_of != pair[1].form_of]
+    asked = [(pair, {**base.estimate.named, **start}) for pair, start in pairs[: settings.fits_first_round]]
     return [trial for trial in fits.fit_all(asked) if trial is not None]
 
 
-def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate, float]]:
+def _eliminate_backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, Shares]:
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
-    What takes away no more than the errors that the others' forms may have is no effect of its own (see `mended`). All that is left counts
-    against each.
+    An effect stands out where it removes more than form errors of the others may (see `form_error_allowance`), and a share of what is left.
     """
     settings = fits.settings
     while True:
         shares, smaller, lost = {}, {}, {}
-        doubt = {effect: FORM_ERROR_RATIO * _output(best, effect) for effect in best.effects}
+        doubt = {effect: settings.form_error_ratio * _output(best, effect) for effect in best.effects}
         left = best.excess + settings.max_noise_excess / 10
         rests = [tuple(c for c in best.effects if c != effect) for effect in best.effects]
         without = fits.fit_all([(rest, best.estimate.named) for rest in rests])
@@ -251,7 +253,7 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
             if found is not None and effect not in fits.seen:
                 smaller[effect] = found
                 taken = lost[effect] = found.excess - best.excess
-                least = max(settings.min_excess_removed, mended(effect, sum(doubt[c] for c in rest), taken, left))
+                least = form_error_allowance(effect, sum(doubt[c] for c in rest), taken, left, settings)
                 shares[effect] = taken / left if taken >= least else 0.0
         weakest = min(shares, key=lambda effect: (shares[effect], lost[effect]), default=None)
         if weakest is None or shares[weakest] >= settings.least_share:
@@ -260,12 +262,12 @@ def _backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, dict[Candidate,
 
 
 def _output(hypothesis: Hypothesis, effect: Candidate) -> float:
-    """Mean square of what one effect of a hypothesis changes in the modelled positions, over the noise's; 0 where that cannot be told."""
+    """Mean square over the noise's of the change of modelled positions by one effect; 0 where the model cannot do the runs without it."""
     estimate = hypothesis.estimate
     problem = replace(estimate.problem, plant=estimate.plant.with_values(effect.null), free=())
     try:
         without = problem.residuals(np.zeros(0))
-    except PredictionError:  # the model cannot do the runs without it
+    except PredictionError:
         return 0.0
     changed = sum(float(np.sum((a.values - b.values) ** 2)) for a, b in zip(without, estimate.residuals, strict=True))
     return changed / max(estimate.count, 1)

@@ -1,4 +1,4 @@
-"""A fit's residuals to first order in all that may act: sets of effects are compared by it before they are fitted."""
+"""Linearised fit: residuals to first order in all candidates, to compare sets of effects before they are fitted."""
 
 from __future__ import annotations
 
@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.data.run import Run, spaced
-from tepm_opt.discrepancy.problem.plant import Candidate, freed, ranged
-from tepm_opt.discrepancy.selection.shape_suggestions import suggested
+from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters, free_candidate_parameters
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.shape_suggestions import apply_suggested_shapes
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import beside, in_parallel
 from tepm_opt.solvers.plant import Free, PredictionError
 from tepm_opt.solvers.residuals import Residual
-
-MEMORY = 120_000_000  # B, of all derivatives together
-HALVES = 2  # parts of a run in time
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,16 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Normal equations of a fit by everything that may act, cell by cell.
+    """Normal equations of a fit by the parameters of everything that may act, one set for each cell of rows.
 
     Attributes:
-        estimate: the fit, with the samples that count here.
-        known: what is fitted whatever acts.
-        effects: those that the fit has.
-        able: candidates that the model can take.
-        afar: those of them whose derivatives do not tell what they do where they are large, as candidates that are probed there.
-        columns: number of the column of every parameter by its full name, and of every candidate that is probed by its label.
-        cells: what each part of the rows is.
+        estimate: the fit, with the samples that are used here.
+        known: parameters that are fitted whatever acts.
+        effects: those of the fit.
+        able: candidates that the model can simulate.
+        afar: smooth candidates that are also probed at larger sizes, where their derivatives no longer hold; as probed candidates.
+        columns: number of the column by full name of a parameter, or by label of a probed candidate.
+        cells: run, half and direction of each cell.
         square, slope: JᵀJ and Jᵀr of every cell, (cells, columns, columns) and (cells, columns).
         cost, count: squared residuals and coordinates of every cell, (cells,).
     """
@@ -74,16 +72,17 @@ class Linearised:
         return max(left, 1e-9 * float(self.count.sum()))
 
     def gain(self, effects: Iterable[Candidate]) -> tuple[float, dict[str, float]]:
-        """Part of the squares beyond the noise that a set of effects in the place of the fit's would take away, and values to fit from.
+        """Gain of a set of effects in the place of the fit's, and values to fit from.
 
-        An effect of the fit that is not in the set is taken back to where it vanishes; one in other runs, there.
+        The gain is the share of the squares beyond the noise that the set would remove. An effect of the fit that is not in the set is
+        taken back to where it vanishes; one that acts in other runs, in those that it leaves.
         """
         effects = tuple(effects)
         named, present = self.estimate.named, {c.label: c for c in self.effects}
         problem = self.estimate.problem
         kept = [c for c in effects if c.label in present or c.smooth]
         probed = [c for c in effects if c not in kept]
-        free = freed(self.known, problem.plant, kept)
+        free = collect_free_parameters(self.known, problem.plant, kept)
         values = np.array([named.get(f.name, f.start) for f in free])
         own = {name: c for c in kept for name in c.parameters}
         at = [self.columns[f.name] for f in free] + [self.columns[c.label] for c in probed]
@@ -91,8 +90,7 @@ class Linearised:
             len(at), len(self.cells)
         )
         low = np.concatenate([np.array([f.low for f in free]) - values, np.zeros(len(probed))])
-        room = [_room(problem, c) for c in probed]
-        high = np.concatenate([np.array([f.high for f in free]) - values, room])
+        high = np.concatenate([np.array([f.high for f in free]) - values, [_largest_multiple(problem, c) for c in probed]])
         scale = np.array([*(f.scale for f in free), *(1.0 for _ in probed)])
         square = np.einsum("cij,ic,jc->ij", self.square[:, at][:, :, at], masks, masks, optimize=True)
         slope = np.einsum("ci,ic->i", self.slope[:, at], masks)
@@ -110,7 +108,7 @@ class Linearised:
         step, less = bounded_step(square, slope, np.minimum(low, 0), np.maximum(high, 0), scale)
         start = {f.name: float(value) for f, value in zip(free, values + step[: len(free)], strict=True)}
         for candidate, size in zip(probed, step[len(free) :], strict=True):
-            start |= _multiple(candidate, float(size))
+            start |= scale_from_null(candidate, candidate.probes[0], max(float(size), 0.1))  # at least a visible part of it
         return (less - lost) / self.excess, start
 
     def acts(self, candidate: Candidate | None) -> np.ndarray:
@@ -120,22 +118,25 @@ class Linearised:
         return np.array([every or files[cell.run] in candidate.runs for cell in self.cells])  # type: ignore[union-attr]
 
 
-def linearised(
-    estimate: ParameterEstimate, known: Sequence[Free], effects: Sequence[Candidate], missing: Sequence[Candidate]
-) -> Linearised:
-    """Normal equations of a fit by all candidates: derivatives of those that are smooth, finite probes of others, and of further sizes.
+def linearise(
+    estimate: ParameterEstimate, known: Sequence[Free], effects: Sequence[Candidate], missing: Sequence[Candidate],
+    settings: SearchSettings,
+) -> Linearised:  # fmt: skip
+    """Linearise a fit in all candidates: derivatives of smooth ones, finite probes of others and of larger sizes.
 
     Args:
         estimate: the fit.
-        known: what is fitted whatever acts.
-        effects: those that the fit has.
-        missing: the candidates; one that the model cannot take is left out.
+        known: parameters that are fitted whatever acts.
+        effects: those of the fit.
+        missing: the candidates; one that the model cannot simulate is left out.
+        settings: of the search.
     """
     smooth, bent = [c for c in missing if c.smooth], [c for c in missing if not c.smooth]
-    afar = [replace(c, smooth=False, probes=c.probes[1:]) for c in smooth if len(c.probes) > 1 and not estimate.problem.plant.quick]
+    afar = [replace(c, smooth=False, probes=c.probes[1:]) for c in smooth if len(c.probes) > 1 and not settings.screen_by_fits]
     names = list(dict.fromkeys([*(f.name for f in estimate.problem.free), *(name for c in smooth for name in c.parameters)]))
     names += [f.name for f in known if f.name not in names]
-    estimate = thinned(suggested(estimate, missing), len(names) + len(bent) + len(afar))
+    estimate = apply_suggested_shapes(estimate, missing)
+    estimate = thin_samples(estimate, len(names) + len(bent) + len(afar), settings.max_derivative_bytes)
     problem, threads = estimate.problem, estimate.problem.plant.concurrent
 
     def slopes() -> list[Residual]:
@@ -144,17 +145,17 @@ def linearised(
     variants = [replace(c, probes=(probe,)) for c in (*bent, *afar) for probe in c.probes]
 
     def probes() -> list[list[Residual] | None]:
-        return in_parallel(lambda c: probed(estimate, c.probes[0]), variants, threads=threads)
+        return in_parallel(lambda c: simulate_probe(estimate, c.probes[0]), variants, threads=threads)
 
     simulated, changed = beside(slopes, probes, threads)
-    telling = _most_telling(estimate, simulated, [(c, found) for c, found in zip(variants, changed, strict=True) if found is not None])
+    telling = _select_probes(estimate, simulated, [(c, found) for c, found in zip(variants, changed, strict=True) if found is not None])
     columns = {name: k for k, name in enumerate((*names, *(c.label for c, _ in telling)))}
     cells: list[Cell] = []
     squares, slope, cost, count = [], [], [], []
     for k, (r, s) in enumerate(zip(estimate.residuals, simulated, strict=True)):
         by = np.hstack([s.by, *(((found[k].values - s.values).ravel()[:, None]) for _, found in telling)])
         rows, values = len(r.values), r.values.ravel()
-        for cell, inside in _cells(k, problem.runs[k], problem.plant.static):
+        for cell, inside in _split_into_cells(k, problem.runs[k], problem.plant.static):
             picked = np.repeat(inside, values.size // max(rows, 1))
             part, left = by[picked], values[picked]
             cells.append(cell)
@@ -177,12 +178,12 @@ def linearised(
     )
 
 
-def _most_telling(
+def _select_probes(
     estimate: ParameterEstimate, simulated: Sequence[Residual], changed: Sequence[tuple[Candidate, list[Residual]]]
 ) -> list[tuple[Candidate, list[Residual]]]:
-    """Of the probes of a candidate the one that any multiple of would take away most, what is fitted free to follow.
+    """The probe of each candidate that, scaled freely, would remove most while all fitted parameters follow.
 
-    Also what ended at a bound: it may be there only because what is missing is not.
+    Parameters at a bound follow, too: they may be there only because an effect is missing.
     """
     fitted, _ = np.linalg.qr(np.concatenate([s.by[:, : len(estimate.problem.free)] for s in simulated]))
     left = np.concatenate([r.values.ravel() for r in estimate.residuals])
@@ -196,15 +197,15 @@ def _most_telling(
     return [pair for _, pair in found.values()]
 
 
-def _cells(number: int, run: Run, static: bool) -> list[tuple[Cell, np.ndarray]]:
-    """The cells of a run with which rows are in each."""
+def _split_into_cells(number: int, run: Run, static: bool) -> list[tuple[Cell, np.ndarray]]:
+    """The cells of a run, each with a mask of its rows."""
     rows = np.arange(run.rows)
-    half = np.zeros(run.rows, dtype=int) if static else rows * HALVES // max(run.rows, 1)
+    half = np.zeros(run.rows, dtype=int) if static else rows * 2 // max(run.rows, 1)
     size = np.maximum(np.abs(run.inputs).max(axis=0, initial=0.0), 1e-30)
     level = (run.inputs / size).sum(axis=1)
     rising = np.zeros(run.rows, dtype=bool) if static or run.rows < 2 else np.gradient(level) >= 0
     found = []
-    for part in range(HALVES):
+    for part in range(2):
         for up in (False, True):
             inside = (half == part) & (rising == up)
             if inside.any():
@@ -212,13 +213,19 @@ def _cells(number: int, run: Run, static: bool) -> list[tuple[Cell, np.ndarray]]
     return found
 
 
-def thinned(estimate: ParameterEstimate, columns: int) -> ParameterEstimate:
-    """The estimate with only those samples at which derivatives are taken, and no more than fit into memory: first order needs no more."""
+def thin_samples(estimate: ParameterEstimate, columns: int, most_bytes: int) -> ParameterEstimate:
+    """The estimate with the samples at which derivatives are taken, and no more of them than fit into memory.
+
+    Args:
+        estimate: the fit.
+        columns: number of derivatives of every coordinate.
+        most_bytes: memory in B for all derivatives together.
+    """
     whole = estimate.problem
     problem = whole.sparse
     size = 8.0 * columns * sum(run.points.size for run in problem.runs)
-    if size > MEMORY and not problem.plant.static and all(run.start == "equilibrium" for run in problem.runs):
-        apart = max(float(np.median(np.diff(run.time))) for run in problem.runs if run.rows > 1) * size / MEMORY
+    if size > most_bytes and not problem.plant.static and all(run.start == "equilibrium" for run in problem.runs):
+        apart = max(float(np.median(np.diff(run.time))) for run in problem.runs if run.rows > 1) * size / most_bytes
         problem = replace(problem, runs=tuple(spaced(run, apart) for run in problem.runs))
     if problem is whole:
         return estimate
@@ -230,26 +237,25 @@ def thinned(estimate: ParameterEstimate, columns: int) -> ParameterEstimate:
     return replace(estimate, problem=problem, residuals=residuals, cost=sum(r.squares for r in residuals))
 
 
-def probed(estimate: ParameterEstimate, probe: Mapping[str, float]) -> list[Residual] | None:
-    """Residuals of every run with the values of a probe; None where the model cannot take it."""
+def simulate_probe(estimate: ParameterEstimate, probe: Mapping[str, float]) -> list[Residual] | None:
+    """Residuals of every run with the values of a probe; None where the model cannot do the runs with them."""
     try:
         return replace(estimate.problem, plant=estimate.plant.with_values(probe)).residuals(estimate.values, [])
     except PredictionError:
         return None
 
 
-def _room(problem: Problem, candidate: Candidate) -> float:
-    """How many times its probe a candidate may be."""
+def _largest_multiple(problem: Problem, candidate: Candidate) -> float:
+    """The largest multiple of its probe that a candidate's ranges allow."""
     probe, moved = candidate.probes[0], []
-    for f in ranged(problem.plant, candidate):
+    for f in free_candidate_parameters(problem.plant, candidate):
         change = probe[f.name] - candidate.null[f.name]
         if change and f.name not in candidate.shapes:
             moved.append((f.high - candidate.null[f.name]) / change)
     return min(moved, default=1.0)
 
 
-def _multiple(candidate: Candidate, size: float) -> dict[str, float]:
-    """Values of a candidate that is so many times its probe, but a visible part of it."""
-    null, probe = candidate.null, candidate.probes[0]
-    size = max(size, 0.1)
-    return {name: value if name in candidate.shapes else null[name] + size * (value - null[name]) for name, value in probe.items()}
+def scale_from_null(candidate: Candidate, values: Mapping[str, float], size: float) -> dict[str, float]:
+    """Values of a candidate moved along the line from its null values, its shapes kept; a size of 1 changes nothing."""
+    null = candidate.null
+    return {name: value if name in candidate.shapes else null[name] + size * (value - null[name]) for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""Which effects are worth fitting: how much of the gap each could close to first order, with the free parameters free to follow."""
+"""Screening: share of the gap that each candidate could close to first order while the free parameters follow."""
 
 from __future__ import annotations
 
@@ -7,27 +7,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.discrepancy.problem.plant import Candidate, freed, ranged
-from tepm_opt.discrepancy.selection.linearised import Linearised, probed
+from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters, free_candidate_parameters
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.linearised import Linearised, scale_from_null, simulate_probe
 from tepm_opt.solvers.identify import ParameterEstimate, identify
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import normal_equations
 
-FURTHER = 100.0  # times the values that a candidate's own score found
-SHARED = 4  # of the runs of a quick plant one in so many tells what a probe is worth
-SOME_STEPS, MORE_STEPS = 3, 8  # from every probe, and on from the best of each candidate
-ALSO = 0.5  # part of the best probe's gain from which another is worth a fit
-
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What screening says of a candidate.
+    """Screening result of a candidate.
 
     Attributes:
         candidate: the effect.
-        gain: part of the squared residuals beyond the noise that it could take away, to first order.
+        gain: share of the squared residuals beyond the noise that it could remove, to first order.
         start: values of its parameters and of the free ones by full name, from which to fit.
         also: such values of other probes that promise nearly as much.
     """
@@ -47,40 +43,42 @@ class Score:
         return f"Score({self.candidate.label}, gain {self.gain:.3g})"
 
 
-def screen(linear: Linearised, bent: Sequence[Candidate] = ()) -> list[Score]:
-    """Scores of candidates, largest gain first.
+def screen(linear: Linearised, settings: SearchSettings, bent: Sequence[Candidate] = ()) -> list[Score]:
+    """Scores of candidates, largest gain first; they order candidates and decide nothing.
 
-    Both what they do and what the free parameters do are taken to first order together, so that what those could do as well does not
-    count. Scores order, they do not decide. Where the plant is quick, a few steps are made from each probe instead.
+    Candidates and free parameters are linearised together, so that what the free parameters could do as well does not count.
 
     Args:
         linear: a fit to first order in the candidates.
-        bent: further candidates of a quick plant, that are not smooth: probed by fits.
+        settings: of the search.
+        bent: further candidates, not smooth, that are screened by fits (`screen_by_fits`).
     """
     scores = [Score(c, *linear.gain((*linear.effects, c))) for c in linear.able]
     scores += [Score(next(a for a in linear.able if a == c), *linear.gain((*linear.effects, c))) for c in linear.afar]
     probes = [(candidate, probe) for candidate in bent for probe in candidate.probes]
-    return _ordered([*scores, *(_fitted(linear.estimate, probes) if probes else [])])
+    return _rank([*scores, *(_screen_by_fits(linear.estimate, probes, settings) if probes else [])], settings)
 
 
-def _ordered(scores: Sequence[Score]) -> list[Score]:
-    """One score of every candidate, its best, with the values of others that promise nearly as much; largest gain first."""
+def _rank(scores: Sequence[Score], settings: SearchSettings) -> list[Score]:
+    """The best score of every candidate, with the values of others that promise nearly as much; largest gain first."""
     found: dict[Candidate, list[Score]] = {}
     for score in sorted(scores, key=lambda score: -score.gain):
         found.setdefault(score.candidate, []).append(score)
     return [
-        replace(first, also=(*first.also, *(score.start for score in others if score.gain >= ALSO * first.gain)))
+        replace(first, also=(*first.also, *(score.start for score in others if score.gain >= settings.min_start_gain * first.gain)))
         for first, *others in found.values()
     ]
 
 
-def _fitted(estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mapping[str, float]]]) -> list[Score]:
-    """Scores by what a few steps from each probe, and some more from the best, gain on some of the runs, the free parameters beside it.
+def _screen_by_fits(
+    estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mapping[str, float]]], settings: SearchSettings
+) -> list[Score]:
+    """Scores from short fits on some of the runs: a few steps from every probe, and more from the best of each candidate.
 
-    They begin where the free parameters undo to first order what the probe changes: a spring that remembers is a spring, too.
+    A fit begins where the free parameters undo to first order what the probe changes: a spring with memory is a spring, too.
     """
     count = len(estimate.problem.runs)
-    some = sorted({round(k) for k in np.linspace(0, count - 1, -(-count // SHARED))})
+    some = sorted({round(k) for k in np.linspace(0, count - 1, -(-count // settings.probe_run_stride))})
     problem = replace(
         estimate.problem,
         runs=tuple(estimate.problem.runs[k] for k in some),
@@ -91,37 +89,38 @@ def _fitted(estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mappi
     square = normal_equations(null)[0]
     squares, coordinates = sum(r.squares for r in null), sum(r.count for r in null)
 
-    def tried(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
+    def fit_from_probe(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
         candidate, at = probe
-        added = tuple(replace(f, start=at[f.name]) for f in ranged(problem.plant, candidate))
+        added = tuple(replace(f, start=at[f.name]) for f in free_candidate_parameters(problem.plant, candidate))
         try:
             changed = replace(problem, plant=problem.plant.with_values(at)).residuals(values, [])
             slope = sum(r.by.T @ (c.values - r.values).ravel() for r, c in zip(null, changed, strict=True))
             step, _ = bounded_step(square, np.asarray(slope), problem.low - values, problem.high - values, problem.scale)
             free = tuple(replace(f, start=float(v)) for f, v in zip(problem.free, values + step, strict=True))
-            return scored(candidate, identify(replace(problem, free=(*free, *added)), SOME_STEPS))
+            return score_fit(candidate, identify(replace(problem, free=(*free, *added)), settings.probe_steps))
         except PredictionError:
             return None
 
-    def scored(candidate: Candidate, found: ParameterEstimate) -> Score:
+    def score_fit(candidate: Candidate, found: ParameterEstimate) -> Score:
         gain = (squares - sum(r.squares for r in found.residuals)) / max(squares - coordinates, 1e-9 * coordinates)
         return Score(candidate, gain, found.named)
 
-    def further(score: Score) -> Score:
-        free = tuple(replace(f, start=score.start[f.name]) for f in freed(problem.free, problem.plant, [score.candidate]))
-        return replace(scored(score.candidate, identify(replace(problem, free=free), MORE_STEPS)), also=score.also)
+    def continue_fit(score: Score) -> Score:
+        free = collect_free_parameters(problem.free, problem.plant, [score.candidate])
+        begin = replace(problem, free=tuple(replace(f, start=score.start[f.name]) for f in free))
+        return replace(score_fit(score.candidate, identify(begin, settings.best_probe_steps)), also=score.also)
 
     threads = problem.plant.concurrent
-    first = [score for score in in_parallel(tried, probes, threads=threads) if score is not None]
-    return in_parallel(further, _ordered(first), threads=threads)
+    first = [score for score in in_parallel(fit_from_probe, probes, threads=threads) if score is not None]
+    return in_parallel(continue_fit, _rank(first, settings), threads=threads)
 
 
 def screen_pairs(
     estimate: ParameterEstimate, scores: Sequence[Score], most: int
 ) -> list[tuple[tuple[Candidate, Candidate], float, dict[str, float]]]:
-    """Pairs of candidates by what the two could take away together, largest first: (pair, gain, values to fit from).
+    """Pairs of candidates with their common gain, largest first: (pair, gain, values to fit from).
 
-    Only the direction from null to start of each is looked at, as its own score found it; any multiple of it may act.
+    Each acts along the line from its null values to the start of its own score, in any multiple of it.
 
     Args:
         estimate: with the parameters that are free already.
@@ -132,7 +131,7 @@ def screen_pairs(
     free = [parameter.name for parameter in estimate.problem.free]
     simulated = estimate.problem.residuals(estimate.values, free)
     own = {score: {name: score.start[name] for name in score.candidate.parameters} for score in picked}
-    changes = in_parallel(lambda score: probed(estimate, own[score]), picked, threads=estimate.problem.plant.concurrent)
+    changes = in_parallel(lambda score: simulate_probe(estimate, own[score]), picked, threads=estimate.problem.plant.concurrent)
     able = [(score, change) for score, change in zip(picked, changes, strict=True) if change is not None]
     columns = [np.stack([(change[k].values - r.values).ravel() for _, change in able], axis=1) for k, r in enumerate(simulated)]
     whole = [replace(r, by=np.hstack([s.by, c])) for r, s, c in zip(estimate.residuals, simulated, columns, strict=True)]
@@ -141,35 +140,28 @@ def screen_pairs(
     for i, (one, _) in enumerate(able):
         for j, (other, _) in enumerate(able[:i]):
             at = [*range(len(free)), len(free) + i, len(free) + j]
-            gain, step = _gain(estimate, square[np.ix_(at, at)], slope[at], -np.ones(2) * FURTHER, np.ones(2) * FURTHER, np.ones(2))
-            start = {}
+            gain, step = _gain(estimate, square[np.ix_(at, at)], slope[at], np.full(2, 100.0))  # any multiple that makes sense
+            start: dict[str, float] = {}
             for score, size in ((one, step[-2]), (other, step[-1])):
-                null = score.candidate.null
-                start |= {
-                    name: value if name in score.candidate.shapes else null[name] + float(size) * (value - null[name])
-                    for name, value in own[score].items()
-                }
+                start |= scale_from_null(score.candidate, own[score], float(size))
             found.append(((one.candidate, other.candidate), gain, start))
     return sorted(found, key=lambda pair: -pair[1])
 
 
-def _gain(
-    estimate: ParameterEstimate, square: np.ndarray, slope: np.ndarray, low: np.ndarray, high: np.ndarray, scale: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """Part of the excess that the last parameters could take away, and the step of all.
+def _gain(estimate: ParameterEstimate, square: np.ndarray, slope: np.ndarray, reach: np.ndarray) -> tuple[float, np.ndarray]:
+    """Share of the excess that the last parameters could remove, and the step of all parameters.
 
     Args:
         estimate: with the parameters that are free already.
         square, slope: normal equations, its parameters first.
-        low, high: bounds of the others' steps.
-        scale: of the others.
+        reach: largest steps of the last parameters either way, in multiples.
     """
     problem, values = estimate.problem, estimate.values
     step, less = bounded_step(
         square,
         slope,
-        np.concatenate([problem.low - values, low]),
-        np.concatenate([problem.high - values, high]),
-        np.concatenate([problem.scale, scale]),
+        np.concatenate([problem.low - values, -reach]),
+        np.concatenate([problem.high - values, reach]),
+        np.concatenate([problem.scale, np.ones_like(reach)]),
     )
     return less / max(estimate.cost - estimate.count, 1e-9 * estimate.count), step

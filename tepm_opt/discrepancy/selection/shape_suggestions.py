@@ -1,4 +1,4 @@
-"""Where to look for effects of which nobody knows when or how fast they act: what a model leaves suggests it."""
+"""Shapes (instants, rates) of missing effects, suggested by the residuals of a fit."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.solvers.identify import ParameterEstimate
 
 
-def suggested(estimate: ParameterEstimate, missing: Iterable[Candidate]) -> ParameterEstimate:
-    """The estimate of a model in which the shapes of missing effects, which change nothing yet, are those that its residuals suggest."""
+def apply_suggested_shapes(estimate: ParameterEstimate, missing: Iterable[Candidate]) -> ParameterEstimate:
+    """The estimate with the shapes of missing effects as its residuals suggest them; at their null values these change nothing."""
     wanting = [candidate.suggested for candidate in missing if candidate.suggested is not None]
     runs = sorted(zip(estimate.problem.runs, estimate.residuals, strict=True), key=lambda pair: pair[0].began)
     if not wanting or estimate.problem.plant.static:

@@ -12,6 +12,7 @@ from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import acting_effect
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import leave_out
 from tepm_opt.discrepancy.symbolic.formula import Formula, compress, named, with_terms
 from tepm_opt.discrepancy.symbolic.places import Course, places
@@ -158,7 +159,7 @@ def _invention(
     fitted = _fitted(estimate, known, written, file)
     if fitted is None:
         return None
-    before, after = _excess(estimate), leave_out(fitted).excess
+    before, after = _excess(estimate), leave_out(fitted, SearchSettings.of(fitted.plant)).excess
     closes = (before - after) / max(before, 1e-12)
     if closes < LEAST:
         return None
@@ -176,7 +177,7 @@ def _worth(formula: Formula) -> float:
 def _excess(estimate: ParameterEstimate) -> float:
     """Of what an estimate predicts of left-out data; its derivatives are taken anew."""
     residuals = estimate.problem.residuals(estimate.values)
-    return leave_out(replace(estimate, residuals=residuals)).excess
+    return leave_out(replace(estimate, residuals=residuals), SearchSettings.of(estimate.plant)).excess
 
 
 def _fitted(estimate: ParameterEstimate, known: Model, written: Written, path: Path) -> ParameterEstimate | None:

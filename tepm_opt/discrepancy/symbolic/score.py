@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.discrepancy.selection.cross_validation import FOLDS, Evidence
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.cross_validation import Evidence
 from tepm_opt.discrepancy.symbolic.places import Course, Place, places
 from tepm_opt.discrepancy.symbolic.responses import Normal, courses, normals
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
@@ -93,7 +94,7 @@ def _part(normal: Normal, count: int) -> Normal:
 
 def _folds(runs: Sequence[Normal]) -> list[tuple[int, slice]]:
     """Blocks of every fold: a run, or a quarter of one where there are fewer than three."""
-    parts = 1 if len(runs) > 2 else FOLDS
+    parts = 1 if len(runs) > 2 else SearchSettings().run_parts
     return [
         (k, slice(int(piece[0]), int(piece[-1]) + 1))
         for k, run in enumerate(runs)
