@@ -44,7 +44,6 @@ from tepm_opt.solvers.start import predictions as predicted
 from tepm_opt.solvers.text import shortened
 
 PRECISE_STEP = 0.01  # s, for the predictions that are reported
-FINEST_STEP = 0.005  # s, for the values: what a longer step damps shows in a damping beside a deviation of a few 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ def discover(
     began, settings = time.monotonic(), settings or SearchSettings.of(plant)
     require_fit_runs(dataset)
     found = _explain_all_data(dataset, plant, noise, seed, store, key, settings, progress)
-    if found.verdict.status is VerdictStatus.UNEXPLAINED and plant.quick and not plant.static:
+    if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
         shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
         if remarks:
             progress("once more without beginnings that nothing explains", 0, 0)
@@ -136,7 +135,7 @@ def _explain_all_data(
     step = _step(plant, dataset, nominal, noise, settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     try:
-        first = Fits(_recalibrated(problem), settings, progress=progress)
+        first = Fits(_recalibrated(problem, settings), settings, progress=progress)
         noise, scattering = _noise_seen(first, noise, plant.signals)
         remarks += scattering
         done = first.done if np.all(noise == problem.noise) else {}
@@ -209,7 +208,7 @@ def _compared(
     static = fits.problem.plant.static
 
     def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
-        best = _refined(explanation.best.estimate)
+        best = _refined(explanation.best.estimate, fits.settings.final_step)
         return best, _predict(onward(best.plant, dataset), dataset, noise)
 
     def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
@@ -226,15 +225,15 @@ def _compared(
 def _constancy(problem: Problem, explanation: Explanation, settings: SearchSettings) -> dict[Candidate, dict[str, Sizes]]:
     """Sizes of every effect in parts of the data, but for those that gauges have shown."""
     best = explanation.best
-    if problem.plant.quick or not best.effects:
+    if not (settings.check_constancy and best.effects):
         return {}
     linear = linearise(best.estimate, problem.free, best.effects, (), settings)
     return {effect: sizes(linear, effect) for effect in best.effects if effect not in explanation.shown}
 
 
-def _recalibrated(problem: Problem) -> Problem:
-    """The problem of a quick plant as recalibration leaves it: states from which its runs begin, blocks as long as residuals remember."""
-    if not problem.plant.quick:
+def _recalibrated(problem: Problem, settings: SearchSettings) -> Problem:
+    """The problem with initial states of its runs and a block length estimated from a fit of the known parameters, where asked for."""
+    if not settings.estimate_beginnings:
         return problem
     found = identify(problem)
     runs = tuple(begun(found.plant, run, noise, problem.step) for run, noise in zip(problem.runs, problem.noises, strict=True))
@@ -262,10 +261,9 @@ def _step(plant: Plant, dataset: RunSet, precise: Sequence[np.ndarray], noise: f
     return LONGEST_STEP if square < settings.max_noise_excess / 5 else PRECISE_STEP
 
 
-def _refined(estimate: ParameterEstimate) -> ParameterEstimate:
-    """The fit with the finest step, from its values."""
+def _refined(estimate: ParameterEstimate, step: float) -> ParameterEstimate:
+    """The fit repeated from its values with a time step in s."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
-    step = PRECISE_STEP if estimate.problem.plant.quick else FINEST_STEP
     try:
         return identify(replace(estimate.problem, free=free, step=step), 3, near=True)
     except PredictionError:
