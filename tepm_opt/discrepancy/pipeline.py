@@ -62,7 +62,7 @@ def prepare(state: Question) -> Prepared:
 
 def recalibrate(state: Prepared) -> Recalibrated:
     """Fit the known parameters alone; take the noise from what that leaves of motions."""
-    problem, noise, remarks = _with_initial_states(state.problem), state.noise, state.remarks
+    problem, noise, remarks = _with_initial_states(state.problem, state.settings), state.noise, state.remarks
     first = Fits(problem, state.settings, progress=state.progress)
     fit = first.fit((), {})
     if fit is not None and not problem.plant.static:
@@ -176,9 +176,10 @@ def discover(
     """
     began = time.monotonic()
     require_fit_runs(dataset)
-    question = Question(dataset, plant, noise, settings or SearchSettings.of(plant), seed, store, key, progress)
+    settings = settings or SearchSettings.of(plant)
+    question = Question(dataset, plant, noise, settings, seed, store, key, progress)
     found = run_stages(question, stages)
-    if found.verdict.status is VerdictStatus.UNEXPLAINED and plant.quick and not plant.static:
+    if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
         shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
         if remarks:
             progress("once more without beginnings that nothing explains", 0, 0)
@@ -211,15 +212,15 @@ def run_stages(question: Question, stages: Sequence[Callable[[Any], Any]] = STAG
 def _constancy(state: Validated) -> dict[Candidate, dict[str, Sizes]]:
     """Sizes of every effect in parts of the data, but for those that gauges have shown."""
     best = state.explanation.best
-    if state.plant.quick or not best.effects:
+    if not (state.settings.check_constancy and best.effects):
         return {}
     linear = linearise(best.estimate, state.fits.problem.free, best.effects, (), state.settings)
     return {effect: sizes(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
 
 
-def _with_initial_states(problem: Problem) -> Problem:
-    """The problem of a quick plant with estimated initial states, and blocks as long as residuals remember."""
-    if not problem.plant.quick:
+def _with_initial_states(problem: Problem, settings: SearchSettings) -> Problem:
+    """The problem with estimated initial states of its runs and blocks as long as residuals remember, where settings ask for it."""
+    if not settings.estimate_beginnings:
         return problem
     found = identify(problem)
     runs = tuple(begun(found.plant, run, noise, problem.step) for run, noise in zip(problem.runs, problem.noises, strict=True))

@@ -15,7 +15,6 @@ from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.assessment.validation import FINEST_STEP
 from tepm_opt.discrepancy.experiments.hypotheses import contenders
 from tepm_opt.discrepancy.experiments.separation import separation
 from tepm_opt.discrepancy.problem.plant import without_run_restriction
@@ -118,7 +117,7 @@ class Rig:
             if isinstance(plant, NetworkPlant) and unbearable(plant.model, proposal.planned.setpoints, motion=False):
                 return False
             try:
-                coarse, fine = (plant.predict(run, (), step).points for step in (LONGEST_STEP, FINEST_STEP))
+                coarse, fine = (plant.predict(run, (), step).points for step in (LONGEST_STEP, SearchSettings().final_step))
             except PredictionError:
                 return False
             if np.linalg.norm(fine[:, -1] - fine[0, -1], axis=1).max() > farthest:

@@ -22,8 +22,6 @@ from tepm_opt.solvers.parallel import beside
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.start import predictions
 
-FINEST_STEP = 0.005  # s, of the values: a longer step's numerical damping shows in a damping beside a deviation of a few 1e-4
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -69,7 +67,7 @@ def compare_models(
     plant = fits.problem.plant
 
     def predict_corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
-        best = _refine_fit(explanation.best.estimate)
+        best = _refine_fit(explanation.best.estimate, fits.settings.final_step)
         return best, predict_runs(onward(best.plant, dataset), dataset, noise)
 
     def predict_recalibrated() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
@@ -117,10 +115,9 @@ def _predict_black_box(dataset: RunSet, recalibrated: Sequence[np.ndarray], stat
     return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
 
 
-def _refine_fit(estimate: ParameterEstimate) -> ParameterEstimate:
-    """The fit with the finest time step, started from its values."""
+def _refine_fit(estimate: ParameterEstimate, step: float) -> ParameterEstimate:
+    """The fit repeated from its values with a time step in s."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
-    step = PRECISE_STEP if estimate.problem.plant.quick else FINEST_STEP
     try:
         return identify(replace(estimate.problem, free=free, step=step), 3, near=True)
     except PredictionError:

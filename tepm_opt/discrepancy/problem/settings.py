@@ -24,6 +24,10 @@ class SearchSettings:
         even_odds_noise: the same where no more is left than counts as noise.
         max_effects: most effects at once, in searches that add one at a time.
         max_unexplained_ratio: share of the motion's standard deviation that may stay unexplained; beyond it nothing is named.
+        estimate_beginnings: before the search: initial states of runs, and how long residuals remember, are estimated from a first fit.
+        drop_beginnings: after the search: one that explains nothing is repeated without the beginnings of runs that stand out.
+        check_constancy: after the search: effects are sized in parts of the data.
+        final_step: after the search: time step in s of the final fit; what a longer step damps shows in a fitted damping.
 
         screen_by_fits: screening: candidates that are not smooth are screened by a few fit steps from every probe, not by one simulation.
             Further probes of smooth candidates are then left out.
@@ -102,6 +106,10 @@ class SearchSettings:
     even_odds_noise: float = 1.0
     max_effects: int = 6
     max_unexplained_ratio: float = 0.1
+    estimate_beginnings: bool = False
+    drop_beginnings: bool = False
+    check_constancy: bool = True
+    final_step: float = 0.005
 
     screen_by_fits: bool = False
     wide_above: int = 6
@@ -181,6 +189,10 @@ class SearchSettings:
             even_odds_exact=10.0,
             max_effects=3,
             max_unexplained_ratio=0.2,
+            estimate_beginnings=True,
+            drop_beginnings=True,
+            check_constancy=False,
+            final_step=0.01,
             screen_by_fits=True,
             starts=2,
             max_iterations=30,

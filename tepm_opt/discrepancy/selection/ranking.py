@@ -78,5 +78,12 @@ def most_probable(hypotheses: Sequence[Hypothesis], seed: int, most: int) -> lis
 
 
 def beats(one: Hypothesis, other: Hypothesis, seed: int, settings: SearchSettings) -> bool:
-    """Whether a hypothesis is more probable than another one by at least `min_probability`."""
+    """Whether a hypothesis is more probable than another one by at least `min_probability`.
+
+    Args:
+        one: hypothesis that should be more probable.
+        other: hypothesis that it is compared with.
+        seed: of random draws.
+        settings: of the search.
+    """
     return bool(weights([one.evidence, other.evidence], seed)[0] > settings.min_probability)
