@@ -160,6 +160,7 @@ class Equations(MachineDescription):
         return CasadiPlant(self.name, *described, motion, guess, substeps, between)
 
     def _add_symbol(self, name: str) -> ca.SX:
+        self._require_new(name, self._symbols)
         self._symbols[name] = ca.SX.sym(name)
         return self._symbols[name]
 
@@ -170,45 +171,21 @@ class Equations(MachineDescription):
     def _sum_effects(
         self, part: str, name: str, sizes: Mapping[str, float], units: Mapping[str, str], position: ca.SX, speed: ca.SX, total: ca.SX
     ) -> ca.SX:
-        """Sum of all effects on a part of the body; their states begin at 0.
-
-        Args:
-            part: its kind.
-            name: of it.
-            sizes, units: of quantities there.
-            position, speed: of it.
-            total: zero, of the shape of the sum.
-        """
+        """Add all effects on a part of this kind and name to `total`; their states begin at 0."""
         for law in self._laws(part):
             acts = self._act(law, name, sizes, units, ca.SX(0), position=position, speed=speed)
             total += self._switches[f"{law.name}[{name}]"] * acts
         return total
 
     def _filter(self, law: Law, name: str, signal: ca.SX, sizes: Mapping[str, float], unit: str) -> ca.SX:
-        """A signal after an effect.
-
-        Args:
-            law: the effect.
-            name: of the signal.
-            signal: before the effect.
-            sizes: of the quantities there.
-            unit: of the signal.
-        """
+        """A signal of this name and unit after an effect, whose states begin at the signal."""
         earlier = partial(self._delay, law, name) if law.delays and name in self._inputs else None
         after = self._act(law, name, sizes, {"signal": unit}, signal, signal=signal, earlier=earlier)
         on = self._switches[f"{law.name}[{name}]"]
         return on * after + (1 - on) * signal
 
     def _act(self, law: Law, name: str, sizes: Mapping[str, float], units: Mapping[str, str], begin: ca.SX, **where: Any) -> ca.SX:
-        """Outcome of an effect on a part of the machine, with its parameters, states, candidate and switch added.
-
-        Args:
-            law: the effect.
-            name: of the part.
-            sizes, units: of the quantities there.
-            begin: initial value of its states.
-            where: see `laws.effect.At`.
-        """
+        """Add the parameters, states, candidate and switch of an effect on a part; returns its outcome there, see `laws.effect.At`."""
         label = f"{law.name}[{name}]"
         candidate, free = law.place_on(name, sizes, {"time": "s", "1": "1", **units})
         self._add_free(tuple(free.values()))
@@ -228,7 +205,7 @@ class Equations(MachineDescription):
         before = self.state(f"{name} before")
         self.rate(before, 0.0)
         self._settled[before.name()] = self._inputs[name][0]
-        self._late.append(DeadTime.with_symbols(f"{law.name}[{name}]", list(self._inputs).index(name), time, before))
+        self._late.append(DeadTime(f"{law.name}[{name}]", list(self._inputs).index(name), time, before))
         return self._late[-1].signal
 
     def _sizes(self, of: str, **sizes: float) -> dict[str, float]:

@@ -91,11 +91,6 @@ def _interpolate_delayed(at: np.ndarray, time: np.ndarray, column: np.ndarray) -
 
     Samples are joined by straight lines. Before the first one the column has one value, from which it goes to the first sample within a
     step. Where two lines meet, the slope is that of the earlier one, which is the one towards longer dead times.
-
-    Args:
-        at: times to interpolate at, (times,) in s.
-        time: of the samples, (rows,) in s.
-        column: (rows,).
     """
     step = time[1] - time[0] if len(time) > 1 else 1.0
     times, unit = np.append(time[0] - step, time), np.zeros(len(time) + 1)

@@ -40,28 +40,18 @@ class DeadTime:
         number: of the input.
         time: delay in s, in symbols of the parameters.
         before: the input before the run, a state that stays.
-        symbols: value and slope of the delayed input, each as a constant and a factor of `before`, and the delay in s for which they
-            were looked up.
     """
 
     label: str
     number: int
     time: ca.SX
     before: ca.SX
-    symbols: tuple[ca.SX, ...]
 
-    @staticmethod
-    def with_symbols(label: str, number: int, time: ca.SX, before: ca.SX) -> DeadTime:
-        """Make a dead time with symbols of its own.
-
-        Args:
-            label: of the effect that delays the input.
-            number: of the input.
-            time: delay in s, in symbols of the parameters.
-            before: the input before the run.
-        """
+    @cached_property
+    def symbols(self) -> tuple[ca.SX, ...]:
+        """Value and slope of the delayed input, each as a constant and a factor of `before`, and the delay in s that they hold for."""
         names = "value", "value by before", "slope", "slope by before", "time"
-        return DeadTime(label, number, time, before, tuple(ca.SX.sym(f"{label} {name}") for name in names))
+        return tuple(ca.SX.sym(f"{self.label} {name}") for name in names)
 
     @property
     def signal(self) -> ca.SX:

@@ -65,7 +65,7 @@ def _drag(at: At) -> tuple[ca.SX, list[ca.SX]]:
     return dragged, [(dragged - z) / (2 * at.step)]
 
 
-def _swing(at: At) -> tuple[ca.SX, list[ca.SX]]:
+def _follow_second_order(at: At) -> tuple[ca.SX, list[ca.SX]]:
     """Follow the signal with a second-order lag; the signal itself where that is too short for the steps to resolve."""
     (z, rate), time = at.z, ca.fmax(at.p["time"], 2 * at.step)
     turning = ((at.signal - z) / time - 2 * at.p["damping"] * rate) / time
@@ -112,8 +112,9 @@ DRIVE = (
         explains="what acts follows the command only once a play is used up", reference="play operator; Krasnosel'skii, Pokrovskii 1989",
     ),
     Law(
-        "compliance", "input", (time_constant("time"), Quantity("damping", "1", 0.2, (0.05, 0.5), 0.0, 2.0, shape=True)), _swing, states=2,
-        smooth=False, explains="something elastic between command and what acts: it overshoots and swings",
+        "compliance", "input", (time_constant("time"), Quantity("damping", "1", 0.2, (0.05, 0.5), 0.0, 2.0, shape=True)),
+        _follow_second_order, states=2, smooth=False,
+        explains="something elastic between command and what acts: it overshoots and swings",
     ),
 )  # fmt: skip
 """Effects of drives on inputs, for machines with reason to look for them: no part of `INPUT`."""

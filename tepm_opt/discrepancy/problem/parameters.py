@@ -14,35 +14,6 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.solvers.plant import Free
 
 
-def known_within(
-    name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None, std: float = inf,
-    groups: Sequence[str] = (),
-) -> list[Free]:  # fmt: skip
-    """A parameter that is known within a part of its value, or between two values; one for each group of runs where there are some.
-
-    Args:
-        name: of the parameter.
-        value: the best guess.
-        unit: of it.
-        within: half-width of its range, in parts of the value.
-        low, high: the range, instead.
-        std: standard deviation of the guess, of a normal distribution within the range; without limits the range is ten of them.
-        groups: of runs, each of which has a value of its own: "name[group]".
-
-    Raises:
-        InputError: the value is outside its range, or there is none.
-    """
-    off = 10 * std if isfinite(std) else abs(value) * within
-    low, high = value - off if low is None else low, value + off if high is None else high
-    if not low < high:
-        raise InputError(f"{name} has no range ({low:g} … {high:g}); valid: low and high, low below high")
-    if not low <= value <= high:
-        raise InputError(f"{name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
-    scale = std if isfinite(std) else (high - low) / 4 if isfinite(high - low) else abs(value)
-    scale, mean = max(scale, 1e-3 * abs(value)) or 1.0, value if isfinite(std) else 0.0
-    return [Free(full, unit, value, low, high, scale, mean, std) for full in [f"{name}[{group}]" for group in groups] or [name]]
-
-
 @dataclass
 class MachineDescription:
     """A machine under construction: its parameters and the effects that may be missing in it.
@@ -69,17 +40,28 @@ class MachineDescription:
             unit: of it.
             within: half-width of its range, in parts of the value.
             low, high: the range, instead.
-            std: standard deviation of the guess.
+            std: standard deviation of the guess, of a normal distribution within the range; without limits the range is ten of them.
             groups: of runs (`group` in dataset.toml), each of which has a value of its own: "name[group]". A simulation gets that of
                 its run under the name.
 
         Returns:
             Its symbol in equations; None where a function simulates the machine.
+
+        Raises:
+            InputError: the name is taken, the value is outside its range, or there is no range.
         """
         self._require_new(name, self._grouped)
-        free = known_within(name, value, unit, within, low, high, std, groups)
-        self._add_free(free)
-        self._known += [each.name for each in free]
+        off = 10 * std if isfinite(std) else abs(value) * within
+        low, high = value - off if low is None else low, value + off if high is None else high
+        if not low < high:
+            raise InputError(f"{name} has no range ({low:g} … {high:g}); valid: low and high, low below high")
+        if not low <= value <= high:
+            raise InputError(f"{name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
+        scale = std if isfinite(std) else (high - low) / 4 if isfinite(high - low) else abs(value)
+        scale, mean = max(scale, 1e-3 * abs(value)) or 1.0, value if isfinite(std) else 0.0
+        names = [f"{name}[{group}]" for group in groups] or [name]
+        self._add_free([Free(full, unit, value, low, high, scale, mean, std) for full in names])
+        self._known += names
         if groups:
             self._grouped[name] = tuple(groups)
         return self._add_symbol(name)

@@ -111,13 +111,7 @@ def compress(estimate: ParameterEstimate, made: Sequence[Course], place: Place, 
 def _grow(
     errors: Callable[[tuple[int, ...]], np.ndarray], size: int, settings: SymbolicSettings
 ) -> list[tuple[tuple[int, ...], np.ndarray]]:
-    """The best set of terms of each length from 0 on, with its errors; sets grow from the best single terms and pairs.
-
-    Args:
-        errors: of a set of terms, by their numbers.
-        size: number of terms.
-        settings: of the search.
-    """
+    """The best set of terms of each length from 0 on, with its errors; sets grow from the best single terms and pairs of `size`."""
     best: list[tuple[tuple[int, ...], np.ndarray]] = [((), errors(()))]
     front: list[tuple[int, ...]] = [()]
     for count in range(1, settings.most_terms + 1):

@@ -139,15 +139,7 @@ def _fit_and_judge(
     estimate: ParameterEstimate, known: Model, scored: Scored, formula: Formula, written: EffectFile, folder: Path, judged: Sequence[Run],
     made: Sequence[Course], settings: SymbolicSettings,
 ) -> Invention | None:  # fmt: skip
-    """Fit a formula through the simulation; None where the model cannot do the runs with it, or where it closes too little.
-
-    Args:
-        estimate, known, folder, judged, settings: see `invent`.
-        scored: the formula's place.
-        formula: to first order.
-        written: its effect.
-        made: the runs as the estimate's model does them.
-    """
+    """Fit a formula through the simulation, see `invent`; None where the model cannot do the runs with it, or it closes too little."""
     file = output_folder(folder) / f"{written.name}.py"
     fitted = _fit(estimate, known, written, file, settings.fit_steps)
     if fitted is None:

@@ -139,15 +139,7 @@ def solve_scaled(matrices: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 def _score_place(
     place: Place, runs: Sequence[Normal], prior: tuple[np.ndarray, np.ndarray], base: float, smoothness: Sequence[float]
 ) -> Scored:
-    """A place with its smooth law.
-
-    Args:
-        place: of the law.
-        runs: normal equations of every run.
-        prior: of the free parameters.
-        base: sum of the squares that the free parameters alone leave in left-out data.
-        smoothness: strengths of the smoothness prior to try.
-    """
+    """A place with its smooth law; `base`: squares that the free parameters alone leave in left-out data."""
     precision, pull = prior
     free, total = len(precision), np.asarray(sum(run.square.sum(axis=0) for run in runs))
     slope = np.asarray(sum(run.slope.sum(axis=0) for run in runs))

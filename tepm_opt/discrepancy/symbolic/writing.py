@@ -125,14 +125,16 @@ def _write_law(formula: Formula, area: float) -> _Parts:
         raise TypeError(f"{place.label}: a law of shape {type(shape).__name__} has no formula")
     if place.kind != "axial":
         return _write_force(formula, shape)
-    if place.times == "pressure" and place.variable == "length":
-        return _write_stiffening(formula, shape)
     return _write_axial(formula, shape, area)
 
 
 def _write_axial(formula: Formula, shape: Terms, area: float) -> _Parts:
-    """An axial force by one variable, as a change of the pressure or tension where that is possible."""
+    """An axial force as a change of the pressure or tension where that is possible, else of stiffness, edge energy or drag."""
     place, variable = formula.place, formula.place.variable
+    if place.times == "pressure" and variable == "length":
+        parts = _Parts(hook=TEXTS["stiffening"], terms={"per_pressure": "pressure * stretch"})
+        parts.add_coefficient("per_pressure", "N/m/Pa", -float(formula.coefficients[0]) / shape.reference / place.most)
+        return parts
     constant = {name_term(place, k) for k in formula.chosen} == {"constant"}
     as_pressure = constant or variable in ("pressure", "neighbours", "supply")
     unit, factor = ("Pa", 1 / area) if as_pressure else ("N", -1.0 if variable == "tension" else 1.0)
@@ -205,13 +207,6 @@ def _write_memory(formula: Formula, shape: Memory, area: float) -> _Parts:
     parts.law = "" if place.target == ALL else TEXTS["chosen"]
     chosen = "ca.DM.ones(*state.shape)" if place.target == ALL else "self.chosen(state)"
     parts.hook = TEXTS[name].format(which=variable, chosen=chosen)
-    return parts
-
-
-def _write_stiffening(formula: Formula, shape: Terms) -> _Parts:
-    """A stiffness in proportion to pressure."""
-    parts = _Parts(hook=TEXTS["stiffening"], terms={"per_pressure": "pressure * stretch"})
-    parts.add_coefficient("per_pressure", "N/m/Pa", -float(formula.coefficients[0]) / shape.reference / formula.place.most)
     return parts
 
 
