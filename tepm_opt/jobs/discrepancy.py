@@ -100,7 +100,7 @@ def run_discrepancy(
     noise = noise_of(dataset)
     require_fit_runs(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
-    network = SearchableNetwork.of(known, channels, dataset.static)
+    network = SearchableNetwork.from_model(known, channels, dataset.static)
     key = _fingerprint([folder, *map(Path, add)], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
     result = discover(dataset, network, noise, seed, out / FITS, key, None, progress)
     write_model(result.verdict.model, out / MODEL)

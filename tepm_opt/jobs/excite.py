@@ -199,7 +199,7 @@ def run_excite(model: Model, noise: float | None = None, progress: Progress = si
     found = standard(model)
     plan, channels = found.plan, channels_of(model.robot)
     progress("compiling a model with all effects at their null values", 0, 0)
-    network = SearchableNetwork.of(model, channels)
+    network = SearchableNetwork.from_model(model, channels)
     sampled = in_session([run.sampled(plan.sample_rate, len(channels.points)) for run in plan.runs], {})
     progress(f"what {len(network.candidates)} effects would change", 0, 0)
     try:

@@ -18,7 +18,7 @@ from tepm_opt.data.frames import Tabular
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.adapters.network import narrow
+from tepm_opt.discrepancy.adapters.network import with_selected_candidates
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import MODEL, checked_dataset
 from tepm_opt.models.compile import CompiledModel
@@ -143,7 +143,7 @@ class IdentifyRun(Tabular):
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        write_model(narrow(self.before.model, self.estimate.plant.values, ()), folder / MODEL)
+        write_model(with_selected_candidates(self.before.model, self.estimate.plant.values, ()), folder / MODEL)
         write_atomically(folder / SUMMARY, json.dumps(self.summary(), indent=2) + "\n")
 
 

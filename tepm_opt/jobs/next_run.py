@@ -260,7 +260,7 @@ def run_next(
     known = read_model(found / file) if file else Model.of(dataset.robot)
     channels, noise = channels_of(known.robot), noise_of(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
-    network = SearchableNetwork.of(known, channels)
+    network = SearchableNetwork.from_model(known, channels)
     _ = network.model.stepper  # made once, for all models with other values
     problem = Problem(
         network, dataset.fit, network.free(network.known), noise, step=LONGEST_STEP, derivatives_apart=network.derivatives_apart

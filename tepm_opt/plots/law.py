@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.discrepancy.symbolic.page import curves
-from tepm_opt.discrepancy.symbolic.writing import UNITS, curve
+from tepm_opt.discrepancy.symbolic.places import VARIABLE_UNITS
+from tepm_opt.discrepancy.symbolic.writing import curve
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.plots.palette import CORRECTED, MEASURED, RECALIBRATED
 
@@ -37,7 +38,7 @@ def law_figure(law: Invention) -> Figure | None:
     axes.plot(values, found, **CORRECTED.lined, label="formula, fitted")
     for run in law.beyond:
         axes.axvspan(max(run.low, values[0]) if run.high > values[-1] else run.low, run.high, color=RECALIBRATED.color, alpha=0.08, lw=0)
-    axes.set_xlabel(f"{place.variable} / {UNITS.get(place.variable, '')}")
+    axes.set_xlabel(f"{place.variable} / {VARIABLE_UNITS.get(place.variable, '')}")
     axes.set_ylabel(f"force / {place.unit}")
     axes.set_title(f"{place.label}: closes {law.closes:.0%} of what is left")
     axes.legend(frameon=False)

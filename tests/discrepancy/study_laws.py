@@ -21,9 +21,10 @@ from pydantic import ValidationError
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.discrepancy.symbolic.formula import named
-from tepm_opt.discrepancy.symbolic.invent import BEYOND, Invention, error_on, invent
+from tepm_opt.discrepancy.symbolic.formula import name_term
+from tepm_opt.discrepancy.symbolic.invent import Invention, error_on, invent
 from tepm_opt.discrepancy.symbolic.places import Course
+from tepm_opt.discrepancy.symbolic.settings import DEFAULT
 from tepm_opt.discrepancy.symbolic.terms import Terms
 from tepm_opt.discrepancy.symbolic.writing import curve
 from tepm_opt.errors import InputError
@@ -79,7 +80,7 @@ def examined(trial: Trial, folder: Path, out: Path, short: bool) -> Found:
     floor = noise * np.sqrt(3)
     without, corrected = (error_on(estimate, judged) for estimate in (before, found.estimate))
     closed = (without - corrected) / (without - floor)
-    terms = [named(place, k) for k in found.formula.chosen]
+    terms = [name_term(place, k) for k in found.formula.chosen]
     unload_effect(found.written.name)
     values = {name: float(f"{value:.4g}") for name, value in found.estimate.named.items() if "." in name}
     return Found(
@@ -114,7 +115,7 @@ def flags(trial: Trial, found: Invention, short: bool) -> tuple[int, int, int, i
     """How many runs to judge by leave what the machine went through, how many of these are told; how many stay within, and are told."""
     runs = excitations(trial.hidden.seed, short)
     place, layout = found.formula.place, found.estimate.plant.model.layout  # type: ignore[union-attr]
-    constant = all(named(place, k).endswith("constant") for k in found.formula.chosen)
+    constant = all(name_term(place, k).endswith("constant") for k in found.formula.chosen)
     variables = () if constant else tuple(filter(None, (place.variable, place.times)))
     went = {run.file: went_through(trial, run) for run in (*runs, *far(runs))}
     fitted = [went[run.file] for run in runs if run.role == "fit"]
@@ -123,11 +124,11 @@ def flags(trial: Trial, found: Invention, short: bool) -> tuple[int, int, int, i
         leaves = False
         for variable in variables:
             among, here = (
-                [(v if variable == "time" else v[:, place.targets(layout)]) for v in (c.of(variable, layout) for c in some)]
+                [(v if variable == "time" else v[:, place.targets(layout)]) for v in (c.values_of(variable) for c in some)]
                 for some in (fitted, [went[run.file]])
             )
             low, high = min(v.min() for v in among), max(v.max() for v in among)
-            room = BEYOND * (high - low)
+            room = DEFAULT.range_margin * (high - low)
             leaves |= bool(here[0].min() < low - room or here[0].max() > high + room)
         count[0 if leaves else 2] += 1
         count[1 if leaves else 3] += run.file in told

@@ -164,7 +164,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
     options = parser.parse_args()
     model = Model.of("kang2017")
-    network = SearchableNetwork.of(model, channels_of(model.robot))
+    network = SearchableNetwork.from_model(model, channels_of(model.robot))
     _ = network.model.stepper
     rig = Rig(model, reach_of(compile_model(model)), RATE, NOISE, options.seconds)
     words: dict[str, list[str]] = {"next": [], "random": []}

@@ -48,10 +48,10 @@ def test_a_gap_is_gone_in_steps_of_the_usual_length(between: Literal["hold", "li
 
 def test_effects_at_their_null_cost_no_state_and_change_no_derivative() -> None:
     plant, run = machine(), run_of(np.arange(len(TIME)), np.sin(TIME)[:, None])
-    bare = plant._acting(["spring"])
-    assert bare.motion.states == ("q", "v")
+    bare = plant._active_motion(["spring"])
+    assert bare.states == ("q", "v")
     every = ["spring", *(name for c in plant.candidates for name in c.parameters)]
-    assert len(plant._acting(every).motion.states) == len(plant.motion.states)
+    assert len(plant._active_motion(every).states) == len(plant.motion.states)
     small, large = plant.predict(run, ["spring"]), plant.predict(run, every)
     assert small.points == pytest.approx(large.points, abs=1e-15)
     np.testing.assert_allclose(small.by[0], large.by[0], atol=1e-12 * np.abs(large.by[0]).max())
@@ -62,11 +62,11 @@ def test_an_effect_acts_by_its_strength_or_where_its_strength_is_asked_for() -> 
     shape, strength = "stribeck_friction[guide].speed", "stribeck_friction[guide].force"
     run = run_of(np.arange(len(TIME)), np.sin(TIME)[:, None])
     assert not plant.predict(run, [shape]).by.any()
-    assert plant._acting(["hysteresis[guide].closing"]).motion.states == ("q", "v")
+    assert plant._active_motion(["hysteresis[guide].closing"]).states == ("q", "v")
     assert plant.predict(run, [strength]).by.any()
     assert plant.with_values({strength: 0.5}).predict(run, [shape]).by.any()
-    lagging = plant.with_values({"sensor_lag[position].time": 0.3})._acting([])
-    assert lagging.motion.states == ("q", "v", "sensor_lag[position] 0")
+    lagging = plant.with_values({"sensor_lag[position].time": 0.3})._active_motion([])
+    assert lagging.states == ("q", "v", "sensor_lag[position] 0")
 
 
 def test_a_motion_whose_derivatives_no_square_holds_is_refused() -> None:

@@ -16,8 +16,9 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lsim, resample
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.adapters.casadi_plant import Between, CasadiPlant
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.adapters.inputs import Between, inputs_at_steps
 from tepm_opt.discrepancy.laws.axis import AXIS
 from tepm_opt.discrepancy.laws.signals import INPUT, OUTPUT
 from tepm_opt.errors import InputError
@@ -203,7 +204,7 @@ class TestInputsBetweenSamples:
 
     def test_band_goes_through_the_samples(self) -> None:
         run = run_of(0.1 * np.arange(50), resample(np.random.default_rng(1).normal(size=10), 50)[:, None])
-        inputs = lag("band", 4)._inputs(run.time, run.inputs, ())
+        inputs = inputs_at_steps(run.time, run.inputs, (), "band", 4)
         np.testing.assert_allclose(inputs[:, 0], run.inputs[:-1, 0], atol=1e-3)
         np.testing.assert_array_equal(inputs[:, -1], run.inputs[1:, 0])
 

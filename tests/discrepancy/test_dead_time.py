@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.discrepancy.adapters.callable_plant import Simulator
-from tepm_opt.discrepancy.adapters.casadi_plant import Between, CasadiPlant
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.adapters.inputs import Between
 from tepm_opt.discrepancy.laws.signals import INPUT
 from tepm_opt.discrepancy.pipeline import discover
 from tepm_opt.discrepancy.preparation.beginnings import without_beginnings

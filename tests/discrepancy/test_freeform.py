@@ -9,11 +9,12 @@ import pytest
 
 from tepm_opt.data.run import Run, spaced
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.discrepancy.symbolic import curves, score
+from tepm_opt.discrepancy.symbolic import score
 from tepm_opt.discrepancy.symbolic.curves import Lags, Plays, Powers, Spline
-from tepm_opt.discrepancy.symbolic.places import ALL, Course, Place, places
-from tepm_opt.discrepancy.symbolic.responses import APART, Normal, courses, moved
+from tepm_opt.discrepancy.symbolic.places import ALL, Course, Place, find_places
+from tepm_opt.discrepancy.symbolic.responses import Normal, point_responses, simulate_courses
 from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
+from tepm_opt.discrepancy.symbolic.settings import DEFAULT
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
@@ -28,31 +29,31 @@ def course(kang: CompiledModel) -> Course:
     asked = planned(("single_pressure.csv",))[0]
     run = cut(measured(kang, [asked])[0], 4.0)
     run = replace(run, inputs=run.inputs + 1e3 * (np.arange(12) < 6))  # off the limit of the pressures
-    return courses(NetworkPlant(kang), [run])[0]
+    return simulate_courses(NetworkPlant(kang), [run])[0]
 
 
 def under(model: CompiledModel, course: Course, inputs: np.ndarray, loads: np.ndarray) -> np.ndarray:
     """Points under changed inputs and forces."""
     run = course.run
     asked = SetPoints(run.time, run.inputs + inputs, run.tip_force)
-    return simulate(model, asked, step=APART, loads=loads, tolerance=1e-11).complete().points
+    return simulate(model, asked, step=DEFAULT.sample_spacing, loads=loads, tolerance=1e-11).complete().points
 
 
 @pytest.mark.parametrize("number", range(6))
 def test_responses_are_differences_of_simulations(kang: CompiledModel, course: Course, number: int) -> None:
     """The law acts in a simulation of its own, at a small size, along a random combination of its coefficients."""
-    length = Spline.over(course.lengths.ravel(), 3)
+    length = Spline.from_values(course.lengths.ravel(), 3)
     place = (
         Place("axial", "13", "pressure", Spline((0.0, 1e5, 2e5))),
         Place("axial", ALL, "length", length),
         Place("axial", ALL, "length", length, times="pressure", most=1e5),
         Place("axial", "11", "pressure", Plays((1e3, 1e4), 1e5), "remembered"),
-        Place("force", "s4", "position", Spline.over(course.points[:, -1].ravel(), 2)),
+        Place("force", "s4", "position", Spline.from_values(course.points[:, -1].ravel(), 2)),
         Place("force", "s2", "speed", Powers((), (), 0)),
     )[number]
-    by = moved(course, [place], [])[1][0]
+    by = point_responses(course, [place], [])[1][0]
     weights, small = np.random.default_rng(number).normal(size=place.size), 1e-4
-    law = np.moveaxis(place.columns(course, kang.layout), 1, -1) @ weights
+    law = np.moveaxis(place.columns(course), 1, -1) @ weights
     inputs, loads = np.zeros_like(course.run.inputs), np.zeros((course.run.rows, 4, 3))
     if place.kind == "axial":
         inputs[:, :6] = small * law / kang.values["A"]
@@ -68,8 +69,8 @@ def test_what_acts_on_all_alike_is_the_sum(kang: CompiledModel, course: Course) 
     shape = Spline((0.0, 1e5, 2e5))
     each = [Place("axial", name, "pressure", shape) for name in kang.layout.actuator_names]
     together = Place("axial", ALL, "pressure", shape)
-    summed = moved(course, [together, *each], [])[1][0]
-    alone = moved(course, [together], [])[1][0]
+    summed = point_responses(course, [together, *each], [])[1][0]
+    alone = point_responses(course, [together], [])[1][0]
     assert np.abs(summed - alone).max() <= 1e-9 * np.abs(alone).max()
 
 
@@ -91,10 +92,10 @@ class TestShapes:
 
     def test_a_play_forgets_small_turns(self) -> None:
         values = np.array([0.0, 1.0, 0.8, 1.0, 0.0])
-        np.testing.assert_allclose(curves.play(values, 0.2), [0.0, 0.8, 0.8, 0.8, 0.2])
+        np.testing.assert_allclose(Plays((0.2,), 1.0).output(values, values, 0.2), [0.0, 0.8, 0.8, 0.8, 0.2])
 
     def test_powers_count(self) -> None:
-        assert Powers.over(np.random.default_rng(0).normal(size=(9, 3)), 2).size == 10
+        assert Powers.from_values(np.random.default_rng(0).normal(size=(9, 3)), 2).size == 10
 
 
 def fitted(kang: CompiledModel, runs: list[Run]) -> ParameterEstimate:
@@ -146,7 +147,7 @@ class TestAlternatives:
         assert max(each.closes for each in found) < 0.25
 
     def test_places_are_those_of_the_robot(self, kang: CompiledModel, course: Course) -> None:
-        labels = [place.label for place in places(kang.layout, [course])]
+        labels = [place.label for place in find_places([course])]
         assert len(labels) == len(set(labels))
         assert "axial[23](pressure)" in labels
         assert "measurement[s3](position)" in labels
@@ -159,7 +160,7 @@ class TestAlternatives:
 
 
 def test_samples_of_the_pass_are_the_runs(course: Course) -> None:
-    assert spaced(course.run, APART).rows == course.run.rows
+    assert spaced(course.run, DEFAULT.sample_spacing).rows == course.run.rows
 
 
 def test_a_law_is_judged_by_the_predictive_distribution_of_the_other_runs() -> None:
@@ -171,7 +172,7 @@ def test_a_law_is_judged_by_the_predictive_distribution_of_the_other_runs() -> N
         slope = np.einsum("bri,br->bi", by, left)
         runs.append(Normal(np.einsum("bri,brj->bij", by, by), slope, np.sum(left**2, axis=1), np.full(5, 30)))
     precision, pull, extra = np.array([1.0, 2.0]), np.array([0.3, 0.1]), np.diag([0.5, 0.7])
-    errors, steps = score.left_out(runs, precision, pull, extra)
+    errors, steps = score.left_out_errors(runs, precision, pull, extra)
     square, slope = (np.sum([getattr(run, name).sum(axis=0) for run in runs], axis=0) for name in ("square", "slope"))
     known, pulled = np.diag([*precision, *np.diag(extra)]), slope + np.append(pull, [0.0, 0.0])
     found = score._predictive(runs, errors, steps, pulled, -np.linalg.solve(square + known, pulled))

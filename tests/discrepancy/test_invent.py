@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.symbolic.invent import Invention, extrapolated, invent
+from tepm_opt.discrepancy.symbolic.invent import Invention, find_extrapolations, invent
 from tepm_opt.discrepancy.symbolic.page import as_json, formula_text, page, paragraph
-from tepm_opt.discrepancy.symbolic.responses import courses
+from tepm_opt.discrepancy.symbolic.responses import simulate_courses
 from tepm_opt.discrepancy.symbolic.writing import curve, write
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effect_files import load_effects, unload_effect
@@ -99,11 +99,11 @@ def test_it_says_where_it_extrapolates(law: Invention) -> None:
 def test_a_product_extrapolates_where_either_variable_does(law: Invention, true: CompiledModel) -> None:
     plant = law.estimate.plant
     assert isinstance(plant, NetworkPlant)
-    made = courses(plant, law.estimate.problem.runs)
+    made = simulate_courses(plant, law.estimate.problem.runs)
     judged = [replace(run, file="high.csv") for run in weak(true, ("elongation.csv",), 1.3)]
     product = replace(law.formula, place=replace(law.formula.place, variable="tension", times="pressure"))
-    assert [(run.file, run.variable) for run in extrapolated(law.estimate, made, product, judged)] == [("high.csv", "pressure")]
-    assert not extrapolated(law.estimate, made, replace(product, place=replace(product.place, times="")), judged)
+    assert [(run.file, run.variable) for run in find_extrapolations(law.estimate, made, product, judged)] == [("high.csv", "pressure")]
+    assert not find_extrapolations(law.estimate, made, replace(product, place=replace(product.place, times="")), judged)
 
 
 def test_it_is_told_and_drawn(law: Invention, tmp_path: Path) -> None:

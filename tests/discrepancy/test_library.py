@@ -129,7 +129,7 @@ def test_saturation_cuts_at_the_size_over_the_tightness(signal: float, tightness
 class TestCandidates:
     @pytest.mark.parametrize("law", LAWS.values(), ids=lambda law: law.name)
     def test_what_is_worth_a_try_is_within_the_range_and_not_the_null(self, law: Law) -> None:
-        candidate, free = law.on("part", SIZES, UNITS)
+        candidate, free = law.place_on("part", SIZES, UNITS)
         assert candidate.label == f"{law.name}[part]"
         assert set(candidate.null) == {each.name for each in free.values()}
         assert set(candidate.shapes) < set(candidate.null), "something must tell the strength"
@@ -144,7 +144,7 @@ class TestCandidates:
             assert each.scale > 0
 
     def test_strengths_vary_in_every_shape(self) -> None:
-        candidate, _ = LAWS["stribeck_friction"].on("a", SIZES, UNITS)
+        candidate, _ = LAWS["stribeck_friction"].place_on("a", SIZES, UNITS)
         forces = {probe["stribeck_friction[a].force"] for probe in candidate.probes}
         speeds_tried = {probe["stribeck_friction[a].speed"] for probe in candidate.probes}
         assert len(candidate.probes) == len(forces) * len(speeds_tried)

@@ -78,7 +78,7 @@ def test_a_leak_takes_more_the_higher_the_pressure(loss: float) -> None:
 
 @pytest.mark.parametrize("law", [*PNEUMATICS, *SOFT, *VESSEL], ids=lambda law: f"{law.name} of {law.part}")
 def test_what_is_worth_a_try_is_within_the_range_and_not_the_null(law: Law) -> None:
-    candidate, free = law.on("part", SIZES, UNITS)
+    candidate, free = law.place_on("part", SIZES, UNITS)
     assert candidate.explains
     assert candidate.gauge == (law.name in {"input_gain", "input_offset"})
     for probe in candidate.probes:
@@ -141,7 +141,7 @@ def test_what_runs_over_above_is_found_below_in_part() -> None:
 def test_an_edge_is_tried_just_below_whatever_level_is_reached(reached: float) -> None:
     """Nobody knows beforehand which level the model reaches: only its usual size within a factor of seven."""
     for law in (law for law in VESSEL if law.name == "overflow"):
-        candidate, _ = law.on("tank", SIZES, UNITS)
+        candidate, _ = law.place_on("tank", SIZES, UNITS)
         edges = {probe["overflow[tank].edge"] for probe in candidate.probes}
         assert any(0.7 * reached * 0.2 <= edge < reached * 0.2 for edge in edges)
 

@@ -59,7 +59,7 @@ def acted(law: Law, p: Mapping[str, float], signal: Any = SIGNAL) -> np.ndarray:
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_at_its_null_a_law_leaves_the_signal(law: Law) -> None:
-    candidate, free = law.on("there", {"signal": 4.0, "1": 1.0}, {"signal": "N", "1": "1"})
+    candidate, free = law.place_on("there", {"signal": 4.0, "1": 1.0}, {"signal": "N", "1": "1"})
     assert np.array_equal(acted(law, {name: each.start for name, each in free.items()}), SIGNAL)
     assert candidate.explains
     for probe in candidate.probes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import inf
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from scipy.integrate import solve_ivp
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
-from tepm_opt.discrepancy.problem.parameters import known_within
+from tepm_opt.discrepancy.problem.parameters import MachineDescription
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.identify import Problem, identify
+from tepm_opt.solvers.plant import Free
 
 TIME = np.linspace(0, 2, 81)
 
@@ -62,15 +64,22 @@ def test_the_order_of_parameters_does_not_matter() -> None:
             np.testing.assert_allclose((moved - found.points) / 1e-5, slope, atol=1e-4)
 
 
+def known(*args: Any, **kwargs: Any) -> list[Free]:
+    """Parameters that a machine gets."""
+    machine = MachineDescription("a machine")
+    machine.known(*args, **kwargs)
+    return list(machine._free.values())
+
+
 def test_ranges_and_priors() -> None:
-    (free,) = known_within("a", 2.0, "m")
+    (free,) = known("a", 2.0, "m")
     assert (free.low, free.high, free.prior_std) == (1.6, 2.4, inf)
-    (free,) = known_within("a", 2.0, "m", std=0.5)
+    (free,) = known("a", 2.0, "m", std=0.5)
     assert (free.low, free.high, free.scale, free.prior_mean, free.prior_std) == (-3.0, 7.0, 0.5, 2.0, 0.5)
-    (free,) = known_within("a", 2.0, "m", std=0.5, low=0.0, high=inf)
+    (free,) = known("a", 2.0, "m", std=0.5, low=0.0, high=inf)
     assert (free.low, free.high, free.spread) == (0.0, inf, 0.5)
-    assert [each.name for each in known_within("a", 2.0, groups=("x", "y"))] == ["a[x]", "a[y]"]
+    assert [each.name for each in known("a", 2.0, groups=("x", "y"))] == ["a[x]", "a[y]"]
     with pytest.raises(InputError, match="a = 2 m is outside its range; valid: 0 … 1"):
-        known_within("a", 2.0, "m", low=0, high=1)
+        known("a", 2.0, "m", low=0, high=1)
     with pytest.raises(InputError, match="a has no range"):
-        known_within("a", 0.0)
+        known("a", 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from tepm_opt.discrepancy.laws.rod import Bent, axes, equilibrium, times, turned
+from tepm_opt.discrepancy.laws.rod import Bent, axes, equilibrium, multiply_quaternions, rotation_quaternion
 
 LENGTH, PIECES = 0.4, 40
 ALONG = (np.arange(PIECES) + 0.5) / PIECES
@@ -109,7 +109,7 @@ def test_a_body_without_equilibrium_says_so() -> None:
 
 
 def test_turns_follow_each_other() -> None:
-    one, other = turned(np.array([0.3, -0.2, 0.5])), turned(np.array([1.1, 0.4]))
+    one, other = rotation_quaternion(np.array([0.3, -0.2, 0.5])), rotation_quaternion(np.array([1.1, 0.4]))
     frame, inner = np.stack(axes(one), axis=1), np.stack(axes(other), axis=1)
-    np.testing.assert_allclose(np.stack(axes(times(one, other)), axis=1), frame @ inner, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(times(one, other)), 1.0)
+    np.testing.assert_allclose(np.stack(axes(multiply_quaternions(one, other)), axis=1), frame @ inner, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(multiply_quaternions(one, other)), 1.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.adapters.network import candidate, candidates, narrow, wide
+from tepm_opt.discrepancy.adapters.network import candidate, candidates, with_all_candidates, with_selected_candidates
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting.sentences import beaten
@@ -68,7 +68,7 @@ def result(folder: Path, out: Path, lines: list[str]) -> Discovery:
 
 @pytest.fixture(scope="module")
 def library() -> CompiledModel:
-    return compile_model(wide(NOMINAL, candidates(NOMINAL)))
+    return compile_model(with_all_candidates(NOMINAL, candidates(NOMINAL)))
 
 
 def problem(library: CompiledModel, runs: list[Run]) -> Problem:
@@ -104,11 +104,11 @@ class TestLibrary:
             assert np.abs(found - nominal).max() < (1e-10 if static else 5e-7), "up to what the tolerance of a step leaves"
 
     def test_narrow_undoes_wide(self) -> None:
-        assert narrow(NOMINAL, wide(NOMINAL, candidates(NOMINAL)).values, ()) == NOMINAL
+        assert with_selected_candidates(NOMINAL, with_all_candidates(NOMINAL, candidates(NOMINAL)).values, ()) == NOMINAL
         known = NOMINAL.with_effect("payload", mass=0.01)
         missing = candidates(known)
-        values = {**wide(known, missing).values, "K_a": 350.0, "payload.mass": 0.02, "sensor_offset[s3].x": 1e-3}
-        found = narrow(known, values, [candidate("sensor_offset", "s3")])
+        values = {**with_all_candidates(known, missing).values, "K_a": 350.0, "payload.mass": 0.02, "sensor_offset[s3].x": 1e-3}
+        found = with_selected_candidates(known, values, [candidate("sensor_offset", "s3")])
         assert found.parameters == {"K_a": 350.0}
         assert found == NOMINAL.with_parameters(K_a=350.0).with_effect("payload", mass=0.02).with_effect(
             "sensor_offset", "s3", x=1e-3, y=0.0, z=0.0
@@ -118,8 +118,12 @@ class TestLibrary:
         """A value plus the step to its bound is not always the bound."""
         zone = candidate("pressure_dead_zone", None)
         low = 0.02
-        values = {**wide(NOMINAL, [zone]).values, "pressure_dead_zone.threshold": 2e4, "pressure_dead_zone.rounding": np.nextafter(low, 0)}
-        assert narrow(NOMINAL, values, [zone]).values["pressure_dead_zone.rounding"] == low
+        values = {
+            **with_all_candidates(NOMINAL, [zone]).values,
+            "pressure_dead_zone.threshold": 2e4,
+            "pressure_dead_zone.rounding": np.nextafter(low, 0),
+        }
+        assert with_selected_candidates(NOMINAL, values, [zone]).values["pressure_dead_zone.rounding"] == low
 
     def test_probes_differ_from_nulls(self) -> None:
         for missing in candidates(NOMINAL):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.adapters.network import candidates, wide
+from tepm_opt.discrepancy.adapters.network import candidates, with_all_candidates
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
@@ -40,7 +40,7 @@ FILES = ("single_pressure.csv", "elongation.csv", "antagonists.csv")
 
 @pytest.fixture(scope="module")
 def library() -> CompiledModel:
-    return compile_model(wide(NOMINAL, candidates(NOMINAL)))
+    return compile_model(with_all_candidates(NOMINAL, candidates(NOMINAL)))
 
 
 def fits_of(library: CompiledModel, kang: CompiledModel, hidden: dict[str, float]) -> Fits:

@@ -12,7 +12,7 @@ import pytest
 
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.adapters.network import candidates, wide
+from tepm_opt.discrepancy.adapters.network import candidates, with_all_candidates
 from tepm_opt.models.backends import compiler
 from tepm_opt.models.backends.ccode import Unit
 from tepm_opt.models.backends.compiled import statics_unit, stepping_unit
@@ -125,7 +125,7 @@ def test_no_function_takes_more_stack_for_more_segments(tmp_path: Path) -> None:
     sizes: list[dict[str, int]] = []
     for segments in (2, 12):
         model = Model.of(variant(geometry={"segments_per_module": segments}))
-        model = wide(model, candidates(model))
+        model = with_all_candidates(model, candidates(model))
         network, dynamics = write_network(model), write_dynamics(model)
         units = {"statics": statics_unit(network), "one": stepping_unit(dynamics)}
         found = {name: frames(unit, tmp_path / f"{name}{segments}") for name, unit in units.items()}

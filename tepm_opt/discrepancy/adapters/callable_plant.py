@@ -1,4 +1,4 @@
-"""A machine that any function simulates — another simulator, a transfer function, a table —, with whatever may be missing in it.
+"""A machine that a function simulates: another simulator, a transfer function, a table; with the effects that may be missing in it.
 
 m = Simulator("a motor", Signals.of(["voltage"], ["speed"], "rad/s"))
 m.known("gain", 2.0, "rad/s/V")
@@ -16,7 +16,6 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf
 from typing import Any
 
 import numpy as np
@@ -24,25 +23,22 @@ import numpy as np
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.laws.effect import At, Law
-from tepm_opt.discrepancy.problem.parameters import Described, known_within
-from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.parameters import DescribedPlant, MachineDescription
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.plant import START, Free, Prediction, PredictionError
+from tepm_opt.solvers.plant import START, Prediction, PredictionError
 
 Simulate = Callable[[Run, Mapping[str, Any]], np.ndarray]
-CANNOT = (ArithmeticError, ValueError, RuntimeError)  # what a simulator says that fails; anything else is a mistake in the function
-DIFFERENCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class CallablePlant(Described):
+class CallablePlant(DescribedPlant):
     """A machine that a function simulates, see `plant.SearchablePlant`; made by `Simulator`.
 
     Derivatives are differences: one more simulation for each parameter, a part of its scale away, towards the middle of its range.
 
     Attributes:
-        simulate: (run, values by name) → what is measured, (rows, points, axes) or (rows, outputs). It begins with `run.state` where
-            that is not None. Where `many`, values are arrays (sets,) and so is the first axis of what it gives.
+        simulate: (run, values by name) → outputs, (rows, points, axes) or (rows, outputs). It begins with `run.state` where that is not
+            None. Where `many`, values are arrays (sets,) and so is the first axis of the outputs.
         states: those that a run may begin with, by name with a guess of each.
         sizes: of the states.
         static: whether rows of runs are equilibria.
@@ -59,7 +55,7 @@ class CallablePlant(Described):
     many: bool = False
     quick: bool = True
     concurrent: bool = False
-    difference: float = DIFFERENCE
+    difference: float = 1e-3
 
     derivatives_apart = 0.0
 
@@ -68,12 +64,12 @@ class CallablePlant(Described):
         return f"CallablePlant({self.name}, {len(self.known)} known parameters, {len(self.candidates)} effects)"
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
-        """What a run should have measured.
+        """Outputs of a run.
 
         Args:
-            run: what was done.
+            run: inputs and times.
             by: parameters by full name, or `START` + a state's name, by which to differentiate.
-            step: of no consequence: the function takes its own.
+            step: ignored: the function takes its own.
 
         Raises:
             PredictionError: the function fails, or gives numbers that are not finite.
@@ -86,7 +82,7 @@ class CallablePlant(Described):
         moved = iter(found[1:])
         by_name = {}
         for name, h in steps.items():
-            at = self._outputs(self._started(run, name, h), [{short: values[full] for short, full in own.items()}])[0] \
+            at = self._outputs(self._with_state_step(run, name, h), [{short: values[full] for short, full in own.items()}])[0] \
                 if name.startswith(START) else next(moved)  # fmt: skip
             by_name[name] = (at - found[0]) / h
         still = np.zeros_like(found[0])
@@ -100,18 +96,18 @@ class CallablePlant(Described):
         h = self.difference * free.scale
         return h if free.high - free.start >= free.start - free.low else -h
 
-    def _started(self, run: Run, name: str, h: float) -> Run:
+    def _with_state_step(self, run: Run, name: str, h: float) -> Run:
         state = np.array(list(self.states.values()) if run.state is None else run.state, dtype=float)
         state[list(self.states).index(name.removeprefix(START))] += h
         return replace(run, state=state)
 
     def _outputs(self, run: Run, sets: Sequence[Mapping[str, float]]) -> np.ndarray:
-        """What is measured with each set of values, (sets, rows, points, axes)."""
+        """Outputs with each set of values, (sets, rows, points, axes)."""
         shape = (run.rows, len(self.signals.points), len(self.signals.axes))
         if self.many:
-            found = self._asked(run, {name: np.array([values[name] for values in sets]) for name in sets[0]})
+            found = self._call(run, {name: np.array([values[name] for values in sets]) for name in sets[0]})
         else:
-            found = np.stack([self._asked(run, values) for values in sets])
+            found = np.stack([self._call(run, values) for values in sets])
         whole = (len(sets), *shape)
         if found.shape[:2] != whole[:2] or found.size != np.prod(whole):
             raise InputError(f"{self.name}: the function gives outputs of the shape {found.shape}; valid: {whole if self.many else shape}")
@@ -119,13 +115,14 @@ class CallablePlant(Described):
             raise PredictionError(f"{run.file}: {self.name} gives numbers that are not finite")
         return found.reshape(whole)
 
-    def _asked(self, run: Run, values: Mapping[str, Any]) -> np.ndarray:
+    def _call(self, run: Run, values: Mapping[str, Any]) -> np.ndarray:
+        """Call the function; errors that a simulator may raise on purpose are predictions that fail, others mistakes in it."""
         try:
             with np.errstate(all="ignore"):
                 return np.asarray(self.simulate(run, values), dtype=float)
         except InputError:
             raise
-        except CANNOT as error:
+        except (ArithmeticError, ValueError, RuntimeError) as error:
             raise PredictionError(f"{run.file}: {self.name}: {error}") from error
         except Exception as error:
             at = traceback.extract_tb(error.__traceback__)[-1]
@@ -133,7 +130,7 @@ class CallablePlant(Described):
 
 
 @dataclass(frozen=True)
-class Acting:
+class EffectChain:
     """Effects on a part of a machine, one after the other: (values, signal, …) → the signal behind them."""
 
     laws: tuple[Law, ...]
@@ -141,7 +138,7 @@ class Acting:
     sizes: Mapping[str, float]
 
     def __call__(self, values: Mapping[str, Any], signal: Any, **where: Any) -> Any:
-        """The signal behind the effects; `where`: what else `library.effect.At` says of the place."""
+        """The signal behind the effects; `where`: further attributes of the place, see `laws.effect.At`."""
         for law in self.laws:
             p = {each.name: values[f"{law.name}[{self.part}].{each.name}"] for each in law.quantities}
             signal, _ = law.act(At(p, [], self.sizes, signal=signal, **where))
@@ -149,61 +146,32 @@ class Acting:
 
 
 @dataclass
-class Simulator:
-    """What a machine that a function simulates is, noted down piece by piece; `plant` is made of it.
+class Simulator(MachineDescription):
+    """A machine that a function simulates, described piece by piece; `plant` makes a plant of it.
 
     Attributes:
         name: of the machine.
         signals: inputs and outputs.
     """
 
-    name: str
     signals: Signals
-    _free: dict[str, Free] = field(default_factory=dict)
-    _known: list[str] = field(default_factory=list)
-    _grouped: dict[str, tuple[str, ...]] = field(default_factory=dict)
     _states: dict[str, tuple[float, float]] = field(default_factory=dict)
-    _candidates: list[Candidate] = field(default_factory=list)
-
-    def known(
-        self, name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None,
-        std: float = inf, groups: Sequence[str] = (),
-    ) -> None:  # fmt: skip
-        """A parameter that is known within a part of its value, or between two values.
-
-        Args:
-            name: of the parameter.
-            value: the best guess.
-            unit: of it.
-            within: how far it may be off, in parts of the value.
-            low, high: how small and large it may be, instead.
-            std: standard deviation of the guess.
-            groups: of runs (`group` in dataset.toml), each of which has a value of its own: "name[group]"; the function gets that of
-                the run under the name.
-        """
-        if name in self._grouped:
-            raise InputError(f"{self.name}: {name!r} is there twice; valid: a name of its own for each")
-        for free in known_within(name, value, unit, within, low, high, std, groups):
-            self._take(free)
-            self._known.append(free.name)
-        if groups:
-            self._grouped[name] = tuple(groups)
 
     def state(self, name: str, start: float = 0.0, size: float = 1.0) -> None:
-        """A state that a run may begin with, `run.state` in this order: a guess of it, and how large it usually is."""
+        """Add a state that a run may begin with, `run.state` in this order: a guess of it, and its usual size."""
         self._states[name] = start, size
 
-    def effects(self, laws: Sequence[Law], part: str, unit: str = "", **sizes: float) -> Acting:
-        """Effects that may be missing on a part of the machine: "name[part].quantity" are their parameters.
+    def effects(self, laws: Sequence[Law], part: str, unit: str = "", **sizes: float) -> EffectChain:
+        """Add effects that may be missing on a part of the machine: "name[part].quantity" are their parameters.
 
         Args:
-            laws: without states of their own, see `library`.
+            laws: without states of their own, see `laws`.
             part: of the machine.
             unit: of the signal there.
             sizes: of the quantities there, by name: signal=5.0.
 
         Returns:
-            The effects, for the function to ask what they make of a signal, where it does not ask for their parameters itself.
+            The effects as a function of a signal, for a simulation that does not use their parameters itself.
 
         Raises:
             InputError: a law with states, a size that is missing.
@@ -217,11 +185,10 @@ class Simulator:
             if lacking := sorted(wanted - set(sizes)):
                 raise InputError(f"{self.name}: {law.name}[{part}] needs the size of {lacking[0]!r}; valid: effects(…, {lacking[0]}=…)")
             units = {**dict.fromkeys(sizes, ""), "signal": unit, "time": "s", "1": "1"}
-            candidate, free = law.on(part, {**sizes, "1": 1.0}, units)
-            for each in free.values():
-                self._take(each)
+            candidate, free = law.place_on(part, {**sizes, "1": 1.0}, units)
+            self._add_free(tuple(free.values()))
             self._candidates.append(candidate)
-        return Acting(tuple(laws), part, sizes)
+        return EffectChain(tuple(laws), part, sizes)
 
     def plant(self, simulate: Simulate, static: bool = False, many: bool = False, **more: Any) -> CallablePlant:
         """The machine with its parameters at these values and all effects at their nulls.
@@ -233,12 +200,5 @@ class Simulator:
             more: further attributes of `CallablePlant`.
         """
         states, sizes = ({name: each[k] for name, each in self._states.items()} for k in (0, 1))
-        return CallablePlant(
-            self.name, self.signals, self._free, tuple(self._known), tuple(self._candidates), self._grouped, simulate, states, sizes,
-            static, many, **more,
-        )  # fmt: skip
-
-    def _take(self, free: Free) -> None:
-        if free.name in self._free:
-            raise InputError(f"{self.name}: {free.name!r} is there twice; valid: a name of its own for each")
-        self._free[free.name] = free
+        described = self.signals, self._free, tuple(self._known), tuple(self._candidates), self._grouped
+        return CallablePlant(self.name, *described, simulate, states, sizes, static, many, **more)

@@ -1,4 +1,4 @@
-"""The network with what could be missing in it: every known effect with every detail, all in one model at their null values."""
+"""The network with its missing effects: every known effect with every detail, all in one model at their null values."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ from tepm_opt.models.robot import UNITS
 from tepm_opt.solvers.network_plant import NetworkPlant
 
 PARAMETER = "parameter"  # the cause that a value of the robot file is wrong
-THROUGH = {
-    "axial": ("inputs", "pressure_memory", "tension_memory", "delay", "edge_energy", "tendon_energy", "edge_memory", "properties"),
-    "force": ("loads", "properties"),
-    "measurement": ("outputs",),
-}  # what an effect acts through, by its hooks
-WRONG_BY = 2.0  # times what the robot file says, up and down
 
 
 def candidate(name: str, detail: str | None = None, layout: Layout | None = None) -> Candidate:
     """An effect of the network, on its detail where it has one, as a candidate; of one whose parameters depend on it with the layout."""
+    hooks = {
+        "axial": ("inputs", "pressure_memory", "tension_memory", "delay", "edge_energy", "tendon_energy", "edge_memory", "properties"),
+        "force": ("loads", "properties"),
+        "measurement": ("outputs",),
+    }  # of effects that act through axial forces, a force, the measurement
     effect, label = find_effect(name), ActiveEffect(name, detail).label
     own = effect.parameters if layout is None else effect.parameters_of(layout)
-    shape = any(p.is_shape and not p.refines for p in own)  # parameters without which the others say nothing
+    shape = any(p.is_shape and not p.refines for p in own)  # without these parameters the others mean nothing
     acts_first = any(effect.has(hook) for hook in ("inputs", "pressure_memory", "tension_memory", "tendon_energy", "delay"))
-    inputs = acts_first or effect.detail == "actuator"  # what one actuator does otherwise its gauges may show
+    inputs = acts_first or effect.detail == "actuator"  # the gauges of an actuator may show its effects
     return Candidate(
         name,
         detail,
@@ -46,15 +45,15 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         explains=effect.explains,
         part=effect.detail or "",
         reference=effect.reference,
-        acts=tuple(kind for kind, hooks in THROUGH.items() if any(effect.has(hook) for hook in hooks)),
+        acts=tuple(kind for kind, own in hooks.items() if any(effect.has(hook) for hook in own)),
         exact=effect.exact,
         happens=f"{label}.{effect.happens}" if effect.happens else "",
-        suggested=partial(_suggested, effect, label) if effect.has("suggested") else None,
+        suggested=partial(_suggest_values, effect, label) if effect.has("suggested") else None,
     )
 
 
-def _suggested(effect: Effect, label: str, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> dict[str, float]:
-    """See `Effect.suggested`; by full name."""
+def _suggest_values(effect: Effect, label: str, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> dict[str, float]:
+    """Values of `Effect.suggested` by full name."""
     return {f"{label}.{name}": value for name, value in effect.suggested(clock, began, left).items()}
 
 
@@ -67,7 +66,10 @@ def candidates(model: Model) -> tuple[Candidate, ...]:
 
 
 def wrong_values(model: Model) -> tuple[Candidate, ...]:
-    """The causes that a value of the robot file is wrong, beyond its prior or although it is taken to be right; one for every value."""
+    """Causes that a value of the robot file is wrong, beyond its prior or although it is taken to be right; one for every value.
+
+    A value may be half or twice that of the file. A probe of 5 % is visible and still nearly linear.
+    """
     nominal = model.robot.parameters.model_dump()
     return tuple(
         Candidate(
@@ -79,20 +81,20 @@ def wrong_values(model: Model) -> tuple[Candidate, ...]:
             part="parameter",
             acts=("axial", "force", "measurement"),
             exact="s/m" not in UNITS[name],  # damping is somebody's formula
-            ranges={name: (value / WRONG_BY, WRONG_BY * value)},
+            ranges={name: (value / 2, 2 * value)},
         )
         for name, value in nominal.items()
         if value > 0 and name in UNITS
     )
 
 
-def wide(model: Model, missing: Iterable[Candidate]) -> Model:
+def with_all_candidates(model: Model, missing: Iterable[Candidate]) -> Model:
     """The model with all candidates at their null values: the same motion, and one compilation for every fit that follows."""
     added = [ActiveEffect(c.name, c.detail, {name.removeprefix(f"{c.label}."): null for name, null in c.null.items()}) for c in missing]
     return replace(model, effects=(*model.effects, *added))
 
 
-def narrow(model: Model, values: Mapping[str, float], kept: Iterable[Candidate]) -> Model:
+def with_selected_candidates(model: Model, values: Mapping[str, float], kept: Iterable[Candidate]) -> Model:
     """The model with those candidates only, and all parameters at `values` (full names)."""
     kept = [candidate for candidate in kept if candidate.name != PARAMETER]
     parameters = {name: values[name] for name, nominal in model.robot.parameters.model_dump().items() if values[name] != nominal}
@@ -119,7 +121,7 @@ class SearchableNetwork(NetworkPlant):
     """A network in which effects may be missing, see `plant.SearchablePlant`.
 
     Attributes:
-        known_model: what is known of the machine; the effects it has are fitted anew with the known parameters.
+        known_model: of the machine; the effects it has are fitted anew with the known parameters.
         candidates: effects that it does not have, at their null values in the compiled model.
         signals: of its robot's data.
     """
@@ -129,13 +131,12 @@ class SearchableNetwork(NetworkPlant):
     signals: Signals = field(kw_only=True)
 
     @staticmethod
-    def of(known: Model, channels: Channels, static: bool = False) -> SearchableNetwork:
-        """A network with all effects that it does not have yet; compiles it."""
+    def from_model(known: Model, channels: Channels, static: bool = False) -> SearchableNetwork:
+        """Compile a network with all effects that it does not have yet."""
         missing = candidates(known)
         wrong = wrong_values(known)
-        return SearchableNetwork(
-            compile_model(wide(known, missing)), static, known_model=known, candidates=(*missing, *wrong), signals=channels.signals
-        )
+        model = compile_model(with_all_candidates(known, missing))
+        return SearchableNetwork(model, static, known_model=known, candidates=(*missing, *wrong), signals=channels.signals)
 
     @property
     def name(self) -> str:
@@ -155,4 +156,4 @@ class SearchableNetwork(NetworkPlant):
 
     def corrected(self, kept: Sequence[Candidate]) -> Model:
         """The model with these effects only and the values it has."""
-        return narrow(self.known_model, self.model.values, kept)
+        return with_selected_candidates(self.known_model, self.model.values, kept)

@@ -6,25 +6,22 @@ import casadi as ca
 
 from tepm_opt.discrepancy.laws.effect import At, Law, Quantity
 
-CREEP = 0.01  # of the axis' speed: slower, dry friction gives way like a viscous one
-FASTEST = 2.0  # rate over that of the time steps, which a Runge-Kutta method of order 4 bears (2.78)
-DECADES = (0.01, 0.1, 1.0)
-
 
 def _force(name: str = "force", signed: bool = True) -> Quantity:
-    return Quantity(name, "force", 0.0, DECADES, -10.0 if signed else 0.0, 10.0)
+    return Quantity(name, "force", 0.0, (0.01, 0.1, 1.0), -10.0 if signed else 0.0, 10.0)
 
 
 def _way(at: At) -> ca.SX:
-    """Direction of motion, -1 … 1."""
-    return ca.tanh(at.speed / (CREEP * at.sizes["speed"]))
+    """Direction of motion, -1 … 1; below a hundredth of the axis' usual speed dry friction gives way like a viscous one."""
+    return ca.tanh(at.speed / (0.01 * at.sizes["speed"]))
 
 
 def _bouc_wen(at: At) -> tuple[ca.SX, list[ca.SX]]:
-    """The force and its rate, which never lets it forget faster than the time steps can follow: then it is dry friction."""
+    """The force and its rate, limited to what the time steps can follow; at that limit it is dry friction."""
     (z,), v, p = at.z, at.speed, at.p
     forgets = ca.fabs(v) * (ca.fabs(p["closing"]) + ca.fabs(p["opening"]))
-    slower = ca.fmin(1.0, FASTEST / ca.fmax(at.step * forgets, 1e-9))
+    fastest = 2.0  # decay in a time step; a Runge-Kutta method of order 4 is stable up to 2.78
+    slower = ca.fmin(1.0, fastest / ca.fmax(at.step * forgets, 1e-9))
     return -z, [slower * (p["stiffness"] * v - p["closing"] * ca.fabs(v) * z - p["opening"] * v * ca.fabs(z))]
 
 

@@ -1,19 +1,19 @@
-"""What a long body may be besides what its drawing says, along it: in arrays."""
+"""Deviations of a long body from its drawing, along its length: in arrays."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from tepm_opt.discrepancy.laws.effect import At, Law, Quantity
 
-PARTS = (0.01, 0.1)
 
-
-def _by_part(at: At) -> object:
-    return at.signal * (1 + at.p["part"])
+def _scale_by_part(at: At) -> tuple[Any, list[Any]]:
+    return at.signal * (1 + at.p["part"]), []
 
 
 BODIES = (
     Law(
-        "radius", "body", (Quantity("part", "1", 0.0, PARTS, -0.5, 0.5),), lambda at: (_by_part(at), []),
+        "radius", "body", (Quantity("part", "1", 0.0, (0.01, 0.1), -0.5, 0.5),), _scale_by_part,
         place="body", explains="the body, or the circle on which its tendons or muscles run, is thicker or thinner",
     ),
     Law(
@@ -27,11 +27,11 @@ BODIES = (
         place="body", explains="the body is stiffer towards its tip, or its base, than its cross-section says",
     ),
     Law(
-        "rest_length", "body", (Quantity("part", "1", 0.0, (0.01, 0.05), -0.3, 0.3),), lambda at: (_by_part(at), []),
+        "rest_length", "body", (Quantity("part", "1", 0.0, (0.01, 0.05), -0.3, 0.3),), _scale_by_part,
         place="body", explains="one muscle or chamber is longer or shorter at rest than the others",
     ),
     Law(
-        "rest_curvature", "body", (Quantity("rate", "signal", 0.0, PARTS, -1.0, 1.0),), lambda at: (at.signal + at.p["rate"], []),
+        "rest_curvature", "body", (Quantity("rate", "signal", 0.0, (0.01, 0.1), -1.0, 1.0),), lambda at: (at.signal + at.p["rate"], []),
         place="body", explains="the body is bent at rest",
         reference="intrinsic curvature of a rod: Antman 2005, Nonlinear Problems of Elasticity",
     ),

@@ -1,4 +1,4 @@
-"""What effects that any machine may have are made of."""
+"""Effects that any machine may have: quantities, laws, and the place where a law acts."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ import casadi as ca
 from tepm_opt.discrepancy.problem.plant import Candidate, Stage
 from tepm_opt.solvers.plant import Free
 
-PARTS: Mapping[Stage, str] = {"input": "input", "body": "axis", "output": "output"}
-"""What effects of a stage act on, where they do not say it themselves."""
-
 
 @dataclass(frozen=True)
 class Quantity:
@@ -22,11 +19,11 @@ class Quantity:
 
     Attributes:
         name: within the effect.
-        size: what its size is made of: "force", "speed", "position", "signal", "time", a quotient of two of them, or "1".
+        size: kind of its size: "force", "speed", "position", "signal", "time", a quotient of two of them, or "1".
         null: value at which the effect vanishes; where another parameter makes it vanish, a usual value.
         probes: values worth a try: decades where nobody knows.
         low, high: its range.
-        shape: whether it says how the effect acts, not how strongly.
+        shape: whether it changes the form of the effect, not its strength.
     """
 
     name: str
@@ -54,17 +51,17 @@ class Quantity:
 
 @dataclass(frozen=True)
 class At:
-    """Where and when a law is asked: in symbols of CasADi, or in arrays.
+    """Place and time at which a law is evaluated: in symbols of CasADi, or in arrays.
 
     Attributes:
-        signal: what goes in, or what is measured; of a long body what varies along it.
-        position, speed: of an axis; of a vessel its level and what is known of that's rate.
+        signal: an input or an output; of a long body the quantity that varies along it.
+        position, speed: of an axis; of a vessel its level and the known part of the level's rate.
         along: parts of the body's length from its base, 0 … 1.
         turned: angle in rad by which the body has bent from its base to there.
         p: the effect's parameters by name.
         z: its states.
-        step: the time step in s: what is faster is not resolved.
-        earlier: the command as it was so many seconds ago; None where only the present is known.
+        step: the time step in s; anything faster is not resolved.
+        earlier: function from a delay in s to the command delayed by it; None where only the present is known.
         sizes: of quantities there, by name.
     """
 
@@ -88,15 +85,15 @@ class Law:
         name: of the effect.
         stage: "input" (of a signal that goes in), "body" (a force on an axis) or "output" (of a signal that is measured).
         quantities: its parameters.
-        act: what becomes of the signal, the force on the axis, or what a vessel loses and passes on; and the rates of the states. The
-            signal itself where absent: the machine's own function asks for the parameters.
-        states: how many it has; states of signals begin as the signal, those of axes at 0.
+        act: its outcome (the signal after it, the force on the axis, or the losses and overflow of a vessel) and the rates of its states.
+            The signal itself where absent: the machine's own function asks for the parameters.
+        states: their number; states of signals begin at the signal, those of axes at 0.
         smooth: whether the outcome is nearly linear in the parameters from the null on.
-        explains: what it is.
-        reference: where the law is from.
+        explains: the effect in words.
+        reference: source of the law.
         beside: effects one of which it needs.
-        family: what it is one form of.
-        place: what it acts on, where the stage does not tell: "vessel".
+        family: name of the effect of which it is one form.
+        place: the kind of part it acts on, where the stage does not tell: "vessel".
         gauge: whether a gauge that measures an input may have it, too: an offset, a gain.
         delays: whether it asks for the command's past (`At.earlier`): it acts before all other effects on an input.
     """
@@ -117,11 +114,11 @@ class Law:
 
     @property
     def part(self) -> str:
-        """What it acts on: "input", "axis", "output", "vessel"."""
-        return self.place or PARTS[self.stage]
+        """Kind of part it acts on: "input", "axis", "output", "vessel"."""
+        return self.place or ("axis" if self.stage == "body" else self.stage)
 
-    def on(self, part: str, sizes: Mapping[str, float], units: Mapping[str, str]) -> tuple[Candidate, dict[str, Free]]:
-        """The effect on a part of a machine, for sizes of its quantities by name; and its parameters by their names within it."""
+    def place_on(self, part: str, sizes: Mapping[str, float], units: Mapping[str, str]) -> tuple[Candidate, dict[str, Free]]:
+        """The effect on a part of a machine, for sizes of its quantities by name, and its parameters by their names within it."""
         label = f"{self.name}[{part}]"
         quantities = {f"{label}.{q.name}": q.in_units(sizes) for q in self.quantities}
         free = {}
@@ -138,7 +135,7 @@ class Law:
 
 
 def _probes(quantities: Mapping[str, Quantity]) -> tuple[dict[str, float], ...]:
-    """Sets of values worth a try: every strength in every shape; what tells the strength goes up together."""
+    """Sets of values worth a try: every strength in every shape; all strengths grow together."""
     strengths = {name: q.probes for name, q in quantities.items() if not q.shape}
     shapes = {name: q.probes for name, q in quantities.items() if q.shape}
     count = max(len(values) for values in strengths.values())

@@ -1,27 +1,22 @@
-"""What happens between a commanded pressure and the one in the chamber: valves of finite flow, leaks, regulators that are off."""
+"""Effects between a commanded pressure and the one in the chamber: valves of finite flow, leaks, regulators that are off."""
 
 from __future__ import annotations
 
 import casadi as ca
 
 from tepm_opt.discrepancy.laws.effect import At, Law, Quantity
-from tepm_opt.discrepancy.laws.signals import INPUT, TIMES, follow
-
-CHOKES = (0.3, 3.0)  # of the machine's own time: what a change by the usual pressure takes at the highest flow
-
-
-def _time(name: str) -> Quantity:
-    return Quantity(name, "time", 0.0, TIMES, 0.0, 30.0)
+from tepm_opt.discrepancy.laws.signals import INPUT, follow, time_constant
 
 
 def _choke(name: str) -> Quantity:
-    return Quantity(name, "time", 0.0, CHOKES, 0.0, 30.0, shape=True)
+    """Time of a change by the usual pressure at the highest flow."""
+    return time_constant(name, (0.3, 3.0), shape=True)
 
 
 def _lag(at: At) -> tuple[ca.SX, list[ca.SX]]:
-    """The regulator asks for a rate in proportion to what is missing, and gets no more than the highest flow gives.
+    """The regulator asks for a rate in proportion to the pressure difference; the highest flow limits that rate.
 
-    Both are slower the larger the volume: that of the tubes, which is there without pressure, and that of a chamber that gives way.
+    Both are slower the larger the volume: that of the tubes at no pressure, and that of a chamber that gives way.
     """
     (z,), p, size, rises = at.z, at.p, at.sizes["signal"], at.signal > at.z[0]
     volume = ca.fmax(1 + p["growth"] * z / size, 0.1)
@@ -32,7 +27,7 @@ def _lag(at: At) -> tuple[ca.SX, list[ca.SX]]:
 
 
 def _leak(at: At) -> tuple[ca.SX, list[ca.SX]]:
-    """The flow through a hole, and what the regulator falls short for it, grows with the root of the pressure."""
+    """The flow through a hole, and with it the loss of pressure, grows with the root of the pressure."""
     size = at.sizes["signal"]
     return at.signal - at.p["loss"] * ca.sqrt(size) * ca.sqrt(ca.fmax(at.signal, 1e-6 * size)), []
 
@@ -41,7 +36,7 @@ PNEUMATICS = (
     Law(
         "pressure_lag", "input",
         (
-            _time("filling"), _time("exhausting"), _choke("filling_choke"), _choke("exhausting_choke"),
+            time_constant("filling"), time_constant("exhausting"), _choke("filling_choke"), _choke("exhausting_choke"),
             Quantity("growth", "1", 0.0, (0.5,), -0.5, 5.0, shape=True),
         ),
         _lag, states=1, smooth=False, reference="ISO 6358 for the highest flow",

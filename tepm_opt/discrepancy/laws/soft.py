@@ -1,4 +1,4 @@
-"""What bodies of rubber do."""
+"""Effects of soft materials: creep."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Parameters of a machine that a plant file describes: what is known, and what effects that may be missing add."""
+"""Parameters of a machine that a plant file describes: those known within a range, and those of effects that may be missing."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite
-from typing import Self
+from typing import Any, Self
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
@@ -14,43 +14,74 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.solvers.plant import Free
 
 
-def known_within(
-    name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None, std: float = inf,
-    groups: Sequence[str] = (),
-) -> list[Free]:  # fmt: skip
-    """A parameter that is known within a part of its value, or between two values; one for each group of runs where there are some.
+@dataclass
+class MachineDescription:
+    """A machine under construction: its parameters and the effects that may be missing in it.
 
-    Args:
-        name: of the parameter.
-        value: the best guess.
-        unit: of it.
-        within: how far it may be off, in parts of the value.
-        low, high: how small and large it may be, instead.
-        std: standard deviation of the guess, of a normal distribution within the range; without limits the range is ten of them.
-        groups: of runs, each of which has a value of its own: "name[group]".
-
-    Raises:
-        InputError: the value is outside its range, or there is none.
+    Attributes:
+        name: of the machine.
     """
-    off = 10 * std if isfinite(std) else abs(value) * within
-    low, high = value - off if low is None else low, value + off if high is None else high
-    if not low < high:
-        raise InputError(f"{name} has no range ({low:g} … {high:g}); valid: low and high, low below high")
-    if not low <= value <= high:
-        raise InputError(f"{name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
-    scale = std if isfinite(std) else (high - low) / 4 if isfinite(high - low) else abs(value)
-    scale, mean = max(scale, 1e-3 * abs(value)) or 1.0, value if isfinite(std) else 0.0
-    return [Free(full, unit, value, low, high, scale, mean, std) for full in [of_group(name, group) for group in groups] or [name]]
 
+    name: str
+    _free: dict[str, Free] = field(default_factory=dict, init=False, repr=False)
+    _known: list[str] = field(default_factory=list, init=False, repr=False)
+    _grouped: dict[str, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False)
+    _candidates: list[Candidate] = field(default_factory=list, init=False, repr=False)
 
-def of_group(name: str, group: str) -> str:
-    """The full name of a parameter that a group of runs has for itself."""
-    return f"{name}[{group}]"
+    def known(
+        self, name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None,
+        std: float = inf, groups: Sequence[str] = (),
+    ) -> Any:  # fmt: skip
+        """Add a parameter that is known within a part of its value, or between two values.
+
+        Args:
+            name: of the parameter.
+            value: the best guess.
+            unit: of it.
+            within: half-width of its range, in parts of the value.
+            low, high: the range, instead.
+            std: standard deviation of the guess, of a normal distribution within the range; without limits the range is ten of them.
+            groups: of runs (`group` in dataset.toml), each of which has a value of its own: "name[group]". A simulation gets that of
+                its run under the name.
+
+        Returns:
+            Its symbol in equations; None where a function simulates the machine.
+
+        Raises:
+            InputError: the name is taken, the value is outside its range, or there is no range.
+        """
+        self._require_new(name, self._grouped)
+        off = 10 * std if isfinite(std) else abs(value) * within
+        low, high = value - off if low is None else low, value + off if high is None else high
+        if not low < high:
+            raise InputError(f"{name} has no range ({low:g} … {high:g}); valid: low and high, low below high")
+        if not low <= value <= high:
+            raise InputError(f"{name} = {value:g} {unit} is outside its range; valid: {low:g} … {high:g}")
+        scale = std if isfinite(std) else (high - low) / 4 if isfinite(high - low) else abs(value)
+        scale, mean = max(scale, 1e-3 * abs(value)) or 1.0, value if isfinite(std) else 0.0
+        names = [f"{name}[{group}]" for group in groups] or [name]
+        self._add_free([Free(full, unit, value, low, high, scale, mean, std) for full in names])
+        self._known += names
+        if groups:
+            self._grouped[name] = tuple(groups)
+        return self._add_symbol(name)
+
+    def _add_symbol(self, name: str) -> Any:
+        """Add the symbol of a parameter, where equations need one."""
+
+    def _add_free(self, free: Sequence[Free]) -> None:
+        for each in free:
+            self._require_new(each.name, self._free)
+            self._free[each.name] = each
+
+    def _require_new(self, name: str, taken: Mapping[str, object]) -> None:
+        if name in taken:
+            raise InputError(f"{self.name}: {name!r} is there twice; valid: a name of its own for each")
 
 
 @dataclass(frozen=True, eq=False)
-class Described:
-    """A machine with its parameters: what every kind of plant file has in common, see `plant.SearchablePlant`.
+class DescribedPlant:
+    """A machine with its parameters: the common part of all kinds of plant files, see `plant.SearchablePlant`.
 
     Attributes:
         name: of the machine.
@@ -93,19 +124,19 @@ class Described:
         return tuple(self.parameters[name] for name in names)
 
     def of_run(self, run: Run) -> dict[str, str]:
-        """Full names of the parameters that count for a run, by the names that its machine has for them; in the parameters' order.
+        """Full names of the parameters of a run, by the names that its machine has for them; in the parameters' order.
 
         Raises:
             InputError: the run is of no known group.
         """
-        short = {of_group(name, group): (name, group) for name, groups in self.grouped.items() for group in groups}
+        found = {full: (full, run.group) for full in self.parameters}
         for name, groups in self.grouped.items():
             if run.group not in groups:
                 raise unknown_name("group", run.group, groups, f"{run.file}: {name}")
-        own = {full: short.get(full, (full, run.group)) for full in self.parameters}
-        return {name: full for full, (name, group) in own.items() if group == run.group}
+            found |= {f"{name}[{group}]": (name, group) for group in groups}
+        return {name: full for full, (name, group) in found.items() if group == run.group}
 
     def corrected(self, kept: Sequence[Candidate]) -> dict[str, float]:
-        """Values by full name of what is known and of the parameters of these effects."""
+        """Values by full name of the known parameters and those of these effects."""
         names = [*self.known, *(name for candidate in kept for name in candidate.parameters)]
         return {name: self.parameters[name].start for name in names}

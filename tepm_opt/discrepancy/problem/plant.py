@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import singledispatch
-from typing import Literal, Protocol
+from typing import Literal, Protocol, cast
 
 import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
+from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.plant import Free, Plant, Prediction
 
 Stage = Literal["input", "body", "output"]
@@ -115,6 +116,22 @@ class SearchablePlant(Plant, Protocol):
 
     def corrected(self, kept: Sequence[Candidate]) -> object:
         """The model with these effects only and the values it has, in the form that people go on with."""
+
+
+class Network(Plant, Protocol):
+    """A plant that is a network of masses and springs, in which free-form laws can act.
+
+    Attributes:
+        model: compiled, with the values of the parameters.
+    """
+
+    @property
+    def model(self) -> CompiledModel: ...
+
+
+def as_network(plant: Plant) -> Network | None:
+    """The plant as a network; None for other machines, which offer no `model`."""
+    return cast(Network, plant) if getattr(plant, "model", None) is not None else None
 
 
 @dataclass(frozen=True, eq=False)

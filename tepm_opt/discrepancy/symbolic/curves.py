@@ -1,17 +1,14 @@
-"""Shapes that a law may have before anybody knows its formula: splines, banks of lags and of plays, polynomials in space."""
+"""Shapes of laws without a formula: splines, banks of lags and of plays, polynomials in space."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import BSpline
-
-RIDGE = 1e-2  # of the smoothness prior: pulls to zero what is smooth anyway
-DEGREE = 2
 
 
 class Shape(Protocol):
@@ -28,13 +25,13 @@ class Shape(Protocol):
         ...
 
     def columns(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """What each coefficient contributes, (samples, …, size), for a variable's values, (samples, …), at times in s, (samples,)."""
+        """Contribution of each coefficient, (samples, …, size), at a variable's values, (samples, …), and times in s, (samples,)."""
         ...
 
 
 @dataclass(frozen=True)
 class Spline:
-    """Quadratic B-splines between knots; straight on outside, as nobody knows better there.
+    """Quadratic B-splines between knots; straight lines outside.
 
     Attributes:
         knots: increasing, the ends of the visited range first and last.
@@ -43,8 +40,8 @@ class Spline:
     knots: tuple[float, ...]
 
     @staticmethod
-    def over(values: np.ndarray, pieces: int) -> Spline:
-        """Knots over the values visited: half-way between even ones and quantiles, so that a bend is found where data are dense."""
+    def from_values(values: np.ndarray, pieces: int) -> Spline:
+        """Knots over the values visited, half-way between even ones and quantiles: denser where data are dense."""
         parts = np.linspace(0, 1, pieces + 1)
         low, high = float(values.min()), float(values.max())
         knots = (np.quantile(values, parts) + low + parts * (high - low)) / 2
@@ -52,73 +49,79 @@ class Spline:
 
     @staticmethod
     def from_zero(values: np.ndarray, pieces: int) -> Spline:
-        """Knots denser towards the lowest value visited, where thresholds and slack show: each piece is three times the one before."""
+        """Knots denser towards the lowest value visited, where thresholds and slack are: each piece is three times the one before."""
         low, high = float(values.min()), float(values.max())
         ends = np.append(0.0, np.cumsum(3.0 ** np.arange(pieces)))
         return Spline(tuple((low + (high - low) * ends / ends[-1]).tolist()))
 
     @property
     def size(self) -> int:
-        return len(self.knots) - 1 + DEGREE
+        return len(self.knots) + 1
 
     @property
     def penalty(self) -> np.ndarray:
         second = np.diff(np.eye(self.size), 2, axis=0)
-        return second.T @ second + RIDGE * np.eye(self.size)
+        return second.T @ second + 1e-2 * np.eye(self.size)  # a little towards zero, where the data determine no level
 
     def columns(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
         low, high = self.knots[0], self.knots[-1]
-        spline = BSpline(np.concatenate([[low] * DEGREE, self.knots, [high] * DEGREE]), np.eye(self.size), DEGREE)
+        spline = BSpline(np.concatenate([[low] * 2, self.knots, [high] * 2]), np.eye(self.size), 2)
         inside = np.clip(values, low, high)
         return spline(inside) + (values - inside)[..., None] * spline(inside, 1)
 
 
 @dataclass(frozen=True)
-class Lags:
-    """How far first-order lags of some time constants are behind the variable, per `unit` of it.
+class Memory(ABC):
+    """A bank of operators with memory: their outputs less the variable, per `unit` of it.
 
     Attributes:
-        times: time constants in s.
+        scales: of the operators.
         unit: of the variable, for which a coefficient stands.
     """
 
-    times: tuple[float, ...]
+    scales: tuple[float, ...]
     unit: float
 
     @property
     def size(self) -> int:
-        return len(self.times)
+        """Number of coefficients."""
+        return len(self.scales)
 
     @property
     def penalty(self) -> np.ndarray:
+        """No preference but for small coefficients."""
         return np.eye(self.size)
 
     def columns(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-        return np.stack([late(values, time, constant) - values for constant in self.times], axis=-1) / self.unit
+        """Contribution of each coefficient, see `Shape`."""
+        return np.stack([self.output(values, time, scale) - values for scale in self.scales], axis=-1) / self.unit
+
+    @abstractmethod
+    def output(self, values: np.ndarray, time: np.ndarray, scale: float) -> np.ndarray:
+        """Output of the operator of one scale, (samples, …)."""
 
 
-@dataclass(frozen=True)
-class Plays:
-    """How far plays of some widths are behind the variable, per `unit` of it (Prandtl and Ishlinskii's hysteresis).
+class Lags(Memory):
+    """First-order lags; scales are time constants in s."""
 
-    Attributes:
-        radii: half-widths, in the variable's unit.
-        unit: of the variable, for which a coefficient stands.
-    """
+    def output(self, values: np.ndarray, time: np.ndarray, scale: float) -> np.ndarray:
+        """Exact lag of a variable that is linear between samples, from rest at the first."""
+        found = np.array(values, dtype=float)
+        for k, h in enumerate(np.diff(time), start=1):
+            slope = (values[k] - values[k - 1]) / h
+            found[k] = values[k] - scale * slope + (found[k - 1] - values[k - 1] + scale * slope) * np.exp(-h / scale)
+        return found
 
-    radii: tuple[float, ...]
-    unit: float
 
-    @property
-    def size(self) -> int:
-        return len(self.radii)
+class Plays(Memory):
+    """Plays (Prandtl and Ishlinskii's hysteresis); scales are half-widths in the variable's unit."""
 
-    @property
-    def penalty(self) -> np.ndarray:
-        return np.eye(self.size)
-
-    def columns(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-        return np.stack([play(values, radius) - values for radius in self.radii], axis=-1) / self.unit
+    def output(self, values: np.ndarray, time: np.ndarray, scale: float) -> np.ndarray:
+        """Play operator, from its middle at the first sample."""
+        found = np.array(values, dtype=float)
+        for k in range(1, len(values)):
+            found[k] = np.clip(found[k - 1], values[k] - scale, values[k] + scale)
+        return found
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ class Powers:
     degree: int
 
     @staticmethod
-    def over(values: np.ndarray, degree: int) -> Powers:
+    def from_values(values: np.ndarray, degree: int) -> Powers:
         """Powers over the visited values, (samples, coordinates)."""
         low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
         return Powers(tuple(((low + high) / 2).tolist()), tuple(np.maximum((high - low) / 2, 1e-9).tolist()), degree)
@@ -151,35 +154,8 @@ class Powers:
 
     @property
     def penalty(self) -> np.ndarray:
-        return np.diag([4.0 ** len(term) for term in self.exponents]) * RIDGE
+        return np.diag([4.0 ** len(term) for term in self.exponents]) * 1e-2  # half the standard deviation a degree
 
     def columns(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
         scaled = (values - np.array(self.centre)) / np.array(self.half)
         return np.stack([np.prod(scaled[..., list(term)], axis=-1) for term in self.exponents], axis=-1)
-
-
-def late(values: np.ndarray, time: np.ndarray, constant: float) -> np.ndarray:
-    """A first-order lag of what is linear between samples, from rest at the first: exact."""
-    found = np.array(values, dtype=float)
-    for k, h in enumerate(np.diff(time), start=1):
-        slope = (values[k] - values[k - 1]) / h
-        found[k] = values[k] - constant * slope + (found[k - 1] - values[k - 1] + constant * slope) * np.exp(-h / constant)
-    return found
-
-
-def play(values: np.ndarray, radius: float) -> np.ndarray:
-    """What a play of this half-width drags along, from its middle at the first sample."""
-    found = np.array(values, dtype=float)
-    for k in range(1, len(values)):
-        found[k] = np.clip(found[k - 1], values[k] - radius, values[k] + radius)
-    return found
-
-
-def straight(penalties: Sequence[np.ndarray]) -> np.ndarray:
-    """Penalties of several coefficients' groups together."""
-    size = sum(len(each) for each in penalties)
-    whole, at = np.zeros((size, size)), 0
-    for each in penalties:
-        whole[at : at + len(each), at : at + len(each)] = each
-        at += len(each)
-    return whole

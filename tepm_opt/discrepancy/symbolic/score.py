@@ -1,4 +1,4 @@
-"""How much of what is left a law at each place would predict in runs that it was not fitted to."""
+"""Scores of places: the share of the residuals in left-out runs that a smooth law there would predict."""
 
 from __future__ import annotations
 
@@ -7,24 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tepm_opt.discrepancy.problem.plant import as_network
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import Evidence
-from tepm_opt.discrepancy.symbolic.places import Course, Place, places
-from tepm_opt.discrepancy.symbolic.responses import Normal, courses, normals
+from tepm_opt.discrepancy.symbolic.places import Course, Place, find_places
+from tepm_opt.discrepancy.symbolic.responses import Normal, normal_equations_by_place, simulate_courses
+from tepm_opt.discrepancy.symbolic.settings import DEFAULT, SymbolicSettings
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
-from tepm_opt.solvers.network_plant import NetworkPlant
-
-STRENGTHS = 10.0 ** np.arange(-6.0, 1.5, 1.0)  # of the smoothness prior over what the runs tell
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A place with what a smooth law there would do.
+    """A place with the smooth law that fits best there.
 
     Attributes:
-        place: where, and of what.
+        place: of the law.
         coefficients: of the law's shape, fitted to all runs, (size,) in the law's unit.
-        covariance: of these, (size, size), noise as large as what is left.
+        covariance: of these, (size, size), for noise as large as the residuals of the law.
         closes: part of the structure left that the law predicts in left-out data, to first order.
         evidence: its predictions of left-out data, as of any hypothesis; it counts the coefficients that the prior leaves free.
     """
@@ -40,43 +39,47 @@ class Scored:
         return f"Scored({self.place.label}, closes {self.closes:.4f}, {self.evidence.parameters} free)"
 
 
-def alternatives(estimate: ParameterEstimate) -> list[Scored]:
-    """Smooth laws at all places beside what an estimate has, the one that predicts most first: what every name has to beat.
+def alternatives(estimate: ParameterEstimate, settings: SymbolicSettings = DEFAULT) -> list[Scored]:
+    """Smooth laws at all places beside the effects of an estimate, the one that predicts most first: rivals of every named effect.
 
-    They are fitted to first order, with the free parameters free to follow; their smoothness is what predicts left-out data best. A
+    They are fitted to first order together with the free parameters; their smoothness is the one that predicts left-out data best. A
     plant that is not a network has none.
 
     Raises:
         PredictionError: the model cannot do a run.
     """
-    plant = estimate.plant
-    if not isinstance(plant, NetworkPlant):
+    network = as_network(estimate.plant)
+    if network is None:
         return []
-    made = courses(plant, estimate.problem.runs)
-    return scored(estimate, made, places(plant.model.layout, made))
+    made = simulate_courses(network, estimate.problem.runs, settings)
+    return score_places(estimate, made, find_places(made, settings), settings)
 
 
-def scored(estimate: ParameterEstimate, made: Sequence[Course], tried: Sequence[Place]) -> list[Scored]:
+def score_places(
+    estimate: ParameterEstimate, made: Sequence[Course], tried: Sequence[Place], settings: SymbolicSettings = DEFAULT
+) -> list[Scored]:
     """Scores of some places, the one that predicts most first.
 
     Args:
-        estimate: what was fitted.
-        made: the runs as its model does them.
+        estimate: the fit whose residuals are explained.
+        made: its runs as its model does them.
         tried: places with their shapes.
+        settings: of the search.
     """
     problem = estimate.problem
-    by_place = normals(problem, estimate.residuals, made, tried)
+    by_place = normal_equations_by_place(estimate, made, tried, settings)
     if not by_place:
         return []
     prior = prior_of(problem, estimate.values)
     free = len(problem.free)
-    without = left_out([_part(n, free) for n in by_place[0]], *prior)[0]
-    found = [_scored(place, runs, prior, float(without.sum())) for place, runs in zip(tried, by_place, strict=True)]
+    parts = [Normal(n.square[:, :free, :free], n.slope[:, :free], n.squares, n.counts) for n in by_place[0]]
+    without = float(left_out_errors(parts, *prior)[0].sum())
+    found = [_score_place(place, runs, prior, without, settings.smoothness) for place, runs in zip(tried, by_place, strict=True)]
     return sorted(found, key=lambda each: -each.closes)
 
 
 def prior_of(problem: Problem, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Precision of what is known of the free parameters, and its pull at their values, (parameters,) each; what is at a bound stays."""
+    """Precision of the prior of the free parameters, and its slope at their values, (parameters,) each; those at a bound stay there."""
     spread = np.array([f.spread for f in problem.free])
     margin = 1e-6 * problem.scale
     bound = (values <= problem.low + margin) | (values >= problem.high - margin)
@@ -86,10 +89,6 @@ def prior_of(problem: Problem, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
     ]
     precision = np.where(bound, (1e-6 * problem.scale) ** -2.0, spread**-2.0)
     return precision, np.where(bound, 0.0, (values - np.array(middle)) * precision) if len(values) else np.zeros(0)
-
-
-def _part(normal: Normal, count: int) -> Normal:
-    return Normal(normal.square[:, :count, :count], normal.slope[:, :count], normal.squares, normal.counts)
 
 
 def _folds(runs: Sequence[Normal]) -> list[tuple[int, slice]]:
@@ -103,7 +102,7 @@ def _folds(runs: Sequence[Normal]) -> list[tuple[int, slice]]:
     ]
 
 
-def left_out(
+def left_out_errors(
     runs: Sequence[Normal], precision: np.ndarray, pull: np.ndarray, extra: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squares of the errors of every block, (blocks,), each predicted from the other folds, and the steps of the folds.
@@ -123,7 +122,7 @@ def left_out(
     squares = np.array([runs[k].square[at].sum(axis=0) for k, at in folds])
     slopes = np.array([runs[k].slope[at].sum(axis=0) for k, at in folds])
     matrices = squares.sum(axis=0) - squares + known
-    steps = -solved(matrices, slopes.sum(axis=0) - slopes + slope_0)
+    steps = -solve_scaled(matrices, slopes.sum(axis=0) - slopes + slope_0)
     errors = []
     for (k, at), step in zip(folds, steps, strict=True):
         run = runs[k]
@@ -131,35 +130,30 @@ def left_out(
     return np.maximum(np.concatenate(errors), 0.0), steps
 
 
-def solved(matrices: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Solutions of symmetric systems, scaled, with what has no influence left where it is."""
+def solve_scaled(matrices: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Solve symmetric systems, scaled to a unit diagonal; unknowns without influence stay at 0."""
     size = np.sqrt(np.maximum(np.diagonal(matrices, axis1=-2, axis2=-1), 1e-300))
     scaled = matrices / size[..., :, None] / size[..., None, :] + 1e-10 * np.eye(matrices.shape[-1])
     return np.linalg.solve(scaled, (slopes / size)[..., None])[..., 0] / size
 
 
-def _scored(place: Place, runs: Sequence[Normal], prior: tuple[np.ndarray, np.ndarray], base: float) -> Scored:
-    """A place with its law.
-
-    Args:
-        place: where.
-        runs: normal equations of every run.
-        prior: of the free parameters.
-        base: sum of the squares that the free parameters alone leave in left-out data.
-    """
+def _score_place(
+    place: Place, runs: Sequence[Normal], prior: tuple[np.ndarray, np.ndarray], base: float, smoothness: Sequence[float]
+) -> Scored:
+    """A place with its smooth law; `base`: squares that the free parameters alone leave in left-out data."""
     precision, pull = prior
     free, total = len(precision), np.asarray(sum(run.square.sum(axis=0) for run in runs))
     slope = np.asarray(sum(run.slope.sum(axis=0) for run in runs))
     weight = float(np.trace(total[free:, free:])) / max(float(np.trace(place.penalty)), 1e-300)
-    tried = [left_out(runs, precision, pull, strength * weight * place.penalty) for strength in STRENGTHS]
+    tried = [left_out_errors(runs, precision, pull, strength * weight * place.penalty) for strength in smoothness]
     best = int(np.argmin([errors.sum() for errors, _ in tried]))
     errors, steps = tried[best]
     counts = np.concatenate([run.counts for run in runs])
     known = np.zeros_like(total)
-    known[:free, :free], known[free:, free:] = np.diag(precision), STRENGTHS[best] * weight * place.penalty
+    known[:free, :free], known[free:, free:] = np.diag(precision), smoothness[best] * weight * place.penalty
     pulled = np.array(slope)
     pulled[:free] += pull
-    step = -solved(total + known, pulled)
+    step = -solve_scaled(total + known, pulled)
     kept = counts > 0
     spread = max(float(errors.sum()) / max(int(counts.sum()), 1), 1.0)
     inverse = np.linalg.pinv(total + known, hermitian=True)
@@ -172,7 +166,7 @@ def _scored(place: Place, runs: Sequence[Normal], prior: tuple[np.ndarray, np.nd
 
 
 def _predictive(runs: Sequence[Normal], errors: np.ndarray, steps: np.ndarray, slope: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Squares of every block by the predictive distribution of the other folds, (blocks,), as `evidence.leave_out` has them.
+    """Squares of every block by the predictive distribution of the other folds, (blocks,), as in `cross_validation.leave_out`.
 
     Args:
         runs: normal equations of every run.

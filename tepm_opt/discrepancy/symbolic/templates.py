@@ -1,6 +1,11 @@
-"""Texts of which effect files are put together."""
+"""Texts of effect files."""
 
-FILE = '''"""{explains}: a law found in {source}. Rename it when you know what it is; the page beside it says how well it does."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+TEXTS: Mapping[str, str] = {
+    "file": '''"""{explains}: a law found in {source}. Rename it when you know what it is; the page beside it says how well it does."""
 
 from __future__ import annotations
 
@@ -17,78 +22,77 @@ from tepm_opt.models.effect import {imports}
     parameters = (
 {parameters}    )
 
-{law}{hook}'''
-
-RAMP = '''def ramp(x):
+{law}{hook}''',
+    "ramp": '''def ramp(x):
     """max(x, 0) with a rounded corner."""
     return (x + ca.sqrt(x**2 + 0.02**2)) / 2
 
 
-'''
-RAMP_INTEGRAL = '''def ramp_integral(x):
+''',
+    "ramp_integral": '''def ramp_integral(x):
     """Twice the integral of a ramp with a rounded corner."""
     return (x**2 + x * ca.sqrt(x**2 + 0.02**2) + 0.02**2 * ca.asinh(x / 0.02)) / 2
 
 
-'''
-LAW = """    def law(self, z, parameters):
+''',
+    "law": """    def law(self, z, parameters):
         return {sum}
 
-"""
-INPUT_HOOK = """    def inputs(self, pressure, tension, parameters, context):
+""",
+    "input_hook": """    def inputs(self, pressure, tension, parameters, context):
         changed = ca.SX({which})
         for k in {each}:
             at = divmod(k, context.layout.actuators)
             changed[at] += self.law({z}, parameters){times}
         return {result}
-"""
-LENGTH_LAW = '''    def law(self, z, parameters):
+""",
+    "length_law": '''    def law(self, z, parameters):
         """Integral of the force over the stretch z of a muscle."""
         return {sum}
 
-'''
-LENGTH_HOOK = """    def edge_energy(self, edge, length, rest, parameters, context):
+''',
+    "length_hook": """    def edge_energy(self, edge, length, rest, parameters, context):
         if edge.kind != VERTICAL:
             return ca.SX(0)
         segments = context.layout.segments
         return (self.law(0.0, parameters) - self.law(segments * (length - rest), parameters)) / segments
-"""
-RATE_HOOK = """    def edge_drag(self, edge, length, rate, parameters, context):
+""",
+    "rate_hook": """    def edge_drag(self, edge, length, rate, parameters, context):
         return -self.law(context.layout.segments * rate, parameters) if edge.kind == VERTICAL else ca.SX(0)
-"""
-CHOSEN = '''    def chosen(self, state):
+""",
+    "chosen": '''    def chosen(self, state):
         """1 where the law acts."""
         found = ca.DM.zeros(*state.shape)
         for k in AT:
             found[divmod(k, state.shape[1])] = 1
         return found
 
-'''
-LAG = """    def {which}_memory(self, {which}, rate, state, parameters, context):
+''',
+    "lag": """    def {which}_memory(self, {which}, rate, state, parameters, context):
         return Memory(-parameters["share"] * {chosen} * rate, ca.DM.ones(*state.shape), parameters["time"] * ca.DM.ones(*state.shape))
-"""
-PLAY = """    def {which}_memory(self, {which}, rate, state, parameters, context):
+""",
+    "play": """    def {which}_memory(self, {which}, rate, state, parameters, context):
         return Memory(-parameters["share"] * {chosen} * rate, ca.fabs(rate), parameters["distance"] * ca.DM.ones(*state.shape))
-"""
-EDGE_LAG = """    def edge_memory(self, edge, length, rate, properties, parameters, context):
+""",
+    "edge_lag": """    def edge_memory(self, edge, length, rate, properties, parameters, context):
         if edge.kind != VERTICAL:
             return None
         return Memory(parameters["share"] * context.layout.segments * rate, ca.SX(1), parameters["time"])
-"""
-EDGE_PLAY = """    def edge_memory(self, edge, length, rate, properties, parameters, context):
+""",
+    "edge_play": """    def edge_memory(self, edge, length, rate, properties, parameters, context):
         if edge.kind != VERTICAL:
             return None
         distance = parameters["distance"] / context.layout.segments  # an actuator's, shared by its segments
         return Memory(parameters["share"] * context.layout.segments * rate, ca.fabs(rate), distance)
-"""
-STIFFENING = """    def properties(self, properties, parameters, context):
+""",
+    "stiffening": """    def properties(self, properties, parameters, context):
         layout = context.layout
         for segment in range(layout.levels):
             for j in range(layout.actuators):
                 pressure = properties.pressure[segment // layout.segments, j]
                 properties.stiffness[j, segment] += layout.segments * parameters["per_pressure"] * pressure
-"""
-FORCE_LAW = '''    def law(self, position, parameters):
+""",
+    "force_law": '''    def law(self, position, parameters):
         """Integrals of the force's components over the coordinates."""
         return (
             {x}
@@ -96,29 +100,31 @@ FORCE_LAW = '''    def law(self, position, parameters):
             + {z}
         )
 
-'''
-FORCE_HOOK = """    def point_energy(self, point, position, parameters, context):
+''',
+    "force_hook": """    def point_energy(self, point, position, parameters, context):
         return -self.law(position, parameters) if point in AT else ca.SX(0)
-"""
-DRAG_HOOK = """    def point_drag(self, point, position, velocity, parameters, context):
+""",
+    "drag_hook": """    def point_drag(self, point, position, velocity, parameters, context):
         speed = ca.sqrt(ca.sumsqr(velocity) + 1e-9)
         return -({sum}) * velocity if point in AT else ca.SX.zeros(3)
-"""
-LOAD_HOOK = """    def loads(self, properties, external, parameters, context):
+""",
+    "load_hook": """    def loads(self, properties, external, parameters, context):
         force = ca.mtimes(ca.DM(context.rotation.T), ca.vertcat({sum}))
         return ca.mtimes(force, ca.DM(context.layout.point_weights[AT[0] : AT[0] + 1, 1:]))
-"""
-SEEN_LAW = """    def law(self, x, y, z, parameters):
+""",
+    "seen_law": """    def law(self, x, y, z, parameters):
         return ca.vertcat(
             {x},
             {y},
             {z},
         )
 
-"""
-SEEN_HOOK = """    def outputs(self, points, parameters, context):
+""",
+    "seen_hook": """    def outputs(self, points, parameters, context):
         measured = ca.SX(points)
         for k in AT:
             measured[:, k] += self.law(*ca.vertsplit(points[:, k]), parameters)
         return measured
-"""
+""",
+}
+"""By name: parts of a file, laws and hooks of `models.effect.Effect`, with the fields that `writing` fills in."""

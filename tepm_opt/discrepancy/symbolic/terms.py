@@ -1,49 +1,31 @@
-"""Terms that formulas are made of: dimensionless functions of a variable, as numbers and as the text of a program."""
+"""Terms of formulas: dimensionless functions of a variable, as numbers and as the text of a program."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-END = 0.03  # of the visited range
-ROUNDED = 0.02  # of the reference: half-width of a ramp's rounded corner
-
-FORMS: Mapping[str, tuple[str, Callable[..., np.ndarray]]] = {
-    "constant": ("1.0", lambda z, r, s: np.ones_like(z)),
-    "linear": ("({z} / {r})", lambda z, r, s: z / r),
-    "quadratic": ("({z} / {r}) ** 2", lambda z, r, s: (z / r) ** 2),
-    "cubic": ("({z} / {r}) ** 3", lambda z, r, s: (z / r) ** 3),
-    "signed_square": ("({z} / {r}) * ca.sqrt(({z} / {r}) ** 2 + 1e-6)", lambda z, r, s: z / r * np.sqrt((z / r) ** 2 + 1e-6)),
-    "ramp": ("ramp(({z} - {s}) / {r})", lambda z, r, s: ramp((z - s) / r)),
-    "saturation": ("ca.tanh({z} / {s})", lambda z, r, s: np.tanh(z / s)),
-    "decay": ("ca.exp(-{z} / {s})", lambda z, r, s: np.exp(-z / s)),
-    "hyperbola": ("1 / (1 + {z} / {s})", lambda z, r, s: 1 / (1 + z / s)),
-    "sine": ("ca.sin({z} / {s})", lambda z, r, s: np.sin(z / s)),
-    "cosine": ("ca.cos({z} / {s})", lambda z, r, s: np.cos(z / s)),
+FORMS: Mapping[str, tuple[str, str]] = {
+    "constant": ("1.0", "{z}"),
+    "linear": ("({z} / {r})", "{z} ** 2 / (2 * {r})"),
+    "quadratic": ("({z} / {r}) ** 2", "{z} ** 3 / (3 * {r} ** 2)"),
+    "cubic": ("({z} / {r}) ** 3", "{z} ** 4 / (4 * {r} ** 3)"),
+    "signed_square": ("({z} / {r}) * ca.sqrt(({z} / {r}) ** 2 + 1e-6)", "{r} * (({z} / {r}) ** 2 + 1e-6) ** 1.5 / 3"),
+    "ramp": ("ramp(({z} - {s}) / {r})", "{r} * ramp_integral(({z} - {s}) / {r}) / 2"),
+    "saturation": ("ca.tanh({z} / {s})", "{s} * ca.log(ca.cosh({z} / {s}))"),
+    "decay": ("ca.exp(-{z} / {s})", "-{s} * ca.exp(-{z} / {s})"),
+    "hyperbola": ("1 / (1 + {z} / {s})", "{s} * ca.log(1 + {z} / {s})"),
+    "sine": ("ca.sin({z} / {s})", "-{s} * ca.cos({z} / {s})"),
+    "cosine": ("ca.cos({z} / {s})", "{s} * ca.sin({z} / {s})"),
 }
-"""By name: the text with {z} the variable, {r} its reference value and {s} the scale, and the same for arrays."""
-INTEGRALS: Mapping[str, str] = {
-    "constant": "{z}",
-    "linear": "{z} ** 2 / (2 * {r})",
-    "quadratic": "{z} ** 3 / (3 * {r} ** 2)",
-    "cubic": "{z} ** 4 / (4 * {r} ** 3)",
-    "signed_square": "{r} * (({z} / {r}) ** 2 + 1e-6) ** 1.5 / 3",
-    "ramp": "{r} * ramp_integral(({z} - {s}) / {r}) / 2",
-    "saturation": "{s} * ca.log(ca.cosh({z} / {s}))",
-    "decay": "-{s} * ca.exp(-{z} / {s})",
-    "hyperbola": "{s} * ca.log(1 + {z} / {s})",
-    "sine": "-{s} * ca.cos({z} / {s})",
-    "cosine": "{s} * ca.sin({z} / {s})",
-}
-"""Texts of the functions' integrals over the variable."""
-SCALED = ("ramp", "saturation", "decay", "hyperbola", "sine", "cosine")
+"""By name: texts of the function and its integral, with {z} the variable, {r} its reference value and {s} the scale."""
 
 
 def ramp(x: np.ndarray) -> np.ndarray:
-    """max(x, 0) with a rounded corner: no law of a machine bends at a point."""
-    return (x + np.sqrt(x**2 + ROUNDED**2)) / 2
+    """max(x, 0) with a rounded corner, as laws of machines have no sharp one; see `templates`."""
+    return (x + np.sqrt(x**2 + 0.02**2)) / 2
 
 
 @dataclass(frozen=True)
@@ -60,7 +42,14 @@ class Term:
 
     def __call__(self, values: np.ndarray, reference: float) -> np.ndarray:
         """The function's values."""
-        return FORMS[self.kind][1](values, reference, self.scale)
+        text = FORMS[self.kind][0].format(z="z", r="r", s="s")
+        found = eval(text, {"ca": np, "ramp": ramp}, {"z": values, "r": reference, "s": self.scale})  # a text of the table above
+        return np.broadcast_to(found, np.shape(values))
+
+    @property
+    def has_scale(self) -> bool:
+        """Whether the function depends on `scale`."""
+        return "{s}" in FORMS[self.kind][0]
 
     def text(self, variable: str, reference: float, scale: str) -> str:
         """The function as a program writes it, with the names of variable and scale."""
@@ -68,7 +57,7 @@ class Term:
 
     def integral(self, variable: str, reference: float, scale: str) -> str:
         """The function's integral over the variable, as a program writes it."""
-        return INTEGRALS[self.kind].format(z=variable, r=f"{reference:g}", s=scale)
+        return FORMS[self.kind][1].format(z=variable, r=f"{reference:g}", s=scale)
 
 
 @dataclass(frozen=True)
@@ -78,7 +67,7 @@ class Terms:
     Attributes:
         terms: each has a coefficient.
         reference: of the variable, in its unit.
-        origin: of the variable, in its unit: what it is counted from.
+        origin: of the variable, in its unit.
     """
 
     terms: tuple[Term, ...]
@@ -96,26 +85,21 @@ class Terms:
         return np.eye(self.size)
 
     def columns(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """What each term contributes, (samples, …, terms)."""
+        """Contribution of each term, (samples, …, terms)."""
         return np.stack([term(values - self.origin, self.reference) for term in self.terms], axis=-1)
 
 
-def rounded(value: float) -> float:
-    """One significant digit, for a reference that people read."""
-    return float(f"{value:.0e}") if value else 1.0
-
-
-def library(values: np.ndarray, origin: float, periodic: bool) -> Terms:
-    """Terms over the visited values of a variable; scales stand where the values are, or through their range.
+def terms_over(values: np.ndarray, origin: float, periodic: bool) -> Terms:
+    """Terms over the visited values of a variable, with scales at quantiles of the values or evenly over their range.
 
     Args:
         values: visited.
-        origin: what the variable is counted from.
-        periodic: whether it is a time, in which laws may come back.
+        origin: of the variable.
+        periodic: whether it is a time, of which laws may be periodic functions.
     """
     z = values.ravel() - origin
-    reference = rounded(float(np.abs(z).max()))
-    low, high = float(z.min()), float(z.max())
+    low, high, most = float(z.min()), float(z.max()), float(np.abs(z).max())
+    reference = float(f"{most:.0e}") if most else 1.0  # one digit, for people who read it
     found = [Term(kind) for kind in ("constant", "linear", "quadratic", "cubic")]
     if low < 0:
         found.append(Term("signed_square"))
@@ -124,16 +108,11 @@ def library(values: np.ndarray, origin: float, periodic: bool) -> Terms:
         found += [Term(kind, part * high) for kind in ("decay", "hyperbola", "saturation") for part in (0.05, 0.15, 0.4, 1.0)]
     parts = np.linspace(0.05, 0.95, 10)
     bends = np.sort(np.concatenate([np.quantile(z, parts), low + parts * (high - low)]))
-    bends = bends[(bends > low + END * (high - low)) & (bends < high - END * (high - low))]  # nearer to an end a ramp is a line
-    found += [Term("ramp", float(bend)) for bend in _apart(bends, 0.02 * (high - low))]
+    edge, kept = 0.03 * (high - low), -np.inf  # nearer to an end of the range a ramp is a line
+    for bend in bends[(bends > low + edge) & (bends < high - edge)].tolist():
+        if bend - kept >= 0.02 * (high - low):
+            found.append(Term("ramp", bend))
+            kept = bend
     if periodic:
         found += [Term(kind, (high - low) / (2 * np.pi * turns)) for turns in (0.5, 1.0, 2.0, 4.0, 8.0) for kind in ("sine", "cosine")]
     return Terms(tuple(found), reference, origin)
-
-
-def _apart(values: Sequence[float] | np.ndarray, distance: float) -> list[float]:
-    kept: list[float] = []
-    for value in values:
-        if not kept or value - kept[-1] >= distance:
-            kept.append(float(value))
-    return kept

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tepm_opt.discrepancy.symbolic import templates
-from tepm_opt.discrepancy.symbolic.curves import Lags, Plays, Powers
-from tepm_opt.discrepancy.symbolic.formula import Formula, named
-from tepm_opt.discrepancy.symbolic.places import ALL, SLOW
-from tepm_opt.discrepancy.symbolic.terms import SCALED, Terms
+from tepm_opt.discrepancy.symbolic.curves import Lags, Memory, Powers
+from tepm_opt.discrepancy.symbolic.formula import Formula, name_term
+from tepm_opt.discrepancy.symbolic.places import ALL, VARIABLE_UNITS
+from tepm_opt.discrepancy.symbolic.templates import TEXTS
+from tepm_opt.discrepancy.symbolic.terms import Terms
 from tepm_opt.models.layout import Layout
-
-ROOM = 30.0  # times a coefficient's size that it may come to have
-NEAR = 0.8  # of a scale: its null value, which has no influence
-UNITS = {"pressure": "Pa", "neighbours": "Pa", "supply": "Pa", "tension": "N", "length": "m", "rate": "m/s", "time": "s", "position": "m"}
 
 
 @dataclass(frozen=True)
-class Written:
+class EffectFile:
     """An effect file.
 
     Attributes:
@@ -36,147 +32,159 @@ class Written:
     terms: Mapping[str, str]
 
 
-@dataclass(frozen=True)
-class _Value:
-    """A parameter to be written: a coefficient, or a scale with the room that it has on both sides (None: a factor of five)."""
+@dataclass
+class _Parts:
+    """Parts of an effect file: parameters as text and with first values, terms, method `law`, hook."""
 
-    name: str
-    unit: str
-    start: float
-    scale: bool = False
-    room: float | None = None
+    law: str = ""
+    hook: str = ""
+    parameters: str = ""
+    start: dict[str, float] = field(default_factory=dict)
+    terms: dict[str, str] = field(default_factory=dict)
 
-    @property
-    def text(self) -> str:
-        probe = float(f"{self.start:.4g}")
-        null, low, high = 0.0, -float(f"{ROOM * abs(probe):.1g}"), float(f"{ROOM * abs(probe):.1g}")
-        if self.scale and self.room is None:
-            null, low, high = NEAR * probe, probe / 5, 5 * probe
-        elif self.scale and self.room is not None:
-            null, low, high = probe - self.room / 5, probe - self.room, probe + self.room
-        return f'Parameter("{self.name}", "{self.unit}", null={null:.6g}, probe={probe:.6g}, low={low:.6g}, high={high:.6g})'
+    def add_coefficient(self, name: str, unit: str, value: float) -> None:
+        """Add a coefficient; it may become 30 times its first size either way, and vanishes at 0."""
+        probe = float(f"{value:.4g}")
+        high = float(f"{30 * abs(probe):.1g}")
+        self._add(name, unit, value, 0.0, -high, high)
+
+    def add_scale(self, name: str, unit: str, value: float, room: float | None = None) -> None:
+        """Add a scale with room on both sides, by default a factor of five; its null is nearby, as it has no influence."""
+        probe = float(f"{value:.4g}")
+        if room is None:
+            self._add(name, unit, value, 0.8 * probe, probe / 5, 5 * probe)
+        else:
+            self._add(name, unit, value, probe - room / 5, probe - room, probe + room)
+
+    def _add(self, name: str, unit: str, value: float, null: float, low: float, high: float) -> None:
+        probe = float(f"{value:.4g}")
+        self.parameters += f'        Parameter("{name}", "{unit}", null={null:.6g}, probe={probe:.6g}, low={low:.6g}, high={high:.6g}),\n'
+        self.start[name] = value
 
 
-def plain(text: str) -> str:
-    """A text of which nothing can end a string or a comment of a program: data sets are named by others, and the file is run."""
+def make_harmless(text: str) -> str:
+    """Remove all that could end a string or comment of a program: data sets are named by others, and the file is run."""
     return "".join(c if c.isalnum() or c in " _-.,()" else " " for c in text).strip()[:80] or "a data set"
 
 
-def writable(formula: Formula, layout: Layout) -> bool:
+def can_be_written(formula: Formula) -> bool:
     """Whether there is a hook through which the formula's law acts in a model."""
-    place, names = formula.place, [named(formula.place, k) for k in formula.chosen]
+    place, names = formula.place, [name_term(formula.place, k) for k in formula.chosen]
     if not names:
         return False
-    if set(names) == {"constant"} and place.kind == "axial":
+    if place.kind != "axial":
+        return place.variable == "position" or (place.kind, place.variable) == ("force", "speed")
+    if set(names) == {"constant"}:
         return True
-    if place.kind == "axial":
-        of_edges = place.variable in ("length", "rate")
-        return (
-            place.variable != "time"
-            and (not of_edges or place.target == ALL)
-            and (not place.times or place.variable != "length" or names == ["linear"])
-        )
-    return place.variable == "position" or (place.kind, place.variable) == ("force", "speed")
+    of_edges = place.variable in ("length", "rate")
+    product = place.times and place.variable == "length"
+    return place.variable != "time" and (not of_edges or place.target == ALL) and (not product or names == ["linear"])
 
 
-def write(formula: Formula, layout: Layout, area: float, source: str) -> Written:
+def write(formula: Formula, layout: Layout, area: float, source: str) -> EffectFile:
     """The effect file of a formula.
 
     Args:
-        formula: which law.
+        formula: the law.
         layout: of the robot.
         area: of a muscle in m²: forces that pressures or tensions can make are written as pressures.
-        source: where it was found, for people.
+        source: name of the data, for people.
     """
-    place, source = formula.place, plain(source)
+    place, source = formula.place, make_harmless(source)
     name = "_".join(["law", place.kind, place.target, *place.of.split()]).lower()
-    values, terms, body, hook = _law(formula, layout, area)
-    parameters = "".join(f"        {value.text},\n" for value in values)
+    parts = _write_law(formula, area)
     where = "all actuators alike" if place.target == ALL else f"{'actuator' if place.kind == 'axial' else 'point'} {place.target}"
-    explains = f"{'force of' if place.kind == 'axial' else place.kind + ' at'} {where}, by {place.of}"
-    at = (
-        ""
-        if place.target == ALL and place.kind == "axial"
-        else f"AT = {tuple(place.targets(layout))}  # numbers from 0: {place.target}\n\n\n"
-    )
-    used = (("RAMP", " ramp("), ("RAMP_INTEGRAL", "ramp_integral("))
-    text = templates.FILE.format(
-        explains=explains,
+    everywhere = place.target == ALL and place.kind == "axial"
+    called = [helper for helper, call in (("ramp", " ramp("), ("ramp_integral", "ramp_integral(")) if call in parts.law + parts.hook]
+    text = TEXTS["file"].format(
+        explains=f"{'force of' if place.kind == 'axial' else place.kind + ' at'} {where}, by {place.of}",
         source=source,
-        at=at,
+        at="" if everywhere else f"AT = {tuple(place.targets(layout))}  # numbers from 0: {place.target}\n\n\n",
         kind="".join(part.title() for part in name.split("_")),
         name=name,
-        parameters=parameters,
-        law=body,
-        hook=hook,
-        helpers="".join(getattr(templates, helper) for helper, call in used if call in body + hook),
-        imports="Effect, Memory, Parameter" if "Memory(" in hook else "Effect, Parameter",
-        more="from tepm_opt.models.layout import VERTICAL\n" if "VERTICAL" in hook else "",
+        parameters=parts.parameters,
+        law=parts.law,
+        hook=parts.hook,
+        helpers="".join(TEXTS[helper] for helper in called),
+        imports="Effect, Memory, Parameter" if "Memory(" in parts.hook else "Effect, Parameter",
+        more="from tepm_opt.models.layout import VERTICAL\n" if "VERTICAL" in parts.hook else "",
     )
-    return Written(name, text, {value.name: value.start for value in values}, terms)
+    return EffectFile(name, text, parts.start, parts.terms)
 
 
-def _law(formula: Formula, layout: Layout, area: float) -> tuple[list[_Value], dict[str, str], str, str]:
-    """Parameters, the formula's terms, the text of `law` and of the hook."""
+def _write_law(formula: Formula, area: float) -> _Parts:
+    """Parts of the effect file, by the kind of law."""
     place, shape = formula.place, formula.place.shape
-    only = {named(place, k) for k in formula.chosen}
-    if isinstance(shape, Lags | Plays):
-        return _memory(formula, shape, area)
+    if isinstance(shape, Memory):
+        return _write_memory(formula, shape, area)
     if place.variable == "speed":
-        return _drag(formula)
+        return _write_drag(formula)
     if isinstance(shape, Powers):
-        return _seen(formula, shape)
+        return _write_displacement(formula, shape)
     if not isinstance(shape, Terms):
         raise TypeError(f"{place.label}: a law of shape {type(shape).__name__} has no formula")
     if place.kind != "axial":
-        return _force(formula, shape)
-    as_pressure = place.variable in ("pressure", "neighbours", "supply") or only == {"constant"}
-    if place.times == "pressure" and place.variable == "length":
-        return _stiffening(formula, shape)
-    unit, factor = ("Pa", 1 / area) if as_pressure else ("N", -1.0 if place.variable == "tension" else 1.0)
-    values, terms = _terms(formula, shape, unit, factor)
-    if place.variable == "length" and not as_pressure:
-        return values, terms, templates.LENGTH_LAW.format(sum=_sum(formula, shape, integral=True)), templates.LENGTH_HOOK
-    if place.variable == "rate" and not as_pressure:
-        return values, terms, templates.LAW.format(sum=_sum(formula, shape)), templates.RATE_HOOK
+        return _write_force(formula, shape)
+    return _write_axial(formula, shape, area)
+
+
+def _write_axial(formula: Formula, shape: Terms, area: float) -> _Parts:
+    """An axial force as a change of the pressure or tension where that is possible, else of stiffness, edge energy or drag."""
+    place, variable = formula.place, formula.place.variable
+    if place.times == "pressure" and variable == "length":
+        parts = _Parts(hook=TEXTS["stiffening"], terms={"per_pressure": "pressure * stretch"})
+        parts.add_coefficient("per_pressure", "N/m/Pa", -float(formula.coefficients[0]) / shape.reference / place.most)
+        return parts
+    constant = {name_term(place, k) for k in formula.chosen} == {"constant"}
+    as_pressure = constant or variable in ("pressure", "neighbours", "supply")
+    unit, factor = ("Pa", 1 / area) if as_pressure else ("N", -1.0 if variable == "tension" else 1.0)
+    parts = _write_terms(formula, shape, unit, factor)
+    if variable == "length" and not as_pressure:
+        parts.law, parts.hook = TEXTS["length_law"].format(sum=_write_sum(formula, shape, integral=True)), TEXTS["length_hook"]
+        return parts
+    parts.law = TEXTS["law"].format(sum=_write_sum(formula, shape))
+    if variable == "rate" and not as_pressure:
+        parts.hook = TEXTS["rate_hook"]
+        return parts
     which, z, times = "pressure", "pressure[at]", ""
-    if place.variable == "tension" and not as_pressure:
+    if variable == "tension" and not as_pressure:
         which, z = "tension", "tension[at]"
-    elif place.variable == "supply":
+    elif variable == "supply":
         z, times = "ca.sum1(ca.sum2(pressure)) / pressure.numel()", f" * pressure[at] / {place.most:g}"
-    elif place.variable == "neighbours":
+    elif variable == "neighbours":
         z = "(ca.sum2(pressure[at[0], :]) - pressure[at]) / max(pressure.shape[1] - 1, 1)"
     each = "AT" if place.target != ALL else "range(pressure.numel())"
     result = "changed, tension" if which == "pressure" else "pressure, changed"
-    hook = templates.INPUT_HOOK.format(which=which, result=result, each=each, z=z, times=times)
-    return values, terms, templates.LAW.format(sum=_sum(formula, shape)), hook
+    parts.hook = TEXTS["input_hook"].format(which=which, result=result, each=each, z=z, times=times)
+    return parts
 
 
-def _names(formula: Formula) -> list[str]:
+def _name_coefficients(formula: Formula) -> list[str]:
     """Names of the coefficients, each once."""
     found: list[str] = []
     for k in formula.chosen:
-        base = named(formula.place, k).replace(": ", "_")
+        base = name_term(formula.place, k).replace(": ", "_")
         found.append(base if base not in found else f"{base}_{sum(name.startswith(base) for name in found) + 1}")
     return found
 
 
-def _terms(formula: Formula, shape: Terms, unit: str, factor: float) -> tuple[list[_Value], dict[str, str]]:
-    values, terms = [], {}
-    for name, k, coefficient in zip(_names(formula), formula.chosen, formula.coefficients, strict=True):
+def _write_terms(formula: Formula, shape: Terms, unit: str, factor: float) -> _Parts:
+    """Coefficients, in a unit that a factor converts to, and scales of all terms."""
+    parts = _Parts()
+    for name, k, coefficient in zip(_name_coefficients(formula), formula.chosen, formula.coefficients, strict=True):
         term = shape.terms[k % shape.size]
-        values.append(_Value(name, unit, float(coefficient) * factor))
-        if term.kind in SCALED:
+        parts.add_coefficient(name, unit, float(coefficient) * factor)
+        if term.has_scale:
             room = shape.reference / 2 if term.kind == "ramp" else None
-            values.append(_Value(f"{name}_scale", UNITS[formula.place.variable], term.scale, True, room))
-        terms[name] = term.text("z", shape.reference, f"{term.scale:.4g}")
-    return values, terms
+            parts.add_scale(f"{name}_scale", VARIABLE_UNITS[formula.place.variable], term.scale, room)
+        parts.terms[name] = term.text("z", shape.reference, f"{term.scale:.4g}")
+    return parts
 
 
-def _sum(formula: Formula, shape: Terms, integral: bool = False, axis: int | None = None, variable: str = "z") -> str:
+def _write_sum(formula: Formula, shape: Terms, integral: bool = False, axis: int | None = None, variable: str = "z") -> str:
     """The law, or its integral, as a program writes it; of a vector one component."""
     parts = []
-    for name, k in zip(_names(formula), formula.chosen, strict=True):
+    for name, k in zip(_name_coefficients(formula), formula.chosen, strict=True):
         if axis is None or k // shape.size == axis:
             term = shape.terms[k % shape.size]
             text = (term.integral if integral else term.text)(variable, shape.reference, f'parameters["{name}_scale"]')
@@ -184,69 +192,68 @@ def _sum(formula: Formula, shape: Terms, integral: bool = False, axis: int | Non
     return " + ".join(parts) or "0.0"
 
 
-def _memory(formula: Formula, shape: Lags | Plays, area: float) -> tuple[list[_Value], dict[str, str], str, str]:
+def _write_memory(formula: Formula, shape: Memory, area: float) -> _Parts:
     """A lag or a play of a pressure, a tension, or a length."""
-    place = formula.place
-    k, coefficient = formula.chosen[0], float(formula.coefficients[0]) / shape.unit
-    share = {"pressure": coefficient / area, "tension": -coefficient, "length": coefficient}[place.variable]
-    unit = {"pressure": "1", "tension": "1", "length": "N/m"}[place.variable]
-    lag = isinstance(shape, Lags)
-    scale = shape.times[k] if isinstance(shape, Lags) else shape.radii[k]
-    values = [_Value("share", unit, share), _Value("time" if lag else "distance", "s" if lag else UNITS[place.variable], scale, scale=True)]
-    terms = {"share": "lag of the variable less the variable" if lag else "play of the variable less the variable"}
-    if place.variable == "length":
-        return values, terms, "", (templates.EDGE_LAG if lag else templates.EDGE_PLAY)
+    place, variable, number = formula.place, formula.place.variable, formula.chosen[0]
+    coefficient = float(formula.coefficients[0]) / shape.unit
+    share = {"pressure": coefficient / area, "tension": -coefficient, "length": coefficient}[variable]
+    name, scale, unit = ("lag", "time", "s") if isinstance(shape, Lags) else ("play", "distance", VARIABLE_UNITS[variable])
+    parts = _Parts(terms={"share": f"{name} of the variable less the variable"})
+    parts.add_coefficient("share", "N/m" if variable == "length" else "1", share)
+    parts.add_scale(scale, unit, shape.scales[number])
+    if variable == "length":
+        parts.hook = TEXTS[f"edge_{name}"]
+        return parts
+    parts.law = "" if place.target == ALL else TEXTS["chosen"]
     chosen = "ca.DM.ones(*state.shape)" if place.target == ALL else "self.chosen(state)"
-    return (
-        values,
-        terms,
-        "" if place.target == ALL else templates.CHOSEN,
-        (templates.LAG if lag else templates.PLAY).format(which=place.variable, chosen=chosen),
-    )
+    parts.hook = TEXTS[name].format(which=variable, chosen=chosen)
+    return parts
 
 
-def _stiffening(formula: Formula, shape: Terms) -> tuple[list[_Value], dict[str, str], str, str]:
-    value = -float(formula.coefficients[0]) / shape.reference / formula.place.most
-    return [_Value("per_pressure", "N/m/Pa", value)], {"per_pressure": "pressure * stretch"}, "", templates.STIFFENING
-
-
-def _drag(formula: Formula) -> tuple[list[_Value], dict[str, str], str, str]:
+def _write_drag(formula: Formula) -> _Parts:
     """A force on points against their motion."""
-    most = formula.place.most
-    texts = {"dry": f"1 / ca.sqrt(speed**2 + {SLOW * most:.4g}**2)", "linear": f"1 / {most:.4g}", "quadratic": f"speed / {most:.4g} ** 2"}
-    terms = {name: texts[name] for name in _names(formula)}
-    values = [_Value(name, "N", float(c)) for name, c in zip(terms, formula.coefficients, strict=True)]
-    total = " + ".join(f'parameters["{name}"] * {text}' for name, text in terms.items())
-    return values, {name: f"-{text} * velocity" for name, text in terms.items()}, "", templates.DRAG_HOOK.format(sum=total)
+    most, sums, parts = formula.place.most, [], _Parts()
+    texts = {
+        "dry": f"1 / ca.sqrt(speed**2 + {formula.place.slow:.4g}**2)",
+        "linear": f"1 / {most:.4g}",
+        "quadratic": f"speed / {most:.4g} ** 2",
+    }
+    for name, coefficient in zip(_name_coefficients(formula), formula.coefficients, strict=True):
+        parts.add_coefficient(name, "N", float(coefficient))
+        parts.terms[name] = f"-{texts[name]} * velocity"
+        sums.append(f'parameters["{name}"] * {texts[name]}')
+    parts.hook = TEXTS["drag_hook"].format(sum=" + ".join(sums))
+    return parts
 
 
-def _force(formula: Formula, shape: Terms) -> tuple[list[_Value], dict[str, str], str, str]:
+def _write_force(formula: Formula, shape: Terms) -> _Parts:
     """A force on points by their position."""
-    values, terms = _terms(formula, shape, "N", 1.0)
-    if {named(formula.place, k).split(": ")[1] for k in formula.chosen} == {"constant"}:
-        return values, terms, "", templates.LOAD_HOOK.format(sum=", ".join(_sum(formula, shape, axis=axis) for axis in range(3)))
-    x, y, z = (_sum(formula, shape, True, axis, f"position[{axis}]") for axis in range(3))
-    return values, terms, templates.FORCE_LAW.format(x=x, y=y, z=z), templates.FORCE_HOOK
+    parts = _write_terms(formula, shape, "N", 1.0)
+    if {name_term(formula.place, k).split(": ")[1] for k in formula.chosen} == {"constant"}:
+        parts.hook = TEXTS["load_hook"].format(sum=", ".join(_write_sum(formula, shape, axis=axis) for axis in range(3)))
+        return parts
+    x, y, z = (_write_sum(formula, shape, True, axis, f"position[{axis}]") for axis in range(3))
+    parts.law, parts.hook = TEXTS["force_law"].format(x=x, y=y, z=z), TEXTS["force_hook"]
+    return parts
 
 
-def _seen(formula: Formula, shape: Powers) -> tuple[list[_Value], dict[str, str], str, str]:
+def _write_displacement(formula: Formula, shape: Powers) -> _Parts:
     """A displacement of points as they are measured, by their position."""
-    values, terms = [], {}
+    parts = _Parts(hook=TEXTS["seen_hook"])
     sums: list[list[str]] = [[], [], []]
     for k, coefficient in zip(formula.chosen, formula.coefficients, strict=True):
         axis, exponents = k // shape.size, shape.exponents[k % shape.size]
-        factors = "".join("xyz"[e] for e in exponents) or "constant"
-        name = f"{'xyz'[axis]}_by_{factors}"
-        values.append(_Value(name, "m", float(coefficient)))
-        text = " * ".join(f"({'xyz'[e]} - {shape.centre[e]:.4g}) / {shape.half[e]:.4g}" for e in exponents) or "1.0"
-        terms[name] = text
-        sums[axis].append(f'parameters["{name}"] * {text}')
-    lines = [" + ".join(each) or "0.0" for each in sums]
-    return values, terms, templates.SEEN_LAW.format(x=lines[0], y=lines[1], z=lines[2]), templates.SEEN_HOOK
+        name = f"{'xyz'[axis]}_by_{''.join('xyz'[e] for e in exponents) or 'constant'}"
+        parts.add_coefficient(name, "m", float(coefficient))
+        parts.terms[name] = " * ".join(f"({'xyz'[e]} - {shape.centre[e]:.4g}) / {shape.half[e]:.4g}" for e in exponents) or "1.0"
+        sums[axis].append(f'parameters["{name}"] * {parts.terms[name]}')
+    x, y, z = (" + ".join(each) or "0.0" for each in sums)
+    parts.law = TEXTS["seen_law"].format(x=x, y=y, z=z)
+    return parts
 
 
-def refitted(formula: Formula, written: Written, values: Mapping[str, float]) -> Formula:
-    """A formula with the coefficients and scales of a fit; one that remembers keeps its own.
+def with_fitted_values(formula: Formula, written: EffectFile, values: Mapping[str, float]) -> Formula:
+    """A formula with the coefficients and scales of a fit; one with memory keeps its own.
 
     Args:
         formula: as it was written.
@@ -257,7 +264,7 @@ def refitted(formula: Formula, written: Written, values: Mapping[str, float]) ->
     if not isinstance(shape, Terms):
         return formula
     terms, coefficients = list(shape.terms), []
-    for name, k, first in zip(_names(formula), formula.chosen, formula.coefficients, strict=True):
+    for name, k, first in zip(_name_coefficients(formula), formula.chosen, formula.coefficients, strict=True):
         coefficients.append(first * values[f"{written.name}.{name}"] / written.start[name])
         scale = values.get(f"{written.name}.{name}_scale")
         if scale is not None:
@@ -265,12 +272,12 @@ def refitted(formula: Formula, written: Written, values: Mapping[str, float]) ->
     return replace(formula, place=replace(place, shape=replace(shape, terms=tuple(terms))), coefficients=np.array(coefficients))
 
 
-def refitted_texts(formula: Formula, written: Written) -> dict[str, str]:
-    """The terms of a formula as `Written.terms` has them, with the formula's scales."""
+def fitted_term_texts(formula: Formula, written: EffectFile) -> dict[str, str]:
+    """Terms of a formula by the name of the coefficient, with the formula's scales."""
     shape = formula.place.shape
     if not isinstance(shape, Terms):
         return dict(written.terms)
-    terms = {name: shape.terms[k % shape.size] for name, k in zip(_names(formula), formula.chosen, strict=True)}
+    terms = {name: shape.terms[k % shape.size] for name, k in zip(_name_coefficients(formula), formula.chosen, strict=True)}
     axes = {name: name[0] if formula.place.kind != "axial" else "z" for name in terms}
     return {name: term.text(axes[name], shape.reference, f"{term.scale:.4g}") for name, term in terms.items()}
 
