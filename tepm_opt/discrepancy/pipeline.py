@@ -20,11 +20,16 @@ from tepm_opt.discrepancy.assessment.constancy import Sizes, onward, runs_of, si
 from tepm_opt.discrepancy.assessment.credibility import Judgement, doubts, judged
 from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE, Localisation, localise
 from tepm_opt.discrepancy.assessment.result import Errors, Named, Rival, Value, Verdict, VerdictStatus
-from tepm_opt.discrepancy.preparation import clock
-from tepm_opt.discrepancy.preparation.beginnings import without_beginnings
-from tepm_opt.discrepancy.preparation.devices import devices_seen
-from tepm_opt.discrepancy.preparation.measured_inputs import behind, gauged, separated, with_measured_inputs
-from tepm_opt.discrepancy.preparation.noise import fitted, told
+from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
+from tepm_opt.discrepancy.preparation.clock import check_clock
+from tepm_opt.discrepancy.preparation.devices import identify_devices
+from tepm_opt.discrepancy.preparation.measured_inputs import (
+    downstream_candidates,
+    exclude_by_measured_inputs,
+    measured_inputs,
+    with_measured_inputs,
+)
+from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_noise
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.reporting import sentences as words
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, SearchSettings
@@ -107,7 +112,7 @@ def discover(
     require_fit_runs(dataset)
     found = _explain_all_data(dataset, plant, noise, seed, store, key, settings, progress)
     if found.verdict.status is VerdictStatus.UNEXPLAINED and plant.quick and not plant.static:
-        shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
+        shorter, remarks = remove_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
         if remarks:
             progress("once more without beginnings that nothing explains", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-shorter")
@@ -123,13 +128,13 @@ def _explain_all_data(
     settings: SearchSettings, progress: Progress,
 ) -> Discovery:  # fmt: skip
     """`discover`, all data taken as they are."""
-    missing = behind(plant.candidates, dataset.gauges)
+    missing = downstream_candidates(plant.candidates, dataset.gauges)
     progress("simulating the runs with the model as it is", 0, 0)
     nominal = _predict(plant, dataset, noise)
     remarks: list[str] = []
     if not plant.static:
         dataset, remarks = without_strays(dataset, nominal, noise)
-    seen = devices_seen(dataset, plant) if isinstance(plant, SearchableNetwork) and not plant.static else None
+    seen = identify_devices(dataset, plant) if isinstance(plant, SearchableNetwork) and not plant.static else None
     if seen is not None:
         dataset, remarks = dataset.with_runs(seen.runs), [*remarks, f"{seen.note}."]
     step = _step(plant, dataset, nominal, noise, settings)
@@ -142,14 +147,14 @@ def _explain_all_data(
         shown, values = ((), {}) if seen is None else (seen.shown, seen.values)
         fits = Fits(replace(first.problem, noise=noise), settings, store, key, progress, shown, values, done)
         del first  # its fits are as large as the data
-        possible = _possible(fits, missing, plant.signals, seed) if seen is None else seen.among(missing)
+        possible = _possible(fits, missing, plant.signals, seed) if seen is None else seen.narrow_candidates(missing)
         explanation = explain(fits, possible, seed)
     except PredictionError as error:
         raise InputError(f"{dataset.name}: the model cannot do the runs: {error}") from error
     progress("judging on validation runs", 0, 0)
     predictions, bound, localisation, best = _compared(fits, explanation, dataset, plant.signals, nominal, noise, seed)
     recalibrated = predictions["recalibrated"]
-    shift = "" if plant.static else clock.doubt(dataset.runs, recalibrated, predictions["corrected"], noise)
+    shift = "" if plant.static else check_clock(dataset.runs, recalibrated, predictions["corrected"], noise)
     errors = _errors(dataset, noise, predictions, bound)
     constancy = _constancy(fits.problem, explanation)
     judgement = judged(explanation, errors, settings, bool(dataset.validation), doubts(explanation, settings, seed), constancy)
@@ -172,8 +177,8 @@ def _noise_seen(fits: Fits, noise: float | np.ndarray, signals: Signals) -> tupl
     first = fits.fit((), {})
     if first is None or fits.problem.plant.static:
         return noise, []
-    found, scatters = fitted(noise, fits.problem.runs, first.estimate.residuals)
-    return found, told(scatters, noise, signals)
+    found, scatters = estimate_noise(noise, fits.problem.runs, first.estimate.residuals)
+    return found, describe_noise(scatters, noise, signals)
 
 
 def _possible(fits: Fits, missing: Sequence[Candidate], signals: Signals, seed: int) -> Sequence[Candidate]:
@@ -185,9 +190,9 @@ def _possible(fits: Fits, missing: Sequence[Candidate], signals: Signals, seed: 
     fits.progress("with measured inputs, for what happens behind them", 0, 0)
     aside = None if fits.store is None else fits.store.with_name(f"{fits.store.name}-measured")
     behind_them = Fits(replace(problem, runs=shown), fits.settings, aside, fits.key, fits.progress)
-    body = explain(behind_them, behind(missing, gauged(problem.runs, signals)), seed)
+    body = explain(behind_them, downstream_candidates(missing, measured_inputs(problem.runs, signals)), seed)
     fits.progress("with commanded inputs", 0, 0)
-    return separated(body, missing, fits.settings)
+    return exclude_by_measured_inputs(body, missing, fits.settings)
 
 
 def _compared(

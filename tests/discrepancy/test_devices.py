@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork, candidates
-from tepm_opt.discrepancy.preparation.devices import devices_seen
+from tepm_opt.discrepancy.preparation.devices import identify_devices
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.model import Model
@@ -62,7 +62,7 @@ def gauged(
 
 
 def seen(data: RunSet) -> Any:
-    return devices_seen(data, cast("SearchableNetwork", Uncompiled()))
+    return identify_devices(data, cast("SearchableNetwork", Uncompiled()))
 
 
 def on_grid(values: np.ndarray) -> np.ndarray:
@@ -83,7 +83,7 @@ def test_grid_lag_and_delay() -> None:
     assert set(found.values) == {*lag.parameters, *late.parameters}
     for name, (low, high) in lag.ranges.items():
         assert low < found.values[name] < high < low + 0.1
-    assert {c for c in found.among(Uncompiled().candidates) if c.ranges} >= {lag, late}
+    assert {c for c in found.narrow_candidates(Uncompiled().candidates) if c.ranges} >= {lag, late}
 
 
 @pytest.mark.slow
