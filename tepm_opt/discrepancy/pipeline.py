@@ -15,10 +15,10 @@ from tepm_opt.data.outliers import without_strays
 from tepm_opt.data.run import RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.assessment.black_box import black_box
-from tepm_opt.discrepancy.assessment.constancy import Sizes, onward, runs_of, sizes
-from tepm_opt.discrepancy.assessment.credibility import Judgement, doubts, judged
-from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE, Localisation, localise
+from tepm_opt.discrepancy.assessment.black_box import predict_residuals
+from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, active_runs, effect_size_by_segment, extend_to_validation_runs
+from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_law_odds, assess
+from tepm_opt.discrepancy.assessment.residual_locations import Localisation, error_unit, localise
 from tepm_opt.discrepancy.assessment.result import Errors, Named, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
 from tepm_opt.discrepancy.preparation.clock import check_clock
@@ -157,7 +157,8 @@ def _explain_all_data(
     shift = "" if plant.static else check_clock(dataset.runs, recalibrated, predictions["corrected"], noise)
     errors = _errors(dataset, noise, predictions, bound)
     constancy = _constancy(fits.problem, explanation)
-    judgement = judged(explanation, errors, settings, bool(dataset.validation), doubts(explanation, settings, seed), constancy)
+    laws, unseen = alternative_law_odds(explanation, settings, seed), bool(dataset.validation)
+    judgement = assess(explanation, errors, settings, unseen, laws, constancy, plant.modules)
     if explanation.best.effects and (shift or judgement.status is VerdictStatus.UNEXPLAINED):
         # they take the place of a clock, which is no effect, or of what nobody knows
         explanation = replace(explanation, best=explanation.without, shares={}, groups={})
@@ -165,7 +166,7 @@ def _explain_all_data(
         errors = _errors(dataset, noise, predictions, bound)
         judgement = Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks)
     looked_for = [effect for effect in explanation.best.effects if effect not in explanation.shown]
-    acts = dict.fromkeys(explanation.shown, ()) | {effect: runs_of(effect, best, dataset, noise) for effect in looked_for}
+    acts = dict.fromkeys(explanation.shown, ()) | {effect: active_runs(effect, best, dataset, noise) for effect in looked_for}
     verdict = _verdict(dataset, plant, noise, explanation, best, errors, localisation, judgement, acts, shift)
     notes = tuple(dict.fromkeys((*([f"{shift}."] if shift else []), *remarks, *judgement.remarks, *verdict.notes)))
     verdict = replace(verdict, notes=notes)
@@ -214,7 +215,7 @@ def _compared(
 
     def corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
         best = _refined(explanation.best.estimate)
-        return best, _predict(onward(best.plant, dataset), dataset, noise)
+        return best, _predict(extend_to_validation_runs(best.plant, explanation.best.effects, dataset), dataset, noise)
 
     def looked_at() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
         recalibrated = _predict(explanation.without.estimate.plant, dataset, noise)
@@ -227,13 +228,13 @@ def _compared(
     return {"nominal": nominal, "recalibrated": recalibrated, "corrected": points}, bound, place, best
 
 
-def _constancy(problem: Problem, explanation: Explanation) -> dict[Candidate, dict[str, Sizes]]:
+def _constancy(problem: Problem, explanation: Explanation) -> dict[Candidate, dict[str, SegmentSizes]]:
     """Sizes of every effect in parts of the data, but for those that gauges have shown."""
     best = explanation.best
     if problem.plant.quick or not best.effects:
         return {}
     linear = linearised(best.estimate, problem.free, best.effects, ())
-    return {effect: sizes(linear, effect) for effect in best.effects if effect not in explanation.shown}
+    return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in explanation.shown}
 
 
 def _recalibrated(problem: Problem) -> Problem:
@@ -280,7 +281,7 @@ def _verdict(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, explanation: Explanation, best: ParameterEstimate,
     errors: Errors, localisation: Localisation, judgement: Judgement, acts: Mapping[Candidate, tuple[str, ...]], shift: str,
 ) -> Verdict:  # fmt: skip
-    unit = plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
+    unit = error_unit(plant.signals, noise)
     status = judgement.status
     named = [
         Named(
@@ -368,7 +369,7 @@ def _bounded(dataset: RunSet, recalibrated: Sequence[np.ndarray], static: bool) 
     learnt, judged = [k for k, run in enumerate(dataset.runs) if run.role == "fit"], _judged(dataset)
     left = [dataset.runs[k].points - recalibrated[k] for k in learnt]
     size = np.maximum(np.max([np.abs(run.inputs).max(axis=0) for run in dataset.runs], axis=0), 1e-12)
-    guessed = black_box([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], static)
+    guessed = predict_residuals([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], static)
     return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
 
 

@@ -284,7 +284,7 @@ class TestAnswer:
         found = np.array([named.parameters[axis].value for axis in "xyz"])
         std = np.array([named.parameters[axis].std for axis in "xyz"])
         assert (np.abs(found - OFFSET) < 4 * std + 5e-5).all(), (found, std)
-        assert verdict.errors.closed > 0.97
+        assert verdict.errors.gap_closed_fraction > 0.97
         assert verdict.model.effects[0].name == "sensor_offset"
 
     def test_every_other_effect_is_a_rival_with_a_reason(self, result: Discovery) -> None:

@@ -62,6 +62,7 @@ class CallablePlant(Described):
     difference: float = DIFFERENCE
 
     derivatives_apart = 0.0
+    modules = 1
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""

@@ -195,6 +195,7 @@ class CasadiPlant(Described):
     static = False
     quick = True
     derivatives_apart = 0.0
+    modules = 1
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""

@@ -10,8 +10,8 @@ import numpy as np
 from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE
-from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, VerdictStatus, shrinks
+from tepm_opt.discrepancy.assessment.residual_locations import error_unit
+from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, VerdictStatus, reduces_validation_error
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting.effect_table import sizes, with_unit
 from tepm_opt.discrepancy.selection.alternatives import COINCIDE, ONE_CAUSE, SOME_RUNS, coincidence
@@ -80,7 +80,7 @@ def sentences(
             f"{head}: {names}.",
             where,
             f"{shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} in the model ({floor}), "
-            f"which closes {100 * errors.closed:.0f} % of the gap.",
+            f"which closes {100 * errors.gap_closed_fraction:.0f} % of the gap.",
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
         return (
@@ -121,9 +121,9 @@ def notes(
     if silent:
         found.append(f"{', '.join(silent)}: not measured in any run.")
     alike = noise if np.ndim(noise) == 0 else 1.0
-    unit = signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
+    unit = error_unit(signals, noise)
     found += repeats(dataset.runs, noise, unit) + beyond(dataset, signals)
-    if explanation.best.effects and dataset.validation and not shrinks(errors):
+    if explanation.best.effects and dataset.validation and not reduces_validation_error(errors):
         found.append("On the runs kept for validation the gap does not shrink: what acts in the runs fitted to does not act there.")
     left, axes = explanation.best.excess, axes_measured(np.concatenate([run.points for run in dataset.fit]))
     if explanation.best.effects and left > 0.1:
