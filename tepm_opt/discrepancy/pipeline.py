@@ -295,10 +295,10 @@ def _verdict(
     ]
     rivals = _rivals(explanation, named, judgement.cause)
     corrected = plant.with_values(best.plant.values).corrected(explanation.best.effects)
-    notes = words.notes(dataset, plant.signals, explanation, best, noise, errors)
+    notes = words.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
-    text = words.sentences(status, named, errors, localisation.sentence, known, explanation, unit)
+    text = words.describe_answer(status, named, errors, localisation.sentence, known, explanation, unit)
     where = tuple(place for place in localisation.places if place.p <= 0.01)
     return Verdict(
         status,
@@ -345,16 +345,16 @@ def _rivals(explanation: Explanation, named: Sequence[Named], cause: Mapping[Can
         for hypothesis, weight in group[1:]:
             other = next(c for c in hypothesis.effects if c not in explanation.best.effects)
             closes = explanation.closes(hypothesis)
-            rival = Rival(other, weight * cause[effect], words.beaten(explanation, effect, hypothesis), closes)
+            rival = Rival(other, weight * cause[effect], words.rejection_reason(explanation, effect, hypothesis), closes)
             if other.name not in taken and (other.name not in found or found[other.name].probability < rival.probability):
                 found[other.name] = rival
     for hypothesis in explanation.tried:
         for other in hypothesis.effects:
             if len(hypothesis.effects) == 1 and other.name not in taken and other.name not in found:
-                found[other.name] = Rival(other, 0.0, words.alone(explanation, hypothesis), explanation.closes(hypothesis))
+                found[other.name] = Rival(other, 0.0, words.single_effect_reason(explanation, hypothesis), explanation.closes(hypothesis))
     for score in explanation.scores:
         if score.candidate.name not in taken and score.candidate.name not in found:
-            found[score.candidate.name] = Rival(score.candidate, 0.0, words.unfitted(score), None)
+            found[score.candidate.name] = Rival(score.candidate, 0.0, words.not_fitted_reason(score), None)
     return tuple(sorted(found.values(), key=lambda rival: (-rival.probability, -(rival.closes or -1.0), rival.candidate.label)))
 
 

@@ -14,7 +14,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate, candidates, narrow, wide
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.pipeline import Discovery
-from tepm_opt.discrepancy.reporting.sentences import beaten
+from tepm_opt.discrepancy.reporting.sentences import rejection_reason
 from tepm_opt.discrepancy.selection import fitting
 from tepm_opt.discrepancy.selection import ranking as rounds
 from tepm_opt.discrepancy.selection.fitting import Fits, SearchSettings
@@ -254,7 +254,7 @@ class TestFits:
         early, whole = found
         ended = [hypothesis for hypothesis in early.tried if hypothesis.estimate.out_of_reach]
         assert ended
-        assert all("leaves at most " in beaten(early, candidate("sensor_offset", "s3"), hypothesis) for hypothesis in ended)
+        assert all("leaves at most " in rejection_reason(early, candidate("sensor_offset", "s3"), hypothesis) for hypothesis in ended)
         assert not any(hypothesis.estimate.out_of_reach for hypothesis in whole.tried)
         assert early.best.effects == whole.best.effects == (candidate("sensor_offset", "s3"),)
         np.testing.assert_array_equal(early.best.estimate.values, whole.best.estimate.values)
