@@ -58,8 +58,8 @@ def _size_by(key: Callable[[Cell], Hashable], linear: Linearised, effect: Candid
 
     Args:
         key: the segment that a cell belongs to.
-        linear: the fit.
-        effect: of it.
+        linear: the fit, with the effect.
+        effect: to be sized.
         memory: samples after which residuals forget.
         visible: mean square over the noise's by which the effect must change a segment.
     """

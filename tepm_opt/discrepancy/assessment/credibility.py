@@ -154,12 +154,6 @@ def _explains_all(
     """Whether all effects, or those that explain nearly all of the gap, are sure, and more was found than gauges show, or that is all.
 
     An effect that gauges show is sure but does not explain what it leaves.
-
-    Args:
-        explanation: result of the search.
-        probability: by effect.
-        settings: of the search.
-        thresholds: of the assessment.
     """
     clear, best = thresholds.min_named, explanation.best
     if min(probability.values()) < clear:
@@ -176,14 +170,7 @@ def _objections(
     explanation: Explanation, laws: Mapping[Candidate, AlternativeLaw], constancy: Mapping[Candidate, Mapping[str, SegmentSizes]],
     thresholds: AssessmentSettings,
 ) -> Iterator[str]:  # fmt: skip
-    """Objections to effects, a sentence each.
-
-    Args:
-        explanation: result of the search.
-        laws: that compete with effects.
-        constancy: sizes of effects in segments of the data.
-        thresholds: of the assessment.
-    """
+    """Objections to effects, a sentence each."""
     for effect, other in laws.items():
         if other.effect_probability < 0.5:
             yield (
@@ -214,12 +201,6 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
     Effects whose forms all are known leave nothing, so an excess weighs more against them, the more so the farther it is from chance and
     from a noise known to half a percent. It hardly weighs against others where it counts as noise. Of many effects that leave next to
     nothing, each is the likelier: the excess is the error of all their forms together. An effect of some runs has as many chances to fit.
-
-    Args:
-        effect: of the best hypothesis.
-        explanation: result of the search.
-        settings: of the search.
-        thresholds: of the assessment.
     """
     best, exact = explanation.best, all(other.exact for other in explanation.best.effects)
     even = settings.even_odds_exact if exact else settings.even_odds_ratio
@@ -244,14 +225,7 @@ def _independence(effect: Candidate, believed: Mapping[Candidate, float], explan
 
 
 def _chance_scatter(estimate: ParameterEstimate, effect: Candidate, modules: int, thresholds: AssessmentSettings) -> float:
-    """Probability that parameters said to scatter over all actuators do so by chance, not by module or about another mean.
-
-    Args:
-        estimate: the fit.
-        effect: with its parameters.
-        modules: alike modules of the machine.
-        thresholds: of the assessment.
-    """
+    """Probability that parameters said to scatter over all actuators do so by chance, not by module or about another mean."""
     names = list(effect.parameters)
     chances = [*clustering(estimate, modules, names), *off_centre(estimate, names)]
     return float(np.prod([1 / (1 + (thresholds.scatter_even_odds / max(chance, 1e-12)) ** 2) for chance in chances]))

@@ -41,14 +41,7 @@ def describe_locations(
 
 
 def _describe_inputs(best: dict[str, Place], telling: Sequence[Place], found: Sequence[Place], max_others: float) -> list[str]:
-    """Inputs in use where the model misses more: the one that stands out among its like, or all of a kind where all tell.
-
-    Args:
-        best: the most telling place by its kind.
-        telling: places that hold clearly more than elsewhere.
-        found: all places that were looked at.
-        max_others: share of what the best tells up to which others may tell for it to stand out.
-    """
+    """Inputs in use where the model misses more: the one that stands out among its like, or all of a kind where all tell."""
     for by in ("actuator", "module", "input"):
         if by not in best:
             continue
@@ -71,15 +64,7 @@ def _weight(place: Place) -> float:
 
 
 def _describe_regimes(telling: Sequence[Place], found: Sequence[Place], unit: str, signals: Signals, max_chance: float) -> list[str]:
-    """Regimes of motion in which the model misses more.
-
-    Args:
-        telling: places that hold clearly more than elsewhere.
-        found: all places that were looked at.
-        unit: of residuals.
-        signals: regimes.
-        max_chance: below which a place is significant.
-    """
+    """Regimes of motion in which the model misses more."""
     regimes = {place.name: place for place in found if place.by == "regime"}
     words = []
     if "at rest" in regimes and "moving" in regimes:

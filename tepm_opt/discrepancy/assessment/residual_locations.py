@@ -152,14 +152,7 @@ def _locate_columns(samples: ResidualSamples, signals: Signals, random: np.rando
 
 
 def _column_chances(excess: np.ndarray, count: np.ndarray, random: np.random.Generator, settings: AssessmentSettings) -> np.ndarray:
-    """Share of orders of the columns within every block that concentrate as much in one: (columns,).
-
-    Args:
-        excess: of every block, (blocks, columns).
-        count: coordinates, (blocks, columns).
-        random: source of the orders.
-        settings: number of permutations.
-    """
+    """Share of orders of the columns within every block that concentrate as much in one: (columns,)."""
     seen, exceeded = excess.sum(axis=0) / np.maximum(count.sum(axis=0), 1), np.zeros(excess.shape[1])
     for size in _chunks(excess.size, settings):
         order = random.random((size, *excess.shape)).argsort(axis=2)

@@ -75,14 +75,7 @@ def identify_devices(dataset: RunSet, network: SearchableNetwork, settings: Prep
 def _restrict_candidates(
     best: _Fit, runs: tuple[Run, ...], lag: Candidate, delay: Candidate, settings: PreparationSettings
 ) -> IdentifiedDevices:
-    """Lag and delay kept to the ranges that a fit to gauges leaves.
-
-    Args:
-        best: the fit.
-        runs: with the pressures that the regulators execute.
-        lag, delay: the network's candidates.
-        settings: thresholds.
-    """
+    """Lag and delay kept to the ranges that a fit to gauges leaves."""
     names = [f"{lag.label}.{name}" for name in ("filling_time", "exhausting_time")]
     halves = [
         max(settings.regulator_range_sigmas * std, settings.regulator_range_share * t) for t, std in zip(best.times, best.stds, strict=True)
@@ -127,12 +120,6 @@ def _on_grid(run: Run, columns: Sequence[int], grid: float, settings: Preparatio
     Between rows these are stairs, whose steps may come at any time. The differences between stairs and commands are averaged about each
     row. Their weights are those with which a function that is linear between rows depends on the row. A slow follower then gets as much as
     from the stairs.
-
-    Args:
-        run: as commanded.
-        columns: of the pressures.
-        grid: of the set points in Pa.
-        settings: thresholds.
     """
     parts = settings.regulator_substeps
     fine = (np.arange(parts) + 0.5) / parts

@@ -185,14 +185,7 @@ def describe_noise(estimates: Sequence[NoiseEstimate], noise: float | np.ndarray
 
 
 def _describe_difference(found: NoiseEstimate, noise: float, unit: str, name: str) -> list[str]:
-    """The difference between estimated and assumed noise in a sentence, if there is one.
-
-    Args:
-        found: the estimate.
-        noise: that was assumed.
-        unit: of it.
-        name: of the point; empty for all.
-    """
+    """The difference between estimated and assumed noise in a sentence, if there is one."""
     large = abs(found.level - 1) > 0.25  # so that a person should look why
     if not found.differs or (found.factor == 1 and not large):
         return []
