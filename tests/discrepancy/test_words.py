@@ -11,7 +11,7 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate
-from tepm_opt.discrepancy.assessment.result import Named, Value, VerdictStatus
+from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, VerdictStatus
 from tepm_opt.discrepancy.reporting.effect_table import describe_sizes, effect_rows, with_unit
 from tepm_opt.discrepancy.reporting.sentences import (
     _describe_effects,
@@ -135,3 +135,9 @@ def test_every_status_has_a_next_step(status: VerdictStatus) -> None:
 def test_a_table_says_where_and_in_which_runs() -> None:
     weak = Named(candidate("actuator_gain", "13"), 0.42, {"loss": Value(0.1, 0.01, "1", 0.0)}, float("nan"), ("circle.csv",))
     assert effect_rows([weak]) == [("actuator_gain", "actuator 13, only in circle.csv", "loss 10 ± 1 %", "0.42", "–")]
+
+
+def test_the_old_name_of_the_gap_closed_warns() -> None:
+    errors = Errors(noise_floor=1.0, nominal=5.0, recalibrated=4.0, corrected=2.0, black_box=2.0)
+    with pytest.warns(DeprecationWarning, match="gap_closed_fraction"):
+        assert errors.closed == errors.gap_closed_fraction == 0.75

@@ -194,8 +194,7 @@ class CasadiPlant(Described):
     concurrent = True
     static = False
     quick = True
-    derivatives_apart = 0.0
-    modules = 1
+    derivatives_apart, modules = 0.0, 1
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
