@@ -17,16 +17,21 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.outliers import without_strays
 from tepm_opt.data.run import RunSet
-from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.assessment.constancy import Sizes, sizes
-from tepm_opt.discrepancy.assessment.credibility import Judgement, doubts, judged
+from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, effect_size_by_segment
+from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_law_odds
+from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
-from tepm_opt.discrepancy.preparation import clock
-from tepm_opt.discrepancy.preparation.beginnings import without_beginnings
-from tepm_opt.discrepancy.preparation.devices import devices_seen
-from tepm_opt.discrepancy.preparation.measured_inputs import behind, gauged, separated, with_measured_inputs
-from tepm_opt.discrepancy.preparation.noise import fitted, told
+from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
+from tepm_opt.discrepancy.preparation.clock import check_clock
+from tepm_opt.discrepancy.preparation.devices import identify_devices
+from tepm_opt.discrepancy.preparation.measured_inputs import (
+    downstream_candidates,
+    exclude_by_measured_inputs,
+    measured_inputs,
+    with_measured_inputs,
+)
+from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_noise
 from tepm_opt.discrepancy.preparation.time_step import choose_time_step
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -48,12 +53,12 @@ def prepare(state: Question) -> Prepared:
     dataset, plant, noise = state.dataset, state.plant, state.noise
     state.progress("simulating the runs with the model as it is", 0, 0)
     nominal, remarks = predict_runs(plant, dataset, noise), list[str]()
-    missing = behind(plant.candidates, dataset.gauges)
+    missing = downstream_candidates(plant.candidates, dataset.gauges)
     if not plant.static:
         dataset, remarks = without_strays(dataset, nominal, noise)
-    devices = devices_seen(dataset, plant) if isinstance(plant, SearchableNetwork) and not plant.static else None
+    devices = identify_devices(dataset, plant)
     if devices is not None:
-        dataset, remarks, missing = dataset.with_runs(devices.runs), [*remarks, f"{devices.note}."], devices.among(missing)
+        dataset, remarks, missing = dataset.with_runs(devices.runs), [*remarks, f"{devices.note}."], devices.narrow_candidates(missing)
     step = choose_time_step(plant, dataset, nominal, noise, state.settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     known: dict[str, Any] = vars(state) | {"dataset": dataset}
@@ -66,8 +71,8 @@ def recalibrate(state: Prepared) -> Recalibrated:
     first = Fits(problem, state.settings, progress=state.progress)
     fit = first.fit((), {})
     if fit is not None and not problem.plant.static:
-        noise, scatters = fitted(noise, problem.runs, fit.estimate.residuals)
-        remarks = [*remarks, *told(scatters, noise, state.plant.signals)]
+        noise, scatters = estimate_noise(noise, problem.runs, fit.estimate.residuals)
+        remarks = [*remarks, *describe_noise(scatters, noise, state.plant.signals)]
     done = first.done if np.all(noise == problem.noise) else {}
     shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
     fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done)
@@ -84,9 +89,9 @@ def screen(state: Recalibrated) -> Screened:
     state.progress("with measured inputs, for what happens behind them", 0, 0)
     aside = None if state.store is None else state.store.with_name(f"{state.store.name}-measured")
     behind_them = Fits(replace(fits.problem, runs=shown), state.settings, aside, state.key, state.progress)
-    body = explain(behind_them, behind(state.missing, gauged(fits.problem.runs, signals)), state.seed)
+    body = explain(behind_them, downstream_candidates(state.missing, measured_inputs(fits.problem.runs, signals)), state.seed)
     state.progress("with commanded inputs", 0, 0)
-    return Screened(**vars(state), candidates=separated(body, state.missing, state.settings))
+    return Screened(**vars(state), candidates=exclude_by_measured_inputs(body, state.missing, state.settings))
 
 
 def select(state: Screened) -> Selected:
@@ -100,7 +105,7 @@ def validate(state: Selected) -> Validated:
     dataset, noise = state.dataset, state.noise
     compared = compare_models(state.fits, state.explanation, dataset, state.plant.signals, state.nominal, noise, state.seed)
     predictions = compared.predictions
-    doubt = "" if state.plant.static else clock.doubt(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
+    doubt = "" if state.plant.static else check_clock(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
     return Validated(
         **vars(state),
         predictions=predictions,
@@ -115,8 +120,8 @@ def validate(state: Selected) -> Validated:
 def assess(state: Validated) -> Assessed:
     """Weigh every selected effect; drop all of them where a clock or something unknown is the likelier cause."""
     explanation, settings = state.explanation, state.settings
-    odds = doubts(explanation, settings, state.seed)
-    judgement = judged(explanation, state.errors, settings, bool(state.dataset.validation), odds, _constancy(state))
+    laws, unseen = alternative_law_odds(explanation, settings, state.seed), bool(state.dataset.validation)
+    judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
     dropped = explanation.best.effects and (state.clock_doubt or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)
@@ -180,7 +185,7 @@ def discover(
     question = Question(dataset, plant, noise, settings, seed, store, key, progress)
     found = run_stages(question, stages)
     if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
-        shorter, remarks = without_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
+        shorter, remarks = remove_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
         if remarks:
             progress("once more without beginnings that nothing explains", 0, 0)
             aside = None if store is None else store.with_name(f"{store.name}-shorter")
@@ -209,13 +214,13 @@ def run_stages(question: Question, stages: Sequence[Callable[[Any], Any]] = STAG
     return replace(state, seconds=seconds)
 
 
-def _constancy(state: Validated) -> dict[Candidate, dict[str, Sizes]]:
+def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:
     """Sizes of every effect in parts of the data, but for those that gauges have shown."""
     best = state.explanation.best
     if not (state.settings.check_constancy and best.effects):
         return {}
     linear = linearise(best.estimate, state.fits.problem.free, best.effects, (), state.settings)
-    return {effect: sizes(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
+    return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
 
 
 def _with_initial_states(problem: Problem, settings: SearchSettings) -> Problem:

@@ -12,7 +12,7 @@ from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy.assessment.credibility import Judgement
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Verdict
-from tepm_opt.discrepancy.preparation.devices import DevicesSeen
+from tepm_opt.discrepancy.preparation.devices import IdentifiedDevices
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits
@@ -62,7 +62,7 @@ class Prepared(Question):
 
     nominal: list[np.ndarray] = field(kw_only=True)
     missing: Sequence[Candidate] = field(kw_only=True)
-    devices: DevicesSeen | None = field(kw_only=True)
+    devices: IdentifiedDevices | None = field(kw_only=True)
     problem: Problem = field(kw_only=True)
     remarks: list[str] = field(kw_only=True)
 

@@ -13,7 +13,8 @@ from typing import Any
 from tepm_opt.data.datasets import in_session
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.experiments.information import APART, FOUND, Information, Move, Separable, information
+from tepm_opt.discrepancy.experiments.information import Information, Move, Separability, information
+from tepm_opt.discrepancy.experiments.settings import DEFAULT as EXPERIMENT
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.errors import InputError
 from tepm_opt.models.channels import channels_of
@@ -101,7 +102,7 @@ class ExciteRun:
     standard: Standard
     noise: float
     information: Information
-    separable: tuple[Separable, ...]
+    separable: tuple[Separability, ...]
     units: Mapping[str, str]
 
     def __repr__(self) -> str:
@@ -114,9 +115,9 @@ class ExciteRun:
         return all(math.isfinite(each.found) for each in self.separable)
 
     @property
-    def hardest(self) -> tuple[Separable, ...]:
+    def hardest(self) -> tuple[Separability, ...]:
         """The change of each effect, of its details and parameters, that is hardest to tell from its closest rival; hardest last."""
-        worst: dict[str, Separable] = {}
+        worst: dict[str, Separability] = {}
         for each in self.separable:
             name = each.move.candidate.name if each.move.candidate.part != "parameter" else each.move.candidate.label
             if name not in worst or (each.apart, each.found) > (worst[name].apart, worst[name].found):
@@ -130,7 +131,7 @@ class ExciteRun:
         many = len(move.probe) > 3
         parts = [
             f"{name.rpartition('.')[2]} {abs(value - move.null[name]):.2g} {self.units[name].strip('-1')}".rstrip()
-            for name, value in move.at(multiple).items()
+            for name, value in move.values_at(multiple).items()
             if value != move.null[name]
         ]
         return f"{multiple:.2g} times its probe" if many else ", ".join(parts)
@@ -145,12 +146,12 @@ class ExciteRun:
             "sway_Hz": _number(reach.sway),
             "share_of_levels": self.standard.share,
             "noise_m": _number(self.noise),
-            "found_at_sigmas": FOUND,
-            "apart_at_sigmas": APART,
+            "found_at_sigmas": EXPERIMENT.found_sigmas,
+            "apart_at_sigmas": EXPERIMENT.apart_sigmas,
             "effects": [self._entry(each) for each in self.separable],
         }
 
-    def _entry(self, each: Separable) -> dict[str, Any]:
+    def _entry(self, each: Separability) -> dict[str, Any]:
         move = each.move
         return {
             "effect": move.candidate.label,
@@ -162,7 +163,7 @@ class ExciteRun:
         }
 
     def _values(self, move: Move, multiple: float) -> dict[str, float | None]:
-        return {name: _number(value - move.null[name]) for name, value in move.at(multiple).items() if value != move.null[name]}
+        return {name: _number(value - move.null[name]) for name, value in move.values_at(multiple).items() if value != move.null[name]}
 
     def save(self, path: str | Path) -> None:
         """Write the plan file, and what it will tell beside it as JSON.
@@ -209,4 +210,4 @@ def run_excite(model: Model, noise: float | None = None, progress: Progress = si
     least = SearchSettings.of(network).min_excess_removed
     names: Sequence[str] = [name for move in told.moves for name in move.probe]
     units = {free.name: free.unit for free in network.free(list(dict.fromkeys(names)))}
-    return ExciteRun(found, noise, told, tuple(told.separable(move, least) for move in told.moves), units)
+    return ExciteRun(found, noise, told, tuple(told.separability(move, least) for move in told.moves), units)

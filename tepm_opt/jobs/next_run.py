@@ -15,7 +15,7 @@ from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.experiments.hypotheses import contenders
+from tepm_opt.discrepancy.experiments.hypotheses import refit_hypotheses
 from tepm_opt.discrepancy.experiments.separation import separation
 from tepm_opt.discrepancy.problem.plant import without_run_restriction
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -266,7 +266,7 @@ def run_next(
         network, dataset.fit, network.free(network.known), noise, step=LONGEST_STEP, derivatives_apart=network.derivatives_apart
     )
     fits = Fits(problem, SearchSettings.of(network), progress=progress)
-    hypotheses = contenders(content, _corrected(found, known, network), fits, network.candidates)
+    hypotheses = refit_hypotheses(content, _corrected(found, known, network), fits, network.candidates)
     rig = Rig(known, reach_of(compile_model(known)), dataset.sample_rate, noise, seconds, loads)
     estimates = [hypothesis.estimate for hypothesis in hypotheses]
     best = best_run(rig, estimates, seed, progress)

@@ -87,6 +87,6 @@ def _errors(verdict: Verdict) -> Group:
     """Errors of the models, and how much of the gap is closed."""
     errors: Errors = verdict.errors
     gap = errors.nominal > errors.noise_floor and verdict.status is not VerdictStatus.NO_DISCREPANCY
-    closed = Row("gap closed", "%", [percent(errors.closed).removesuffix(" %") if gap else "no gap"])
+    closed = Row("gap closed", "%", [percent(errors.gap_closed_fraction).removesuffix(" %") if gap else "no gap"])
     name = "RMS of Eq. (5)" if verdict.unit == "m" else "RMS"
     return Group(f"{name}, validation runs", ["error"], [*error_rows(vars(errors), verdict.unit), closed])

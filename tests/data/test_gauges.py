@@ -10,7 +10,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.data.trials import read_trials
-from tepm_opt.discrepancy.preparation.measured_inputs import behind, gauged
+from tepm_opt.discrepancy.preparation.measured_inputs import downstream_candidates, measured_inputs
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.errors import InputError
 
@@ -34,8 +34,8 @@ def test_a_data_set_says_which_inputs_are_shown_by_gauges(tmp_path: Path) -> Non
 
 def test_nothing_stands_between_a_command_and_what_a_gauge_shows_but_the_gauge() -> None:
     every = (LAG, OFFSET, OTHER, BODY)
-    assert behind(every, ()) == every
-    assert behind(every, ("pressure",)) == (OFFSET, OTHER, BODY)
+    assert downstream_candidates(every, ()) == every
+    assert downstream_candidates(every, ("pressure",)) == (OFFSET, OTHER, BODY)
 
 
 def test_an_input_is_measured_where_all_runs_have_its_column() -> None:
@@ -43,6 +43,6 @@ def test_an_input_is_measured_where_all_runs_have_its_column() -> None:
         Run(name, "fit", np.arange(3.0), np.zeros((3, 2)), np.zeros((3, 3)), np.zeros((3, 1, 1)), {"pressure_measured": measured})
         for name, measured in (("a", np.ones(3)), ("b", np.array([1.0, 2.0, np.nan])))
     ]
-    assert gauged(both, Signals.of(("pressure",), ("y",))) == ("pressure",)
+    assert measured_inputs(both, Signals.of(("pressure",), ("y",))) == ("pressure",)
     bare = Run("c", "fit", np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 3)), np.zeros((3, 1, 1)))
-    assert gauged([*both, bare], Signals.of(("pressure",), ("y",))) == ()
+    assert measured_inputs([*both, bare], Signals.of(("pressure",), ("y",))) == ()

@@ -32,7 +32,7 @@ class Straight:
     prior: float = 0.5
     alike: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
-    name, static, quick, concurrent, derivatives_apart = "straight", False, False, False, 0.0
+    name, static, quick, concurrent, derivatives_apart, modules = "straight", False, False, False, 0.0, 1
     states: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -71,7 +71,8 @@ class Answer:
         hidden = " + ".join(f"{n}[{self.detail[n]}]" if n in self.detail else n for n in self.truth) or "nothing"
         sizes = ", ".join(f"{size} {'in' if ok else 'OUT'}" for size, ok in self.recovered.items())
         return (
-            f"{'ok   ' if self.right else 'WRONG'} {name}: {hidden} -> {verdict.status.value}: {said}; closed {errors.closed:.3f}, "
+            f"{'ok   ' if self.right else 'WRONG'} {name}: {hidden} -> {verdict.status.value}: {said}; "
+            f"closed {errors.gap_closed_fraction:.3f}, "
             f"corrected / floor {errors.corrected / errors.noise_floor:.2f}, {verdict.seconds:.0f} s; {sizes}"
         )
 

@@ -117,7 +117,7 @@ def examined(file: RigFile, folder: Path, steering: bool) -> Told:
     wrong = {"parameter"}  # values of the robot file do differ
     told.false = sorted(believed - set().union(*meant.values()) - wrong)
     errors = verdict.errors
-    told.closed, told.errors = errors.closed, {name: 1e3 * value for name, value in asdict(errors).items()}
+    told.closed, told.errors = errors.gap_closed_fraction, {name: 1e3 * value for name, value in asdict(errors).items()}
     if steering:
         models = {"nominal": Model.of(load_robot(file.robot)), "found": read_model(folder / "found" / "model.toml")}
         told.steering = {task: [steered(file, model, task) for model in models.values()] for task in ("circle", "lissajous")}

@@ -19,8 +19,8 @@ from tepm_opt.data.datasets import in_session
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.assessment.credibility import CLEAR
-from tepm_opt.discrepancy.experiments.information import Move, Separable, information
+from tepm_opt.discrepancy.assessment.settings import DEFAULT
+from tepm_opt.discrepancy.experiments.information import Move, Separability, information
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
@@ -116,7 +116,7 @@ def cases(network: SearchableNetwork, seed: int) -> Iterator[tuple[Case | None, 
             except PredictionError as error:
                 yield None, str(error)
                 continue
-            shown = [told.separable(move, 0.15) for move in told.moves if move.candidate.name == name]
+            shown = [told.separability(move, 0.15) for move in told.moves if move.candidate.name == name]
             alike = [s for s in shown if s.rival is not None and np.isfinite(s.apart) and SHOWS * s.found < HIDDEN[1] * s.apart]
             if not alike:
                 yield None, f"{name}: told from its rivals wherever it shows"
@@ -126,7 +126,7 @@ def cases(network: SearchableNetwork, seed: int) -> Iterator[tuple[Case | None, 
 
 
 def _case(
-    network: SearchableNetwork, one: Separable, session: Sequence[Run], random: np.random.Generator, seed: int
+    network: SearchableNetwork, one: Separability, session: Sequence[Run], random: np.random.Generator, seed: int
 ) -> tuple[Case | None, str]:
     assert one.rival is not None
     move: Move = one.move
@@ -135,7 +135,7 @@ def _case(
     widths = network.known_model.robot.priors
     truth = {name: nominal[name] * (1 + 0.7 * random.uniform(-width, width)) for name, width in sorted(widths.items())}
     truth |= {move.candidate.happens: 0.5 * (session[-1].began + session[-1].duration)} if move.candidate.happens else {}
-    truth |= move.at(size)
+    truth |= move.values_at(size)
     pair = (move.candidate, one.rival)
     label = f"{pair[0].label} / {pair[1].label} ({'large' if size >= one.material else 'small'}, {len(session)} runs)"
     try:
@@ -146,14 +146,14 @@ def _case(
     if both is None:
         return None, f"{label}: the model cannot do the runs"
     share = float(weights([h.evidence for h in both], 0)[0])
-    if max(share, 1 - share) >= CLEAR:
+    if max(share, 1 - share) >= DEFAULT.min_named:
         return None, f"{label}: told already ({share:.2f})"
     return Case(network, truth, pair, runs, both, seed), f"{label}: {share:.2f}"
 
 
 def word(share: float) -> str:
     """What became of a pair: the hidden effect, its rival, or neither is clear."""
-    return "right" if share >= CLEAR else "wrong" if share <= 1 - CLEAR else "open"
+    return "right" if share >= DEFAULT.min_named else "wrong" if share <= 1 - DEFAULT.min_named else "open"
 
 
 def main() -> None:

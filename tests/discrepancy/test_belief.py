@@ -11,8 +11,8 @@ import pytest
 
 from tepm_opt.discrepancy.adapters.network import candidate
 from tepm_opt.discrepancy.assessment import credibility as belief
-from tepm_opt.discrepancy.assessment.constancy import Sizes
-from tepm_opt.discrepancy.assessment.credibility import Doubt, Judgement, doubts, judged
+from tepm_opt.discrepancy.assessment.constancy import SegmentSizes
+from tepm_opt.discrepancy.assessment.credibility import AlternativeLaw, Judgement, alternative_law_odds, assess
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -27,8 +27,8 @@ SETTINGS = SearchSettings()
 
 def hypothesis(effects: tuple[Any, ...], excess: float) -> Hypothesis:
     counts = np.full(10, 100)
-    problem = SimpleNamespace(runs=(SimpleNamespace(file="a.csv"), SimpleNamespace(file="b.csv")))
-    estimate: Any = SimpleNamespace(cost=1000 * (1 + excess), count=1000, problem=problem, plant=None)
+    problem = SimpleNamespace(runs=(SimpleNamespace(file="a.csv"), SimpleNamespace(file="b.csv")), free=())
+    estimate: Any = SimpleNamespace(cost=1000 * (1 + excess), count=1000, problem=problem, values=(), std=())
     return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1, np.zeros(1)))
 
 
@@ -37,9 +37,9 @@ def answer(
 ) -> Any:
     best, other, without = hypothesis((effect,), left), hypothesis((candidate("creep"),), 2 * left), hypothesis((), 10.0)
     found = Explanation(without, best, best, [without, best, other], [], {effect: share}, {effect: [(best, weight), (other, 1 - weight)]})
-    constancy = {effect: {"run": Sizes((0, 1), np.array([0.2, 1.8]), np.ones(2), spread)}}
+    constancy = {effect: {"run": SegmentSizes((0, 1), np.array([0.2, 1.8]), np.ones(2), spread)}}
     law: Any = SimpleNamespace(place=SimpleNamespace(label="axial[12](length)"))
-    return judged(found, errors, SETTINGS, True, {} if doubt is None else {effect: Doubt(doubt, law)}, constancy)
+    return assess(found, errors, SETTINGS, True, {} if doubt is None else {effect: AlternativeLaw(doubt, law)}, constancy)
 
 
 def test_sure_effects_are_named() -> None:
@@ -77,7 +77,7 @@ def test_what_an_exact_form_leaves_beyond_chance_weighs_against_it(effect: Any, 
     best, without = hypothesis((effect,), left), hypothesis((), 1.0)
     best.estimate.cost, best.estimate.count = 1e6 * (1 + left), 1_000_000
     found = Explanation(without, best, best, [without, best], [], {effect: 10.0}, {effect: [(best, 1.0)]})
-    assert judged(found, SHRUNK, SETTINGS, True, {}, {}).cause[effect] == pytest.approx(10 / (10 + even))
+    assert assess(found, SHRUNK, SETTINGS, True, {}, {}).cause[effect] == pytest.approx(10 / (10 + even))
 
 
 @pytest.mark.parametrize(("corrected", "runs", "refuted"), [(6e-3, ("a.csv",), True), (6e-3, (), False), (4.1e-3, ("a.csv",), False)])
@@ -92,7 +92,7 @@ def test_both_of_two_in_the_place_of_one_are_listed() -> None:
     two = candidate("creep"), candidate("mass_distribution")
     best, other, without = hypothesis((LAG,), 0.2), hypothesis(two, 0.2), hypothesis((), 10.0)
     found = Explanation(without, best, best, [without, best, other], [], {LAG: 100.0}, {LAG: [(best, 0.6), (other, 0.4)]})
-    listed = judged(found, SHRUNK, SETTINGS, True, {}, {}).listed
+    listed = assess(found, SHRUNK, SETTINGS, True, {}, {}).listed
     assert [(each.name, round(p, 2)) for _, each, _, p in listed] == [("regulator_lag", 0.58), ("creep", 0.39), ("mass_distribution", 0.39)]
 
 
@@ -103,8 +103,8 @@ def test_what_mends_a_stand_in_is_doubted_with_it() -> None:
     groups = {effect: [(best, 1.0)] for effect in best.effects}
     for taken in (9.0, 1.0):
         found = Explanation(without, best, best, [without, best], [], {LAG: taken / 0.2, LOAD: 1e9}, groups)
-        doubted = {LAG: Doubt(0.1, law)}
-        assert judged(found, SHRUNK, SETTINGS, True, doubted, {}).cause[LOAD] == pytest.approx(1 - 0.9 * taken / 10, rel=1e-6)
+        doubted = {LAG: AlternativeLaw(0.1, law)}
+        assert assess(found, SHRUNK, SETTINGS, True, doubted, {}).cause[LOAD] == pytest.approx(1 - 0.9 * taken / 10, rel=1e-6)
 
 
 def test_nothing_is_named_that_does_not_shrink_the_gap_on_runs_not_used() -> None:
@@ -146,7 +146,7 @@ def test_a_force_of_known_form_has_to_hold_against_a_spring_however_little_is_le
         spring = SimpleNamespace(place=place, evidence=Evidence(counts * (1 + part * left), counts, 5, np.zeros(5)))
         monkeypatch.setattr(belief, "alternatives", lambda _: [spring])
         measured = replace(best, evidence=Evidence(counts * (1 + left), counts, 1, np.zeros(1)))
-        return [doubt.holds for doubt in doubts(replace(found, best=measured), SETTINGS, 0).values()]
+        return [each.effect_probability for each in alternative_law_odds(replace(found, best=measured), SETTINGS, 0).values()]
 
     assert doubted(0.1) == ([pytest.approx(0.0, abs=0.05)] if effect is LOAD else [])
     assert doubted(0.9) == []
@@ -157,7 +157,7 @@ def test_an_exact_form_beside_one_that_is_not_may_leave_structure() -> None:
     """What is left may be the other's."""
     best, without = hypothesis((LAG, LOAD), 0.2), hypothesis((), 10.0)
     groups = {effect: [(best, 1.0)] for effect in best.effects}
-    both = judged(Explanation(without, best, best, [without, best], [], {LAG: 15.0, LOAD: 15.0}, groups), SHRUNK, SETTINGS, True, {}, {})
+    both = assess(Explanation(without, best, best, [without, best], [], {LAG: 15.0, LOAD: 15.0}, groups), SHRUNK, SETTINGS, True, {}, {})
     assert both.cause[LOAD] == pytest.approx(15 / (15 + SETTINGS.even_odds_ratio))
 
 
@@ -177,7 +177,7 @@ def test_of_many_effects_those_that_take_little_may_be_less_sure() -> None:
 
     def answered(shares: dict[Candidate, float], begun: Any = begun) -> Judgement:
         found = Explanation(without, best, best, [without, best], [], shares, groups, begun)
-        return judged(found, SHRUNK, SETTINGS, True, {}, {})
+        return assess(found, SHRUNK, SETTINGS, True, {}, {})
 
     found = answered(shares)
     assert found.status is VerdictStatus.NAMED
@@ -193,7 +193,7 @@ def test_what_gauges_show_does_not_explain_what_it_leaves() -> None:
     def status(left: float) -> VerdictStatus:
         best, without = hypothesis((LAG,), left), hypothesis((), 500.0)
         found = Explanation(without, best, best, [without, best], [], {LAG: float("inf")}, {LAG: [(best, 1.0)]}, begun)
-        return judged(found, SHRUNK, SETTINGS, True, {}, {}).status
+        return assess(found, SHRUNK, SETTINGS, True, {}, {}).status
 
     assert status(100.0) is VerdictStatus.PARTIAL
     assert status(1.0) is VerdictStatus.NAMED
@@ -204,6 +204,6 @@ def test_what_gauges_show_casts_no_doubt_where_nothing_is_left() -> None:
     best, without, begun = hypothesis((LAG, LOAD), 0.0), hypothesis((), 10.0), hypothesis((LAG,), 3.0)
     groups = {effect: [(best, 1.0)] for effect in best.effects}
     found = Explanation(without, best, best, [without, begun, best], [], {LAG: float("inf"), LOAD: 5e4}, groups, begun)
-    told = judged(found, SHRUNK, SETTINGS, True, {}, {})
+    told = assess(found, SHRUNK, SETTINGS, True, {}, {})
     assert told.status is VerdictStatus.NAMED
     assert told.cause[LOAD] > 0.99

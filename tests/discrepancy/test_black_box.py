@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.assessment.black_box import black_box
+from tepm_opt.discrepancy.assessment.black_box import predict_residuals
 
 NOISE = 1e-4  # m
 
@@ -32,14 +32,14 @@ def test_finds_what_depends_on_the_inputs(static: bool) -> None:
     left = [hidden(run) + NOISE * random.normal(size=run.points.shape) for run in runs]
     left[0][20:40, 1] = np.nan
     left[1][:5] = np.nan
-    (guess,) = black_box(runs, left, np.ones(2), [other], static)
+    (guess,) = predict_residuals(runs, left, np.ones(2), [other], static)
     assert np.sqrt(np.mean((guess - hidden(other)) ** 2)) < 0.4 * NOISE
     assert np.std(hidden(other)) > 2 * NOISE
 
 
 def test_finds_nothing_in_noise() -> None:
     random, runs, other = np.random.default_rng(1), [moving(seed) for seed in range(3)], moving(9)
-    (guess,) = black_box(runs, [NOISE * random.normal(size=run.points.shape) for run in runs], np.ones(2), [other], False)
+    (guess,) = predict_residuals(runs, [NOISE * random.normal(size=run.points.shape) for run in runs], np.ones(2), [other], False)
     assert np.sqrt(np.mean(guess**2)) < 0.15 * NOISE
 
 
@@ -54,6 +54,6 @@ def test_remembers_the_past() -> None:
         past = np.convolve(held, kernel / kernel.sum())[200 : 200 + run.rows]
         return 1e-3 * np.broadcast_to(past[:, None, None], run.points.shape)
 
-    learnt = [black_box(runs, [late(run) for run in runs], np.ones(2), [other], static)[0] for static in (False, True)]
+    learnt = [predict_residuals(runs, [late(run) for run in runs], np.ones(2), [other], static)[0] for static in (False, True)]
     with_past, without = (np.sqrt(np.mean((guess - late(other)) ** 2)) for guess in learnt)
     assert with_past < 0.2 * without

@@ -42,7 +42,7 @@ def test_recovers_the_size(found: dict[str, Answer], name: str) -> None:
 
 def test_the_gap_closes(found: dict[str, Answer]) -> None:
     known = {name: answer for name, answer in found.items() if not answer.foreign}
-    closed = {name: answer.verdict.errors.closed for name, answer in known.items()}
+    closed = {name: answer.verdict.errors.gap_closed_fraction for name, answer in known.items()}
     assert median(closed.values()) >= 0.9, closed
     assert min(closed.values()) >= 0.75, closed
 

@@ -11,7 +11,7 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.preparation.clock import doubt, shifted
+from tepm_opt.discrepancy.preparation.clock import check_clock, find_time_shift
 from tepm_opt.jobs.discrepancy import run_discrepancy
 
 RATE = 50
@@ -46,7 +46,7 @@ def test_finds_the_lag_with_the_least_difference(lag: int) -> None:
     measured = np.roll(modelled, lag, axis=0) + 0.02 + NOISE * random.normal(size=modelled.shape)
     measured[random.random(measured.shape) < 0.2] = np.nan
     measured[:, 1] = np.nan  # a point nobody sees
-    found = shifted([run(measured)], [modelled], NOISE).seconds
+    found = find_time_shift([run(measured)], [modelled], NOISE).seconds
     seen = [0, 2, 3]
     assert round(found * RATE) == searched(measured[:, seen].reshape(600, -1), modelled[:, seen].reshape(600, -1), 250)
     assert abs(round(found * RATE) - lag) <= 1, "what a roll puts at the ends differs"
@@ -54,7 +54,7 @@ def test_finds_the_lag_with_the_least_difference(lag: int) -> None:
 
 def doubted(measured: np.ndarray, modelled: np.ndarray) -> str:
     """What is said of a run, where no effect is known."""
-    return doubt([run(measured)], [modelled], [modelled], NOISE)
+    return check_clock([run(measured)], [modelled], [modelled], NOISE)
 
 
 def test_noise_and_lags_of_a_machine_are_no_shift() -> None:
@@ -95,15 +95,15 @@ def test_effects_that_explain_more_are_no_clock() -> None:
     modelled, random = swing(9), np.random.default_rng(10)
     runs = [run(np.roll(modelled, -20, axis=0) + 2e-3 * random.normal(size=modelled.shape))]
     noisy = 1e-3 * random.normal(size=modelled.shape)
-    assert not doubt(runs, [modelled], [runs[0].points + noisy], NOISE)
-    assert "lead" in doubt(runs, [modelled], [runs[0].points + 4 * noisy], NOISE)
+    assert not check_clock(runs, [modelled], [runs[0].points + noisy], NOISE)
+    assert "lead" in check_clock(runs, [modelled], [runs[0].points + 4 * noisy], NOISE)
 
 
 def test_one_clock_among_good_ones() -> None:
     modelled = [swing(seed) for seed in (11, 12, 13)]
     runs = [replace(run(points), file=f"{k}.csv") for k, points in enumerate(modelled)]
     runs[1] = replace(runs[1], points=np.roll(runs[1].points, -20, axis=0))
-    assert doubt(runs, modelled, modelled, NOISE).startswith(("1.csv: shifted clock: positions lead", "all runs"))
+    assert check_clock(runs, modelled, modelled, NOISE).startswith(("1.csv: shifted clock: positions lead", "all runs"))
 
 
 PLANT = """

@@ -16,7 +16,7 @@ from tepm_opt.discrepancy.adapters.equations import Equations
 from tepm_opt.discrepancy.adapters.inputs import Between
 from tepm_opt.discrepancy.laws.signals import INPUT
 from tepm_opt.discrepancy.pipeline import discover
-from tepm_opt.discrepancy.preparation.beginnings import without_beginnings
+from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.plant import START
 from tests.paths import SHARED
@@ -92,11 +92,11 @@ def test_beginnings_of_runs_at_work_are_left_out() -> None:
     points = u[:, None, None] + 0.0
     run = run_of(u, points, start="measured")
     other = run_of(u, points, "b.csv", start="measured")
-    shorter, remarks = without_beginnings(RunSet.of("x", [run, other]), [points + left, points + 0.1], 0.05)
+    shorter, remarks = remove_beginnings(RunSet.of("x", [run, other]), [points + left, points + 0.1], 0.05)
     assert [each.rows for each in shorter.runs] == [900, 1000]
     assert remarks[0].startswith("The first 2 s of a.csv are left out")
     rests = [replace(each, start="equilibrium") for each in (run, other)]
-    assert without_beginnings(RunSet.of("x", rests), [points + left, points + 0.1], 0.05)[1] == []
+    assert remove_beginnings(RunSet.of("x", rests), [points + left, points + 0.1], 0.05)[1] == []
 
 
 @pytest.mark.slow

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.discrepancy.experiments.information import APART, FOUND, information
+from tepm_opt.discrepancy.experiments.information import information
+from tepm_opt.discrepancy.experiments.settings import DEFAULT
 from tests.discrepancy.straight import KNOWN, Straight, effect, planned
 
 NOISE, RUNS = 0.3, planned("a.csv", "b.csv")
@@ -34,29 +35,29 @@ def test_what_is_found_is_two_standard_deviations_of_a_fit(name: str) -> None:
     told = information(PLANT, RUNS, NOISE, PLANT.candidates)
     move = next(move for move in told.moves if move.candidate.name == name)
     probe = move.probe[f"{name}.size"]
-    found = told.separable(move, 0.15).found
-    assert found == pytest.approx(FOUND / left(probe * column(f"{name}.size")), rel=1e-9)
-    assert move.at(found)[f"{name}.size"] == pytest.approx(found * probe)
+    found = told.separability(move, 0.15).found
+    assert found == pytest.approx(DEFAULT.found_sigmas / left(probe * column(f"{name}.size")), rel=1e-9)
+    assert move.values_at(found)[f"{name}.size"] == pytest.approx(found * probe)
 
 
 def test_the_closest_rival_is_fitted_with_all_its_parameters() -> None:
     told = information(PLANT, RUNS, NOISE, PLANT.candidates)
     first = next(move for move in told.moves if move.candidate is DRAG)
-    one = told.separable(first, 0.15)
+    one = told.separability(first, 0.15)
     signature = 0.2 * column("drag.size")
     assert one.rival is TWIN
-    assert one.apart == pytest.approx(APART / left(signature, ("twin.size",)), rel=1e-6)
+    assert one.apart == pytest.approx(DEFAULT.apart_sigmas / left(signature, ("twin.size",)), rel=1e-6)
     assert one.cosine == pytest.approx(np.sqrt(1 - (left(signature, ("twin.size",)) / left(signature)) ** 2), rel=1e-6)
     assert one.apart > 5 * one.found
-    of_load = told.separable(next(move for move in told.moves if move.candidate is LOAD), 0.15)
+    of_load = told.separability(next(move for move in told.moves if move.candidate is LOAD), 0.15)
     assert of_load.cosine < 0.6
 
 
 def test_what_is_large_enough_takes_away_so_much_of_the_noise() -> None:
     told = information(PLANT, RUNS, NOISE, PLANT.candidates)
-    one = told.separable(told.moves[0], 0.15)
+    one = told.separability(told.moves[0], 0.15)
     count = sum(run.points.size for run in RUNS)
-    assert (told.left(told.moves[0]) * one.material) ** 2 / count == pytest.approx(0.15)
+    assert (told.residual_norm(told.moves[0]) * one.material) ** 2 / count == pytest.approx(0.15)
     assert told.count == count
 
 
@@ -64,10 +65,10 @@ def test_more_runs_tell_more() -> None:
     sizes = []
     for files in (("a.csv",), ("a.csv", "b.csv"), ("a.csv", "b.csv", "c.csv")):
         told = information(PLANT, planned(*files), NOISE, PLANT.candidates)
-        sizes.append(told.separable(told.moves[0], 0.15).found)
+        sizes.append(told.separability(told.moves[0], 0.15).found)
     assert sizes[0] > sizes[1] > sizes[2]
 
 
 def test_what_is_beyond_the_ranges_is_not_found() -> None:
     told = information(PLANT, RUNS, 1e4, PLANT.candidates)
-    assert told.separable(told.moves[0], 0.15).found == np.inf
+    assert told.separability(told.moves[0], 0.15).found == np.inf

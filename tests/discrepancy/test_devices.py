@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.adapters.network import SearchableNetwork, candidates
-from tepm_opt.discrepancy.preparation.devices import devices_seen
-from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.adapters.network import candidates
+from tepm_opt.discrepancy.preparation.devices import identify_devices
+from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.model import Model
 from tests.discrepancy.small import planned
@@ -29,7 +29,8 @@ DELAY, FILLING, EXHAUSTING = 0.02, 0.15, 0.3
 class Uncompiled:
     """As much of a network as gauges are compared with."""
 
-    known_model: Model = KNOWN
+    model: Model = KNOWN
+    static: bool = False
     candidates: tuple[Candidate, ...] = tuple(candidates(KNOWN))
     signals: Signals = CHANNELS.signals
 
@@ -62,7 +63,7 @@ def gauged(
 
 
 def seen(data: RunSet) -> Any:
-    return devices_seen(data, cast("SearchableNetwork", Uncompiled()))
+    return identify_devices(data, cast("SearchablePlant", Uncompiled()))
 
 
 def on_grid(values: np.ndarray) -> np.ndarray:
@@ -83,7 +84,7 @@ def test_grid_lag_and_delay() -> None:
     assert set(found.values) == {*lag.parameters, *late.parameters}
     for name, (low, high) in lag.ranges.items():
         assert low < found.values[name] < high < low + 0.1
-    assert {c for c in found.among(Uncompiled().candidates) if c.ranges} >= {lag, late}
+    assert {c for c in found.narrow_candidates(Uncompiled().candidates) if c.ranges} >= {lag, late}
 
 
 @pytest.mark.slow

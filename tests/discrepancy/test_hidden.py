@@ -91,7 +91,7 @@ def false_names(answer: Answer) -> set[str]:
 
 def closes(answer: Answer, key: str, least: float) -> None:
     errors = answer.verdict.errors
-    assert errors.closed >= least, answer.line(key)
+    assert errors.gap_closed_fraction >= least, answer.line(key)
     assert errors.corrected <= errors.recalibrated, answer.line(key)
 
 
@@ -164,7 +164,7 @@ class TestAllRuns:
 
     def test_the_gap_closes_nearly_to_the_noise(self, answers: Callable[[str], Answer]) -> None:
         known = {key: answers(key) for key in CLOSED}
-        closed = {key: answer.verdict.errors.closed for key, answer in known.items()}
+        closed = {key: answer.verdict.errors.gap_closed_fraction for key, answer in known.items()}
         left = {key: answer.verdict.errors.corrected / answer.verdict.errors.noise_floor for key, answer in known.items()}
         assert median(closed.values()) >= 0.9, closed
         assert median(left.values()) <= 1.5, left

@@ -210,6 +210,6 @@ def test_what_is_missing_on_one_axis(tmp_path: Path, hidden: dict[str, float], n
         return
     assert verdict.status is VerdictStatus.NAMED, verdict.paragraph
     assert [each.candidate.name for each in verdict.effects] == [name], verdict.paragraph
-    assert verdict.errors.closed > 0.9
+    assert verdict.errors.gap_closed_fraction > 0.9
     if size is not None:
         assert verdict.effects[0].parameters["filling_time"].value == pytest.approx(size, rel=0.05)

@@ -11,7 +11,7 @@ from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.equations import Equations
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.discrepancy.reporting.sentences import beyond
+from tepm_opt.discrepancy.reporting.sentences import describe_extrapolation
 from tepm_opt.discrepancy.selection.cross_validation import leave_out
 from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.selection.screening import screen
@@ -116,6 +116,6 @@ def test_validation_beyond_what_was_fitted_to_is_told() -> None:
     signals = Signals.of(["inflow"], ["level"], "m")
     low, high = near.points.min(), near.points.max()
     far = replace(far, role="validation", inputs=near.inputs, points=np.full_like(far.points, (low + high) / 2 + 2.1 * (high - low) / 2))
-    (line,) = beyond(RunSet.of("levels", [near, far]), signals)
+    (line,) = describe_extrapolation(RunSet.of("levels", [near, far]), signals)
     assert "r1.csv leaves the range fitted to: level goes 2.1 times as far" in line
-    assert beyond(RunSet.of("levels", [near, replace(far, points=near.points)]), signals) == []
+    assert describe_extrapolation(RunSet.of("levels", [near, replace(far, points=near.points)]), signals) == []

@@ -14,7 +14,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate, candidates, with_all_candidates, with_selected_candidates
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.discrepancy.reporting.sentences import beaten
+from tepm_opt.discrepancy.reporting.sentences import rejection_reason
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import linearise
@@ -255,7 +255,7 @@ class TestFits:
         early, whole = found
         ended = [hypothesis for hypothesis in early.tried if hypothesis.estimate.out_of_reach]
         assert ended
-        assert all("leaves at most " in beaten(early, candidate("sensor_offset", "s3"), hypothesis) for hypothesis in ended)
+        assert all("leaves at most " in rejection_reason(early, candidate("sensor_offset", "s3"), hypothesis) for hypothesis in ended)
         assert not any(hypothesis.estimate.out_of_reach for hypothesis in whole.tried)
         assert early.best.effects == whole.best.effects == (candidate("sensor_offset", "s3"),)
         np.testing.assert_array_equal(early.best.estimate.values, whole.best.estimate.values)
@@ -285,7 +285,7 @@ class TestAnswer:
         found = np.array([named.parameters[axis].value for axis in "xyz"])
         std = np.array([named.parameters[axis].std for axis in "xyz"])
         assert (np.abs(found - OFFSET) < 4 * std + 5e-5).all(), (found, std)
-        assert verdict.errors.closed > 0.97
+        assert verdict.errors.gap_closed_fraction > 0.97
         assert verdict.model.effects[0].name == "sensor_offset"
 
     def test_every_other_effect_is_a_rival_with_a_reason(self, result: Discovery) -> None:

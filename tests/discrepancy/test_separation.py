@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy.experiments.separation import foreseen, separation
+from tepm_opt.discrepancy.experiments.separation import predict_with_uncertainty, separation
 from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tests.discrepancy.straight import Straight, effect, planned
@@ -58,8 +58,8 @@ def test_less_noise_and_surer_parameters_separate_more(both: list[ParameterEstim
 def test_what_says_the_same_is_not_separated(both: list[ParameterEstimate]) -> None:
     (run,) = planned("new.csv")
     assert separation([both[0], both[0]], run, NOISE) == pytest.approx(0.0, abs=1e-9)
-    said = foreseen(both[0], run, NOISE)
-    assert said.misses(said.points + said.doubt @ np.full(said.doubt.shape[1], 1e-3)) < 2e-3
+    said = predict_with_uncertainty(both[0], run, NOISE)
+    assert said.distance_to(said.points + said.doubt @ np.full(said.doubt.shape[1], 1e-3)) < 2e-3
 
 
 def test_the_least_of_all_pairs_counts(both: list[ParameterEstimate]) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork, candidate, wrong_values
-from tepm_opt.discrepancy.assessment.constancy import onward, runs_of, sizes, spread
+from tepm_opt.discrepancy.assessment.constancy import active_runs, effect_size_by_segment, estimate_spread, extend_to_validation_runs
 from tepm_opt.discrepancy.problem.plant import Candidate, InSomeRuns, collect_free_parameters, restrict_effects_to_runs
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
@@ -149,8 +149,8 @@ class TestSearch:
         assert [c.told for c in found.best.effects] == ["payload in tip_load.csv"]
         dataset = dataset_of(kang, runs)
         best = found.best.estimate
-        assert runs_of(found.best.effects[0], best, dataset, NOISE) == ("tip_load.csv", "mixed.csv")
-        onwards = onward(best.plant, dataset)
+        assert active_runs(found.best.effects[0], best, dataset, NOISE) == ("tip_load.csv", "mixed.csv")
+        onwards = extend_to_validation_runs(best.plant, found.best.effects, dataset)
         assert isinstance(onwards, InSomeRuns)
         assert onwards.effects[0].runs == ("tip_load.csv", "mixed.csv"), "it is taken to go on"
 
@@ -160,7 +160,7 @@ class TestSearch:
         assert best is not None
         light = [replace(run, role="validation", file="again.csv") if k == 0 else run for k, run in enumerate(runs) if k != 3]
         dataset = dataset_of(kang, [runs[0], *light[1:], light[0]])
-        assert runs_of(LIMITED, best.estimate, dataset, NOISE) == LATE
+        assert active_runs(LIMITED, best.estimate, dataset, NOISE) == LATE
 
 
 class TestSizes:
@@ -172,14 +172,14 @@ class TestSizes:
         for own, same in ((everywhere, True), (once, False)):
             found = own.fit((PAYLOAD,), {"payload.mass": 0.01})
             assert found is not None
-            by_run = sizes(linearise(found.estimate, own.problem.free, (PAYLOAD,), (), own.settings), PAYLOAD)["run"]
+            by_run = effect_size_by_segment(linearise(found.estimate, own.problem.free, (PAYLOAD,), (), own.settings), PAYLOAD)["run"]
             assert (by_run.spread < 0.2) == same, by_run
 
     def test_chance_spreads_nothing(self) -> None:
         random = np.random.default_rng(0)
         std = np.full(200, 0.1)
-        assert spread(1 + std * random.normal(size=200), std) < 0.05
-        assert spread(1 + 0.3 * random.normal(size=200), std) == pytest.approx(np.sqrt(0.3**2 - 0.1**2), rel=0.15)
+        assert estimate_spread(1 + std * random.normal(size=200), std) < 0.05
+        assert estimate_spread(1 + 0.3 * random.normal(size=200), std) == pytest.approx(np.sqrt(0.3**2 - 0.1**2), rel=0.15)
 
 
 def test_a_candidate_says_where_it_acts() -> None:

@@ -11,9 +11,15 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate
-from tepm_opt.discrepancy.assessment.result import Named, Value, VerdictStatus
-from tepm_opt.discrepancy.reporting.effect_table import effect_rows, sizes, with_unit
-from tepm_opt.discrepancy.reporting.sentences import _names, alone, next_step, repeats, unfitted
+from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, VerdictStatus
+from tepm_opt.discrepancy.reporting.effect_table import describe_sizes, effect_rows, with_unit
+from tepm_opt.discrepancy.reporting.sentences import (
+    _describe_effects,
+    describe_repeatability,
+    next_step,
+    not_fitted_reason,
+    single_effect_reason,
+)
 from tepm_opt.discrepancy.selection.cross_validation import Evidence
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
@@ -27,7 +33,7 @@ def run(file: str, seed: int, pressure: float) -> Run:
 
 
 def test_repeated_runs_tell_the_repeatability() -> None:
-    lines = repeats([run("a.csv", 1, 1e5), run("b.csv", 2, 1e5), run("c.csv", 3, 2e5)], 1e-3)
+    lines = describe_repeatability([run("a.csv", 1, 1e5), run("b.csv", 2, 1e5), run("c.csv", 3, 2e5)], 1e-3)
     assert lines == ["a.csv and b.csv repeat the same inputs: 1.73 mm each (noise alone: 1.73 mm)."]
 
 
@@ -35,7 +41,7 @@ def test_long_times_are_in_seconds() -> None:
     """Small units are for small values."""
 
     def told(seconds: float) -> list[str]:
-        return sizes(Named(candidate("time_delay"), 1.0, {"delay": Value(seconds, 0.002, "s", 0.0)}, 1.0))
+        return describe_sizes(Named(candidate("time_delay"), 1.0, {"delay": Value(seconds, 0.002, "s", 0.0)}, 1.0))
 
     assert told(0.03) == ["delay 30 ± 2 ms"]
     assert told(30.4) == ["delay 30.4 ± 0.002 s"]
@@ -47,9 +53,9 @@ def test_many_effects_are_listed_without_their_sizes() -> None:
     named = [
         Named(candidate(name), p, {"size": Value(1.0, 0.1, "1", 0.0)}, 1.0) for name, p in zip(names, (1.0, 0.9, 0.8, 0.4), strict=True)
     ]
-    assert _names(named[:2]) == "time_delay (size 100 ± 10 %; probability 1.00) and payload (size 100 ± 10 %; probability 0.90)"
+    assert _describe_effects(named[:2]) == "time_delay (size 100 ± 10 %; probability 1.00) and payload (size 100 ± 10 %; probability 0.90)"
     listed = "time_delay (1.00), payload (0.90), base_tilt (0.80); perhaps also tendon_friction (0.40)"
-    assert _names(named) == f"4 effects, with their probabilities: {listed}"
+    assert _describe_effects(named) == f"4 effects, with their probabilities: {listed}"
 
 
 def test_sizes_that_are_not_told_from_null_are_not_given() -> None:
@@ -60,18 +66,18 @@ def test_sizes_that_are_not_told_from_null_are_not_given() -> None:
         {"holders": Value(0.00204, 0.023, "1", 0.0), "plates": Value(0.24, 0.065, "1", 0.0)},
         1.0,
     )
-    assert sizes(holders) == ["plates 24 ± 6.5 %", "holders not significantly different from 0"]
+    assert describe_sizes(holders) == ["plates 24 ± 6.5 %", "holders not significantly different from 0"]
     assert effect_rows([holders]) == [
         ("mass_distribution", "–", "plates 24 ± 6.5 %", "1.00", "100 %"),
         ("", "", "holders not significantly different from 0", "", ""),
     ]
     delay = Named(candidate("time_delay"), 1.0, {"delay": Value(0.031, 0.002, "s", 0.03)}, 1.0)
-    assert sizes(delay) == ["delay not significantly different from 30 ms"]
+    assert describe_sizes(delay) == ["delay not significantly different from 30 ms"]
     loss = Named(candidate("actuator_gain", "13"), 1.0, {"loss": Value(0.099974, 3.7e-5, "1", 0.0)}, 1.0)
-    assert sizes(loss) == ["loss 9.9974 ± 0.0037 %"], "as many digits as are known"
+    assert describe_sizes(loss) == ["loss 9.9974 ± 0.0037 %"], "as many digits as are known"
     assert [with_unit(0.95, unit) for unit in ("-", "1", "kg")] == ["0.95", "95 %", "950 g"]
     bend = Named(candidate("pressure_crosstalk"), 1.0, {"bend": Value(-6e-7, 1e-8, "1/Pa", 0.0)}, 1.0)
-    assert sizes(bend) == ["bend -0.06 ± 0.001 %/kPa"]
+    assert describe_sizes(bend) == ["bend -0.06 ± 0.001 %/kPa"]
 
 
 def considered(
@@ -92,7 +98,7 @@ def considered(
 
 
 def test_nothing_is_not_less_than_nothing() -> None:
-    assert unfitted(Score(candidate("creep"), -0.0, {})) == "to first order it could close 0 % of the gap"
+    assert not_fitted_reason(Score(candidate("creep"), -0.0, {})) == "to first order it could close 0 % of the gap"
 
 
 def test_a_rival_that_closes_nearly_all_has_a_reason() -> None:
@@ -104,7 +110,7 @@ def test_a_rival_that_closes_nearly_all_has_a_reason() -> None:
 
     def against(*given: Any, **more: Any) -> str:
         found = considered(*given, **more)
-        return alone(Explanation(without, best, best, [without, best, found], [], {}, {}), found)
+        return single_effect_reason(Explanation(without, best, best, [without, best, found], [], {}, {}), found)
 
     assert (
         against((tilt,), 4.0)
@@ -129,3 +135,9 @@ def test_every_status_has_a_next_step(status: VerdictStatus) -> None:
 def test_a_table_says_where_and_in_which_runs() -> None:
     weak = Named(candidate("actuator_gain", "13"), 0.42, {"loss": Value(0.1, 0.01, "1", 0.0)}, float("nan"), ("circle.csv",))
     assert effect_rows([weak]) == [("actuator_gain", "actuator 13, only in circle.csv", "loss 10 ± 1 %", "0.42", "–")]
+
+
+def test_the_old_name_of_the_gap_closed_warns() -> None:
+    errors = Errors(noise_floor=1.0, nominal=5.0, recalibrated=4.0, corrected=2.0, black_box=2.0)
+    with pytest.warns(DeprecationWarning, match="gap_closed_fraction"):
+        assert errors.closed == errors.gap_closed_fraction == 0.75

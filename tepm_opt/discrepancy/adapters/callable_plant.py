@@ -58,6 +58,7 @@ class CallablePlant(DescribedPlant):
     difference: float = 1e-3
 
     derivatives_apart = 0.0
+    modules = 1
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""

@@ -35,7 +35,7 @@ class CasadiPlant(DescribedPlant):
     concurrent = True
     static = False
     quick = True
-    derivatives_apart = 0.0
+    derivatives_apart, modules = 0.0, 1
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""

@@ -144,6 +144,11 @@ class SearchableNetwork(NetworkPlant):
         return self.known_model.robot.name
 
     @property
+    def modules(self) -> int:
+        """The robot's."""
+        return self.model.layout.modules
+
+    @property
     def derivatives_apart(self) -> float:
         """Derivatives of its motion are smooth."""
         return 0.04

@@ -1,7 +1,8 @@
-"""What the workflow answers: plain data for people and programs."""
+"""Verdict of the workflow: plain data for people and programs."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -12,15 +13,13 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.frames import Tabular
+from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.solvers.text import html_table, listed, shortened
 
-SHRINKS = 0.1  # part of the squared gap on runs not used that must close
-UNCLEAR = 2.0  # standard deviations within which a value is not told from what it was before
-
 
 class VerdictStatus(Enum):
-    """What became of the question which effect is missing."""
+    """Kind of answer to the question which effect is missing."""
 
     NAMED = "named"
     PARTIAL = "partial"
@@ -40,8 +39,8 @@ class Value:
 
     @property
     def clear(self) -> bool:
-        """Whether it differs significantly from what it was before."""
-        return abs(self.value - self.nominal) > UNCLEAR * self.std
+        """Whether it differs by more than two standard deviations from what it was before."""
+        return abs(self.value - self.nominal) > 2 * self.std
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Named:
     """An effect of the answer.
 
     Attributes:
-        candidate: which effect, with its detail.
+        candidate: the effect, with its detail.
         probability: that it acts in this machine.
         parameters: by the effect's own parameter names.
         closes: part of the gap left by recalibration that only this effect closes (held-out data), 0 … 1.
@@ -72,9 +71,9 @@ class Rival:
     """An effect that was considered and not named.
 
     Attributes:
-        candidate: which effect, with its detail.
+        candidate: the effect, with its detail.
         probability: that it, and not what was named, acts.
-        why: what speaks against it (or why it cannot be told apart).
+        why: the objection to it (or why it cannot be told apart).
         closes: part of the gap left by recalibration that it would close (held-out data); None where it was not worth a fit.
     """
 
@@ -116,22 +115,30 @@ class Errors:
     black_box: float
 
     @property
-    def closed(self) -> float:
-        """Part of the gap between nominal and noise that the corrected model closes."""
+    def gap_closed_fraction(self) -> float:
+        """Fraction of the gap between nominal and noise that the corrected model closes."""
         gap = self.nominal - self.noise_floor
         return (self.nominal - self.corrected) / gap if gap > 0 else 1.0
 
+    @property
+    def closed(self) -> float:
+        """Deprecated name of `gap_closed_fraction`; it goes with version 0.4."""
+        warnings.warn(
+            "Errors.closed is now Errors.gap_closed_fraction; the old name goes with version 0.4", DeprecationWarning, stacklevel=2
+        )
+        return self.gap_closed_fraction
 
-def shrinks(errors: Errors) -> bool:
+
+def reduces_validation_error(errors: Errors, settings: AssessmentSettings = DEFAULT) -> bool:
     """Whether the effects close the gap on runs not used, or recalibration leaves none there."""
-    gap = errors.recalibrated**2 - errors.noise_floor**2
-    return gap <= SHRINKS * errors.noise_floor**2 or errors.recalibrated**2 - errors.corrected**2 >= SHRINKS * gap
+    gap, least = errors.recalibrated**2 - errors.noise_floor**2, settings.min_gap_closed
+    return gap <= least * errors.noise_floor**2 or errors.recalibrated**2 - errors.corrected**2 >= least * gap
 
 
-def widens(errors: Errors) -> bool:
+def increases_validation_error(errors: Errors, settings: AssessmentSettings = DEFAULT) -> bool:
     """Whether the gap on runs not used is wider with the effects than without, by as much as would have counted as closing it."""
     gap = errors.recalibrated**2 - errors.noise_floor**2
-    return errors.corrected**2 - errors.recalibrated**2 > SHRINKS * max(gap, errors.noise_floor**2)
+    return errors.corrected**2 - errors.recalibrated**2 > settings.min_gap_closed * max(gap, errors.noise_floor**2)
 
 
 @dataclass(frozen=True)
@@ -139,7 +146,7 @@ class Verdict(Tabular):
     """The answer.
 
     Attributes:
-        status: what became of the question.
+        status: kind of answer.
         sentences: the answer in words: what is missing (the table of `answer.effect_rows` with more than one effect), where the model
             misses, how the errors fall.
         next: what to do now, in words, and `command`, which does it, where it is known what was asked.
@@ -179,13 +186,14 @@ class Verdict(Tabular):
 
     @property
     def step(self) -> str:
-        """What to do now, in words and with the command."""
+        """Next step in words and with the command."""
         return f"Next: {self.next}{': ' if self.command else '.'}{self.command}" if self.next else ""
 
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
         effects = listed([f"{named.candidate.label} {named.probability:.2f}" for named in self.effects], 2)
-        return f"Verdict({self.status.value}{', ' + shortened(effects, 60) if effects else ''}, {self.errors.closed:.0%} of the gap closed)"
+        named = f", {shortened(effects, 60)}" if effects else ""
+        return f"Verdict({self.status.value}{named}, {self.errors.gap_closed_fraction:.0%} of the gap closed)"
 
     def _repr_html_(self) -> str:
         """The answer in words and the effects with their parameters, as a table."""
@@ -202,7 +210,7 @@ class Verdict(Tabular):
         )
 
     def columns(self) -> dict[str, np.ndarray]:
-        """What was considered, a row each: named effects, then rivals."""
+        """Effects considered, a row each: named ones, then rivals."""
         considered = (*self.effects, *self.rivals)
         return {
             "effect": np.array([each.candidate.label for each in considered], dtype=np.str_),
@@ -219,24 +227,24 @@ class Verdict(Tabular):
                 {
                     "name": named.candidate.name,
                     "detail": named.candidate.detail,
-                    "probability": _rounded(named.probability),
+                    "probability": _round_number(named.probability),
                     "parameters": {name: _value(value) for name, value in named.parameters.items()},
                     **({"runs": [Path(file).stem for file in named.runs]} if named.runs else {}),
                 }
                 for named in self.effects
             ],
-            "rivals": [{"name": r.candidate.label, "probability": _rounded(r.probability), "why": r.why} for r in self.rivals],
+            "rivals": [{"name": r.candidate.label, "probability": _round_number(r.probability), "why": r.why} for r in self.rivals],
             "where": [
                 {
                     "by": p.by,
                     "name": p.name,
-                    "rms_m" if self.unit == "m" else "rms": _rounded(p.rms),
-                    "share": _rounded(p.share),
-                    "p": _rounded(p.p),
+                    "rms_m" if self.unit == "m" else "rms": _round_number(p.rms),
+                    "share": _round_number(p.share),
+                    "p": _round_number(p.p),
                 }
                 for p in self.where
             ],
-            "rmse_m" if self.unit == "m" else "rmse": {name: _rounded(value) for name, value in vars(self.errors).items()},
+            "rmse_m" if self.unit == "m" else "rmse": {name: _round_number(value) for name, value in vars(self.errors).items()},
             "recalibrated": {name: _value(value) for name, value in self.recalibrated.items()},
             "paragraph": self.paragraph,
             "next": self.next,
@@ -248,9 +256,9 @@ class Verdict(Tabular):
 
 
 def _value(value: Value) -> dict[str, Any]:
-    return {"value": _rounded(value.value), "std": _rounded(value.std), "unit": value.unit}
+    return {"value": _round_number(value.value), "std": _round_number(value.std), "unit": value.unit}
 
 
-def _rounded(number: float) -> float | None:
+def _round_number(number: float) -> float | None:
     """Six significant digits, so that the last bits of a sum do not make two files differ; None for what is not a number."""
     return float(f"{number:.6g}") if abs(number) < float("inf") else None

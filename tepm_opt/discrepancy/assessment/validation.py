@@ -10,8 +10,8 @@ import numpy as np
 from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import RunSet
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.assessment.black_box import black_box
-from tepm_opt.discrepancy.assessment.constancy import onward
+from tepm_opt.discrepancy.assessment.black_box import predict_residuals
+from tepm_opt.discrepancy.assessment.constancy import extend_to_validation_runs
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation, localise
 from tepm_opt.discrepancy.assessment.result import Errors
 from tepm_opt.discrepancy.preparation.time_step import PRECISE_STEP
@@ -68,7 +68,7 @@ def compare_models(
 
     def predict_corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
         best = _refine_fit(explanation.best.estimate, fits.settings.final_step)
-        return best, predict_runs(onward(best.plant, dataset), dataset, noise)
+        return best, predict_runs(extend_to_validation_runs(best.plant, explanation.best.effects, dataset), dataset, noise)
 
     def predict_recalibrated() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
         recalibrated = predict_runs(explanation.without.estimate.plant, dataset, noise)
@@ -111,7 +111,7 @@ def _predict_black_box(dataset: RunSet, recalibrated: Sequence[np.ndarray], stat
     learnt, judged = [k for k, run in enumerate(dataset.runs) if run.role == "fit"], _validation_runs(dataset)
     left = [dataset.runs[k].points - recalibrated[k] for k in learnt]
     size = np.maximum(np.max([np.abs(run.inputs).max(axis=0) for run in dataset.runs], axis=0), 1e-12)
-    guessed = black_box([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], static)
+    guessed = predict_residuals([dataset.runs[k] for k in learnt], left, size, [dataset.runs[k] for k in judged], static)
     return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
 
 

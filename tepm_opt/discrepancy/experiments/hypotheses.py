@@ -1,4 +1,4 @@
-"""Which hypotheses a verdict leaves standing, fitted again to its data: what a further run has to tell apart."""
+"""Hypotheses that a verdict leaves open, fitted again to its data, for a further run to tell apart."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tepm_opt.discrepancy.assessment.credibility import CLEAR
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.assessment.settings import DEFAULT as ASSESSMENT
+from tepm_opt.discrepancy.experiments.settings import DEFAULT, ExperimentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis
 from tepm_opt.errors import InputError, unknown_name
 
-MOST = 3  # hypotheses that a run is asked to tell apart
 
-
-def contenders(content: Mapping[str, Any], corrected: Collection[str], fits: Fits, candidates: Sequence[Candidate]) -> list[Hypothesis]:
-    """The best hypothesis of a verdict and those that may be true in its place, each fitted as the verdict's were, most probable first.
+def refit_hypotheses(
+    content: Mapping[str, Any], corrected: Collection[str], fits: Fits, candidates: Sequence[Candidate],
+    settings: ExperimentSettings = DEFAULT,
+) -> list[Hypothesis]:  # fmt: skip
+    """Fit the best hypothesis of a verdict and those that may be true in its place as the verdict's were, most probable first.
 
     Where the status is indistinguishable these are its listed effects; otherwise the strongest rivals. Where nothing was named, that
     nothing acts is one of them.
@@ -27,6 +29,7 @@ def contenders(content: Mapping[str, Any], corrected: Collection[str], fits: Fit
         corrected: labels of the effects in its model.toml, and names of the values of the robot file that it has changed beyond priors.
         fits: of the data that the verdict is about.
         candidates: effects that may act.
+        settings: number of hypotheses.
 
     Raises:
         InputError: the verdict names an effect that is not known here, or has no rivals.
@@ -44,7 +47,7 @@ def contenders(content: Mapping[str, Any], corrected: Collection[str], fits: Fit
     best: Effects = tuple(c for c, _ in told if c.label in corrected or (c.detail or "") in corrected)
     if told and not best:
         best = (told[0][0],)
-    sure = {c for c, each in told if each["probability"] >= CLEAR}
+    sure = {c for c, each in told if each["probability"] >= ASSESSMENT.min_named}
     rivals = [c for c, _ in told if c not in best]
     if status is not VerdictStatus.INDISTINGUISHABLE or not rivals:
         rivals += [_by_label(name, candidates) for name, _ in others if name not in {c.label for c in (*best, *rivals)}]
@@ -55,17 +58,17 @@ def contenders(content: Mapping[str, Any], corrected: Collection[str], fits: Fit
     if first is None:
         raise InputError("the model cannot do the runs with the verdict's effects; run tepm discrepancy again")
     found = [first]
-    for rival in rivals[: MOST - 1]:
+    for rival in rivals[: settings.max_hypotheses - 1]:
         places = [effect for effect in best if effect not in sure] or list(best)
         sets = [tuple(c for c in best if c != place) for place in places] or [()]
-        trials = [h for rest in sets if (h := _beside(fits, rest, rival, start)) is not None]
+        trials = [h for rest in sets if (h := _fit_beside(fits, rest, rival, start)) is not None]
         found += [min(trials, key=lambda h: h.estimate.cost)] if trials else []
     if len(found) < 2:
         raise InputError(f"the model cannot do the runs with {', '.join(c.label for c in rivals)}; there is nothing to tell apart")
     return found
 
 
-def _beside(fits: Fits, rest: Effects, rival: Candidate, start: Mapping[str, float]) -> Hypothesis | None:
+def _fit_beside(fits: Fits, rest: Effects, rival: Candidate, start: Mapping[str, float]) -> Hypothesis | None:
     """A rival beside effects: fitted from the values that the verdict has for it, or from those that promise most to first order."""
     if all(name in start for name in rival.parameters):
         return fits.fit((*rest, rival), dict(start))

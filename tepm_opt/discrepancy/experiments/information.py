@@ -1,4 +1,4 @@
-"""What planned runs will tell of missing effects before anything moves: Fisher information of all that may act, to first order."""
+"""Fisher information of planned runs on effects that may be missing, to first order."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.experiments.settings import DEFAULT, ExperimentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant, free_candidate_parameters
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import Free, PredictionError
-
-FOUND = 2.0  # standard deviations at which an effect is found
-APART = 4.0  # at which a rival is told apart: odds of e^8 on average, and 4 to 1 where chance is against it by two of its sigmas
-TINY = 1e-9  # part of its square that a signature has left where nothing is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +20,7 @@ class Move:
     """A change of an effect from where it vanishes whose signature is looked at.
 
     Attributes:
-        candidate: which effect.
+        candidate: the effect.
         null, probe: values by full name before and after; the probe is what is counted in multiples.
         along: by column of the information, how much of it the whole probe is.
         most: the largest multiple within the ranges of its values.
@@ -35,22 +32,22 @@ class Move:
     along: Mapping[str, float]
     most: float = np.inf
 
-    def at(self, multiple: float) -> dict[str, float]:
+    def values_at(self, multiple: float) -> dict[str, float]:
         """Values by full name at a multiple of the probe."""
         return {name: self.null[name] + multiple * (value - self.null[name]) for name, value in self.probe.items()}
 
 
 @dataclass(frozen=True, eq=False)
-class Separable:
-    """How well planned runs show a change of an effect; sizes are multiples of its probe, infinite where it cannot be as large.
+class Separability:
+    """Sizes at which planned runs show an effect, in multiples of its probe; infinite where it cannot be as large.
 
     Attributes:
-        move: which.
-        found: size at which it is `FOUND` standard deviations from nothing, the known parameters free within their priors.
+        move: the change of the effect.
+        found: size at which it is found beside known parameters that are free within their priors.
         material: size from which its output is as large as an effect must be to be named, whatever its significance.
         rival: the effect that does most alike; None where there is no other.
         cosine: between their signatures, the known parameters' part taken out; of several parameters the best combination.
-        apart: size at which the rival, fitted to it, misses by `APART` standard deviations.
+        apart: size at which the rival, fitted to it, is told apart.
     """
 
     move: Move
@@ -63,7 +60,7 @@ class Separable:
     def __repr__(self) -> str:
         """The main numbers, in a line."""
         rival = self.rival.label if self.rival else "nothing"
-        return f"Separable({self.move.candidate.label}, cosine {self.cosine:.3f} with {rival})"
+        return f"Separability({self.move.candidate.label}, cosine {self.cosine:.3f} with {rival})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +87,8 @@ class Information:
         """The main numbers, in a line."""
         return f"Information({len(self.own)} effects, {len(self.known)} known parameters, {self.count} coordinates)"
 
-    def left(self, move: Move, beside: Candidate | None = None) -> float:
-        """Norm over the noise of a move's signature that is left when the known parameters, and a rival's, follow.
+    def residual_norm(self, move: Move, beside: Candidate | None = None) -> float:
+        """Norm over the noise of a move's signature that the known parameters, and a rival's, cannot reproduce.
 
         The priors of known parameters count as normal distributions with the same standard deviation. A value that is said to be wrong
         beyond its prior, by the move or by the rival, has none.
@@ -109,39 +106,39 @@ class Information:
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
         taken = float((pull / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-11, hermitian=True) @ (pull / scale))
         rest = whole - taken
-        return float(np.sqrt(rest)) if rest > TINY * whole else 0.0
+        return float(np.sqrt(rest)) if rest > 1e-9 * whole else 0.0  # what rounding leaves of nothing
 
-    def separable(self, move: Move, excess: float) -> Separable:
-        """How well a move is shown; `excess` is what an effect must take away to be named, over the noise's squares."""
-        alone, is_wide = self.left(move), SearchSettings().is_wide
+    def separability(self, move: Move, excess: float, settings: ExperimentSettings = DEFAULT) -> Separability:
+        """Sizes at which a move is shown; `excess` is the one an effect must remove to be named, over the noise's squares."""
+        alone, is_wide = self.residual_norm(move), SearchSettings().is_wide
+        candidates = {each.candidate.label: each.candidate for each in self.moves}.values()
         compared = alone > 0 and not is_wide(move.candidate)
-        others = [c for c in self._candidates if compared and c.label != move.candidate.label and not is_wide(c)]
-        rests = [self.left(move, other) for other in others]
+        others = [c for c in candidates if compared and c.label != move.candidate.label and not is_wide(c)]
+        rests = [self.residual_norm(move, other) for other in others]
         nearest = int(np.argmin(rests)) if rests else -1
         rest = rests[nearest] if rests else alone
-        return Separable(
-            move, _over(FOUND, alone, move.most), _over(np.sqrt(excess * self.count), alone, move.most), others[nearest] if rests else None,
-            float(np.sqrt(max(1 - (rest / alone) ** 2, 0.0))) if rests else 0.0, _over(APART, rest, move.most),
-        )  # fmt: skip
 
-    @property
-    def _candidates(self) -> tuple[Candidate, ...]:
-        return tuple({move.candidate.label: move.candidate for move in self.moves}.values())
+        def multiple(wanted: float, size: float) -> float:
+            return float(wanted / size) if size * move.most >= wanted else float("inf")
 
-
-def _over(wanted: float, size: float, most: float) -> float:
-    """Multiple at which a signature of a size is as large as wanted; infinite where that is more than the most."""
-    return float(wanted / size) if size * most >= wanted else float("inf")
+        return Separability(
+            move,
+            found=multiple(settings.found_sigmas, alone),
+            material=multiple(np.sqrt(excess * self.count), alone),
+            rival=others[nearest] if rests else None,
+            cosine=float(np.sqrt(max(1 - (rest / alone) ** 2, 0.0))) if rests else 0.0,
+            apart=multiple(settings.apart_sigmas, rest),
+        )
 
 
 def information(plant: SearchablePlant, runs: Sequence[Run], noise: float, candidates: Iterable[Candidate]) -> Information:
-    """What runs will tell of effects at their null values: derivatives of those that are smooth, finite probes of others.
+    """Information of runs on effects at their null values: derivatives of those that are smooth, finite probes of others.
 
-    What happens at an instant does so half-way through the session.
+    An effect that begins at an instant does so half-way through the session.
 
     Args:
         plant: with the effects at their null values.
-        runs: what will be done; what they measured is not looked at.
+        runs: planned; their measured points are not used.
         noise: of a coordinate, 1 sigma.
         candidates: effects that may be missing; one that the model cannot take in these runs is left out.
 
@@ -158,7 +155,7 @@ def information(plant: SearchablePlant, runs: Sequence[Run], noise: float, candi
     for run in runs:
         found = plant.predict(run, names, plant.derivatives_apart or np.inf)
         base = plant.predict(run).points if bent else found.points
-        changed = in_parallel(lambda c, run=run: _probed(plant, c, run), bent, threads=plant.concurrent)
+        changed = in_parallel(lambda c, run=run: _predict_probe(plant, c, run), bent, threads=plant.concurrent)
         taken &= np.array([points is not None for points in changed], dtype=bool)
         by = [*found.by, *((np.zeros_like(base) if points is None else points - base) for points in changed)]
         flat = np.stack([part.ravel() for part in by]) / noise
@@ -166,12 +163,12 @@ def information(plant: SearchablePlant, runs: Sequence[Run], noise: float, candi
         count += base.size
     able = [c for c, good in zip(bent, taken, strict=True) if good]
     columns = {name: k for k, name in enumerate((*names, *(c.label for c in bent)))}
-    moves = [*(move for c in smooth for move in _smooth(plant, c)), *(_move(plant, c, _sized(c), {c.label: 1.0}) for c in able)]
+    moves = [*(move for c in smooth for move in _smooth_moves(plant, c)), *(_move(plant, c, _first_probe(c), {c.label: 1.0}) for c in able)]
     own = {c.label: c.parameters for c in smooth} | {c.label: (c.label,) for c in able}
     return Information(known, tuple(moves), own, columns, square, count)
 
 
-def _probed(plant: SearchablePlant, candidate: Candidate, run: Run) -> np.ndarray | None:
+def _predict_probe(plant: SearchablePlant, candidate: Candidate, run: Run) -> np.ndarray | None:
     """Points of a run with an effect at its first probe; None where the model cannot take it."""
     try:
         return plant.with_values(candidate.probes[0]).predict(run).points
@@ -179,14 +176,14 @@ def _probed(plant: SearchablePlant, candidate: Candidate, run: Run) -> np.ndarra
         return None
 
 
-def _sized(candidate: Candidate) -> dict[str, float]:
-    """The first probe, without what only says how the effect acts."""
+def _first_probe(candidate: Candidate) -> dict[str, float]:
+    """The first probe, without parameters that only say how the effect acts."""
     return {name: value for name, value in candidate.probes[0].items() if name not in candidate.shapes}
 
 
-def _smooth(plant: SearchablePlant, candidate: Candidate) -> list[Move]:
+def _smooth_moves(plant: SearchablePlant, candidate: Candidate) -> list[Move]:
     """A move for every parameter that says how strongly an effect acts; one for all of those that scatter."""
-    probe = {name: value for name, value in _sized(candidate).items() if value != candidate.null[name]}
+    probe = {name: value for name, value in _first_probe(candidate).items() if value != candidate.null[name]}
     parts = [probe] if SearchSettings().is_wide(candidate) else [{name: value} for name, value in probe.items()]
     return [_move(plant, candidate, part, {n: v - candidate.null[n] for n, v in part.items()}) for part in parts]
 

@@ -1,4 +1,4 @@
-"""How far apart hypotheses will be on a run that has not been made: model discrimination."""
+"""Separation of hypotheses by a planned run: model discrimination."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from tepm_opt.solvers.plant import Plant, PredictionError
 
 
 @dataclass(frozen=True, eq=False)
-class Foreseen:
-    """What a fitted hypothesis says of a run, and what the data so far leave open of it.
+class UncertainPrediction:
+    """Prediction of a run by a fitted hypothesis, with its uncertainty after the data so far.
 
     Attributes:
         points: over the noise, (coordinates,).
-        doubt: how they change with the fit's parameters by one standard deviation along each axis of these, (coordinates, parameters).
+        doubt: their change by one standard deviation along each axis of the fit's parameters, (coordinates, parameters).
     """
 
     points: np.ndarray
     doubt: np.ndarray
 
-    def misses(self, points: np.ndarray) -> float:
-        """Standard deviations by which points over the noise, (coordinates,), stay from what this hypothesis can say after a refit.
+    def distance_to(self, points: np.ndarray) -> float:
+        """Standard deviations from points over the noise, (coordinates,), to the nearest prediction of this hypothesis after a refit.
 
         The least of |difference - J d|² + dᵀ C⁻¹ d over all changes d of its parameters, where C is their covariance after the data so
         far: the part of the difference that no value of the parameters which these data allow takes away. T-optimality with a prior
@@ -39,26 +39,24 @@ class Foreseen:
         return float(np.sqrt(max(left @ left - taken, 0.0)))
 
 
-def foreseen(estimate: ParameterEstimate, run: Run, noise: float) -> Foreseen:
-    """What a fit says of a run, with the step at which derivatives are taken; effects that act in some runs only are taken to act.
+def predict_with_uncertainty(estimate: ParameterEstimate, run: Run, noise: float) -> UncertainPrediction:
+    """Predict a run with the step at which derivatives are taken; effects that act in some runs only are taken to act.
 
     Args:
         estimate: the fit.
-        run: what will be done.
+        run: planned.
         noise: of a coordinate, 1 sigma in m.
 
     Raises:
         PredictionError: the model cannot do the run.
     """
     plant: Plant = without_run_restriction(estimate.plant)
-    found = plant.predict(
-        run, [free.name for free in estimate.problem.free], max(estimate.problem.step, estimate.problem.derivatives_apart)
-    )
-    scale = estimate.problem.scale
+    problem, scale = estimate.problem, estimate.problem.scale
+    found = plant.predict(run, [free.name for free in problem.free], max(problem.step, problem.derivatives_apart))
     values, axes = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
     root = scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
     by = found.by.reshape(len(scale), -1).T / noise
-    return Foreseen(found.points.ravel() / noise, by @ root)
+    return UncertainPrediction(found.points.ravel() / noise, by @ root)
 
 
 def separation(estimates: Sequence[ParameterEstimate], run: Run, noise: float) -> float:
@@ -69,14 +67,14 @@ def separation(estimates: Sequence[ParameterEstimate], run: Run, noise: float) -
 
     Args:
         estimates: of the hypotheses, two or more.
-        run: what will be done.
+        run: planned.
         noise: of a coordinate, 1 sigma in m.
     """
     apart = max(estimate.problem.derivatives_apart for estimate in estimates)
     seen = spaced(run, apart) if apart and run.rows > 1 else run
     try:
-        said = [foreseen(estimate, seen, noise) for estimate in estimates]
+        said = [predict_with_uncertainty(estimate, seen, noise) for estimate in estimates]
     except PredictionError:
         return 0.0
     more = np.sqrt(run.rows / seen.rows)
-    return float(more) * min(min(one.misses(other.points), other.misses(one.points)) for one, other in combinations(said, 2))
+    return float(more) * min(min(one.distance_to(other.points), other.distance_to(one.points)) for one, other in combinations(said, 2))

@@ -1,4 +1,4 @@
-"""Do positions and inputs tell the same time?"""
+"""Detection of a clock shift between positions and inputs."""
 
 from __future__ import annotations
 
@@ -11,43 +11,37 @@ from scipy.fft import next_fast_len
 from scipy.signal import lfilter
 
 from tepm_opt.data.run import Run
-
-LONGEST = 5.0  # s, searched
-EARLY, LATE = -0.03, 0.25  # s: what positions lead by at most; what they may trail by, whatever the way in which they do
-EXPLAINS = 0.6  # of the structure of all runs that a shift must take away to be called one
-ALONE = 0.9  # in a run whose clock is off while others' are right: a model that is far off fits some run better at another time
-CLEARLY = 2.0  # times the squares that a shift leaves, left by every lag: then it is no lag
-MATERIAL = 0.25  # structure over the noise's squares below which nothing is asked
-MOVES = 25.0  # times the noise that a run must move by to tell
-LAGS = np.geomspace(0.1, 10.0, 13)  # s
+from tepm_opt.discrepancy.preparation.settings import DEFAULT, PreparationSettings
 
 
 @dataclass(frozen=True, eq=False)
-class Shifted:
-    """What shifts in time make of a model's misfit in some runs.
+class TimeShift:
+    """The shift in time that reduces a model's misfit most.
 
     Attributes:
         parts: (measured, modelled) over the noise and about their means, (rows, columns) each, of every run.
         steps: s between the samples of each run.
+        settings: thresholds.
     """
 
     parts: tuple[tuple[np.ndarray, np.ndarray], ...]
     steps: tuple[float, ...]
+    settings: PreparationSettings = DEFAULT
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Shifted({len(self.parts)} runs, {self.seconds:.2f} s explain {self.explains:.0%})"
+        return f"TimeShift({len(self.parts)} runs, {self.seconds:.2f} s explain {self.explained:.0%})"
 
     @cached_property
     def _costs(self) -> tuple[np.ndarray, np.ndarray]:
         """Shifts in s, and the squares that each leaves, less the noise's."""
-        longest = min(min(LONGEST, step * (len(y) // 2)) for (_, y), step in zip(self.parts, self.steps, strict=True))
+        longest = min(min(self.settings.clock_max_shift, step * (len(y) // 2)) for (_, y), step in zip(self.parts, self.steps, strict=True))
         step = max(self.steps)
         most = int(longest / step + 1e-9)
         shifts, total = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
         for (measured, y), own in zip(self.parts, self.steps, strict=True):
             reach = int(longest / own + 1e-9)
-            total += np.interp(shifts, own * np.arange(-reach, reach + 1), _costs(measured, y, reach))
+            total += np.interp(shifts, own * np.arange(-reach, reach + 1), _squares_by_lag(measured, y, reach))
         return shifts, np.maximum(total - self.count, 0.0)
 
     @property
@@ -63,92 +57,104 @@ class Shifted:
         return float(shifts[best]) if 0 < best < len(costs) - 1 else 0.0
 
     @property
-    def before(self) -> float:
-        """Squares beyond the noise's that there are as it is."""
+    def squares_before(self) -> float:
+        """Squares beyond the noise's without a shift."""
         shifts, costs = self._costs
         return float(costs[len(shifts) // 2])
 
     @property
-    def after(self) -> float:
+    def squares_after(self) -> float:
         """Squares beyond the noise's that the best shift leaves."""
         return float(self._costs[1].min())
 
     @property
-    def explains(self) -> float:
-        """Part of the structure that the best shift takes away."""
-        return 1 - self.after / max(self.before, 1e-12)
+    def explained(self) -> float:
+        """Share of the structure that the best shift explains."""
+        return 1 - self.squares_after / max(self.squares_before, 1e-12)
 
     def is_clock(self, least: float) -> bool:
-        """Whether it takes away so much at times that are no machine's, and no first-order lag nearly as much."""
-        if not self.parts or self.before < MATERIAL * self.count or self.explains < least or EARLY <= self.seconds <= LATE:
+        """Whether it explains at least this share, at times that no machine has, and no first-order lag explains nearly as much."""
+        limits = self.settings
+        if not self.parts or self.squares_before < limits.clock_min_structure * self.count or self.explained < least:
             return False
-        if self.seconds < EARLY:
+        if -limits.clock_max_lead <= self.seconds <= limits.clock_max_lag:
+            return False
+        if self.seconds < -limits.clock_max_lead:
             return True
-        return min(self._lagging(lag) for lag in LAGS) >= CLEARLY * (self.after + self.count)
+        lags = np.geomspace(0.1, 10.0, 13)  # s, of a slow machine's time constant
+        return min(self._lag_squares(lag) for lag in lags) >= limits.clock_min_lag_ratio * (self.squares_after + self.count)
 
-    def _lagging(self, lag: float) -> float:
-        """Squares that the model leaves behind a lag."""
-        return float(sum(_costs(seen, _lagged(y, lag / step), 0)[0] for (seen, y), step in zip(self.parts, self.steps, strict=True)))
+    def _lag_squares(self, lag: float) -> float:
+        """Squares that the model leaves behind a first-order lag with a time constant in s."""
+        pairs = zip(self.parts, self.steps, strict=True)
+        return float(sum(_squares_by_lag(measured, _apply_lag(y, lag / step), 0)[0] for (measured, y), step in pairs))
 
 
-def shifted(runs: Sequence[Run], points: Sequence[np.ndarray], noise: float | np.ndarray) -> Shifted:
-    """Shifts in time of what was measured against a model; of runs that tell.
+def find_time_shift(
+    runs: Sequence[Run], points: Sequence[np.ndarray], noise: float | np.ndarray, settings: PreparationSettings = DEFAULT
+) -> TimeShift:
+    """Compare measured with modelled positions at all shifts in time, in the runs that move enough to tell.
 
     Args:
         runs: measured.
         points: modelled, (rows, points, axes) each.
         noise: of what is measured, 1 sigma per axis, or of each point, (points, 1).
+        settings: thresholds.
     """
     parts, steps = [], []
     for run, modelled in zip(runs, points, strict=True):
         measured, y = (run.points / noise).reshape(run.rows, -1), (modelled / noise).reshape(run.rows, -1)
         ever = np.isfinite(measured).any(axis=0)
-        if run.rows < 4 or run.start != "equilibrium" or not ever.any() or np.ptp(y[:, ever], axis=0).max() < MOVES:
+        if run.rows < 4 or run.start != "equilibrium" or not ever.any() or np.ptp(y[:, ever], axis=0).max() < settings.clock_min_motion:
             continue
         measured, y = measured[:, ever], y[:, ever]
         parts.append((measured - np.nanmean(measured, axis=0), y - y.mean(axis=0)))
         steps.append(float(np.median(np.diff(run.time))))
-    return Shifted(tuple(parts), tuple(steps))
+    return TimeShift(tuple(parts), tuple(steps), settings)
 
 
-def doubt(runs: Sequence[Run], recalibrated: Sequence[np.ndarray], corrected: Sequence[np.ndarray], noise: float | np.ndarray) -> str:
-    """Why inputs and positions seem to tell different times; nothing where they do not, or where effects account for it.
+def check_clock(
+    runs: Sequence[Run], recalibrated: Sequence[np.ndarray], corrected: Sequence[np.ndarray], noise: float | np.ndarray,
+    settings: PreparationSettings = DEFAULT,
+) -> str:  # fmt: skip
+    """Describe the shift between the clocks of inputs and positions; empty where there is none, or where effects account for it.
 
-    No machine leads its inputs. One that trails them may be slow, which no limit in seconds tells from a clock: a slow machine smears what
-    it is told, and a clock does not. So a long shift only counts where no first-order lag would explain nearly as much. A shift is in doubt
-    where it explains most of what the effects leave, or most of what recalibration leaves and more than the effects do.
+    No machine leads its inputs. One that trails them may be slow, and no limit in seconds tells a slow machine from a clock. But a slow
+    machine smears its commands, and a clock does not: a long shift counts only where no first-order lag explains nearly as much. The
+    shift must explain most of what the effects leave, or most of what recalibration leaves and more than the effects do.
 
     Args:
         runs: measured.
         recalibrated: points of the model without an effect, (rows, points, axes) each.
         corrected: those of the model with the effects found.
         noise: of what is measured, 1 sigma per axis, or of each point, (points, 1).
+        settings: thresholds.
     """
-    without, best = shifted(runs, recalibrated, noise), shifted(runs, corrected, noise)
-    if without.is_clock(EXPLAINS) and without.after < best.before:
-        return _said(without, "all runs")
-    if best.is_clock(EXPLAINS):
-        return _said(best, "all runs")
+    without, best = (find_time_shift(runs, points, noise, settings) for points in (recalibrated, corrected))
+    if without.is_clock(settings.clock_min_explained) and without.squares_after < best.squares_before:
+        return _describe_shift(without, "all runs")
+    if best.is_clock(settings.clock_min_explained):
+        return _describe_shift(best, "all runs")
     for run, points in zip(runs, corrected, strict=True):
-        alone = shifted([run], [points], noise)
-        if alone.is_clock(ALONE):
-            return _said(alone, run.file)
+        alone = find_time_shift([run], [points], noise, settings)
+        if alone.is_clock(settings.clock_min_explained_alone):
+            return _describe_shift(alone, run.file)
     return ""
 
 
-def _said(found: Shifted, where: str) -> str:
+def _describe_shift(found: TimeShift, where: str) -> str:
     late = f"trail the inputs by {found.seconds:.2f} s unchanged, as behind a delay and not as a slow machine does"
     how = f"lead the inputs by {-found.seconds:.2f} s" if found.seconds < 0 else late
-    return f"{where}: shifted clock: positions {how}, which would explain {100 * found.explains:.0f} % of what is left"
+    return f"{where}: shifted clock: positions {how}, which would explain {100 * found.explained:.0f} % of what is left"
 
 
-def _lagged(series: np.ndarray, rows: float) -> np.ndarray:
+def _apply_lag(series: np.ndarray, rows: float) -> np.ndarray:
     """Columns behind a first-order lag with a time constant in rows, at rest before, (rows, columns)."""
     decay = np.exp(-1 / rows)
     return np.asarray(lfilter([1 - decay], [1, -decay], series - series[0], axis=0)) + series[0]
 
 
-def _costs(measured: np.ndarray, modelled: np.ndarray, most: int) -> np.ndarray:
+def _squares_by_lag(measured: np.ndarray, modelled: np.ndarray, most: int) -> np.ndarray:
     """Squared differences, less their mean, for lags from -most to most rows, (2 · most + 1,).
 
     Sums over rows of products with a shifted series are correlations, all lags at once by the fast Fourier transform.
@@ -163,12 +169,12 @@ def _costs(measured: np.ndarray, modelled: np.ndarray, most: int) -> np.ndarray:
     held = np.pad(modelled, ((most, most), (0, 0)), mode="edge")
     length = next_fast_len(len(held), real=True)
 
-    def shifted(series: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def correlate(series: np.ndarray, weight: np.ndarray) -> np.ndarray:
         spectrum = np.fft.rfft(series, length, axis=0) * np.conj(np.fft.rfft(weight, length, axis=0))
         return np.fft.irfft(spectrum, length, axis=0)[2 * most :: -1]
 
     count = np.maximum(seen.sum(axis=0), 1)
     present = seen.astype(float)
-    mean = (known.sum(axis=0) - shifted(held, present)) / count
-    squares = (known**2).sum(axis=0) - 2 * shifted(held, known) + shifted(held**2, present)
+    mean = (known.sum(axis=0) - correlate(held, present)) / count
+    squares = (known**2).sum(axis=0) - 2 * correlate(held, known) + correlate(held**2, present)
     return np.asarray((squares - count * mean**2).sum(axis=1))

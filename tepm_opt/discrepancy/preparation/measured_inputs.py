@@ -1,4 +1,4 @@
-"""Measured pressures and tensions: what happens before them is told apart from what happens behind them."""
+"""Measured pressures and tensions, which separate effects before a gauge from effects behind it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from tepm_opt.discrepancy.selection.forward_backward import Explanation
 
 
 def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ...] | None:
-    """The runs with measured pressures and tensions in the place of commanded ones, where a channel is measured in all of them.
+    """The runs with measured pressures and tensions in place of commanded ones, for channels measured in all runs; None without any.
 
-    Values outside the robot's limits (a gauge's noise at zero) are put on them, missing samples are interpolated. None where no channel
-    is measured in all runs.
+    Values outside the robot's limits (a gauge's noise at zero) are put on them, missing samples are interpolated.
     """
-    columns = {k: measured_column(signals.inputs[k]) for k in _measured(runs, signals)}
+    columns = {signals.inputs.index(name): measured_column(name) for name in measured_inputs(runs, signals)}
     if not columns:
         return None
     found = []
@@ -34,23 +33,14 @@ def with_measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[Run, ..
     return tuple(found)
 
 
-def gauged(runs: Sequence[Run], signals: Signals) -> tuple[str, ...]:
+def measured_inputs(runs: Sequence[Run], signals: Signals) -> tuple[str, ...]:
     """Names of the inputs that are measured in all runs."""
-    return tuple(signals.inputs[k] for k in _measured(runs, signals))
+    return tuple(name for name in signals.inputs if all(_is_measured(run, measured_column(name)) for run in runs))
 
 
-def _measured(runs: Sequence[Run], signals: Signals) -> list[int]:
-    found = []
-    for k, column in enumerate(signals.inputs):
-        name = measured_column(column)
-        if all(name in run.extra and _usable(run.extra[name]) for run in runs):
-            found.append(k)
-    return found
-
-
-def behind(missing: Sequence[Candidate], gauges: Collection[str]) -> tuple[Candidate, ...]:
-    """The candidates but for those between the command and a gauge that shows the input; what the gauge may have itself stays."""
-    return tuple(c for c in missing if c.gauge or c.stage != "input" or c.detail not in gauges)
+def _is_measured(run: Run, column: str) -> bool:
+    values = run.extra.get(column)
+    return values is not None and values.dtype.kind == "f" and bool(np.isfinite(values).mean() > 0.5)
 
 
 def measured_column(column: str) -> str:
@@ -59,14 +49,15 @@ def measured_column(column: str) -> str:
     return f"{stem}_measured_{unit}" if stem else f"{unit}_measured"
 
 
-def _usable(values: np.ndarray) -> bool:
-    return values.dtype.kind == "f" and bool(np.isfinite(values).mean() > 0.5)
+def downstream_candidates(missing: Sequence[Candidate], gauges: Collection[str]) -> tuple[Candidate, ...]:
+    """Candidates without those between a command and the gauge that shows the input; errors of the gauge itself stay."""
+    return tuple(c for c in missing if c.gauge or c.stage != "input" or c.detail not in gauges)
 
 
-def separated(body: Explanation, missing: Sequence[Candidate], settings: SearchSettings) -> tuple[Candidate, ...]:
-    """The candidates that are left once a search with measured inputs has looked at what happens behind them.
+def exclude_by_measured_inputs(body: Explanation, missing: Sequence[Candidate], settings: SearchSettings) -> tuple[Candidate, ...]:
+    """Candidates that remain after a search with measured inputs: those it found, and those that act on inputs.
 
-    What that search found, and what acts on inputs; all candidates where it left structure that nothing explains.
+    All candidates remain where that search left structure that nothing explains.
     """
     if body.best.excess > settings.max_noise_excess and not body.best.effects:
         return tuple(missing)

@@ -1,7 +1,7 @@
-"""How much what is measured scatters by itself: white noise in what recalibration leaves, beside the noise that was assumed.
+"""White noise of the measurement, estimated from residuals after recalibration.
 
-Third differences in time take a model's misfit away, which is smooth, and leave white noise (as von Neumann's first differences do,
-Annals of Mathematical Statistics 12, 1941); blocks in which the misfit is not smooth are left out.
+Third differences in time remove a smooth misfit and keep white noise (as von Neumann's first differences do, Annals of Mathematical
+Statistics 12, 1941). Blocks in which the misfit is not smooth are left out.
 """
 
 from __future__ import annotations
@@ -13,150 +13,153 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
+from tepm_opt.discrepancy.preparation.settings import DEFAULT, PreparationSettings
 from tepm_opt.solvers.residuals import Residual
 from tepm_opt.solvers.text import listed, quantity
 
-THIRD = np.array([-1.0, 3.0, -3.0, 1.0]) / np.sqrt(20)  # of white noise it leaves the variance as it is
-OVERLAP = 2.31  # neighbouring differences say together as much as one in so many: 1 + 2 · Σ correlation²
-ROWS = 50  # of a block
-FEWEST, ENOUGH = 8, 10  # blocks that tell, and differences in each
-APART = (1, 2, 3)  # samples between those of a difference: white noise is alike in all, a misfit shows most in the last
-WHITE = 0.1  # part by which they may differ
-EVEN = 0.2  # part by which noise may differ between blocks of more motion and of less
-ROUGH = 2.5  # times the median of blocks' squares, above which there is more than noise in a block
-SURE = 2.0, 3.0  # standard errors that make noise another, and less than was assumed: that makes structure of what was none
-LEAST = 0.005  # departure from what was assumed below which nothing is changed
-LARGE = 0.25  # … from which on a person should look why
-SMALLEST = 0.4  # of what was assumed that is taken for it: who declares far more than what scatters means more than white noise
-LOUDER = 1.5  # times the typical noise of a coordinate from which on one is named
-
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
-    """White noise that residuals show.
+class NoiseEstimate:
+    """White noise shown by residuals, over the noise assumed.
 
     Attributes:
-        levels: over the noise assumed, of each coordinate, (points, axes); NaN where too little was measured.
+        levels: of each coordinate, (points, axes); NaN where too little was measured.
         error: standard error of their root mean square.
-        apart: their root mean square, and those of differences over more samples, see `APART`; 1 where nothing tells.
+        by_spacing: root mean square of the levels for differences over 1, 2 and 3 samples; 1 where nothing tells. White noise is alike in
+            all, a misfit shows most in the last.
         rough: the first of these with all blocks in it.
-        moving: that where more moves over that where less does.
+        moving: that in blocks of more motion over that in blocks of less.
         total: root mean square of the residuals themselves.
+        settings: thresholds.
     """
 
     levels: np.ndarray
     error: float
-    apart: tuple[float, ...]
-    rough: float
-    moving: float
-    total: float
+    by_spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    rough: float = 1.0
+    moving: float = 1.0
+    total: float = 1.0
+    settings: PreparationSettings = DEFAULT
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Scatter({self.level:.3g} ± {self.error:.2g} times what was assumed, white {self.white}, even {self.even})"
+        return f"NoiseEstimate({self.level:.3g} ± {self.error:.2g} times what was assumed, white {self.is_white}, even {self.is_even})"
 
     @property
     def level(self) -> float:
-        """Noise over what was assumed: all that is left where that is as white as noise, else what third differences show of it.
+        """Noise over the assumed: the whole residual where that is as white as noise, else the level of third differences.
 
         Less noise than was assumed has to be seen in every block: tails that are heavy make few blocks loud.
         """
-        if abs(self.total - self.apart[0]) < SURE[0] * self.error:
+        level = self.by_spacing[0]
+        if abs(self.total - level) < self.settings.noise_above_sigmas * self.error:
             return self.total
-        return self.apart[0] if self.apart[0] > 1 else max(self.apart[0], min(self.rough, 1.0))
+        return level if level > 1 else max(level, min(self.rough, 1.0))
 
     @property
-    def departs(self) -> bool:
+    def differs(self) -> bool:
         """Whether it surely is another noise than was assumed."""
-        return abs(self.level - 1) > max(LEAST, SURE[self.level < 1] * self.error)
+        sigmas = self.settings.noise_below_sigmas if self.level < 1 else self.settings.noise_above_sigmas
+        return abs(self.level - 1) > max(self.settings.noise_min_change, sigmas * self.error)
 
     @property
-    def white(self) -> bool:
+    def is_white(self) -> bool:
         """Whether it is as much from sample to sample as over two and three: no filter smoothed it, nothing vibrates."""
-        one, two, three = self.apart
-        allowed = max(WHITE, 5 * self.error / one)
+        one, two, three = self.by_spacing
+        allowed = max(self.settings.noise_white_tolerance, 5 * self.error / one)
         return abs(two / one - 1) < allowed and three / one - 1 > -allowed
 
     @property
-    def even(self) -> bool:
-        """Whether it is as much in motion as at rest, as no time that jitters and no resolution makes it."""
-        return bool(abs(np.log(self.moving)) < max(EVEN, 10 * self.error / self.apart[0]))
+    def is_even(self) -> bool:
+        """Whether it is as much in motion as at rest; time that jitters and coarse resolution are not."""
+        return bool(abs(np.log(self.moving)) < max(self.settings.noise_motion_tolerance, 10 * self.error / self.by_spacing[0]))
 
     @property
     def factor(self) -> float:
         """Number by which to multiply the noise assumed: 1 where that is right, or where not only white noise is seen or meant."""
-        return self.level if self.departs and self.white and self.even and self.level > SMALLEST else 1.0
+        usable = self.differs and self.is_white and self.is_even and self.level > self.settings.noise_min_ratio
+        return self.level if usable else 1.0
 
 
-def fitted(noise: float | np.ndarray, runs: Sequence[Run], residuals: Sequence[Residual]) -> tuple[float | np.ndarray, list[Scatter]]:
-    """The noise as residuals over it show it, and how they scatter: of all points together, or of each that has a noise of its own.
+def estimate_noise(
+    noise: float | np.ndarray, runs: Sequence[Run], residuals: Sequence[Residual], settings: PreparationSettings = DEFAULT
+) -> tuple[float | np.ndarray, list[NoiseEstimate]]:
+    """The noise as residuals show it, and the estimates: of all points together, or of each that has a noise of its own.
 
     Args:
         noise: assumed, 1 sigma per axis, or of each point, (points, 1).
         runs: motions that were measured.
-        residuals: what a model leaves of them.
+        residuals: of a model in these runs.
+        settings: thresholds.
     """
     left = [np.where(r.present, r.values, np.nan) for r in residuals]
-    moves = np.concatenate([_moves(run.points / noise) for run in runs])
+    motion = np.concatenate([_block_motion(run.points / noise, settings.noise_block_rows) for run in runs])
     if not isinstance(noise, np.ndarray):
-        together = scatter(left, moves)
+        together = _estimate(left, motion, settings)
         return noise * together.factor, [together]
-    each = [scatter([values[:, k : k + 1] for values in left], moves) for k in range(len(noise))]
+    each = [_estimate([values[:, k : k + 1] for values in left], motion, settings) for k in range(len(noise))]
     return noise * np.array([[one.factor] for one in each]), each
 
 
-def scatter(left: Sequence[np.ndarray], moves: np.ndarray) -> Scatter:
-    """White noise in what a model leaves of runs.
+def _estimate(left: Sequence[np.ndarray], motion: np.ndarray, settings: PreparationSettings) -> NoiseEstimate:
+    """White noise in residuals.
 
     Args:
-        left: over the noise assumed, (rows, points, axes) of every run, NaN where a sample is missing.
-        moves: motion in every block of rows of all runs.
+        left: residuals over the noise assumed, (rows, points, axes) of every run, NaN where a sample is missing.
+        motion: in every block of rows of all runs.
+        settings: thresholds.
     """
-    parts = [[_squares(values, apart) for values in left] for apart in APART]
+    parts = [[_difference_squares(values, spacing, settings) for values in left] for spacing in (1, 2, 3)]
     squares = [np.concatenate([found for found, _ in each]) for each in parts]  # (blocks, points, axes)
-    known = np.isfinite(squares[0])
-    if not np.any(known.sum(axis=0) >= FEWEST):
-        return Scatter(np.full(squares[0].shape[1:], np.nan), np.inf, (1.0,) * len(APART), 1.0, 1.0, 1.0)
-    levels, much = _levels(squares[0]), moves > np.median(moves)
-    size = _rms(levels)
-    error = 0.5 * np.sqrt(2 * OVERLAP / sum(count for _, count in parts[0])) * size  # of the root of a mean of so many squares
+    if not np.any(np.isfinite(squares[0]).sum(axis=0) >= settings.noise_min_blocks):
+        return NoiseEstimate(np.full(squares[0].shape[1:], np.nan), np.inf, settings=settings)
+
+    def levels(blocks: np.ndarray) -> np.ndarray:
+        return _levels(blocks, settings.noise_rough_block)
+
+    own, much = levels(squares[0]), motion > np.median(motion)
+    one, two, three = (_rms(levels(each)) for each in squares)
+    overlap = 2.31  # neighbouring third differences say together as much as one in so many: 1 + 2 · Σ correlation²
+    error = 0.5 * np.sqrt(2 * overlap / sum(count for _, count in parts[0])) * one  # of the root of a mean of so many squares
     rough = float(np.sqrt(np.nanmean(squares[0])))
     total = float(np.sqrt(sum(np.nansum(values**2) for values in left) / sum(np.isfinite(values).sum() for values in left)))
-    moving = _rms(_levels(squares[0][much])) / max(_rms(_levels(squares[0][~much])), 1e-12)
-    return Scatter(levels, float(error), (size, *(_rms(_levels(each)) for each in squares[1:])), rough, moving, total)
+    moving = _rms(levels(squares[0][much])) / max(_rms(levels(squares[0][~much])), 1e-12)
+    return NoiseEstimate(own, float(error), (one, two, three), rough, moving, total, settings)
 
 
-def _cut(values: np.ndarray) -> np.ndarray:
-    """Rows in blocks, (blocks, rows of one, …); what is left at the end is left out."""
-    count = len(values) // ROWS
-    return values[: count * ROWS].reshape(count, ROWS, *values.shape[1:])
+def _cut_blocks(values: np.ndarray, rows: int) -> np.ndarray:
+    """Values in blocks of rows, (blocks, rows, …); incomplete blocks at the end are left out."""
+    count = len(values) // rows
+    return values[: count * rows].reshape(count, rows, *values.shape[1:])
 
 
-def _squares(left: np.ndarray, apart: int) -> tuple[np.ndarray, int]:
-    """Mean squares of third differences in every block, (blocks, points, axes), NaN where too few were measured; and how many were."""
+def _difference_squares(left: np.ndarray, spacing: int, settings: PreparationSettings) -> tuple[np.ndarray, int]:
+    """Mean squares of third differences in every block, (blocks, points, axes), NaN where too few were measured; and their number."""
+    third = np.array([-1.0, 3.0, -3.0, 1.0]) / np.sqrt(20)  # of white noise it leaves the variance as it is
     differences = np.full(left.shape, np.nan)
-    count = max(len(left) - 3 * apart, 0)
-    differences[:count] = sum(part * left[k * apart : k * apart + count] for k, part in enumerate(THIRD))
-    blocks = _cut(differences)
+    count = max(len(left) - 3 * spacing, 0)
+    differences[:count] = sum(part * left[k * spacing : k * spacing + count] for k, part in enumerate(third))
+    blocks = _cut_blocks(differences, settings.noise_block_rows)
     present = np.isfinite(blocks)
     counts = present.sum(axis=1)
     means = (np.where(present, blocks, 0.0) ** 2).sum(axis=1) / np.maximum(counts, 1)
-    return np.where(counts >= ENOUGH, means, np.nan), int(counts[counts >= ENOUGH].sum())
+    enough = counts >= settings.noise_min_differences
+    return np.where(enough, means, np.nan), int(counts[enough].sum())
 
 
-def _levels(squares: np.ndarray) -> np.ndarray:
-    """Noise of each coordinate from mean squares of its blocks, (points, axes), without blocks far above their median."""
+def _levels(squares: np.ndarray, rough: float) -> np.ndarray:
+    """Noise of each coordinate from mean squares of its blocks, (points, axes), without blocks above `rough` times their median."""
     found = np.full(squares.shape[1:], np.nan)
     seen = np.isfinite(squares).any(axis=0)
     known = squares[:, seen]
-    found[seen] = np.nanmean(np.where(known <= ROUGH * np.nanmedian(known, axis=0), known, np.nan), axis=0)
+    found[seen] = np.nanmean(np.where(known <= rough * np.nanmedian(known, axis=0), known, np.nan), axis=0)
     return np.sqrt(found)
 
 
-def _moves(points: np.ndarray) -> np.ndarray:
-    """How much moves in every block, (blocks,)."""
+def _block_motion(points: np.ndarray, rows: int) -> np.ndarray:
+    """Variance of the position in every block of rows, summed over coordinates, (blocks,)."""
     seen = np.isfinite(points)
-    blocks, present = _cut(np.where(seen, points, 0.0)), _cut(seen)
+    blocks, present = _cut_blocks(np.where(seen, points, 0.0), rows), _cut_blocks(seen, rows)
     counts = np.maximum(present.sum(axis=1), 1)
     mean = blocks.sum(axis=1) / counts
     return np.asarray((((blocks - mean[:, None]) ** 2 * present).sum(axis=1) / counts).sum(axis=(1, 2)))
@@ -166,44 +169,40 @@ def _rms(levels: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(levels**2))) if np.isfinite(levels).any() else 1.0
 
 
-def told(scatters: Sequence[Scatter], noise: float | np.ndarray, signals: Signals) -> list[str]:
-    """What a reader should know of the noise, in sentences.
+def describe_noise(estimates: Sequence[NoiseEstimate], noise: float | np.ndarray, signals: Signals) -> list[str]:
+    """Remarks on the noise, a sentence each; none where it is as assumed.
 
     Args:
-        scatters: found, see `fitted`.
+        estimates: see `estimate_noise`.
         noise: that was assumed.
         signals: names and unit of what is measured.
     """
     if np.ndim(noise) == 0:
-        return [*_told(scatters[0], float(noise), signals.unit, ""), *_louder(scatters[0], signals)]
+        return [*_describe_difference(estimates[0], float(noise), signals.unit, ""), *_describe_loud_coordinates(estimates[0], signals)]
     units = signals.unit if len(set(np.ravel(noise))) == 1 else ""
-    each = zip(scatters, np.ravel(noise), signals.points, strict=True)
-    return [text for one, size, name in each for text in _told(one, float(size), units, name)]
+    each = zip(estimates, np.ravel(noise), signals.points, strict=True)
+    return [text for one, size, name in each for text in _describe_difference(one, float(size), units, name)]
 
 
-def _told(found: Scatter, noise: float, unit: str, name: str) -> list[str]:
-    """How the noise differs from what was assumed, if it does."""
-    large = abs(found.level - 1) > LARGE
-    if not found.departs or (found.factor == 1 and not large):
+def _describe_difference(found: NoiseEstimate, noise: float, unit: str, name: str) -> list[str]:
+    """The difference between estimated and assumed noise in a sentence, if there is one."""
+    large = abs(found.level - 1) > 0.25  # so that a person should look why
+    if not found.differs or (found.factor == 1 and not large):
         return []
-    of, sigma = f" of {name}" if name else "", quantity(noise, unit)
-    seen = f"Noise{of}: samples scatter by {quantity(found.level * noise, unit)}, {_compared(found.level)} the {sigma} assumed"
+    of, part = f" of {name}" if name else "", 100 * abs(found.level - 1)
+    compared = f"{found.level:.2g} times" if found.level > 2 else f"{part:.0f} % {'above' if found.level > 1 else 'below'}"
+    seen = f"Noise{of}: samples scatter by {quantity(found.level * noise, unit)}, {compared} the {quantity(noise, unit)} assumed"
     if found.factor != 1:
         return [f"{seen}; fits are weighed by it.{' What is declared is wrong, or the tracker is another.' if large else ''}"]
-    why = "in motion than at rest" if found.white else "over several samples than from one to the next"
-    if found.white and found.even:
+    if found.is_white and found.is_even:
         return [f"{seen}; more than noise must be meant: what was assumed is kept."]
+    why = "in motion than at rest" if found.is_white else "over several samples than from one to the next"
     return [f"{seen}; but it is another {why}, so that it is no white noise: what was assumed is kept."]
 
 
-def _compared(level: float) -> str:
-    part = 100 * abs(level - 1)
-    return f"{level:.2g} times" if level > 2 else f"{part:.0f} % {'above' if level > 1 else 'below'}"
-
-
-def _louder(found: Scatter, signals: Signals) -> list[str]:
-    """Coordinates that scatter more than the others."""
+def _describe_loud_coordinates(found: NoiseEstimate, signals: Signals) -> list[str]:
+    """The coordinates that scatter more than 1.5 times as much as is typical."""
     typical = float(np.nanmedian(found.levels)) if np.isfinite(found.levels).any() else np.inf
     columns = [f"{point} {axis}".strip() for point in signals.points for axis in signals.axes]
-    more = [(level / typical, name) for level, name in zip(found.levels.ravel(), columns, strict=True) if level > LOUDER * typical]
+    more = [(level / typical, name) for level, name in zip(found.levels.ravel(), columns, strict=True) if level > 1.5 * typical]
     return [f"Noise: {listed([name for _, name in more])} scatter by up to {max(more)[0]:.2g} times as much as the others."] if more else []

@@ -95,10 +95,14 @@ class SearchablePlant(Plant, Protocol):
         known: full names of the parameters that are known within their ranges; they are fitted with whatever effects.
         candidates: effects that may be missing.
         derivatives_apart: time in s between samples at which derivatives say enough; 0: every one.
+        modules: alike modules side by side, whose parameters may scatter from one to the next; 1 where it has none.
     """
 
     @property
     def derivatives_apart(self) -> float: ...
+
+    @property
+    def modules(self) -> int: ...
 
     @property
     def name(self) -> str: ...

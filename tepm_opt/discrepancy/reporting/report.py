@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tepm_opt.data.run import RunSet
-from tepm_opt.discrepancy.assessment.constancy import runs_of
+from tepm_opt.discrepancy.assessment.constancy import active_runs
 from tepm_opt.discrepancy.assessment.credibility import Judgement
-from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE, Localisation
+from tepm_opt.discrepancy.assessment.residual_locations import Localisation, error_unit
 from tepm_opt.discrepancy.assessment.result import Errors, Named, Rival, Value, Verdict
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.reporting import sentences
@@ -36,10 +36,10 @@ def build_verdict(
         clock_doubt: a sentence where positions and inputs seem to tell different times, else empty.
         remarks: of the preparation, in sentences.
     """
-    unit = plant.signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
+    unit = error_unit(plant.signals, noise)
     status = judgement.status
     acts: dict[Candidate, tuple[str, ...]] = dict.fromkeys(explanation.shown, ())
-    acts |= {effect: runs_of(effect, best, dataset, noise) for effect in explanation.best.effects if effect not in explanation.shown}
+    acts |= {effect: active_runs(effect, best, dataset, noise) for effect in explanation.best.effects if effect not in explanation.shown}
     named = [
         Named(
             other,
@@ -52,10 +52,10 @@ def build_verdict(
     ]
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
-    notes = sentences.notes(dataset, plant.signals, explanation, best, noise, errors)
+    notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
     return Verdict(
         status,
-        sentences.sentences(status, named, errors, localisation.sentence, known, explanation, unit),
+        sentences.describe_answer(status, named, errors, localisation.sentence, known, explanation, unit),
         tuple(named),
         _rivals(explanation, named, judgement.cause),
         tuple(place for place in localisation.places if place.p <= 0.01),
@@ -98,14 +98,15 @@ def _rivals(explanation: Explanation, named: Sequence[Named], cause: Mapping[Can
         for hypothesis, weight in group[1:]:
             other = next(c for c in hypothesis.effects if c not in explanation.best.effects)
             closes = explanation.closes(hypothesis)
-            rival = Rival(other, weight * cause[effect], sentences.beaten(explanation, effect, hypothesis), closes)
+            rival = Rival(other, weight * cause[effect], sentences.rejection_reason(explanation, effect, hypothesis), closes)
             if other.name not in taken and (other.name not in found or found[other.name].probability < rival.probability):
                 found[other.name] = rival
     for hypothesis in explanation.tried:
         for other in hypothesis.effects:
             if len(hypothesis.effects) == 1 and other.name not in taken and other.name not in found:
-                found[other.name] = Rival(other, 0.0, sentences.alone(explanation, hypothesis), explanation.closes(hypothesis))
+                why = sentences.single_effect_reason(explanation, hypothesis)
+                found[other.name] = Rival(other, 0.0, why, explanation.closes(hypothesis))
     for score in explanation.scores:
         if score.candidate.name not in taken and score.candidate.name not in found:
-            found[score.candidate.name] = Rival(score.candidate, 0.0, sentences.unfitted(score), None)
+            found[score.candidate.name] = Rival(score.candidate, 0.0, sentences.not_fitted_reason(score), None)
     return tuple(sorted(found.values(), key=lambda rival: (-rival.probability, -(rival.closes or -1.0), rival.candidate.label)))

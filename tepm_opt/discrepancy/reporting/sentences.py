@@ -1,4 +1,4 @@
-"""The workflow's answer in words."""
+"""Verdict in words: answer, notes, and reasons against rivals."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
-from tepm_opt.discrepancy.assessment.residual_locations import TIMES_NOISE
-from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, VerdictStatus, shrinks
+from tepm_opt.discrepancy.assessment.residual_locations import error_unit
+from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, VerdictStatus, reduces_validation_error
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.discrepancy.reporting.effect_table import sizes, with_unit
+from tepm_opt.discrepancy.reporting.effect_table import describe_sizes, with_unit
 from tepm_opt.discrepancy.selection.alternatives import coincidence
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
@@ -21,72 +21,65 @@ from tepm_opt.discrepancy.selection.screening import Score
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.uncertainty import unidentifiable
 
-MOST_SIZES = 3  # effects whose sizes are said in the paragraph
-EVEN = 0.5  # probability from which an effect is said to be missing, not perhaps
-NEARLY_ALL = 0.9  # part of the gap that a rival closes from which it is said what else speaks against it
-AS_MUCH = 1.2  # times the excess of the answer up to which a rival leaves as much
-ANOTHER = 0.25  # of the width of its range by which a known parameter must differ from the answer's for a rival to need another one
-BEYOND = 1.2  # times the range fitted to, from which a run is said to leave it
-NEXT = {
-    VerdictStatus.NAMED: "see the corrected model beside a run",
-    VerdictStatus.NO_DISCREPANCY: "see the recalibrated model beside a run",
-    VerdictStatus.PARTIAL: "seek what else is missing",
-    VerdictStatus.INDISTINGUISHABLE: "record a run in which they would differ",
-    VerdictStatus.UNEXPLAINED: "see what acts on the machine there and then, or give the library an effect that does",
-}
 ONE_CLOCK = "put inputs and positions on one clock"
 
 
 def next_step(status: VerdictStatus, shift: str = "") -> str:
-    """What to do now, in words.
+    """Next step in words.
 
     Args:
         status: kind of answer.
-        shift: why inputs and positions seem to tell different times.
+        shift: between the clocks of inputs and positions, in words; empty where there is none.
     """
-    return ONE_CLOCK if shift else NEXT[status]
+    steps = {
+        VerdictStatus.NAMED: "see the corrected model beside a run",
+        VerdictStatus.NO_DISCREPANCY: "see the recalibrated model beside a run",
+        VerdictStatus.PARTIAL: "seek what else is missing",
+        VerdictStatus.INDISTINGUISHABLE: "record a run in which they would differ",
+        VerdictStatus.UNEXPLAINED: "see what acts on the machine there and then, or give the library an effect that does",
+    }
+    return ONE_CLOCK if shift else steps[status]
 
 
-def sentences(
+def describe_answer(
     status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation,
     unit: str,
 ) -> tuple[str, ...]:  # fmt: skip
-    """The answer: what is missing, where the model misses, and how the errors fall.
+    """Sentences of the answer: missing effects, places where the model misses, fall of the errors.
 
     Args:
         status: kind of answer.
         named: effects that the answer names, with their parameters.
         errors: of the models on validation runs.
-        where: a sentence that says where the model misses.
+        where: the model misses, in a sentence.
         known: recalibrated parameters by full name.
-        explanation: what the search found.
+        explanation: result of the search.
         unit: of the errors.
     """
-
-    def size(error: float) -> str:
-        return _shown(error, unit)
-
-    shrinks = f"On validation runs the error falls from {size(errors.nominal)} (nominal) over {size(errors.recalibrated)} (recalibrated)"
-    floor = f"noise {size(errors.noise_floor)}"
+    nominal, recalibrated, corrected, bound, floor = (
+        _format_error(error, unit)
+        for error in (errors.nominal, errors.recalibrated, errors.corrected, errors.black_box, errors.noise_floor)
+    )
+    falls = f"On validation runs the error falls from {nominal} (nominal) over {recalibrated} (recalibrated) to {corrected}"
     if status is VerdictStatus.NO_DISCREPANCY:
+        changes = _describe_changes(known)
         return (
-            f"Nothing is missing: with the known parameters recalibrated within their priors ({_moved(known)}) only noise is left.",
-            f"On validation runs the error falls from {size(errors.nominal)} to {size(errors.recalibrated)} ({floor}).",
+            f"Nothing is missing: with the known parameters recalibrated within their priors ({changes}) only noise is left.",
+            f"On validation runs the error falls from {nominal} to {recalibrated} (noise {floor}).",
         )
     if status in (VerdictStatus.NAMED, VerdictStatus.PARTIAL):
-        names = _names(named)
         head = "Missing" if status is VerdictStatus.NAMED else "Partly explained"
         return (
-            f"{head}: {names}.",
+            f"{head}: {_describe_effects(named)}.",
             where,
-            f"{shrinks} to {size(errors.corrected)} with {'it' if len(named) == 1 else 'them'} in the model ({floor}), "
-            f"which closes {100 * errors.closed:.0f} % of the gap.",
+            f"{falls} with {'it' if len(named) == 1 else 'them'} in the model (noise {floor}), "
+            f"which closes {100 * errors.gap_closed_fraction:.0f} % of the gap.",
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
         return (
-            f"{_groups(named, explanation)}.",
+            f"{_describe_groups(named, explanation)}.",
             where,
-            f"{shrinks} to {size(errors.corrected)} with the most probable in the model ({floor}).",
+            f"{falls} with the most probable in the model (noise {floor}).",
         )
     alone = [h for h in explanation.tried if len(h.effects) == 1]
     best = max([h for h in alone if not h.estimate.out_of_reach] or alone, key=explanation.closes, default=None)
@@ -94,20 +87,20 @@ def sentences(
     return (
         f"Unexplained: structure above the noise remains that no known effect explains{nearest}.",
         where,
-        f"On validation runs the error is {size(errors.nominal)} (nominal) and {size(errors.recalibrated)} (recalibrated); "
-        f"a black box without physics reaches {size(errors.black_box)} ({floor}).",
+        f"On validation runs the error is {nominal} (nominal) and {recalibrated} (recalibrated); "
+        f"a black box without physics reaches {bound} (noise {floor}).",
     )
 
 
-def notes(
+def collect_notes(
     dataset: RunSet, signals: Signals, explanation: Explanation, best: ParameterEstimate, noise: float | np.ndarray, errors: Errors
 ) -> tuple[str, ...]:
-    """Sentences that a reader should know besides the answer.
+    """Sentences beside the answer: limits of the data, of identifiability and of priors.
 
     Args:
         dataset: the data.
-        signals: what they are of.
-        explanation: what the search found.
+        signals: names and unit of what is measured.
+        explanation: result of the search.
         best: parameters of the best hypothesis.
         noise: of what is measured, 1 sigma per axis.
         errors: of the models on validation runs.
@@ -121,14 +114,14 @@ def notes(
     if silent:
         found.append(f"{', '.join(silent)}: not measured in any run.")
     alike = noise if np.ndim(noise) == 0 else 1.0
-    unit = signals.unit if np.ndim(noise) == 0 else TIMES_NOISE
-    found += repeats(dataset.runs, noise, unit) + beyond(dataset, signals)
-    if explanation.best.effects and dataset.validation and not shrinks(errors):
+    unit = error_unit(signals, noise)
+    found += describe_repeatability(dataset.runs, noise, unit) + describe_extrapolation(dataset, signals)
+    if explanation.best.effects and dataset.validation and not reduces_validation_error(errors):
         found.append("On the runs kept for validation the gap does not shrink: what acts in the runs fitted to does not act there.")
     left, axes = explanation.best.excess, axes_measured(np.concatenate([run.points for run in dataset.fit]))
     if explanation.best.effects and left > 0.1:
         found.append(
-            f"Structure of {_shown(float(np.sqrt(axes * left) * alike), unit)} is left in the runs fitted to: "
+            f"Structure of {_format_error(float(np.sqrt(axes * left) * alike), unit)} is left in the runs fitted to: "
             "the effect's form differs from the machine's, or something small is missing besides. It keeps probabilities below 1."
         )
     found += [f"{text}." for text in unidentifiable(best)]
@@ -144,22 +137,25 @@ def notes(
     return tuple(found)
 
 
-def beyond(dataset: RunSet, signals: Signals) -> list[str]:
-    """Which validation runs leave the range of the runs fitted to, a line each: what is said of them extrapolates."""
+def describe_extrapolation(dataset: RunSet, signals: Signals) -> list[str]:
+    """Sentences on validation runs that leave the range of the runs fitted to by more than 20 %, so that the model extrapolates."""
     columns = [f"{point} {axis}".strip() for point in signals.points for axis in signals.axes]
     seen = np.concatenate([run.points.reshape(run.rows, -1) for run in dataset.fit])
     inputs = np.concatenate([run.inputs for run in dataset.fit])
     found = []
     for run in dataset.validation:
-        reach = [*_reach(run.points.reshape(run.rows, -1), seen, columns), *_reach(run.inputs, inputs, list(signals.inputs))]
+        reach = [
+            *_relative_reach(run.points.reshape(run.rows, -1), seen, columns),
+            *_relative_reach(run.inputs, inputs, list(signals.inputs)),
+        ]
         name, times = max(reach, key=lambda pair: pair[1], default=("", 0.0))
-        if times > BEYOND:
+        if times > 1.2:
             found.append(f"{run.file} leaves the range fitted to: {name} goes {times:.1f} times as far. There it extrapolates.")
     return found
 
 
-def _reach(values: np.ndarray, fitted: np.ndarray, names: Sequence[str]) -> list[tuple[str, float]]:
-    """How many times as far as those fitted to the values of each column go from the middle of these."""
+def _relative_reach(values: np.ndarray, fitted: np.ndarray, names: Sequence[str]) -> list[tuple[str, float]]:
+    """Largest distance of each column's values from the middle of the fitted range, over half the range."""
     found = []
     for name, column, others in zip(names, values.T, fitted.T, strict=True):
         here, there = column[np.isfinite(column)], others[np.isfinite(others)]
@@ -169,8 +165,8 @@ def _reach(values: np.ndarray, fitted: np.ndarray, names: Sequence[str]) -> list
     return found
 
 
-def repeats(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> list[str]:
-    """How well the machine repeats itself, a line for each pair of runs from rest with the same inputs and tip forces."""
+def describe_repeatability(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> list[str]:
+    """Repeatability of the machine, a sentence for each pair of runs from rest with the same inputs and tip forces."""
     found = []
     for one, other in combinations([run for run in runs if run.start == "equilibrium" and run.inputs.size], 2):
         same = one.inputs.shape == other.inputs.shape and np.array_equal(one.inputs, other.inputs)
@@ -180,14 +176,13 @@ def repeats(runs: Sequence[Run], noise: float | np.ndarray, unit: str = "m") -> 
             if not np.isfinite(differ):  # nothing that both of them measured
                 continue
             alone = float(np.sqrt(axes_measured(one.points)) * (1.0 if np.ndim(noise) else noise))
-            found.append(
-                f"{one.file} and {other.file} repeat the same inputs: {_shown(differ, unit)} each (noise alone: {_shown(alone, unit)})."
-            )
+            each, noise_alone = _format_error(differ, unit), _format_error(alone, unit)
+            found.append(f"{one.file} and {other.file} repeat the same inputs: {each} each (noise alone: {noise_alone}).")
     return found
 
 
-def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> str:
-    """Why a hypothesis with another effect in the place of `effect` is not the answer."""
+def rejection_reason(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> str:
+    """Reason against a hypothesis with another effect in the place of `effect`."""
     closes, best = explanation.closes(hypothesis), explanation.closes(explanation.best)
     rest = next(
         (h for h in explanation.tried if h.effects == tuple(c for c in explanation.best.effects if c != effect)), explanation.without
@@ -199,23 +194,23 @@ def beaten(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) 
         f"{effect.label} {_percent(1 - best)}"
     )
     text += f"; their outputs nearly coincide in these runs (cosine {same:.3f})" if same > explanation.settings.min_coincidence else ""
-    return text + _against(explanation, hypothesis)
+    return text + _objections(explanation, hypothesis)
 
 
-def alone(explanation: Explanation, hypothesis: Hypothesis) -> str:
-    """Why an effect that was fitted alone is not the answer."""
+def single_effect_reason(explanation: Explanation, hypothesis: Hypothesis) -> str:
+    """Reason against an effect that was fitted alone."""
     if not hypothesis.evidence.held_out:
         return "alone it closes too little to be fitted to the end"
     least = "at least " if hypothesis.estimate.out_of_reach else ""
-    return f"alone it closes {least}{_percent(explanation.closes(hypothesis))} of the gap on held-out data" + _against(
+    return f"alone it closes {least}{_percent(explanation.closes(hypothesis))} of the gap on held-out data" + _objections(
         explanation, hypothesis
     )
 
 
-def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
-    """What speaks against a hypothesis that closes nearly all of the gap: more causes, the values it would need, what it leaves."""
+def _objections(explanation: Explanation, hypothesis: Hypothesis) -> str:
+    """Objections to a hypothesis that closes at least 90 % of the gap: more causes, values it would need, its excess."""
     best, effects = explanation.best, hypothesis.effects
-    if explanation.closes(hypothesis) < NEARLY_ALL or hypothesis is best:
+    if explanation.closes(hypothesis) < 0.9 or hypothesis is best:
         return ""
     if hypothesis.estimate.out_of_reach:
         return "; its fit was ended early, as what it promised would still leave far more than the answer does"
@@ -227,9 +222,9 @@ def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
         )
     if sum(bool(c.runs) for c in effects) > sum(bool(c.runs) for c in best.effects):
         reasons.append(f"it would act in some runs only, {explanation.settings.all_runs_odds:g} times less probable beforehand")
-    reasons += _needs(best, hypothesis)
+    reasons += _required_values(best, hypothesis)
     left, there = hypothesis.excess, best.excess
-    if left > AS_MUCH * there:
+    if left > 1.2 * there:  # else it leaves as much
         reasons.append(f"what it leaves is {np.sqrt(left):.2g} times the noise, the answer {np.sqrt(there):.2g} times")
     elif hypothesis.evidence.parameters > best.evidence.parameters:
         more = hypothesis.evidence.parameters - best.evidence.parameters
@@ -237,44 +232,40 @@ def _against(explanation: Explanation, hypothesis: Hypothesis) -> str:
     return "".join(f"; {reason}" for reason in reasons)
 
 
-def _needs(best: Hypothesis, hypothesis: Hypothesis) -> list[str]:
-    """The values at the ends of their ranges, or far from the answer's, that a hypothesis would need."""
+def _required_values(best: Hypothesis, hypothesis: Hypothesis) -> list[str]:
+    """The first three values that a hypothesis would need at the ends of their ranges, or far from the answer's."""
     others, estimate = {name for effect in best.effects for name in effect.parameters}, hypothesis.estimate
-    bound, apart = [], []
+    bound, apart, far = [], [], 0.25  # of the width of a range
     for free, value, at in zip(estimate.problem.free, estimate.values, estimate.at_bound, strict=True):
         there, width = best.estimate.named.get(free.name, free.start), free.high - free.low
         if free.refines or free.name in others:
             continue
-        if at and abs(value - there) > ANOTHER * min(width, abs(value)):
+        if at and abs(value - there) > far * min(width, abs(value)):
             bound.append(f"{free.name} at the end of its range ({with_unit(value, free.unit)})")
-        elif "." not in free.name and abs(value - there) > ANOTHER * width:
+        elif "." not in free.name and abs(value - there) > far * width:
             apart.append(f"{free.name} {with_unit(value, free.unit)} instead of {with_unit(there, free.unit)}")
-    found = [*bound, *apart][:MOST_SIZES]
+    found = [*bound, *apart][:3]
     return [f"it would need {', '.join(found)}"] if found else []
 
 
-def unfitted(score: Score) -> str:
-    """Why an effect was not fitted."""
+def not_fitted_reason(score: Score) -> str:
+    """Reason why an effect was not fitted."""
     return f"to first order it could close {_percent(min(max(score.gain, 0.0) + 0.0, 1.0))} of the gap"
 
 
-def _names(named: Sequence[Named]) -> str:
-    """The effects with their sizes, or without where there are so many that nobody would read on; the table of effects has them."""
-    few, texts = len(named) <= MOST_SIZES, {True: list[str](), False: list[str]()}
+def _describe_effects(named: Sequence[Named]) -> str:
+    """The effects, up to three of them with their sizes; the table of effects has all sizes."""
+    few, texts = len(named) <= 3, {True: list[str](), False: list[str]()}
     for each in named:
-        size = f"{', '.join(sizes(each))}; probability " if few else ""
-        texts[each.probability >= EVEN].append(f"{each.candidate.label} ({size}{each.probability:.2f}{_in_runs(each)})")
+        size = f"{', '.join(describe_sizes(each))}; probability " if few else ""
+        runs = f"; only in {', '.join(each.runs)}" if each.runs else ""
+        texts[each.probability >= 0.5].append(f"{each.candidate.label} ({size}{each.probability:.2f}{runs})")
     names = "; perhaps also ".join((" and " if few else ", ").join(part) for part in texts.values() if part)
     return names if few else f"{len(named)} effects, with their probabilities: {names}"
 
 
-def _in_runs(named: Named) -> str:
-    """In which runs it acts, where that is not all."""
-    return f"; only in {', '.join(named.runs)}" if named.runs else ""
-
-
-def _groups(named: Sequence[Named], explanation: Explanation) -> str:
-    """What is sure, and which effects these runs cannot tell apart."""
+def _describe_groups(named: Sequence[Named], explanation: Explanation) -> str:
+    """The sure effects, and those that these runs cannot tell apart."""
     told = {each.candidate: f"{each.candidate.label} (probability {each.probability:.2f})" for each in named}
     sure, unclear = [], []
     for effect, group in explanation.groups.items():
@@ -285,12 +276,12 @@ def _groups(named: Sequence[Named], explanation: Explanation) -> str:
     return missing + "; ".join(f"{text}, which these runs cannot tell apart" for text in unclear)
 
 
-def _moved(known: Mapping[str, Value]) -> str:
+def _describe_changes(known: Mapping[str, Value]) -> str:
     moved = [f"{name} {100 * (v.value / v.nominal - 1):+.1f} %" for name, v in known.items() if v.nominal]
     return ", ".join(moved) or "none is free"
 
 
-def _shown(value: float, unit: str) -> str:
+def _format_error(value: float, unit: str) -> str:
     if unit == "m" and value < 1e-4:
         return f"{1e3 * value:.2g} mm"
     return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}".strip()

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from tepm_opt.discrepancy.adapters.network import PARAMETER
-from tepm_opt.discrepancy.assessment.constancy import sizes, steadiness
+from tepm_opt.discrepancy.assessment.constancy import constancy_probability, effect_size_by_segment
 from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters, restrict_effects_to_runs
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
@@ -142,7 +142,7 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
         shares, steady, acts = dict.fromkeys(fits.seen, np.inf), {}, {}
         for effect in (effect for effect in best.effects if effect not in fits.seen):
             shares[effect] = costs[effect] / left if costs[effect] >= least[effect] else 0.0
-            steady[effect] = steadiness(sizes(linear, effect))
+            steady[effect] = constancy_probability(effect_size_by_segment(linear, effect))
             acts[effect] = steady[effect] * shares[effect] / (shares[effect] + even)
         unsure = [effect for effect in acts if acts[effect] < settings.min_listed_probability and effect not in stay]
         if not unsure:
