@@ -79,6 +79,7 @@ def discrepancy(
         stdout.print(f"[bold {'green' if found else 'yellow'}]{verdict.status.value}[/]")
         rows = effect_rows(verdict.effects)
         for line in (
+            *verdict.setup_sentences,
             *(align_columns(HEAD, rows) if rows else ()),
             *sentences_beside_table(verdict),
             verdict.step,

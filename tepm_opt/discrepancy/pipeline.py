@@ -1,4 +1,4 @@
-"""The discrepancy workflow as a pipeline of stages: prepare, recalibrate, screen, select, validate, assess, report.
+"""The discrepancy workflow as a pipeline of stages: check the set-up, prepare, recalibrate, screen, select, validate, assess, report.
 
 Each stage takes the state that the stage before it returned and adds what it found. States are frozen, so that a stage can be run, timed
 or replaced alone (`discover(…, stages=…)`).
@@ -39,6 +39,7 @@ from tepm_opt.discrepancy.reporting.report import build_verdict
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import linearise
+from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
@@ -46,6 +47,12 @@ from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.residuals import independent_after
 from tepm_opt.solvers.start import begun
+
+
+def check_setup(state: Question) -> Question:
+    """Look for mistakes of wiring, axes, units and markers, and mend them in the data."""
+    found, runs = find_setup_errors(state.plant, state.dataset.runs, state.noise, state.progress)
+    return replace(state, dataset=state.dataset.with_runs(runs), setup=found) if found else state
 
 
 def prepare(state: Question) -> Prepared:
@@ -105,7 +112,7 @@ def validate(state: Selected) -> Validated:
     dataset, noise = state.dataset, state.noise
     compared = compare_models(state.fits, state.explanation, dataset, state.plant.signals, state.nominal, noise, state.seed)
     predictions = compared.predictions
-    doubt = "" if state.plant.static else check_clock(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
+    shift = None if state.plant.static else check_clock(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
     return Validated(
         **vars(state),
         predictions=predictions,
@@ -113,7 +120,7 @@ def validate(state: Selected) -> Validated:
         localisation=compared.localisation,
         best=compared.best,
         errors=validation_errors(dataset, noise, predictions, compared.bound),
-        clock_doubt=doubt,
+        clock_shift=shift,
     )
 
 
@@ -122,7 +129,7 @@ def assess(state: Validated) -> Assessed:
     explanation, settings = state.explanation, state.settings
     laws, unseen = alternative_law_odds(explanation, settings, state.seed), bool(state.dataset.validation)
     judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
-    dropped = explanation.best.effects and (state.clock_doubt or judgement.status is VerdictStatus.UNEXPLAINED)
+    dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)
     predictions = state.predictions | {"corrected": state.predictions["recalibrated"]}
@@ -137,14 +144,10 @@ def assess(state: Validated) -> Assessed:
 
 def report(state: Assessed) -> Discovery:
     """Put the answer into words and tables."""
-    verdict = build_verdict(
-        state.dataset, state.plant, state.noise, state.explanation, state.best, state.errors, state.localisation, state.judgement,
-        state.clock_doubt, state.remarks,
-    )  # fmt: skip
-    return Discovery(verdict, state.dataset, state.noise, state.localisation, state.predictions, state.explanation)
+    return Discovery(build_verdict(state), state.dataset, state.noise, state.localisation, state.predictions, state.explanation)
 
 
-STAGES: tuple[Callable[[Any], Any], ...] = (prepare, recalibrate, screen, select, validate, assess, report)
+STAGES: tuple[Callable[[Any], Any], ...] = (check_setup, prepare, recalibrate, screen, select, validate, assess, report)
 """The workflow: each takes the state that the one before it returns, from a `Question` to a `Discovery`."""
 
 

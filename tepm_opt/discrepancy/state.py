@@ -12,11 +12,13 @@ from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy.assessment.credibility import Judgement
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Verdict
+from tepm_opt.discrepancy.preparation.clock import ClockShift
 from tepm_opt.discrepancy.preparation.devices import IdentifiedDevices
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
+from tepm_opt.discrepancy.setup.hypotheses import SetupError
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
@@ -36,6 +38,7 @@ class Question:
         store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
         key: content of `store` is used only if it was made with the same key.
         progress: told of every piece of work.
+        setup: errors of the set-up that are mended in `dataset`.
     """
 
     dataset: RunSet
@@ -46,6 +49,7 @@ class Question:
     store: Path | None = None
     key: str = ""
     progress: Progress = silent
+    setup: tuple[SetupError, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +114,7 @@ class Validated(Selected):
         localisation: where the model misses.
         best: the selected fit with the precise time step.
         errors: on validation runs.
-        clock_doubt: a sentence where positions and inputs seem to tell different times, else empty.
+        clock_shift: between inputs and positions; None where they tell the same time.
     """
 
     predictions: dict[str, list[np.ndarray]] = field(kw_only=True)
@@ -118,7 +122,7 @@ class Validated(Selected):
     localisation: Localisation = field(kw_only=True)
     best: ParameterEstimate = field(kw_only=True)
     errors: Errors = field(kw_only=True)
-    clock_doubt: str = field(kw_only=True)
+    clock_shift: ClockShift | None = field(kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ HEADINGS = {
     VerdictStatus.NO_DISCREPANCY: "No discrepancy",
     VerdictStatus.INDISTINGUISHABLE: "Several effects explain the data equally well",
     VerdictStatus.PARTIAL: "A known effect explains a part",
+    VerdictStatus.SETUP_ERROR: "The set-up has an error",
     VerdictStatus.UNEXPLAINED: "Not explained by any known effect",
 }
 SEVERAL = {VerdictStatus.NAMED: "The missing effects are named", VerdictStatus.PARTIAL: "Known effects explain a part"}

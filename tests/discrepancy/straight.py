@@ -35,6 +35,12 @@ class Straight:
     name, static, quick, concurrent, derivatives_apart, modules = "straight", False, False, False, 0.0, 1
     states: Mapping[str, float] = field(default_factory=dict)
 
+    equilibria = None
+
+    @property
+    def without_candidates(self) -> Straight:
+        return self
+
     @property
     def signals(self) -> Signals:
         raise NotImplementedError

@@ -54,7 +54,8 @@ def test_finds_the_lag_with_the_least_difference(lag: int) -> None:
 
 def doubted(measured: np.ndarray, modelled: np.ndarray) -> str:
     """What is said of a run, where no effect is known."""
-    return check_clock([run(measured)], [modelled], [modelled], NOISE)
+    found = check_clock([run(measured)], [modelled], [modelled], NOISE)
+    return found.sentence if found else ""
 
 
 def test_noise_and_lags_of_a_machine_are_no_shift() -> None:
@@ -96,14 +97,18 @@ def test_effects_that_explain_more_are_no_clock() -> None:
     runs = [run(np.roll(modelled, -20, axis=0) + 2e-3 * random.normal(size=modelled.shape))]
     noisy = 1e-3 * random.normal(size=modelled.shape)
     assert not check_clock(runs, [modelled], [runs[0].points + noisy], NOISE)
-    assert "lead" in check_clock(runs, [modelled], [runs[0].points + 4 * noisy], NOISE)
+    found = check_clock(runs, [modelled], [runs[0].points + 4 * noisy], NOISE)
+    assert found
+    assert "lead" in found.sentence
 
 
 def test_one_clock_among_good_ones() -> None:
     modelled = [swing(seed) for seed in (11, 12, 13)]
     runs = [replace(run(points), file=f"{k}.csv") for k, points in enumerate(modelled)]
     runs[1] = replace(runs[1], points=np.roll(runs[1].points, -20, axis=0))
-    assert check_clock(runs, modelled, modelled, NOISE).startswith(("1.csv: shifted clock: positions lead", "all runs"))
+    found = check_clock(runs, modelled, modelled, NOISE)
+    assert found
+    assert found.sentence.startswith(("1.csv: shifted clock: positions lead", "all runs"))
 
 
 PLANT = """

@@ -139,6 +139,16 @@ class SearchableNetwork(NetworkPlant):
         return SearchableNetwork(model, static, known_model=known, candidates=(*missing, *wrong), signals=channels.signals)
 
     @property
+    def without_candidates(self) -> NetworkPlant:
+        """The network of the known model."""
+        return NetworkPlant(compile_model(self.known_model), self.static)
+
+    @property
+    def equilibria(self) -> NetworkPlant | None:
+        """The network of the known model at rest, where the runs are motions."""
+        return None if self.static else NetworkPlant(compile_model(self.known_model), static=True)
+
+    @property
     def name(self) -> str:
         """The robot's."""
         return self.known_model.robot.name

@@ -15,6 +15,7 @@ import numpy as np
 from tepm_opt.data.frames import Tabular
 from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.setup.hypotheses import SetupError
 from tepm_opt.solvers.text import html_table, listed, shortened
 
 
@@ -26,6 +27,7 @@ class VerdictStatus(Enum):
     NO_DISCREPANCY = "no_discrepancy"
     INDISTINGUISHABLE = "indistinguishable"
     UNEXPLAINED = "unexplained"
+    SETUP_ERROR = "setup_error"
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,7 @@ class Verdict(Tabular):
         fits: how many sets of effects were fitted.
         notes: what a reader should know: doubts about the data, directions the runs cannot tell, structure left.
         seconds: it took.
+        setup: errors of the set-up, with their mends; the answer is about the data with the likeliest of each mended.
     """
 
     status: VerdictStatus
@@ -178,11 +181,21 @@ class Verdict(Tabular):
     fits: int = 0
     next: str = ""
     command: str = ""
+    setup: tuple[SetupError, ...] = ()
+
+    @property
+    def setup_sentences(self) -> tuple[str, ...]:
+        """Sentences of the set-up errors; the last says that the rest of the answer is about mended data."""
+        if not self.setup:
+            return ()
+        errors = tuple(f"Set-up error: {error.sentence}." for error in self.setup)
+        mended = any(error.hypothesis is not None for error in self.setup)
+        return (*errors, "All that follows is about the data with the first of these mended.") if mended else errors
 
     @property
     def paragraph(self) -> str:
         """The answer in words."""
-        return " ".join(self.sentences)
+        return " ".join((*self.setup_sentences, *self.sentences))
 
     @property
     def step(self) -> str:
@@ -233,6 +246,7 @@ class Verdict(Tabular):
                 }
                 for named in self.effects
             ],
+            "setup": [error.as_json() for error in self.setup],
             "rivals": [{"name": r.candidate.label, "probability": _round_number(r.probability), "why": r.why} for r in self.rivals],
             "where": [
                 {

@@ -90,6 +90,30 @@ class TimeShift:
         return float(sum(_squares_by_lag(measured, _apply_lag(y, lag / step), 0)[0] for (measured, y), step in pairs))
 
 
+@dataclass(frozen=True)
+class ClockShift:
+    """A shift between the clocks of inputs and positions.
+
+    Attributes:
+        file: the run that is on another clock; empty where all runs are.
+        seconds: by which positions trail the inputs; negative where they lead.
+        explained: share of what is left that it explains.
+    """
+
+    file: str
+    seconds: float
+    explained: float
+
+    @property
+    def sentence(self) -> str:
+        """The shift, for people."""
+        late = f"trail the inputs by {self.seconds:.2f} s unchanged, as behind a delay and not as a slow machine does"
+        how = f"lead the inputs by {-self.seconds:.2f} s" if self.seconds < 0 else late
+        return (
+            f"{self.file or 'all runs'}: shifted clock: positions {how}, which would explain {100 * self.explained:.0f} % of what is left"
+        )
+
+
 def find_time_shift(
     runs: Sequence[Run], points: Sequence[np.ndarray], noise: float | np.ndarray, settings: PreparationSettings = DEFAULT
 ) -> TimeShift:
@@ -116,8 +140,8 @@ def find_time_shift(
 def check_clock(
     runs: Sequence[Run], recalibrated: Sequence[np.ndarray], corrected: Sequence[np.ndarray], noise: float | np.ndarray,
     settings: PreparationSettings = DEFAULT,
-) -> str:  # fmt: skip
-    """Describe the shift between the clocks of inputs and positions; empty where there is none, or where effects account for it.
+) -> ClockShift | None:  # fmt: skip
+    """Find a shift between the clocks of inputs and positions; None where there is none, or where effects account for it.
 
     No machine leads its inputs. One that trails them may be slow, and no limit in seconds tells a slow machine from a clock. But a slow
     machine smears its commands, and a clock does not: a long shift counts only where no first-order lag explains nearly as much. The
@@ -132,20 +156,14 @@ def check_clock(
     """
     without, best = (find_time_shift(runs, points, noise, settings) for points in (recalibrated, corrected))
     if without.is_clock(settings.clock_min_explained) and without.squares_after < best.squares_before:
-        return _describe_shift(without, "all runs")
+        return ClockShift("", without.seconds, without.explained)
     if best.is_clock(settings.clock_min_explained):
-        return _describe_shift(best, "all runs")
+        return ClockShift("", best.seconds, best.explained)
     for run, points in zip(runs, corrected, strict=True):
         alone = find_time_shift([run], [points], noise, settings)
         if alone.is_clock(settings.clock_min_explained_alone):
-            return _describe_shift(alone, run.file)
-    return ""
-
-
-def _describe_shift(found: TimeShift, where: str) -> str:
-    late = f"trail the inputs by {found.seconds:.2f} s unchanged, as behind a delay and not as a slow machine does"
-    how = f"lead the inputs by {-found.seconds:.2f} s" if found.seconds < 0 else late
-    return f"{where}: shifted clock: positions {how}, which would explain {100 * found.explained:.0f} % of what is left"
+            return ClockShift(run.file, alone.seconds, alone.explained)
+    return None
 
 
 def _apply_lag(series: np.ndarray, rows: float) -> np.ndarray:

@@ -99,6 +99,13 @@ class DescribedPlant:
     candidates: tuple[Candidate, ...]
     grouped: Mapping[str, tuple[str, ...]]
 
+    equilibria = None
+
+    @property
+    def without_candidates(self) -> Self:
+        """The machine itself: candidates at their null values cost nothing."""
+        return self
+
     @property
     def values(self) -> dict[str, float]:
         """Values of all parameters by full name."""

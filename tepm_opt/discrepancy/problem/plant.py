@@ -96,7 +96,15 @@ class SearchablePlant(Plant, Protocol):
         candidates: effects that may be missing.
         derivatives_apart: time in s between samples at which derivatives say enough; 0: every one.
         modules: alike modules side by side, whose parameters may scatter from one to the next; 1 where it has none.
+        without_candidates: the same machine without them, which is simulated faster.
+        equilibria: `without_candidates` for equilibria, where these are had much faster than motions; else None.
     """
+
+    @property
+    def without_candidates(self) -> Plant: ...
+
+    @property
+    def equilibria(self) -> Plant | None: ...
 
     @property
     def derivatives_apart(self) -> float: ...

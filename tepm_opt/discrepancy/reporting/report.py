@@ -6,38 +6,31 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy.assessment.constancy import active_runs
-from tepm_opt.discrepancy.assessment.credibility import Judgement
-from tepm_opt.discrepancy.assessment.residual_locations import Localisation, error_unit
-from tepm_opt.discrepancy.assessment.result import Errors, Named, Rival, Value, Verdict
-from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
+from tepm_opt.discrepancy.assessment.residual_locations import error_unit
+from tepm_opt.discrepancy.assessment.result import Named, Rival, Value, Verdict, VerdictStatus
+from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting import sentences
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
+from tepm_opt.discrepancy.setup.hypotheses import SetupError
+from tepm_opt.discrepancy.state import Assessed
 from tepm_opt.solvers.identify import ParameterEstimate
 
 
-def build_verdict(
-    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, explanation: Explanation, best: ParameterEstimate,
-    errors: Errors, localisation: Localisation, judgement: Judgement, clock_doubt: str, remarks: Sequence[str],
-) -> Verdict:  # fmt: skip
+def build_verdict(state: Assessed) -> Verdict:
     """The answer in words and tables.
 
     Args:
-        dataset: all runs.
-        plant: the model that was asked about.
-        noise: of the measurements, 1 sigma per axis.
-        explanation: all fits, with the selected effects.
-        best: the selected fit with the precise time step.
-        errors: on validation runs.
-        localisation: where the model misses.
-        judgement: credibility of the effects.
-        clock_doubt: a sentence where positions and inputs seem to tell different times, else empty.
-        remarks: of the preparation, in sentences.
+        state: of the pipeline, with the credibility of every selected effect.
     """
+    dataset, plant, noise, explanation, best = state.dataset, state.plant, state.noise, state.explanation, state.best
+    judgement, errors, shift = state.judgement, state.errors, state.clock_shift
     unit = error_unit(plant.signals, noise)
-    status = judgement.status
+    setup = state.setup
+    if shift and shift.file:
+        mend = f"{shift.file}: take {shift.seconds:.2f} s off the times of its positions"
+        setup = (*setup, SetupError("late_run", (shift.file,), mend, shift.explained))
     acts: dict[Candidate, tuple[str, ...]] = dict.fromkeys(explanation.shown, ())
     acts |= {effect: active_runs(effect, best, dataset, noise) for effect in explanation.best.effects if effect not in explanation.shown}
     named = [
@@ -53,20 +46,22 @@ def build_verdict(
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
     notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
+    answer = sentences.describe_answer(judgement.status, named, errors, state.localisation.sentence, known, explanation, unit)
     return Verdict(
-        status,
-        sentences.describe_answer(status, named, errors, localisation.sentence, known, explanation, unit),
+        VerdictStatus.SETUP_ERROR if setup else judgement.status,
+        answer,
         tuple(named),
         _rivals(explanation, named, judgement.cause),
-        tuple(place for place in localisation.places if place.p <= 0.01),
+        tuple(place for place in state.localisation.places if place.p <= 0.01),
         known,
         errors,
         plant.with_values(best.plant.values).corrected(explanation.best.effects),
-        tuple(dict.fromkeys((*([f"{clock_doubt}."] if clock_doubt else []), *remarks, *judgement.remarks, *notes))),
+        tuple(dict.fromkeys((*([f"{shift.sentence}."] if shift else []), *state.remarks, *judgement.remarks, *notes))),
         machine=plant.name,
         unit=unit,
         fits=len(explanation.tried),
-        next=sentences.next_step(status, clock_doubt),
+        next=sentences.next_step(VerdictStatus.SETUP_ERROR if setup else judgement.status, shift is not None),
+        setup=setup,
     )
 
 

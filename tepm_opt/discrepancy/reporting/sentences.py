@@ -24,21 +24,22 @@ from tepm_opt.solvers.uncertainty import unidentifiable
 ONE_CLOCK = "put inputs and positions on one clock"
 
 
-def next_step(status: VerdictStatus, shift: str = "") -> str:
+def next_step(status: VerdictStatus, is_shifted: bool = False) -> str:
     """Next step in words.
 
     Args:
         status: kind of answer.
-        shift: between the clocks of inputs and positions, in words; empty where there is none.
+        is_shifted: whether the clocks of inputs and positions differ.
     """
     steps = {
         VerdictStatus.NAMED: "see the corrected model beside a run",
         VerdictStatus.NO_DISCREPANCY: "see the recalibrated model beside a run",
         VerdictStatus.PARTIAL: "seek what else is missing",
         VerdictStatus.INDISTINGUISHABLE: "record a run in which they would differ",
+        VerdictStatus.SETUP_ERROR: "mend the set-up or the data",
         VerdictStatus.UNEXPLAINED: "see what acts on the machine there and then, or give the library an effect that does",
     }
-    return ONE_CLOCK if shift else steps[status]
+    return ONE_CLOCK if is_shifted else steps[status]
 
 
 def describe_answer(

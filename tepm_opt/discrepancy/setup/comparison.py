@@ -1,0 +1,182 @@
+"""The misfit that a set-up hypothesis would leave, besides small errors of the model that are fitted to it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.problem.plant import SearchablePlant
+from tepm_opt.discrepancy.setup.hypotheses import SetupHypothesis
+from tepm_opt.solvers.least_squares import bounded_step
+from tepm_opt.solvers.plant import Plant, PredictionError
+from tepm_opt.solvers.start import begun
+
+ROWS = 60  # samples of a run at which models and data are compared
+SLOW = 10  # of these, the slowest of so many stretches, for hypotheses that are screened by statics
+LAG, SHIFT, TURN = 0.2, 0.005, 0.05  # s, m, rad: size of the nuisances besides the known parameters
+LARGEST = 2.0  # times its size that a nuisance may be: a frame turned by 6 deg
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Runs beside the nominal model's predictions, at a few samples of each run.
+
+    Attributes:
+        plant: the model without candidates.
+        still: the same for equilibria; None where hypotheses are screened by full simulations.
+        runs: as recorded.
+        rows: numbers of the compared samples of each run.
+        noise: of the measurements, 1 sigma per axis or of each point.
+        points: of the nominal model at these samples.
+        nuisances: derivatives by what may be off besides, over its size, (rows, points, axes, nuisances) a run.
+        limits: largest inputs.
+    """
+
+    plant: Plant
+    still: Plant | None
+    runs: tuple[Run, ...]
+    rows: tuple[np.ndarray, ...]
+    noise: float | np.ndarray
+    points: tuple[np.ndarray, ...]
+    nuisances: tuple[np.ndarray, ...]
+    limits: np.ndarray
+    seconds: float
+
+    @staticmethod
+    def of(plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray) -> Comparison:
+        """Simulate the runs with the nominal model.
+
+        Args:
+            plant: the model.
+            runs: as recorded.
+            noise: of the measurements, 1 sigma per axis in the unit of the points, or of each point, (points, 1).
+
+        Raises:
+            PredictionError: the model cannot do the runs as they are.
+        """
+        began = time.monotonic()
+        plain, still = plant.without_candidates, plant.equilibria
+        rows = tuple(np.unique(np.linspace(0, run.rows - 1, min(ROWS, run.rows)).round().astype(int)) for run in runs)
+        spread = {free.name: free.spread for free in plain.free(plant.known)}
+        points, nuisances = [], []
+        for run, at in zip(runs, rows, strict=True):
+            found = plain.predict(begun(plain, run, noise), plant.known)
+            points.append(found.points[at])
+            columns = [spread[name] * by for name, by in zip(plant.known, found.by, strict=True)]
+            columns += _frame_and_clock(run, found.points, noise, plain.static)
+            nuisances.append(np.stack(columns, axis=-1)[at])
+        return Comparison(
+            plain, still, tuple(runs), rows, noise, tuple(points), tuple(nuisances), plant.signals.ranges, time.monotonic() - began
+        )
+
+    @property
+    def thinned(self) -> tuple[Run, ...]:
+        """The runs at the compared samples."""
+        return tuple(_take_rows(run, at) for run, at in zip(self.runs, self.rows, strict=True))
+
+    def squares_left(self, hypothesis: SetupHypothesis | None = None) -> float:
+        """Mean square over the noise's that the mended runs leave beside the model; infinite where the model cannot do them."""
+        mended = [run if hypothesis is None else hypothesis.apply(run) for run in self.thinned]
+        points: Sequence[np.ndarray] = self.points
+        if hypothesis is not None and hypothesis.changes != "points":
+            try:
+                whole = [self._within_limits(hypothesis.apply(run)) for run in self.runs]
+                points = [
+                    self.plant.predict(begun(self.plant, run, self.noise)).points[at] for run, at in zip(whole, self.rows, strict=True)
+                ]
+            except PredictionError:
+                return np.inf
+        return self._fit_nuisances([run.points - p for run, p in zip(mended, points, strict=True)], self.nuisances)
+
+    def screen(self, hypotheses: Sequence[SetupHypothesis]) -> list[tuple[float, SetupHypothesis]]:
+        """Hypotheses by the part of the misfit that they would leave, to first order of the motion; least first."""
+        slow = [_slowest(points) for points in self.points]
+        runs = [_take_rows(run, at) for run, at in zip(self.thinned, slow, strict=True)]
+        points = [p[at] for p, at in zip(self.points, slow, strict=True)]
+        nuisances = [n[at] for n, at in zip(self.nuisances, slow, strict=True)]
+        there = self._fit_nuisances([run.points - p for run, p in zip(runs, points, strict=True)], nuisances)
+        rest = None if self.still is None else [self.still.predict(run).points for run in runs]
+        found = []
+        for hypothesis in hypotheses:
+            if not self._is_possible(hypothesis):
+                continue
+            if hypothesis.changes == "points":
+                left = self._fit_nuisances([hypothesis.apply(run).points - p for run, p in zip(runs, points, strict=True)], nuisances)
+            elif rest is None or self.still is None:
+                left = self.squares_left(hypothesis) / max(self.squares_left(), 1e-300) * there
+            else:
+                try:
+                    moved = [self.still.predict(self._within_limits(hypothesis.apply(run))).points for run in runs]
+                except PredictionError:
+                    continue
+                left = self._fit_nuisances(
+                    [run.points - p - m + s for run, p, m, s in zip(runs, points, moved, rest, strict=True)], nuisances
+                )
+            found.append((left / max(there, 1e-300), hypothesis))
+        return sorted(found, key=lambda each: each[0])
+
+    def _is_possible(self, hypothesis: SetupHypothesis) -> bool:
+        """Whether the mended inputs differ from the recorded ones, are within the limits, and are visible beside them."""
+        if hypothesis.changes == "points":
+            return True
+        mended = [hypothesis.apply(run) for run in self.runs]
+        finite = np.isfinite(self.limits)
+        limits = np.where(finite, self.limits, 0.0)
+        if any(
+            (run.inputs[:, finite] > 1.02 * limits[finite]).any() or (run.inputs[:, finite] < -0.02 * limits[finite]).any()
+            for run in mended
+        ):
+            return False
+        if hypothesis.kind == "scaled_channel" and finite.all():
+            peaks = np.max([np.abs(run.inputs).max(axis=0) for run in mended], axis=0)
+            if (peaks / limits)[list(hypothesis.columns)].max() < 0.02:
+                return False
+        return any(
+            not np.array_equal(run.inputs, other.inputs) or not np.array_equal(run.tip_force, other.tip_force)
+            for run, other in zip(self.runs, mended, strict=True)
+        )
+
+    def _within_limits(self, run: Run) -> Run:
+        finite = np.isfinite(self.limits)
+        return replace(run, inputs=np.clip(run.inputs, np.where(finite, 0.0, -np.inf), self.limits))
+
+    def _fit_nuisances(self, residuals: Sequence[np.ndarray], nuisances: Sequence[np.ndarray]) -> float:
+        """Mean square of residuals over the noise's once the nuisances are fitted, each at most `LARGEST` times its size."""
+        left = np.concatenate([(r / self.noise).ravel() for r in residuals])
+        by = np.concatenate([(n / np.asarray(self.noise)[..., None]).reshape(-1, n.shape[-1]) for n in nuisances])
+        seen = np.isfinite(left)
+        left, by = left[seen], by[seen]
+        bound = np.full(by.shape[1], LARGEST)
+        step, _ = bounded_step(by.T @ by, by.T @ left, -bound, bound, np.ones(by.shape[1]))
+        return float(np.mean((left + by @ step) ** 2))
+
+
+def _frame_and_clock(run: Run, points: np.ndarray, noise: float | np.ndarray, static: bool) -> list[np.ndarray]:
+    """Nuisances of the measurement: a late clock, a shifted and a slightly turned frame."""
+    increasing = not static and run.rows > 1 and bool(np.all(np.diff(run.time) > 0))
+    found = [LAG * np.gradient(points, run.time, axis=0)] if increasing else [np.zeros_like(points)]
+    axes = points.shape[2]
+    if axes == 3:
+        found += [SHIFT * np.broadcast_to(e, points.shape) for e in np.eye(3)]
+        return found + [TURN * np.cross(e, points) for e in np.eye(3)]
+    size = 3 * np.broadcast_to(noise, points.shape)  # a zero error of each quantity
+    return found + [np.where(np.arange(points.shape[1])[:, None] == k, size, 0.0) for k in range(points.shape[1])]
+
+
+def _slowest(points: np.ndarray) -> np.ndarray:
+    """Numbers of the slowest sample of each stretch of a run, (stretches,)."""
+    if len(points) < 2:
+        return np.arange(len(points))
+    speed = np.abs(np.gradient(points, axis=0)).max(axis=(1, 2))
+    return np.array([part[int(np.argmin(speed[part]))] for part in np.array_split(np.arange(len(points)), min(SLOW, len(points)))])
+
+
+def _take_rows(run: Run, rows: np.ndarray) -> Run:
+    return replace(
+        run, time=run.time[rows], inputs=run.inputs[rows], tip_force=run.tip_force[rows], points=run.points[rows],
+        extra={name: values[rows] for name, values in run.extra.items()}, lines=(),
+    )  # fmt: skip
