@@ -38,12 +38,13 @@ def discrepancy(
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,
     invent: Annotated[bool, typer.Option("--invent", help="Seek a law where no known effect explains what is left.")] = False,
+    mend: Annotated[bool, typer.Option("--mend", help="Write the data without their set-up errors into OUT/mended.")] = False,
     as_json: JsonOption = False,
 ) -> int:
     """Find where model and data disagree, name the missing effect, add it to the model, show the gap shrink.
 
     Writes verdict.json, model.toml (for --model of every command), report.html and its figures. An interrupted run goes on where it
-    was when started again. Exit status: 0 named or nothing missing, 1 indistinguishable or unexplained.
+    was when started again. Exit status: 0 named or nothing missing, 1 set-up error, indistinguishable or unexplained.
     """
     from tepm_opt.discrepancy.reporting.effect_table import HEAD, effect_rows, sentences_beside_table
     from tepm_opt.discrepancy.symbolic.page import paragraph
@@ -53,7 +54,7 @@ def discrepancy(
     try:
         with shown(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent, add or ())
+            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             if result.law is not None:

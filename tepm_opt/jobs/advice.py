@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.reporting.sentences import ONE_CLOCK
 from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.record import LOG
 
-MODEL, VALUES = "model.toml", "values.json"
+MODEL, VALUES, MENDED = "model.toml", "values.json", "mended"
 LAW = "seek a law where the library has no effect"
 USE = "see the model with the law that was found beside a run"
 OTHERS = "record runs in which they would differ, then ask again"
@@ -31,6 +31,7 @@ class Asked:
         invent: whether a law was sought.
         despite_errors: whether the data were taken as they are.
         effects: files with effects of one's own.
+        mend: whether mended data were written.
     """
 
     folder: Path
@@ -41,6 +42,7 @@ class Asked:
     invent: bool = False
     despite_errors: bool = False
     effects: Sequence[Path] = ()
+    mend: bool = False
 
     def again(self, *more: str | Path) -> str:
         """The command once more, with further options."""
@@ -87,6 +89,12 @@ def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
         if asked.plant:
             return f"take the values of {(asked.out / VALUES).as_posix()} over into {asked.plant.as_posix()}, then ask again", asked.again()
         return step, asked.beside(result, asked.out / MODEL)
+    if status is VerdictStatus.SETUP_ERROR:
+        if asked.plant:
+            return f"{step}, then ask again", asked.again()
+        if asked.mend:
+            return "look at the mended data, then ask again with them", _command("data", "check", asked.out / MENDED)
+        return f"{step}; this writes mended data", asked.again("--mend")
     if status is VerdictStatus.INDISTINGUISHABLE:
         if asked.plant or getattr(result.dataset, "static", False):
             return OTHERS, asked.again()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.checks.dataset import check_reading
-from tepm_opt.data.datasets import DataSet
+from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
@@ -22,12 +22,13 @@ from tepm_opt.data.trials import read_trials
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.pipeline import discover, require_fit_runs
+from tepm_opt.discrepancy.setup.hypotheses import mend_runs
 from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.discrepancy.symbolic.invent import invent as invented
 from tepm_opt.discrepancy.symbolic.page import as_json, curves, page
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.advice import MODEL, VALUES, Asked, advised
+from tepm_opt.jobs.advice import MENDED, MODEL, VALUES, Asked, advised
 from tepm_opt.jobs.joined import joined
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
@@ -65,7 +66,7 @@ def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet
 
 def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
-    progress: Progress = silent, plant: str | Path | None = None, invent: bool = False, add: Sequence[str | Path] = (),
+    progress: Progress = silent, plant: str | Path | None = None, invent: bool = False, add: Sequence[str | Path] = (), mend: bool = False,
 ) -> Discovery:  # fmt: skip
     """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file gives the machine.
 
@@ -81,6 +82,7 @@ def run_discrepancy(
         plant: Python file of another machine, which the data set is of.
         invent: whether to seek a law where no known effect explains what is left; its effect file, page and model go into `effects`.
         add: data sets of the same machine that were recorded later, see `joined`.
+        mend: whether to write the data without their set-up errors into `mended`.
 
     Raises:
         InputError: data or model cannot be used; the message says why.
@@ -89,9 +91,12 @@ def run_discrepancy(
     if plant is not None and add:
         raise InputError("--add and --plant exclude each other; valid: data sets of a robot")
     if plant is not None:
+        if mend:
+            raise InputError("--mend and --plant exclude each other; valid: data sets of a robot")
         return _of_plant(folder, out, Path(plant), seed, progress)
-    asked = Asked(folder, out, None if model is None else Path(model), None, tuple(map(Path, add)), invent, despite_errors, loaded_files())
-    dataset, warnings = checked_datasets([folder, *map(Path, add)], despite_errors)
+    more = tuple(map(Path, add))
+    asked = Asked(folder, out, Path(model) if model else None, None, more, invent, despite_errors, loaded_files(), mend)
+    dataset, warnings = checked_datasets([folder, *more], despite_errors)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:
@@ -101,9 +106,11 @@ def run_discrepancy(
     require_fit_runs(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.from_model(known, channels, dataset.static)
-    key = _fingerprint([folder, *map(Path, add)], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
+    key = _fingerprint([folder, *more], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
     result = discover(dataset, network, noise, seed, out / FITS, key, None, progress)
     write_model(result.verdict.model, out / MODEL)
+    if mend and result.verdict.setup:
+        write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         result = replace(result, law=with_law(result, out / EFFECTS, progress))
     result = advised(result, asked)

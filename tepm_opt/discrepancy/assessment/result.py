@@ -189,7 +189,7 @@ class Verdict(Tabular):
         if not self.setup:
             return ()
         errors = tuple(f"Set-up error: {error.sentence}." for error in self.setup)
-        mended = any(error.hypothesis is not None for error in self.setup)
+        mended = any(error.is_mended for error in self.setup)
         return (*errors, "All that follows is about the data with the first of these mended.") if mended else errors
 
     @property

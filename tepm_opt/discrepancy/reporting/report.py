@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting import sentences
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
-from tepm_opt.discrepancy.setup.hypotheses import SetupError
+from tepm_opt.discrepancy.setup.hypotheses import late_run
 from tepm_opt.discrepancy.state import Assessed
 from tepm_opt.solvers.identify import ParameterEstimate
 
@@ -29,8 +29,7 @@ def build_verdict(state: Assessed) -> Verdict:
     unit = error_unit(plant.signals, noise)
     setup = state.setup
     if shift and shift.file:
-        mend = f"{shift.file}: take {shift.seconds:.2f} s off the times of its positions"
-        setup = (*setup, SetupError("late_run", (shift.file,), mend, shift.explained))
+        setup = (*setup, late_run(shift.file, shift.seconds, 1 - shift.explained))
     acts: dict[Candidate, tuple[str, ...]] = dict.fromkeys(explanation.shown, ())
     acts |= {effect: active_runs(effect, best, dataset, noise) for effect in explanation.best.effects if effect not in explanation.shown}
     named = [

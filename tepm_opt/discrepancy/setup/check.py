@@ -9,12 +9,21 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
-from tepm_opt.discrepancy.setup.comparison import Comparison
-from tepm_opt.discrepancy.setup.hypotheses import SetupError, force_hypotheses, input_hypotheses, point_hypotheses
+from tepm_opt.discrepancy.setup.comparison import Comparison, Misfit
+from tepm_opt.discrepancy.setup.hypotheses import (
+    ATMOSPHERE,
+    SetupError,
+    SetupHypothesis,
+    force_hypotheses,
+    input_hypotheses,
+    point_hypotheses,
+)
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.plant import PredictionError
 
-MATERIAL = 0.9  # part of the misfit, nuisances fitted, that a mend may leave to be told
+CLOSE = 0.4  # largest distance of the mend's coefficient from 1
+SURE = 2.5  # standard deviations by which the coefficient must be above 1/2, from which on the mend explains more than it spoils
+VISIBLE = 0.1  # least squares over the noise's that a mend removes
 CONFIRMED = 5  # hypotheses that are simulated in full after the screening
 WORTH = 60.0  # independent samples that the compared ones are worth: neighbours say nearly the same
 LISTED = 0.1  # probability from which an alternative is told
@@ -36,37 +45,55 @@ def find_setup_errors(
     """
     found: list[SetupError] = []
     runs = tuple(runs)
-    for _ in range(MOST):
-        progress("checking the set-up: wiring, axes, units, markers", 0, 0)
-        try:
-            some = _likeliest(Comparison.of(plant, runs, noise), plant)
-        except PredictionError:  # the search says so
-            break
-        mend = some[0].hypothesis if some else None
-        if mend is None:
-            break
-        found += some
-        runs = tuple(mend.apply(run) for run in runs)
+    progress("checking the set-up: wiring, axes, units, markers", 0, 0)
+    try:
+        comparison = Comparison.of(plant, runs, noise)
+        for _ in range(MOST):
+            ranked = _rank_hypotheses(comparison, plant)
+            if not ranked:
+                break
+            misfit, best = ranked[0]
+            sure = 0.0 if best.kind == "absolute_pressure" and _rests_at_atmosphere(best, runs) else SURE
+            if not _is_explained(comparison.misfit(), misfit, sure):
+                break
+            some = _share_probability(ranked, comparison.misfit())
+            found += [replace(some[0], is_mended=True), *some[1:]]
+            runs = tuple(comparison.within_limits(best.apply(run)) for run in runs)
+            comparison = Comparison.of(plant, runs, noise)
+    except PredictionError:  # the search says so
+        pass
     return tuple(found), runs
 
 
-def _likeliest(comparison: Comparison, plant: SearchablePlant) -> list[SetupError]:
-    """The mistake that explains most of the misfit, with what cannot be told from it; empty where none is material."""
-    signals, there = plant.signals, comparison.squares_left()
+def _rank_hypotheses(comparison: Comparison, plant: SearchablePlant) -> list[tuple[Misfit, SetupHypothesis]]:
+    """Hypotheses that leave less than there is, simulated in full, the one that leaves least first."""
     forces = force_hypotheses() if any(np.abs(run.tip_force).max(initial=0.0) > 0 for run in comparison.runs) else ()
-    hypotheses = [
-        *input_hypotheses(signals),
-        *forces,
-        *point_hypotheses(signals, comparison.thinned, comparison.points),
-    ]
-    screened = [hypothesis for left, hypothesis in comparison.screen(hypotheses) if left < 1][:CONFIRMED]
-    weighed = sorted(((comparison.squares_left(h), h) for h in screened), key=lambda each: each[0])
-    if not weighed or weighed[0][0] > MATERIAL * there or there - weighed[0][0] < 0.1:
-        return []
-    odds = np.array([(left / weighed[0][0]) ** (-WORTH / 2) for left, _ in weighed])
-    odds /= odds.sum()
-    alike: dict[tuple[str, tuple[str, ...]], SetupError] = {}  # the best mend of each kind and place, with the odds of all of these
-    for p, (left, h) in zip(odds, weighed, strict=True):
-        first = alike.setdefault((h.kind, h.channels), SetupError(h.kind, h.channels, h.mend, 0.0, left / there, h))
+    points = point_hypotheses(plant.signals, comparison.thinned, comparison.points)
+    screened = comparison.screen([*input_hypotheses(plant.signals), *forces, *points])
+    confirmed = [hypothesis for left, hypothesis in screened if left < 1][:CONFIRMED]
+    misfits = [(misfit, h) for h in confirmed if (misfit := comparison.misfit_with(h)) is not None]
+    return sorted(misfits, key=lambda each: each[0].mean_square)
+
+
+def _rests_at_atmosphere(hypothesis: SetupHypothesis, runs: Sequence[Run]) -> bool:
+    """Whether the pressures of a hypothesis never fall far below the atmosphere's, and come near it."""
+    lowest = np.min([run.inputs[:, list(hypothesis.columns)].min(axis=0) for run in runs], axis=0)
+    return bool(np.all(lowest > 0.9 * ATMOSPHERE) and lowest.min() < 1.1 * ATMOSPHERE)
+
+
+def _is_explained(before: Misfit, after: Misfit, sure: float) -> bool:
+    """Whether a mend removes visibly more than it spoils, in all of the data, and about as much as it says."""
+    size, doubt = before.coefficient(after)
+    return before.mean_square - after.mean_square >= VISIBLE and abs(size - 1) <= CLOSE and size - 0.5 >= sure * doubt
+
+
+def _share_probability(ranked: Sequence[tuple[Misfit, SetupHypothesis]], before: Misfit) -> list[SetupError]:
+    """Errors with their probabilities; of each kind and place the best mend, with the odds of all of these."""
+    least = ranked[0][0].mean_square
+    odds = np.array([(misfit.mean_square / least) ** (-WORTH / 2) for misfit, _ in ranked])
+    alike: dict[tuple[str, tuple[str, ...]], SetupError] = {}
+    for p, (misfit, h) in zip(odds / odds.sum(), ranked, strict=True):
+        left = misfit.mean_square / before.mean_square
+        first = alike.setdefault((h.kind, h.channels), SetupError(h.kind, h.channels, h.mend, 0.0, left, h))
         alike[h.kind, h.channels] = replace(first, probability=first.probability + float(p))
     return [error for error in alike.values() if error.probability >= LISTED]

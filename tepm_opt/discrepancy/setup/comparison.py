@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,6 +18,37 @@ ROWS = 60  # samples of a run at which models and data are compared
 SLOW = 10  # of these, the slowest of so many stretches, for hypotheses that are screened by statics
 LAG, SHIFT, TURN = 0.2, 0.005, 0.05  # s, m, rad: size of the nuisances besides the known parameters
 LARGEST = 2.0  # times its size that a nuisance may be: a frame turned by 6 deg
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """Residuals over the noise with the nuisances fitted.
+
+    Attributes:
+        residuals: (rows, points, axes) a run; NaN where a sample is missing.
+    """
+
+    residuals: tuple[np.ndarray, ...]
+
+    @property
+    def mean_square(self) -> float:
+        """Of all coordinates."""
+        return float(np.nanmean(np.concatenate([r.ravel() for r in self.residuals]) ** 2))
+
+    def coefficient(self, mended: Misfit) -> tuple[float, float]:
+        """Multiple of a mend's change that fits the residuals best, and its standard deviation by jackknife over halves of runs.
+
+        It is 1 where the mend is right and 0 where there is nothing to mend, whatever else the model misses besides.
+        """
+        products, squares = [], []
+        for before, after in zip(self.residuals, mended.residuals, strict=True):
+            for old, new in zip(np.array_split(before, 2), np.array_split(after, 2), strict=True):
+                change = old - new
+                products.append(np.nansum(old * change))
+                squares.append(np.nansum(change**2))
+        total, size = np.sum(products), max(float(np.sum(squares)), 1e-300)
+        alone = [(total - p) / max(size - q, 1e-12 * size) for p, q in zip(products, squares, strict=True)]
+        return float(total / size), float(np.sqrt((len(alone) - 1) * np.var(alone)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +74,6 @@ class Comparison:
     points: tuple[np.ndarray, ...]
     nuisances: tuple[np.ndarray, ...]
     limits: np.ndarray
-    seconds: float
 
     @staticmethod
     def of(plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray) -> Comparison:
@@ -58,7 +87,6 @@ class Comparison:
         Raises:
             PredictionError: the model cannot do the runs as they are.
         """
-        began = time.monotonic()
         plain, still = plant.without_candidates, plant.equilibria
         rows = tuple(np.unique(np.linspace(0, run.rows - 1, min(ROWS, run.rows)).round().astype(int)) for run in runs)
         spread = {free.name: free.spread for free in plain.free(plant.known)}
@@ -69,27 +97,28 @@ class Comparison:
             columns = [spread[name] * by for name, by in zip(plant.known, found.by, strict=True)]
             columns += _frame_and_clock(run, found.points, noise, plain.static)
             nuisances.append(np.stack(columns, axis=-1)[at])
-        return Comparison(
-            plain, still, tuple(runs), rows, noise, tuple(points), tuple(nuisances), plant.signals.ranges, time.monotonic() - began
-        )
+        return Comparison(plain, still, tuple(runs), rows, noise, tuple(points), tuple(nuisances), plant.signals.ranges)
 
     @property
     def thinned(self) -> tuple[Run, ...]:
         """The runs at the compared samples."""
         return tuple(_take_rows(run, at) for run, at in zip(self.runs, self.rows, strict=True))
 
-    def squares_left(self, hypothesis: SetupHypothesis | None = None) -> float:
-        """Mean square over the noise's that the mended runs leave beside the model; infinite where the model cannot do them."""
-        mended = [run if hypothesis is None else hypothesis.apply(run) for run in self.thinned]
+    def misfit(self) -> Misfit:
+        """Residuals of the runs as recorded."""
+        return self._fit_nuisances([run.points - p for run, p in zip(self.thinned, self.points, strict=True)], self.nuisances)
+
+    def misfit_with(self, hypothesis: SetupHypothesis) -> Misfit | None:
+        """Residuals of the mended runs, with the nuisances of the recorded ones; None where the model cannot do them."""
         points: Sequence[np.ndarray] = self.points
-        if hypothesis is not None and hypothesis.changes != "points":
+        if hypothesis.changes != "points":
+            whole = [self.within_limits(hypothesis.apply(run)) for run in self.runs]
             try:
-                whole = [self._within_limits(hypothesis.apply(run)) for run in self.runs]
-                points = [
-                    self.plant.predict(begun(self.plant, run, self.noise)).points[at] for run, at in zip(whole, self.rows, strict=True)
-                ]
+                found = [self.plant.predict(begun(self.plant, run, self.noise)) for run in whole]
             except PredictionError:
-                return np.inf
+                return None
+            points = [prediction.points[at] for prediction, at in zip(found, self.rows, strict=True)]
+        mended = [hypothesis.apply(run) for run in self.thinned]
         return self._fit_nuisances([run.points - p for run, p in zip(mended, points, strict=True)], self.nuisances)
 
     def screen(self, hypotheses: Sequence[SetupHypothesis]) -> list[tuple[float, SetupHypothesis]]:
@@ -98,7 +127,10 @@ class Comparison:
         runs = [_take_rows(run, at) for run, at in zip(self.thinned, slow, strict=True)]
         points = [p[at] for p, at in zip(self.points, slow, strict=True)]
         nuisances = [n[at] for n, at in zip(self.nuisances, slow, strict=True)]
-        there = self._fit_nuisances([run.points - p for run, p in zip(runs, points, strict=True)], nuisances)
+        if self.still is None:  # the full simulations that follow are at all samples
+            slow = [np.arange(len(at)) for at in self.rows]
+            runs, points, nuisances = list(self.thinned), list(self.points), list(self.nuisances)
+        there = self._fit_nuisances([run.points - p for run, p in zip(runs, points, strict=True)], nuisances).mean_square
         rest = None if self.still is None else [self.still.predict(run).points for run in runs]
         found = []
         for hypothesis in hypotheses:
@@ -107,16 +139,17 @@ class Comparison:
             if hypothesis.changes == "points":
                 left = self._fit_nuisances([hypothesis.apply(run).points - p for run, p in zip(runs, points, strict=True)], nuisances)
             elif rest is None or self.still is None:
-                left = self.squares_left(hypothesis) / max(self.squares_left(), 1e-300) * there
+                left = self.misfit_with(hypothesis)
             else:
                 try:
-                    moved = [self.still.predict(self._within_limits(hypothesis.apply(run))).points for run in runs]
+                    moved = [self.still.predict(self.within_limits(hypothesis.apply(run))).points for run in runs]
                 except PredictionError:
                     continue
                 left = self._fit_nuisances(
                     [run.points - p - m + s for run, p, m, s in zip(runs, points, moved, rest, strict=True)], nuisances
                 )
-            found.append((left / max(there, 1e-300), hypothesis))
+            if left is not None:
+                found.append((left.mean_square / max(there, 1e-300), hypothesis))
         return sorted(found, key=lambda each: each[0])
 
     def _is_possible(self, hypothesis: SetupHypothesis) -> bool:
@@ -140,19 +173,21 @@ class Comparison:
             for run, other in zip(self.runs, mended, strict=True)
         )
 
-    def _within_limits(self, run: Run) -> Run:
+    def within_limits(self, run: Run) -> Run:
+        """The run with inputs that leave the limits by a little put on them."""
         finite = np.isfinite(self.limits)
         return replace(run, inputs=np.clip(run.inputs, np.where(finite, 0.0, -np.inf), self.limits))
 
-    def _fit_nuisances(self, residuals: Sequence[np.ndarray], nuisances: Sequence[np.ndarray]) -> float:
-        """Mean square of residuals over the noise's once the nuisances are fitted, each at most `LARGEST` times its size."""
-        left = np.concatenate([(r / self.noise).ravel() for r in residuals])
-        by = np.concatenate([(n / np.asarray(self.noise)[..., None]).reshape(-1, n.shape[-1]) for n in nuisances])
-        seen = np.isfinite(left)
-        left, by = left[seen], by[seen]
-        bound = np.full(by.shape[1], LARGEST)
-        step, _ = bounded_step(by.T @ by, by.T @ left, -bound, bound, np.ones(by.shape[1]))
-        return float(np.mean((left + by @ step) ** 2))
+    def _fit_nuisances(self, residuals: Sequence[np.ndarray], nuisances: Sequence[np.ndarray]) -> Misfit:
+        """Residuals over the noise once the nuisances are fitted, each at most `LARGEST` times its size."""
+        left = [r / self.noise for r in residuals]
+        by = [n / np.asarray(self.noise)[..., None] for n in nuisances]
+        seen = np.isfinite(np.concatenate([r.ravel() for r in left]))
+        columns = np.concatenate([n.reshape(-1, n.shape[-1]) for n in by])[seen]
+        bound = np.full(columns.shape[1], LARGEST)
+        values = np.concatenate([r.ravel() for r in left])[seen]
+        step, _ = bounded_step(columns.T @ columns, columns.T @ values, -bound, bound, np.ones(len(bound)))
+        return Misfit(tuple(r + n @ step for r, n in zip(left, by, strict=True)))
 
 
 def _frame_and_clock(run: Run, points: np.ndarray, noise: float | np.ndarray, static: bool) -> list[np.ndarray]:

@@ -21,7 +21,7 @@ KINDS = {
     "swapped_axes": "Axes of the tracker are exchanged",
     "rotated_frame": "The tracker's frame is turned",
     "scaled_channel": "Inputs are in another unit",
-    "absolute_pressure": "Pressures count from vacuum",
+    "absolute_pressure": "Pressures count from vacuum (in positions alone, shorter rest lengths look the same)",
     "inverted_force": "The known force has the wrong sign, or is in another frame",
     "swapped_markers": "Reference points are exchanged",
     "late_run": "A file's positions are on another clock than its commands",
@@ -73,15 +73,17 @@ class SetupError:
         mend: the entry of a map, or the line of the data set, that mends it.
         probability: of this error among the set-up hypotheses that do nearly as well.
         left: part of the misfit that is left with the mend.
-        hypothesis: with which runs are mended.
+        hypothesis: the mend.
+        is_mended: whether the rest of the verdict is about data with this mend; of alternatives only the first is.
     """
 
     kind: str
     channels: tuple[str, ...]
     mend: str
     probability: float
-    left: float = 1.0
-    hypothesis: SetupHypothesis | None = None
+    left: float
+    hypothesis: SetupHypothesis
+    is_mended: bool = False
 
     def __repr__(self) -> str:
         """The main facts, in a line."""
@@ -95,6 +97,27 @@ class SetupError:
     def as_json(self) -> dict[str, Any]:
         """Entry of verdict.json."""
         return {"kind": self.kind, "channels": list(self.channels), "mend": self.mend, "probability": round(self.probability, 6)}
+
+
+def late_run(file: str, seconds: float, left: float) -> SetupError:
+    """The error that a file's positions trail its commands by some seconds, or lead them, and leave a part of the misfit without that."""
+
+    def apply(run: Run) -> Run:
+        if run.file != file:
+            return run
+        shifted = [np.interp(run.time + seconds, run.time, column) for column in run.points.reshape(run.rows, -1).T]
+        return replace(run, points=np.stack(shifted, axis=1).reshape(run.points.shape))
+
+    mend = f"{file}: take {seconds:.2f} s off the times of its positions"
+    return SetupError("late_run", (file,), mend, 1 - left, left, SetupHypothesis("late_run", (file,), mend, apply, "points"))
+
+
+def mend_runs(runs: Sequence[Run], setup: Sequence[SetupError]) -> tuple[Run, ...]:
+    """The runs with the first of the alternatives of each set-up error mended."""
+    for error in setup:
+        if error.is_mended or error.kind == "late_run":
+            runs = [error.hypothesis.apply(run) for run in runs]
+    return tuple(runs)
 
 
 def input_hypotheses(signals: Signals) -> Iterator[SetupHypothesis]:
