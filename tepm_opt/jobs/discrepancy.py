@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.checks.dataset import check_reading
+from tepm_opt.data.checks.findings import Finding
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder, write_atomically
@@ -40,12 +41,13 @@ from tepm_opt.solvers.plant import PredictionError
 VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
 
 
-def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet, list[str]]:
+def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: bool = False) -> tuple[DataSet, list[str]]:
     """A data set, read once, and the warnings of its check, one line each.
 
     Args:
         folder: of the data set.
         despite_errors: whether to take it without a check, as long as it can be used at all; there are no warnings then.
+        mends_setup: whether errors of the set-up are left to the caller, where there are no others.
 
     Raises:
         InputError: the data cannot be used, or the check finds errors; the first few stand in the message.
@@ -54,10 +56,9 @@ def checked_dataset(folder: Path, despite_errors: bool = False) -> tuple[DataSet
     if despite_errors:
         return reading.usable, []
     findings = check_reading(reading)
-    lines = {
-        kind: [f"{f.file}: {f.channel + ': ' if f.channel else ''}{f.message}" for f in findings if f.severity == kind]
-        for kind in ("error", "warning")
-    }
+    lines = {kind: [_line(f) for f in findings if f.severity == kind] for kind in ("error", "warning")}
+    if mends_setup and all(f.is_setup for f in findings if f.severity == "error"):
+        return reading.usable, lines["warning"]
     if errors := lines["error"]:
         more = f" (and {len(errors) - 3} more errors: tepm data check {folder})" if len(errors) > 3 else ""
         raise InputError(f"{folder}: {'; '.join(errors[:3])}{more}. An answer from such data would mislead")
@@ -96,7 +97,7 @@ def run_discrepancy(
         return _of_plant(folder, out, Path(plant), seed, progress)
     more = tuple(map(Path, add))
     asked = Asked(folder, out, Path(model) if model else None, None, more, invent, despite_errors, loaded_files(), mend)
-    dataset, warnings = checked_datasets([folder, *more], despite_errors)
+    dataset, warnings = checked_datasets([folder, *more], despite_errors, mends_setup=True)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:
@@ -108,6 +109,8 @@ def run_discrepancy(
     network = SearchableNetwork.from_model(known, channels, dataset.static)
     key = _fingerprint([folder, *more], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
     result = discover(dataset, network, noise, seed, out / FITS, key, None, progress)
+    if not result.verdict.setup:
+        checked_datasets([folder, *more], despite_errors)  # refuses errors of the set-up that the workflow did not find
     write_model(result.verdict.model, out / MODEL)
     if mend and result.verdict.setup:
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
@@ -141,13 +144,18 @@ def _seen_from(out: Path, path: str | Path | None) -> str | None:
     return None if path is None else Path(os.path.relpath(path, out)).as_posix()
 
 
-def checked_datasets(folders: Sequence[Path], despite_errors: bool = False) -> tuple[DataSet, list[str]]:
+def _line(finding: Finding) -> str:
+    """A finding of the check of data in a line."""
+    return f"{finding.file}: {finding.channel + ': ' if finding.channel else ''}{finding.message}"
+
+
+def checked_datasets(folders: Sequence[Path], despite_errors: bool = False, mends_setup: bool = False) -> tuple[DataSet, list[str]]:
     """Data sets of one machine as one, and the warnings of their checks; see `checked_dataset` and `joined`.
 
     Raises:
         InputError: one of them cannot be used, or they do not fit together.
     """
-    (first, warnings), *others = (checked_dataset(folder, despite_errors) for folder in folders)
+    (first, warnings), *others = (checked_dataset(folder, despite_errors, mends_setup) for folder in folders)
     lines = [f"{folder.name}/{line}" for folder, (_, own) in zip(folders[1:], others, strict=True) for line in own]
     return joined(first, [(folder, found) for folder, (found, _) in zip(folders[1:], others, strict=True)]), [*warnings, *lines]
 

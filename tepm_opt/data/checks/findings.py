@@ -30,6 +30,7 @@ class Finding:
         last_row: line where it ends.
         channel: column or reference point; empty where it concerns the file.
         message: one line.
+        is_setup: whether it is a set-up error that the discrepancy workflow finds and mends itself.
     """
 
     severity: Severity
@@ -38,6 +39,7 @@ class Finding:
     last_row: int | None
     channel: str
     message: str
+    is_setup: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,9 @@ class Subject:
     def __repr__(self) -> str:
         return f"Subject({self.run!r})"
 
-    def found(self, severity: Severity, channel: str, message: str, rows: Sequence[int] | np.ndarray = ()) -> Finding:
+    def found(
+        self, severity: Severity, channel: str, message: str, rows: Sequence[int] | np.ndarray = (), is_setup: bool = False
+    ) -> Finding:
         """A finding about rows of the run; the message names their lines in the file.
 
         Args:
@@ -59,11 +63,12 @@ class Subject:
             channel: column or reference point that it is about; empty where it concerns the file.
             message: what was found, in one line.
             rows: numbers of the rows, from 0; empty where it is about the whole run.
+            is_setup: see `Finding`.
         """
         lines = [self.run.line(int(row)) for row in rows]
         where = f"{lines_text(lines)}: " if lines else ""
         ends = (lines[0], lines[-1]) if lines else (None, None)
-        return Finding(severity, self.run.file, *ends, channel, where + message)
+        return Finding(severity, self.run.file, *ends, channel, where + message, is_setup)
 
     @cached_property
     def step(self) -> float:

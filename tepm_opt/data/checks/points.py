@@ -98,7 +98,9 @@ def _places(subject: Subject) -> Iterator[Finding]:
     if len(start):
         direction = np.median(start, axis=0) - channels.base
         if direction @ channels.axis < np.cos(np.deg2rad(50)) * np.linalg.norm(direction):
-            yield subject.found("error", channels.points[0], "not above the base at the start: axes interchanged, or another frame than G?")
+            yield subject.found(
+                "error", channels.points[0], "not above the base at the start: axes interchanged, or another frame than G?", is_setup=True
+            )
 
 
 def _order(subject: Subject) -> Iterator[Finding]:
@@ -122,7 +124,7 @@ def _order(subject: Subject) -> Iterator[Finding]:
         wrong = [names[k - first] for k in order[first:] if best[k] != k]
         lie = ", ".join(names[k - first] for k in best[first:])
         message = f"{' and '.join(wrong)} interchanged? Along the robot the points lie in the order {lie}"
-        yield subject.found("error", " ".join(wrong), message)
+        yield subject.found("error", " ".join(wrong), message, is_setup=True)
 
 
 def _length(between: np.ndarray, order: tuple[int, ...]) -> float:

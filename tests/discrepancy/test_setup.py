@@ -1,0 +1,131 @@
+"""Set-up errors: mistakes made here in the data of a simulated machine, alone and beside a payload."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.setup.check import find_setup_errors
+from tepm_opt.models.channels import channels_of
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.effect import ActiveEffect
+from tepm_opt.models.model import Model
+from tepm_opt.solvers.network_plant import NetworkPlant
+from tests.discrepancy.small import NOISE, changed, measured, planned, true_values
+
+KNOWN = Model.of("kang2017")
+SIGNALS = channels_of(KNOWN.robot).signals
+Mistake = Callable[[Run], Run]
+
+
+@dataclass(frozen=True)
+class Machine:
+    """As much of a searchable network as the check asks for, without compiling its candidates."""
+
+    model: CompiledModel
+    known: tuple[str, ...] = tuple(KNOWN.robot.priors)
+    signals = SIGNALS
+
+    @property
+    def without_candidates(self) -> NetworkPlant:
+        return NetworkPlant(self.model)
+
+    @property
+    def equilibria(self) -> NetworkPlant:
+        return NetworkPlant(self.model, static=True)
+
+
+def exchanged(*pairs: tuple[str, str]) -> Mistake:
+    """Columns of inputs exchanged, by name without unit."""
+    names = [name.rpartition("_")[0] for name in SIGNALS.inputs]
+    order = list(range(len(names)))
+    for one, other in pairs:
+        a, b = names.index(one), names.index(other)
+        order[a], order[b] = b, a
+    return lambda run: replace(run, inputs=run.inputs[:, order])
+
+
+def scaled(factor: float, *columns: int) -> Mistake:
+    size = np.ones(len(SIGNALS.inputs))
+    size[list(columns)] = factor
+    return lambda run: replace(run, inputs=run.inputs * size)
+
+
+def turned(matrix: np.ndarray) -> Mistake:
+    return lambda run: replace(run, points=run.points @ matrix.T)
+
+
+PRESSURES, TENSIONS = range(6), range(6, 12)
+MISTAKES: dict[str, tuple[str, Mistake]] = {
+    "hoses": ("swapped_inputs", exchanged(("pressure_11", "pressure_12"))),
+    "tendons": ("swapped_inputs", exchanged(("tension_21", "tension_23"))),
+    "actuators": ("swapped_actuators", exchanged(("pressure_12", "pressure_23"), ("tension_12", "tension_23"))),
+    "numbered the other way round": ("renumbered_module", exchanged(("pressure_21", "pressure_23"), ("tension_21", "tension_23"))),
+    "mirrored": ("mirrored_frame", turned(np.diag([1.0, -1.0, 1.0]))),
+    "x and y": ("swapped_axes", turned(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]))),
+    "a quarter turn": ("rotated_frame", turned(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))),
+    "35 degrees": ("rotated_frame", turned(Rotation.from_euler("z", 35, degrees=True).as_matrix())),
+    "absolute": ("absolute_pressure", lambda run: replace(run, inputs=run.inputs + np.where(np.arange(12) < 6, 101_325.0, 0.0))),
+    "all in psi": ("scaled_channel", scaled(1 / 6894.757, *PRESSURES)),
+    "one in kPa": ("scaled_channel", scaled(1e-3, 4)),
+    "kgf": ("scaled_channel", scaled(1 / 9.80665, *TENSIONS)),
+    "force": ("inverted_force", lambda run: replace(run, tip_force=-run.tip_force)),
+    "markers": ("swapped_markers", lambda run: replace(run, points=run.points[:, [0, 2, 1, 3]])),
+}
+FILES = ("single_pressure.csv", "single_tension.csv", "elongation.csv", "tip_load.csv")
+
+
+@pytest.fixture(scope="module")
+def plain() -> CompiledModel:
+    return compile_model(KNOWN)
+
+
+@pytest.fixture(scope="module")
+def healthy(plain: CompiledModel) -> list[Run]:
+    return measured(changed(plain, **true_values(plain)), planned(FILES))
+
+
+@pytest.fixture(scope="module")
+def loaded() -> list[Run]:
+    """Runs of a machine with a payload of 10 g."""
+    heavy = compile_model(replace(KNOWN, effects=(ActiveEffect("payload", None, {"mass": 0.01}),)))
+    return measured(heavy, planned(FILES), seed=2)
+
+
+def found(model: CompiledModel, runs: list[Run]) -> list[str]:
+    return [error.kind for error in find_setup_errors(Machine(model), runs, NOISE)[0]]  # type: ignore[arg-type]
+
+
+@pytest.mark.sample(4)
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_told(plain: CompiledModel, healthy: list[Run], name: str) -> None:
+    kind, mistake = MISTAKES[name]
+    kinds = found(plain, [mistake(run) for run in healthy])
+    assert kind in kinds
+    assert set(kinds) <= {kind, "swapped_actuators"}  # within a module the same as one numbered otherwise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_told_beside_a_payload(plain: CompiledModel, loaded: list[Run], name: str) -> None:
+    kind, mistake = MISTAKES[name]
+    assert kind in found(plain, [mistake(run) for run in loaded])
+
+
+def test_nothing_is_told_of_a_machine_that_is_set_up_well(plain: CompiledModel, healthy: list[Run], loaded: list[Run]) -> None:
+    assert found(plain, healthy) == []
+    assert found(plain, loaded) == []
+
+
+def test_a_mend_gives_back_the_data(plain: CompiledModel, healthy: list[Run]) -> None:
+    _, mistake = MISTAKES["hoses"]
+    errors, runs = find_setup_errors(Machine(plain), [mistake(run) for run in healthy], NOISE)  # type: ignore[arg-type]
+    assert [error.is_mended for error in errors] == [True]
+    assert errors[0].channels == ("pressure_11_Pa", "pressure_12_Pa")
+    for run, before in zip(runs, healthy, strict=True):
+        assert np.array_equal(run.inputs, before.inputs)
