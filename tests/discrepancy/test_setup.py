@@ -101,7 +101,7 @@ def found(model: CompiledModel, runs: list[Run]) -> list[str]:
     return [error.kind for error in find_setup_errors(Machine(model), runs, NOISE)[0]]  # type: ignore[arg-type]
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(7)
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_told(plain: CompiledModel, healthy: list[Run], name: str) -> None:
     kind, mistake = MISTAKES[name]

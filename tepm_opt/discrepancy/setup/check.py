@@ -47,7 +47,7 @@ def find_setup_errors(
     runs = tuple(runs)
     progress("checking the set-up: wiring, axes, units, markers", 0, 0)
     try:
-        comparison = Comparison.of(plant, runs, noise)
+        comparison = Comparison.simulate(plant, runs, noise)
         for _ in range(MOST):
             ranked = _rank_hypotheses(comparison, plant)
             if not ranked:
@@ -59,7 +59,7 @@ def find_setup_errors(
             some = _share_probability(ranked, comparison.misfit())
             found += [replace(some[0], is_mended=True), *some[1:]]
             runs = tuple(comparison.within_limits(best.apply(run)) for run in runs)
-            comparison = Comparison.of(plant, runs, noise)
+            comparison = Comparison.simulate(plant, runs, noise)
     except PredictionError:  # the search says so
         pass
     return tuple(found), runs

@@ -32,7 +32,7 @@ class Misfit:
 
     @property
     def mean_square(self) -> float:
-        """Of all coordinates."""
+        """Mean square over all coordinates."""
         return float(np.nanmean(np.concatenate([r.ravel() for r in self.residuals]) ** 2))
 
     def coefficient(self, mended: Misfit) -> tuple[float, float]:
@@ -76,7 +76,7 @@ class Comparison:
     limits: np.ndarray
 
     @staticmethod
-    def of(plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray) -> Comparison:
+    def simulate(plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray) -> Comparison:
         """Simulate the runs with the nominal model.
 
         Args:

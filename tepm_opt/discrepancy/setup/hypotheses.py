@@ -146,12 +146,12 @@ def input_hypotheses(signals: Signals) -> Iterator[SetupHypothesis]:
         unit = _unit_of(signals.inputs[columns[0]])
         for some in ([columns] if len(columns) > 1 else []) + [[column] for column in columns]:
             for name, size in UNITS.get(unit, {}).items():
-                yield _scaled(signals, some, size, f'unit = "{name}"')
-                yield _scaled(signals, some, 1 / size, f"scale = {1 / size:.6g}")
+                yield _scale_hypothesis(signals, some, size, f'unit = "{name}"')
+                yield _scale_hypothesis(signals, some, 1 / size, f"scale = {1 / size:.6g}")
             if unit == "Pa":
-                yield _absolute(signals, some)
+                yield _absolute_hypothesis(signals, some)
             if not np.isfinite([signals.limits[k] for k in some]).any():
-                yield _scaled(signals, some, -1.0, "scale = -1")
+                yield _scale_hypothesis(signals, some, -1.0, "scale = -1")
 
 
 def force_hypotheses() -> Iterator[SetupHypothesis]:
@@ -215,7 +215,7 @@ def _permutation(kind: str, signals: Signals, sources: Mapping[int, int]) -> Set
     return SetupHypothesis(kind, channels, f"columns: {mend}", lambda run: replace(run, inputs=run.inputs[:, order]), "inputs", columns)
 
 
-def _scaled(signals: Signals, columns: Sequence[int], factor: float, mend: str) -> SetupHypothesis:
+def _scale_hypothesis(signals: Signals, columns: Sequence[int], factor: float, mend: str) -> SetupHypothesis:
     scale = np.ones(len(signals.inputs))
     scale[list(columns)] = factor
     channels = tuple(signals.inputs[k] for k in columns)
@@ -223,7 +223,7 @@ def _scaled(signals: Signals, columns: Sequence[int], factor: float, mend: str) 
     return SetupHypothesis("scaled_channel", channels, text, lambda run: replace(run, inputs=run.inputs * scale), "inputs", tuple(columns))
 
 
-def _absolute(signals: Signals, columns: Sequence[int]) -> SetupHypothesis:
+def _absolute_hypothesis(signals: Signals, columns: Sequence[int]) -> SetupHypothesis:
     offset = np.zeros(len(signals.inputs))
     offset[list(columns)] = ATMOSPHERE
     channels = tuple(signals.inputs[k] for k in columns)
@@ -245,21 +245,21 @@ def point_hypotheses(signals: Signals, runs: Sequence[Run], modelled: Sequence[n
     seen = np.isfinite(measured).all(axis=2)
     yield from _swapped_markers(signals, measured, expected)
     if len(signals.axes) != 3:
-        yield from (_reversed(signals, point) for point in range(len(signals.points)))
+        yield from (_sign_hypothesis(signals, point) for point in range(len(signals.points)))
         return
     for label, matrix in _axis_changes():
         if np.linalg.det(matrix) > 0:
             kind = "rotated_frame"
         else:
             kind = "mirrored_frame" if np.count_nonzero(np.diag(matrix)) == 3 else "swapped_axes"
-        yield _turned(kind, signals, matrix, f"frame.axes = {label}")
+        yield _frame_hypothesis(kind, signals, matrix, f"frame.axes = {label}")
     left, _, right = np.linalg.svd(expected[seen].T @ measured[seen])
     turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
     angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
     is_listed = np.abs(turn - np.round(turn)).max() < 0.05  # among the changes of axes above
     if angle >= LEAST_TURN and not is_listed:
         rows = "; ".join(" ".join(f"{value:.4f}" for value in row) for row in turn)
-        yield _turned("rotated_frame", signals, turn, f"turn the frame by {angle:.0f} deg: multiply points by [{rows}]")
+        yield _frame_hypothesis("rotated_frame", signals, turn, f"turn the frame by {angle:.0f} deg: multiply points by [{rows}]")
 
 
 def _swapped_markers(signals: Signals, measured: np.ndarray, expected: np.ndarray) -> Iterator[SetupHypothesis]:
@@ -290,12 +290,12 @@ def _pair(count: int, a: int, b: int) -> tuple[int, ...]:
     return tuple(order)
 
 
-def _turned(kind: str, signals: Signals, matrix: np.ndarray, mend: str) -> SetupHypothesis:
+def _frame_hypothesis(kind: str, signals: Signals, matrix: np.ndarray, mend: str) -> SetupHypothesis:
     channels = tuple(f"{point}_{axis}_{signals.unit}" for point in signals.points for axis in signals.axes)
     return SetupHypothesis(kind, channels, mend, lambda run: replace(run, points=run.points @ matrix.T), "points")
 
 
-def _reversed(signals: Signals, point: int) -> SetupHypothesis:
+def _sign_hypothesis(signals: Signals, point: int) -> SetupHypothesis:
     sign = np.ones((len(signals.points), 1))
     sign[point] = -1.0
     name = signals.points[point]
