@@ -79,7 +79,7 @@ def recalibrate(state: Prepared) -> Recalibrated:
     fit = first.fit((), {})
     if fit is not None and not problem.plant.static:
         noise, scatters = estimate_noise(noise, problem.runs, fit.estimate.residuals)
-        remarks = [*remarks, *describe_noise(scatters, noise, state.plant.signals)]
+        remarks = [*remarks, *describe_noise(scatters, state.noise, state.plant.signals)]
     done = first.done if np.all(noise == problem.noise) else {}
     shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
     fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
-from tepm_opt.discrepancy.setup.comparison import Comparison, Misfit
+from tepm_opt.discrepancy.setup.comparison import ROWS, Comparison, Misfit, take_rows
 from tepm_opt.discrepancy.setup.hypotheses import (
     ATMOSPHERE,
     SetupError,
@@ -20,6 +20,7 @@ from tepm_opt.discrepancy.setup.hypotheses import (
 )
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.start import first
 
 CLOSE = 0.4  # largest distance of the mend's coefficient from 1
 SURE = 2.5  # standard deviations by which the coefficient must be above 1/2, from which on the mend explains more than it spoils
@@ -27,6 +28,7 @@ VISIBLE = 0.1  # least squares over the noise's that a mend removes
 CONFIRMED = 5  # hypotheses that are simulated in full after the screening
 WORTH = 60.0  # independent samples that the compared ones are worth: neighbours say nearly the same
 LISTED = 0.1  # probability from which an alternative is told
+BEGINNING = 2000  # samples of each run of a plant that is simulated in full for every hypothesis
 MOST = 3  # set-up errors found one after the other
 
 
@@ -44,25 +46,32 @@ def find_setup_errors(
         progress: told of the work.
     """
     found: list[SetupError] = []
-    runs = tuple(runs)
     progress("checking the set-up: wiring, axes, units, markers", 0, 0)
+    compared = _choose_rows(plant, runs)
     try:
-        comparison = Comparison.simulate(plant, runs, noise)
+        comparison = Comparison.simulate(plant, compared, noise)
         for _ in range(MOST):
             ranked = _rank_hypotheses(comparison, plant)
             if not ranked:
                 break
             misfit, best = ranked[0]
-            sure = 0.0 if best.kind == "absolute_pressure" and _rests_at_atmosphere(best, runs) else SURE
-            if not _is_explained(comparison.misfit(), misfit, sure):
+            sure = 0.0 if best.kind == "absolute_pressure" and _rests_at_atmosphere(best, comparison.runs) else SURE
+            if not _is_explained(comparison.misfit(), misfit, sure) or comparison.least_on_another_clock() <= misfit.mean_square:
                 break
             some = _share_probability(ranked, comparison.misfit())
             found += [replace(some[0], is_mended=True), *some[1:]]
-            runs = tuple(comparison.within_limits(best.apply(run)) for run in runs)
-            comparison = Comparison.simulate(plant, runs, noise)
+            runs, compared = ([comparison.within_limits(best.apply(run)) for run in each] for each in (runs, comparison.runs))
+            comparison = Comparison.simulate(plant, compared, noise)
     except PredictionError:  # the search says so
         pass
-    return tuple(found), runs
+    return tuple(found), tuple(runs)
+
+
+def _choose_rows(plant: SearchablePlant, runs: Sequence[Run]) -> list[Run]:
+    """Runs to compare: all of a network's motions, some equilibria, the beginnings of the fit runs of a plant that is simulated in full."""
+    if plant.without_candidates.static:
+        return [take_rows(run, np.unique(np.linspace(0, run.rows - 1, min(run.rows, ROWS)).round().astype(int))) for run in runs]
+    return list(runs) if plant.equilibria is not None else [first(run, BEGINNING) for run in runs if run.role == "fit"]
 
 
 def _rank_hypotheses(comparison: Comparison, plant: SearchablePlant) -> list[tuple[Misfit, SetupHypothesis]]:

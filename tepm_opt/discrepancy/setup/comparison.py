@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.preparation.clock import find_time_shift
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.setup.hypotheses import SetupHypothesis
 from tepm_opt.solvers.least_squares import bounded_step
@@ -61,7 +62,8 @@ class Comparison:
         runs: as recorded.
         rows: numbers of the compared samples of each run.
         noise: of the measurements, 1 sigma per axis or of each point.
-        points: of the nominal model at these samples.
+        motions: points of the nominal model at all samples.
+        points: the same at the compared samples.
         nuisances: derivatives by what may be off besides, over its size, (rows, points, axes, nuisances) a run.
         limits: largest inputs.
     """
@@ -71,6 +73,7 @@ class Comparison:
     runs: tuple[Run, ...]
     rows: tuple[np.ndarray, ...]
     noise: float | np.ndarray
+    motions: tuple[np.ndarray, ...]
     points: tuple[np.ndarray, ...]
     nuisances: tuple[np.ndarray, ...]
     limits: np.ndarray
@@ -90,19 +93,20 @@ class Comparison:
         plain, still = plant.without_candidates, plant.equilibria
         rows = tuple(np.unique(np.linspace(0, run.rows - 1, min(ROWS, run.rows)).round().astype(int)) for run in runs)
         spread = {free.name: free.spread for free in plain.free(plant.known)}
-        points, nuisances = [], []
+        motions, nuisances = [], []
         for run, at in zip(runs, rows, strict=True):
             found = plain.predict(begun(plain, run, noise), plant.known)
-            points.append(found.points[at])
+            motions.append(found.points)
             columns = [spread[name] * by for name, by in zip(plant.known, found.by, strict=True)]
             columns += _frame_and_clock(run, found.points, noise, plain.static)
             nuisances.append(np.stack(columns, axis=-1)[at])
-        return Comparison(plain, still, tuple(runs), rows, noise, tuple(points), tuple(nuisances), plant.signals.ranges)
+        points = tuple(motion[at] for motion, at in zip(motions, rows, strict=True))
+        return Comparison(plain, still, tuple(runs), rows, noise, tuple(motions), points, tuple(nuisances), plant.signals.ranges)
 
     @property
     def thinned(self) -> tuple[Run, ...]:
         """The runs at the compared samples."""
-        return tuple(_take_rows(run, at) for run, at in zip(self.runs, self.rows, strict=True))
+        return tuple(take_rows(run, at) for run, at in zip(self.runs, self.rows, strict=True))
 
     def misfit(self) -> Misfit:
         """Residuals of the runs as recorded."""
@@ -121,10 +125,28 @@ class Comparison:
         mended = [hypothesis.apply(run) for run in self.thinned]
         return self._fit_nuisances([run.points - p for run, p in zip(mended, points, strict=True)], self.nuisances)
 
+    def least_on_another_clock(self) -> float:
+        """Least mean square that is left where the positions of all runs, or of one of them, are taken to be late or early."""
+        if self.plant.static:
+            return np.inf
+        together = find_time_shift(self.runs, self.motions, self.noise).seconds
+        alone = [find_time_shift([run], [motion], self.noise).seconds for run, motion in zip(self.runs, self.motions, strict=True)]
+        choices = [np.full(len(alone), together), *np.diag(alone)]
+        return min((self._misfit_late(seconds).mean_square for seconds in choices if np.any(seconds)), default=np.inf)
+
+    def _misfit_late(self, seconds: np.ndarray) -> Misfit:
+        """Residuals where the positions of each run trail the model's by so many seconds, (runs,)."""
+        left = []
+        for run, motion, at, late in zip(self.thinned, self.motions, self.rows, seconds, strict=True):
+            time = self.runs[len(left)].time
+            columns = [np.interp(time[at] - late, time, column) for column in motion.reshape(len(motion), -1).T]
+            left.append(run.points - np.stack(columns, axis=1).reshape(run.points.shape))
+        return self._fit_nuisances(left, self.nuisances)
+
     def screen(self, hypotheses: Sequence[SetupHypothesis]) -> list[tuple[float, SetupHypothesis]]:
         """Hypotheses by the part of the misfit that they would leave, to first order of the motion; least first."""
         slow = [_slowest(points) for points in self.points]
-        runs = [_take_rows(run, at) for run, at in zip(self.thinned, slow, strict=True)]
+        runs = [take_rows(run, at) for run, at in zip(self.thinned, slow, strict=True)]
         points = [p[at] for p, at in zip(self.points, slow, strict=True)]
         nuisances = [n[at] for n, at in zip(self.nuisances, slow, strict=True)]
         if self.still is None:  # the full simulations that follow are at all samples
@@ -210,7 +232,8 @@ def _slowest(points: np.ndarray) -> np.ndarray:
     return np.array([part[int(np.argmin(speed[part]))] for part in np.array_split(np.arange(len(points)), min(SLOW, len(points)))])
 
 
-def _take_rows(run: Run, rows: np.ndarray) -> Run:
+def take_rows(run: Run, rows: np.ndarray) -> Run:
+    """Some rows of a run."""
     return replace(
         run, time=run.time[rows], inputs=run.inputs[rows], tip_force=run.tip_force[rows], points=run.points[rows],
         extra={name: values[rows] for name, values in run.extra.items()}, lines=(),
