@@ -150,7 +150,6 @@ class Comparison:
         points = [p[at] for p, at in zip(self.points, slow, strict=True)]
         nuisances = [n[at] for n, at in zip(self.nuisances, slow, strict=True)]
         if self.still is None:  # the full simulations that follow are at all samples
-            slow = [np.arange(len(at)) for at in self.rows]
             runs, points, nuisances = list(self.thinned), list(self.points), list(self.nuisances)
         there = self._fit_nuisances([run.points - p for run, p in zip(runs, points, strict=True)], nuisances).mean_square
         rest = None if self.still is None else [self.still.predict(run).points for run in runs]
