@@ -48,6 +48,8 @@ def find_setup_errors(
     found: list[SetupError] = []
     progress("checking the set-up: wiring, axes, units, markers", 0, 0)
     compared = _choose_rows(plant, runs)
+    if not any(np.isfinite(run.points).any() for run in compared):
+        return (), tuple(runs)
     try:
         comparison = Comparison.simulate(plant, compared, noise)
         for _ in range(MOST):

@@ -129,8 +129,9 @@ class Comparison:
         """Least mean square that is left where the positions of all runs, or of one of them, are taken to be late or early."""
         if self.plant.static:
             return np.inf
-        together = find_time_shift(self.runs, self.motions, self.noise).seconds
-        alone = [find_time_shift([run], [motion], self.noise).seconds for run, motion in zip(self.runs, self.motions, strict=True)]
+        shifts = [find_time_shift([run], [motion], self.noise) for run, motion in zip(self.runs, self.motions, strict=True)]
+        alone = [shift.seconds if shift.parts else 0.0 for shift in shifts]
+        together = find_time_shift(self.runs, self.motions, self.noise).seconds if any(shift.parts for shift in shifts) else 0.0
         choices = [np.full(len(alone), together), *np.diag(alone)]
         return min((self._misfit_late(seconds).mean_square for seconds in choices if np.any(seconds)), default=np.inf)
 

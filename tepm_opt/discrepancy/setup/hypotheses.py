@@ -266,9 +266,9 @@ def _swapped_markers(signals: Signals, measured: np.ndarray, expected: np.ndarra
     """The assignment of measured to modelled points that leaves least (Hungarian method), where it is not the one that stands there."""
     from scipy.optimize import linear_sum_assignment
 
-    squares = np.nanmean((measured[:, :, None] - expected[:, None]) ** 2, axis=(0, 3))
-    if not np.isfinite(squares).all():
+    if not np.isfinite(measured).any(axis=(0, 2)).all():  # a point that is never measured may be anywhere
         return
+    squares = np.nanmean((measured[:, :, None] - expected[:, None]) ** 2, axis=(0, 3))
     _, order = linear_sum_assignment(squares.T)  # modelled point k is measured as point order[k]
     for some in {tuple(order)} | {_pair(len(order), a, b) for a, b in combinations(range(len(order)), 2)}:
         moved = [k for k in range(len(some)) if some[k] != k]
