@@ -129,3 +129,13 @@ def test_a_mend_gives_back_the_data(plain: CompiledModel, healthy: list[Run]) ->
     assert errors[0].channels == ("pressure_11_Pa", "pressure_12_Pa")
     for run, before in zip(runs, healthy, strict=True):
         assert np.array_equal(run.inputs, before.inputs)
+
+
+def test_a_weak_tendon_is_no_unit(plain: CompiledModel) -> None:
+    """One that lost half of its tension, or all of it, is physics, although a unit that is smaller explains most of it."""
+    for part in (0.5, 0.0):
+        runs = planned(FILES)
+        inputs = [run.setpoints.inputs * np.where(np.arange(12) == 6, part, 1.0) for run in runs]
+        weak = [replace(run, setpoints=replace(run.setpoints, inputs=each)) for run, each in zip(runs, inputs, strict=True)]
+        asked = [replace(run, inputs=as_told.setpoints.inputs) for run, as_told in zip(measured(plain, weak), runs, strict=True)]
+        assert found(plain, asked) == []
