@@ -10,6 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.data.run import Run
+from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
+from tepm_opt.discrepancy.adapters.equations import Equations
 from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel, compile_model
@@ -139,3 +141,39 @@ def test_a_weak_tendon_is_no_unit(plain: CompiledModel) -> None:
         weak = [replace(run, setpoints=replace(run.setpoints, inputs=each)) for run, each in zip(runs, inputs, strict=True)]
         asked = [replace(run, inputs=as_told.setpoints.inputs) for run, as_told in zip(measured(plain, weak), runs, strict=True)]
         assert found(plain, asked) == []
+
+
+def two_masses() -> CasadiPlant:
+    """Two masses on springs with a spring between them, each with a force and a measured place."""
+    m = Equations("two masses", time=0.3, laws=())
+    (x, v), (y, w) = ((m.state(f"place {k}"), m.state(f"speed {k}")) for k in "12")
+    f, g = m.input("force_1", size=1.0), m.input("force_2", size=1.0)
+    spring, between = m.known("spring", 40.0, "N/m", within=0.2), m.known("between", 10.0, "N/m", within=0.2)
+    m.rate(x, v)
+    m.rate(v, f - spring * x - between * (x - y) - 2.0 * v)
+    m.rate(y, w)
+    m.rate(w, (g - 2 * spring * y - between * (y - x) - 2.0 * w) / 2.0)
+    m.output("place_1", x, "m", size=0.02)
+    m.output("place_2", y, "m", size=0.02)
+    return m.plant()
+
+
+@pytest.mark.parametrize(
+    ("kind", "channels", "mistake"),
+    [
+        ("", (), lambda run: run),
+        ("swapped_inputs", ("force_1", "force_2"), lambda run: replace(run, inputs=run.inputs[:, ::-1])),
+        ("scaled_channel", ("force_2",), lambda run: replace(run, inputs=run.inputs * [1.0, -1.0])),
+        ("swapped_markers", ("place_1", "place_2"), lambda run: replace(run, points=run.points[:, ::-1])),
+        ("mirrored_frame", ("place_1",), lambda run: replace(run, points=run.points * np.array([[-1.0], [1.0]]))),
+    ],
+)
+def test_a_plant_of_equations(kind: str, channels: tuple[str, ...], mistake: Mistake) -> None:
+    """Mistakes of a machine whose springs are 10 % stiffer than known."""
+    plant, random, time = two_masses(), np.random.default_rng(4), np.arange(0, 8, 0.02)
+    inputs = np.stack([np.sin(2.0 * time), np.sin(3.1 * time + 1) - np.sin(1.0)], axis=1)
+    asked = Run("a.csv", "fit", time, inputs, np.zeros((len(time), 3)), np.zeros((len(time), 2, 1)))
+    points = plant.with_values({"spring": 44.0}).predict(asked).points
+    run = replace(asked, points=points + 2e-4 * random.normal(size=points.shape))
+    errors, _ = find_setup_errors(plant, [mistake(run)], 2e-4)
+    assert [(error.kind, error.channels) for error in errors] == ([(kind, channels)] if kind else [])

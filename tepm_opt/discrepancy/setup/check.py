@@ -9,7 +9,7 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
-from tepm_opt.discrepancy.setup.comparison import ROWS, Comparison, Misfit, take_rows
+from tepm_opt.discrepancy.setup.comparison import Comparison, Misfit, take_rows
 from tepm_opt.discrepancy.setup.hypotheses import (
     ATMOSPHERE,
     SetupError,
@@ -18,23 +18,14 @@ from tepm_opt.discrepancy.setup.hypotheses import (
     input_hypotheses,
     point_hypotheses,
 )
+from tepm_opt.discrepancy.setup.settings import DEFAULT, SetupSettings
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.start import first
 
-CLOSE = 0.4  # largest distance of the mend's coefficient from 1
-CLOSE_SHRUNK = 0.05  # the same where the mend makes inputs smaller: so do muscles and tendons that lost some force
-SURE = 2.5  # standard deviations by which the coefficient must be above 1/2, from which on the mend explains more than it spoils
-VISIBLE = 0.1  # least squares over the noise's that a mend removes
-CONFIRMED = 5  # hypotheses that are simulated in full after the screening
-WORTH = 60.0  # independent samples that the compared ones are worth: neighbours say nearly the same
-LISTED = 0.1  # probability from which an alternative is told
-BEGINNING = 2000  # samples of each run of a plant that is simulated in full for every hypothesis
-MOST = 3  # set-up errors found one after the other
-
 
 def find_setup_errors(
-    plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray, progress: Progress = silent
+    plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray, progress: Progress = silent, settings: SetupSettings = DEFAULT
 ) -> tuple[tuple[SetupError, ...], tuple[Run, ...]]:
     """Set-up errors, likelier ones of each mistake first, and the mended runs.
 
@@ -45,35 +36,36 @@ def find_setup_errors(
         runs: as recorded.
         noise: of the measurements, 1 sigma per axis, or of each point, (points, 1).
         progress: told of the work.
+        settings: thresholds.
     """
     found: list[SetupError] = []
     progress("checking the set-up: wiring, axes, units, markers", 0, 0)
-    compared = _choose_rows(plant, runs)
+    compared = _choose_rows(plant, runs, settings)
     if not any(np.isfinite(run.points).any() for run in compared):
         return (), tuple(runs)
     try:
-        comparison = Comparison.simulate(plant, compared, noise)
-        for _ in range(MOST):
+        comparison = Comparison.simulate(plant, compared, noise, settings)
+        for _ in range(settings.max_errors):
             ranked = _rank_hypotheses(comparison, plant)
             if not ranked:
                 break
             misfit, best = ranked[0]
             if not _is_explained(comparison, misfit, best) or comparison.least_on_another_clock() <= misfit.mean_square:
                 break
-            some = _share_probability(ranked, comparison.misfit())
+            some = _share_probability(ranked, comparison)
             found += [replace(some[0], is_mended=True), *some[1:]]
             runs, compared = ([comparison.within_limits(best.apply(run)) for run in each] for each in (runs, comparison.runs))
-            comparison = Comparison.simulate(plant, compared, noise)
+            comparison = Comparison.simulate(plant, compared, noise, settings)
     except PredictionError:  # the search says so
         pass
     return tuple(found), tuple(runs)
 
 
-def _choose_rows(plant: SearchablePlant, runs: Sequence[Run]) -> list[Run]:
+def _choose_rows(plant: SearchablePlant, runs: Sequence[Run], settings: SetupSettings) -> list[Run]:
     """Runs to compare: all of a network's motions, some equilibria, the beginnings of the fit runs of a plant that is simulated in full."""
     if plant.without_candidates.static:
-        return [take_rows(run, np.unique(np.linspace(0, run.rows - 1, min(run.rows, ROWS)).round().astype(int))) for run in runs]
-    return list(runs) if plant.equilibria is not None else [first(run, BEGINNING) for run in runs if run.role == "fit"]
+        return [take_rows(run, np.unique(np.linspace(0, run.rows - 1, min(run.rows, settings.rows)).round().astype(int))) for run in runs]
+    return list(runs) if plant.equilibria is not None else [first(run, settings.first_rows) for run in runs if run.role == "fit"]
 
 
 def _rank_hypotheses(comparison: Comparison, plant: SearchablePlant) -> list[tuple[Misfit, SetupHypothesis]]:
@@ -81,7 +73,7 @@ def _rank_hypotheses(comparison: Comparison, plant: SearchablePlant) -> list[tup
     forces = force_hypotheses() if any(np.abs(run.tip_force).max(initial=0.0) > 0 for run in comparison.runs) else ()
     points = point_hypotheses(plant.signals, comparison.thinned, comparison.points)
     screened = comparison.screen([*input_hypotheses(plant.signals), *forces, *points])
-    confirmed = [hypothesis for left, hypothesis in screened if left < 1][:CONFIRMED]
+    confirmed = [hypothesis for left, hypothesis in screened if left < 1][: comparison.settings.confirmed]
     misfits = [(misfit, h) for h in confirmed if (misfit := comparison.misfit_with(h)) is not None]
     return sorted(misfits, key=lambda each: each[0].mean_square)
 
@@ -100,21 +92,21 @@ def _is_shrunk(hypothesis: SetupHypothesis, runs: Sequence[Run]) -> bool:
 
 def _is_explained(comparison: Comparison, after: Misfit, hypothesis: SetupHypothesis) -> bool:
     """Whether a mend removes visibly more than it spoils, in all of the data, and about as much as it says."""
-    before = comparison.misfit()
+    before, settings = comparison.misfit(), comparison.settings
     size, doubt = before.coefficient(after)
     expected = hypothesis.kind == "absolute_pressure" and _rests_at_atmosphere(hypothesis, comparison.runs)
-    close = CLOSE_SHRUNK if _is_shrunk(hypothesis, comparison.runs) else CLOSE
-    is_visible = before.mean_square - after.mean_square >= VISIBLE
-    return is_visible and abs(size - 1) <= close and size - 0.5 >= (0.0 if expected else SURE * doubt)
+    close = settings.max_distance_smaller if _is_shrunk(hypothesis, comparison.runs) else settings.max_distance
+    is_visible = before.mean_square - after.mean_square >= settings.min_removed
+    return is_visible and abs(size - 1) <= close and size - 0.5 >= (0.0 if expected else settings.min_sigma * doubt)
 
 
-def _share_probability(ranked: Sequence[tuple[Misfit, SetupHypothesis]], before: Misfit) -> list[SetupError]:
+def _share_probability(ranked: Sequence[tuple[Misfit, SetupHypothesis]], comparison: Comparison) -> list[SetupError]:
     """Errors with their probabilities; of each kind and place the best mend, with the odds of all of these."""
-    least = ranked[0][0].mean_square
-    odds = np.array([(misfit.mean_square / least) ** (-WORTH / 2) for misfit, _ in ranked])
+    before, settings, least = comparison.misfit(), comparison.settings, ranked[0][0].mean_square
+    odds = np.array([(misfit.mean_square / least) ** (-settings.worth / 2) for misfit, _ in ranked])
     alike: dict[tuple[str, tuple[str, ...]], SetupError] = {}
     for p, (misfit, h) in zip(odds / odds.sum(), ranked, strict=True):
         left = misfit.mean_square / before.mean_square
         first = alike.setdefault((h.kind, h.channels), SetupError(h.kind, h.channels, h.mend, 0.0, left, h))
         alike[h.kind, h.channels] = replace(first, probability=first.probability + float(p))
-    return [error for error in alike.values() if error.probability >= LISTED]
+    return [error for error in alike.values() if error.probability >= settings.min_listed]

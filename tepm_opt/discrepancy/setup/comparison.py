@@ -11,14 +11,10 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.preparation.clock import find_time_shift
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.setup.hypotheses import SetupHypothesis
+from tepm_opt.discrepancy.setup.settings import DEFAULT, SetupSettings
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.start import begun
-
-ROWS = 60  # samples of a run at which models and data are compared
-SLOW = 10  # of these, the slowest of so many stretches, for hypotheses that are screened by statics
-LAG, SHIFT, TURN = 0.2, 0.005, 0.05  # s, m, rad: size of the nuisances besides the known parameters
-LARGEST = 2.0  # times its size that a nuisance may be: a frame turned by 6 deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +62,7 @@ class Comparison:
         points: the same at the compared samples.
         nuisances: derivatives by what may be off besides, over its size, (rows, points, axes, nuisances) a run.
         limits: largest inputs.
+        settings: thresholds.
     """
 
     plant: Plant
@@ -77,31 +74,33 @@ class Comparison:
     points: tuple[np.ndarray, ...]
     nuisances: tuple[np.ndarray, ...]
     limits: np.ndarray
+    settings: SetupSettings = DEFAULT
 
     @staticmethod
-    def simulate(plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray) -> Comparison:
+    def simulate(plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray, settings: SetupSettings = DEFAULT) -> Comparison:
         """Simulate the runs with the nominal model.
 
         Args:
             plant: the model.
             runs: as recorded.
             noise: of the measurements, 1 sigma per axis in the unit of the points, or of each point, (points, 1).
+            settings: thresholds.
 
         Raises:
             PredictionError: the model cannot do the runs as they are.
         """
         plain, still = plant.without_candidates, plant.equilibria
-        rows = tuple(np.unique(np.linspace(0, run.rows - 1, min(ROWS, run.rows)).round().astype(int)) for run in runs)
+        rows = tuple(np.unique(np.linspace(0, run.rows - 1, min(settings.rows, run.rows)).round().astype(int)) for run in runs)
         spread = {free.name: free.spread for free in plain.free(plant.known)}
         motions, nuisances = [], []
         for run, at in zip(runs, rows, strict=True):
             found = plain.predict(begun(plain, run, noise), plant.known)
             motions.append(found.points)
             columns = [spread[name] * by for name, by in zip(plant.known, found.by, strict=True)]
-            columns += _frame_and_clock(run, found.points, noise, plain.static)
+            columns += _frame_and_clock(run, found.points, noise, plain.static, settings)
             nuisances.append(np.stack(columns, axis=-1)[at])
         points = tuple(motion[at] for motion, at in zip(motions, rows, strict=True))
-        return Comparison(plain, still, tuple(runs), rows, noise, tuple(motions), points, tuple(nuisances), plant.signals.ranges)
+        return Comparison(plain, still, tuple(runs), rows, noise, tuple(motions), points, tuple(nuisances), plant.signals.ranges, settings)
 
     @property
     def thinned(self) -> tuple[Run, ...]:
@@ -146,7 +145,7 @@ class Comparison:
 
     def screen(self, hypotheses: Sequence[SetupHypothesis]) -> list[tuple[float, SetupHypothesis]]:
         """Hypotheses by the part of the misfit that they would leave, to first order of the motion; least first."""
-        slow = [_slowest(points) for points in self.points]
+        slow = [_slowest(points, self.settings.slow_rows) for points in self.points]
         runs = [take_rows(run, at) for run, at in zip(self.thinned, slow, strict=True)]
         points = [p[at] for p, at in zip(self.points, slow, strict=True)]
         nuisances = [n[at] for n, at in zip(self.nuisances, slow, strict=True)]
@@ -201,35 +200,44 @@ class Comparison:
         return replace(run, inputs=np.clip(run.inputs, np.where(finite, 0.0, -np.inf), self.limits))
 
     def _fit_nuisances(self, residuals: Sequence[np.ndarray], nuisances: Sequence[np.ndarray]) -> Misfit:
-        """Residuals over the noise once the nuisances are fitted, each at most `LARGEST` times its size."""
+        """Residuals over the noise once the nuisances are fitted, each at most `max_nuisance` times its size."""
         left = [r / self.noise for r in residuals]
         by = [n / np.asarray(self.noise)[..., None] for n in nuisances]
         seen = np.isfinite(np.concatenate([r.ravel() for r in left]))
         columns = np.concatenate([n.reshape(-1, n.shape[-1]) for n in by])[seen]
-        bound = np.full(columns.shape[1], LARGEST)
+        bound = np.full(columns.shape[1], self.settings.max_nuisance)
         values = np.concatenate([r.ravel() for r in left])[seen]
         step, _ = bounded_step(columns.T @ columns, columns.T @ values, -bound, bound, np.ones(len(bound)))
         return Misfit(tuple(r + n @ step for r, n in zip(left, by, strict=True)))
 
 
-def _frame_and_clock(run: Run, points: np.ndarray, noise: float | np.ndarray, static: bool) -> list[np.ndarray]:
-    """Nuisances of the measurement: a late clock, a shifted and a slightly turned frame."""
+def _frame_and_clock(run: Run, points: np.ndarray, noise: float | np.ndarray, static: bool, settings: SetupSettings) -> list[np.ndarray]:
+    """Nuisances of the measurement: a late clock, a shifted and a slightly turned frame.
+
+    Args:
+        run: with the times.
+        points: of the nominal model, (rows, points, axes).
+        noise: of the measurements, 1 sigma per axis, or of each point, (points, 1).
+        static: whether rows are equilibria.
+        settings: sizes of the nuisances.
+    """
     increasing = not static and run.rows > 1 and bool(np.all(np.diff(run.time) > 0))
-    found = [LAG * np.gradient(points, run.time, axis=0)] if increasing else [np.zeros_like(points)]
+    found = [settings.lag * np.gradient(points, run.time, axis=0)] if increasing else [np.zeros_like(points)]
     axes = points.shape[2]
     if axes == 3:
-        found += [SHIFT * np.broadcast_to(e, points.shape) for e in np.eye(3)]
-        return found + [TURN * np.cross(e, points) for e in np.eye(3)]
+        found += [settings.shift * np.broadcast_to(e, points.shape) for e in np.eye(3)]
+        return found + [settings.turn * np.cross(e, points) for e in np.eye(3)]
     size = 3 * np.broadcast_to(noise, points.shape)  # a zero error of each quantity
     return found + [np.where(np.arange(points.shape[1])[:, None] == k, size, 0.0) for k in range(points.shape[1])]
 
 
-def _slowest(points: np.ndarray) -> np.ndarray:
+def _slowest(points: np.ndarray, stretches: int) -> np.ndarray:
     """Numbers of the slowest sample of each stretch of a run, (stretches,)."""
     if len(points) < 2:
         return np.arange(len(points))
     speed = np.abs(np.gradient(points, axis=0)).max(axis=(1, 2))
-    return np.array([part[int(np.argmin(speed[part]))] for part in np.array_split(np.arange(len(points)), min(SLOW, len(points)))])
+    parts = np.array_split(np.arange(len(points)), min(stretches, len(points)))
+    return np.array([part[int(np.argmin(speed[part]))] for part in parts])
 
 
 def take_rows(run: Run, rows: np.ndarray) -> Run:

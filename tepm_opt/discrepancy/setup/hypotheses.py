@@ -273,7 +273,7 @@ def _swapped_markers(signals: Signals, measured: np.ndarray, expected: np.ndarra
     for some in {tuple(order)} | {_pair(len(order), a, b) for a, b in combinations(range(len(order)), 2)}:
         moved = [k for k in range(len(some)) if some[k] != k]
         if moved:
-            channels = tuple(f"{signals.points[k]}_{axis}_{signals.unit}".replace("__", "_") for k in moved for axis in signals.axes)
+            channels = _point_columns(signals, moved)
             mend = ", ".join(f"{signals.points[k]} = {signals.points[some[k]]}" for k in moved)
             yield SetupHypothesis(
                 "swapped_markers",
@@ -284,6 +284,13 @@ def _swapped_markers(signals: Signals, measured: np.ndarray, expected: np.ndarra
             )
 
 
+def _point_columns(signals: Signals, points: Sequence[int]) -> tuple[str, ...]:
+    """Columns of some points; they end in their unit where those of the inputs do."""
+    suffix = f"_{signals.unit}" if all(_unit_of(name) in UNITS for name in signals.inputs) else ""
+    axes = len(signals.axes)
+    return tuple(f"{column}{suffix}" for k in points for column in signals.columns[k * axes : (k + 1) * axes])
+
+
 def _pair(count: int, a: int, b: int) -> tuple[int, ...]:
     order = list(range(count))
     order[a], order[b] = b, a
@@ -291,7 +298,7 @@ def _pair(count: int, a: int, b: int) -> tuple[int, ...]:
 
 
 def _frame_hypothesis(kind: str, signals: Signals, matrix: np.ndarray, mend: str) -> SetupHypothesis:
-    channels = tuple(f"{point}_{axis}_{signals.unit}" for point in signals.points for axis in signals.axes)
+    channels = _point_columns(signals, range(len(signals.points)))
     return SetupHypothesis(kind, channels, mend, lambda run: replace(run, points=run.points @ matrix.T), "points")
 
 
