@@ -81,7 +81,7 @@ def alternative_law_odds(
     if best.only_noise(settings):
         return found
     for effect in (effect for effect in best.effects if effect not in found):
-        rest = next((h for h in explanation.tried if h.effects == tuple(c for c in best.effects if c != effect)), None)
+        rest = explanation.best_without(effect)
         laws = [] if rest is None else [law for law in alternatives(rest.estimate) if not _acts_like(effect, law.place)]
         if laws:
             first = min(laws, key=lambda law: law.evidence.excess)

@@ -66,12 +66,10 @@ def build_verdict(state: Assessed) -> Verdict:
 
 def _share_alone(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:
     """Part of the structure left by recalibration that only this effect removes."""
-    rest = tuple(c for c in explanation.best.effects if c != effect)
-    there = max(explanation.without.excess, 1e-12)
-    fitted = next((h.excess for h in explanation.tried if h.effects == rest), None)
-    if fitted is None and effect in explanation.shares and np.isfinite(explanation.shares[effect]):
+    rest, there = explanation.best_without(effect), max(explanation.without.excess, 1e-12)
+    if rest is None and effect in explanation.shares and np.isfinite(explanation.shares[effect]):
         return min(explanation.shares[effect] * hypothesis.excess / there, 1.0)  # to first order
-    return ((explanation.without.excess if fitted is None else fitted) - hypothesis.excess) / there
+    return ((rest or explanation.without).excess - hypothesis.excess) / there
 
 
 def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nominal: float) -> Value:

@@ -185,9 +185,7 @@ def describe_repeatability(runs: Sequence[Run], noise: float | np.ndarray, unit:
 def rejection_reason(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> str:
     """Reason against a hypothesis with another effect in the place of `effect`."""
     closes, best = explanation.closes(hypothesis), explanation.closes(explanation.best)
-    rest = next(
-        (h for h in explanation.tried if h.effects == tuple(c for c in explanation.best.effects if c != effect)), explanation.without
-    )
+    rest = explanation.best_without(effect) or explanation.without
     same = coincidence(rest, explanation.best, hypothesis)
     most = "at most " if hypothesis.estimate.out_of_reach else ""
     text = (

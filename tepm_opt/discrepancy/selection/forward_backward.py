@@ -74,6 +74,11 @@ class Explanation:
         """Share of the structure left by recalibration that a hypothesis removes."""
         return 1 - hypothesis.excess / max(self.without.excess, 1e-12)
 
+    def best_without(self, effect: Candidate) -> Hypothesis | None:
+        """The fit of the best hypothesis' other effects; None where it was not made."""
+        others = tuple(c for c in self.best.effects if c != effect)
+        return next((hypothesis for hypothesis in self.tried if hypothesis.effects == others), None)
+
 
 def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     """Search the effects that explain what recalibration leaves, beginning with those that gauges have shown.
