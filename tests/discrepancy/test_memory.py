@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.discrepancy import pipeline
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
+from tepm_opt.discrepancy.assessment import validation
 from tepm_opt.discrepancy.assessment.settings import AssessmentSettings
 from tepm_opt.discrepancy.pipeline import discover
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -25,8 +25,8 @@ PER_SAMPLE = 2500  # B; 150 MB for 20 minutes
 @pytest.mark.slow
 def test_of_a_verdict_per_sample(kang: CompiledModel, monkeypatch: pytest.MonkeyPatch) -> None:
     small_ones = AssessmentSettings(black_box_samples=50, location_chunk=20_000)  # what does not grow any more with long data
-    monkeypatch.setattr(pipeline, "predict_residuals", partial(pipeline.predict_residuals, settings=small_ones))
-    monkeypatch.setattr(pipeline, "localise", partial(pipeline.localise, settings=small_ones))
+    monkeypatch.setattr(validation, "predict_residuals", partial(validation.predict_residuals, settings=small_ones))
+    monkeypatch.setattr(validation, "localise", partial(validation.localise, settings=small_ones))
     runs = measured(changed(kang, **true_values(kang)), planned(("single_pressure.csv", "elongation.csv", "mixed.csv")))
     runs = [replace(cut(run, 6.0), points=cut(run, 6.0).points + 3e-3 * (np.arange(4) == 2)[:, None]) for run in runs]
 
