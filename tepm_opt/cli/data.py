@@ -142,9 +142,12 @@ def check(
 ) -> int:
     """Find wrong units, broken time, frozen, saturated and interchanged sensors, dropouts, spikes, starts not at rest.
 
+    Where there are no such errors, simulations show mistakes of wiring, axes and units.
+
     Exit status: 0 no errors (warnings at most), 1 errors, 2 not readable at all.
     """
-    run = tepm.run_check(dataset)
+    with shown(as_json) as bars:
+        run = tepm.run_check(dataset, bars)
     status = SOLVED if run.ok else UNSOLVED
     if as_json:
         print(json.dumps(run.summary(), indent=2))

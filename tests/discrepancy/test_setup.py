@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.network_plant import NetworkPlant
 from tests.discrepancy.small import NOISE, changed, measured, planned, true_values
 
 KNOWN = Model.of("kang2017")
@@ -25,21 +25,8 @@ SIGNALS = channels_of(KNOWN.robot).signals
 Mistake = Callable[[Run], Run]
 
 
-@dataclass(frozen=True)
-class Machine:
-    """As much of a searchable network as the check asks for, without compiling its candidates."""
-
-    model: CompiledModel
-    known: tuple[str, ...] = tuple(KNOWN.robot.priors)
-    signals = SIGNALS
-
-    @property
-    def without_candidates(self) -> NetworkPlant:
-        return NetworkPlant(self.model)
-
-    @property
-    def equilibria(self) -> NetworkPlant:
-        return NetworkPlant(self.model, static=True)
+def network(model: CompiledModel) -> SearchableNetwork:
+    return SearchableNetwork(model, known_model=KNOWN, candidates=(), signals=SIGNALS)
 
 
 def exchanged(*pairs: tuple[str, str]) -> Mistake:
@@ -100,7 +87,7 @@ def loaded() -> list[Run]:
 
 
 def found(model: CompiledModel, runs: list[Run]) -> list[str]:
-    return [error.kind for error in find_setup_errors(Machine(model), runs, NOISE)[0]]  # type: ignore[arg-type]
+    return [error.kind for error in find_setup_errors(network(model), runs, NOISE)[0]]
 
 
 @pytest.mark.sample(7)
@@ -108,7 +95,7 @@ def found(model: CompiledModel, runs: list[Run]) -> list[str]:
 def test_a_mistake_is_told_and_its_mend_gives_back_the_data(plain: CompiledModel, healthy: list[Run], name: str) -> None:
     """An angle is found to 2 degrees, which is the tip's place to 15 mm."""
     kind, mistake = MISTAKES[name]
-    errors, runs = find_setup_errors(Machine(plain), [mistake(run) for run in healthy], NOISE)  # type: ignore[arg-type]
+    errors, runs = find_setup_errors(network(plain), [mistake(run) for run in healthy], NOISE)
     kinds = [error.kind for error in errors]
     assert kind in kinds
     assert set(kinds) <= {kind, "swapped_actuators"}  # within a module the same as one numbered otherwise

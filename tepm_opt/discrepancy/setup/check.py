@@ -91,13 +91,14 @@ def _is_shrunk(hypothesis: SetupHypothesis, runs: Sequence[Run]) -> bool:
 
 
 def _is_explained(comparison: Comparison, after: Misfit, hypothesis: SetupHypothesis) -> bool:
-    """Whether a mend removes visibly more than it spoils, in all of the data, and about as much as it says."""
+    """Whether a mend removes visibly more than it spoils, in all of the data, about as much as it says, and explains the motion."""
     before, settings = comparison.misfit(), comparison.settings
     size, doubt = before.coefficient(after)
     expected = hypothesis.kind == "absolute_pressure" and _rests_at_atmosphere(hypothesis, comparison.runs)
     close = settings.max_distance_smaller if _is_shrunk(hypothesis, comparison.runs) else settings.max_distance
     is_visible = before.mean_square - after.mean_square >= settings.min_removed
-    return is_visible and abs(size - 1) <= close and size - 0.5 >= (0.0 if expected else settings.min_sigma * doubt)
+    is_motion = after.mean_square <= settings.max_unexplained * comparison.motion_mean_square  # else of another machine, or invented
+    return is_motion and is_visible and abs(size - 1) <= close and size - 0.5 >= (0.0 if expected else settings.min_sigma * doubt)
 
 
 def _share_probability(ranked: Sequence[tuple[Misfit, SetupHypothesis]], comparison: Comparison) -> list[SetupError]:

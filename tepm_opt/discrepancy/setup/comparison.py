@@ -107,6 +107,12 @@ class Comparison:
         """The runs at the compared samples."""
         return tuple(take_rows(run, at) for run, at in zip(self.runs, self.rows, strict=True))
 
+    @property
+    def motion_mean_square(self) -> float:
+        """Mean square over the noise's of the measured places about the mean of each."""
+        measured = np.concatenate([run.points for run in self.thinned])
+        return float(np.nanmean(((measured - np.nanmean(measured, axis=0)) / self.noise) ** 2))
+
     def misfit(self) -> Misfit:
         """Residuals of the runs as recorded."""
         return self._fit_nuisances([run.points - p for run, p in zip(self.thinned, self.points, strict=True)], self.nuisances)

@@ -20,6 +20,7 @@ class SetupSettings:
         max_distance_smaller: the same where a mend makes inputs smaller, as muscles and tendons do that lost some force.
         min_sigma: standard deviations by which the coefficient must be above 1/2, from which on a mend explains more than it spoils.
         min_removed: mean square over the noise's that a mend must remove.
+        max_unexplained: share of the measured motion's square that may be left with the mend; beside effects it was 0.14 at most.
         worth: independent samples that the compared ones are worth, for the odds of mends: neighbours say nearly the same.
         min_listed: probability from which an alternative is told.
         max_errors: most set-up errors found one after the other.
@@ -37,6 +38,7 @@ class SetupSettings:
     max_distance_smaller: float = 0.05
     min_sigma: float = 2.5
     min_removed: float = 0.1
+    max_unexplained: float = 0.3
     worth: float = 60.0
     min_listed: float = 0.1
     max_errors: int = 3
