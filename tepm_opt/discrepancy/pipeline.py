@@ -36,10 +36,13 @@ from tepm_opt.discrepancy.preparation.time_step import choose_time_step
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting.report import build_verdict
+from tepm_opt.discrepancy.reporting.sentences import next_step
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.setup.check import find_setup_errors
+from tepm_opt.discrepancy.setup.errors import foreign_run
+from tepm_opt.discrepancy.setup.foreign import odd_run
 from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
@@ -94,8 +97,7 @@ def screen(state: Recalibrated) -> Screened:
     if shown is None:
         return Screened(**vars(state), candidates=state.missing)
     state.progress("with measured inputs, for what happens behind them", 0, 0)
-    aside = None if state.store is None else state.store.with_name(f"{state.store.name}-measured")
-    behind_them = Fits(replace(fits.problem, runs=shown), state.settings, aside, state.key, state.progress)
+    behind_them = Fits(replace(fits.problem, runs=shown), state.settings, _other_store(state.store, "measured"), state.key, state.progress)
     body = explain(behind_them, downstream_candidates(state.missing, measured_inputs(fits.problem.runs, signals)), state.seed)
     state.progress("with commanded inputs", 0, 0)
     return Screened(**vars(state), candidates=exclude_by_measured_inputs(body, state.missing, state.settings))
@@ -188,15 +190,49 @@ def discover(
     question = Question(dataset, plant, noise, settings, seed, store, key, progress)
     found = run_stages(question, stages)
     if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
-        shorter, remarks = remove_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
-        if remarks:
-            progress("once more without beginnings that nothing explains", 0, 0)
-            aside = None if store is None else store.with_name(f"{store.name}-shorter")
-            again = run_stages(replace(question, dataset=shorter, store=aside), stages)
-            if again.verdict.effects:
-                notes = tuple(dict.fromkeys((*remarks, *again.verdict.notes)))
-                found = replace(again, verdict=replace(again.verdict, notes=notes))
+        found = _without_beginnings(question, found, stages)
+    if found.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
+        found = _without_odd_run(question, found, stages)
     return replace(found, verdict=replace(found.verdict, seconds=time.monotonic() - began))
+
+
+def _without_beginnings(question: Question, found: Discovery, stages: Sequence[Callable[[Any], Any]]) -> Discovery:
+    """The workflow once more without beginnings of runs that no model explains; what was found before where that names nothing."""
+    shorter, remarks = remove_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
+    if not remarks:
+        return found
+    question.progress("once more without beginnings that nothing explains", 0, 0)
+    again = run_stages(replace(question, dataset=shorter, store=_other_store(question.store, "shorter")), stages)
+    if not again.verdict.effects:
+        return found
+    notes = tuple(dict.fromkeys((*remarks, *again.verdict.notes)))
+    return replace(again, verdict=replace(again.verdict, notes=notes))
+
+
+def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Callable[[Any], Any]]) -> Discovery:
+    """The workflow once more without a run that disagrees with all others; what was found before where that does not explain the rest."""
+    dataset = found.dataset
+    odd = odd_run(dataset.runs, found.predictions["corrected"], found.noise)
+    if odd is None:
+        return found
+    rest = dataset.with_runs([run for number, run in enumerate(dataset.runs) if number != odd[0]])
+    if not rest.fit or bool(rest.validation) is not bool(dataset.validation):
+        return found
+    file = dataset.runs[odd[0]].file
+    question.progress(f"once more without {file}", 0, 0)
+    again = run_stages(replace(question, dataset=rest, store=_other_store(question.store, "without")), stages)
+    if again.verdict.status not in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY):
+        return found
+    still = odd_run(dataset.runs, predict_runs(again.explanation.best.estimate.plant, dataset, again.noise), again.noise)
+    if still is None or still[0] != odd[0]:
+        return found
+    status, setup = VerdictStatus.SETUP_ERROR, (*again.verdict.setup, foreign_run(file, still[1]))
+    return replace(again, verdict=replace(again.verdict, status=status, setup=setup, next=next_step(status)))
+
+
+def _other_store(store: Path | None, name: str) -> Path | None:
+    """A file for the fits of another search."""
+    return None if store is None else store.with_name(f"{store.name}-{name}")
 
 
 def run_stages(question: Question, stages: Sequence[Callable[[Any], Any]] = STAGES) -> Discovery:

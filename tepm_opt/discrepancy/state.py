@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
-from tepm_opt.discrepancy.setup.hypotheses import SetupError
+from tepm_opt.discrepancy.setup.errors import SetupError
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem

@@ -23,7 +23,7 @@ from tepm_opt.data.trials import read_trials
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.pipeline import discover, require_fit_runs
-from tepm_opt.discrepancy.setup.hypotheses import mend_runs
+from tepm_opt.discrepancy.setup.errors import mend_runs
 from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.discrepancy.symbolic.invent import invent as invented

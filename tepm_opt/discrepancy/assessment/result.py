@@ -15,7 +15,7 @@ import numpy as np
 from tepm_opt.data.frames import Tabular
 from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.discrepancy.setup.hypotheses import SetupError
+from tepm_opt.discrepancy.setup.errors import SetupError
 from tepm_opt.solvers.text import html_table, listed, shortened
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.assessment.constancy import active_runs
 from tepm_opt.discrepancy.assessment.residual_locations import error_unit
 from tepm_opt.discrepancy.assessment.result import Named, Rival, Value, Verdict, VerdictStatus
@@ -13,7 +14,7 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting import sentences
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
-from tepm_opt.discrepancy.setup.hypotheses import late_run
+from tepm_opt.discrepancy.setup.errors import foreign_run, late_run
 from tepm_opt.discrepancy.state import Assessed
 from tepm_opt.solvers.identify import ParameterEstimate
 
@@ -42,6 +43,7 @@ def build_verdict(state: Assessed) -> Verdict:
         )
         for effect, other, hypothesis, probability in judgement.listed
     ]
+    setup = (*setup, *(foreign_run(each.runs[0], 0.0, each.candidate.label) for each in named if _is_another_machine(each, dataset.runs)))
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
     notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
@@ -62,6 +64,11 @@ def build_verdict(state: Assessed) -> Verdict:
         next=sentences.next_step(VerdictStatus.SETUP_ERROR if setup else judgement.status, shift is not None),
         setup=setup,
     )
+
+
+def _is_another_machine(named: Named, runs: Sequence[Run]) -> bool:
+    """Whether one of several runs is of a machine whose own value, as of its size or stiffness, is another one."""
+    return named.candidate.part == "parameter" and len(named.runs) == 1 and len(runs) > 2
 
 
 def _share_alone(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:

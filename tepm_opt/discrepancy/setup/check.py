@@ -10,9 +10,9 @@ import numpy as np
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.setup.comparison import Comparison, Misfit, take_rows
+from tepm_opt.discrepancy.setup.errors import SetupError
 from tepm_opt.discrepancy.setup.hypotheses import (
     ATMOSPHERE,
-    SetupError,
     SetupHypothesis,
     force_hypotheses,
     input_hypotheses,

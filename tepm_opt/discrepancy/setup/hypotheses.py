@@ -6,27 +6,12 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
-from typing import Any
 
 import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 
-KINDS = {
-    "swapped_inputs": "Two inputs are exchanged",
-    "swapped_actuators": "Actuators are exchanged, pressure and tension",
-    "renumbered_module": "A module's actuators are numbered from another start, or the other way round",
-    "mirrored_frame": "An axis of the tracker is mirrored",
-    "swapped_axes": "Axes of the tracker are exchanged",
-    "rotated_frame": "The tracker's frame is turned",
-    "scaled_channel": "Inputs are in another unit",
-    "absolute_pressure": "Pressures count from vacuum (in positions alone, shorter rest lengths look the same)",
-    "inverted_force": "The known force has the wrong sign, or is in another frame",
-    "swapped_markers": "Reference points are exchanged",
-    "late_run": "A file's positions are on another clock than its commands",
-}
-"""Set-up errors by their identifier (SPEC section 5), in a few words."""
 AXES = ("x", "y", "z")
 ATMOSPHERE = 101_325.0  # Pa
 UNITS = {
@@ -61,63 +46,6 @@ class SetupHypothesis:
     def __repr__(self) -> str:
         """Kind and channels, in a line."""
         return f"SetupHypothesis({self.kind}: {', '.join(self.channels)})"
-
-
-@dataclass(frozen=True, eq=False)
-class SetupError:
-    """A set-up error that was found.
-
-    Attributes:
-        kind: identifier (SPEC section 5): "swapped_inputs" ….
-        channels: columns concerned.
-        mend: the entry of a map, or the line of the data set, that mends it.
-        probability: of this error among the set-up hypotheses that do nearly as well.
-        left: part of the misfit that is left with the mend.
-        hypothesis: the mend.
-        is_mended: whether the rest of the verdict is about data with this mend; of alternatives only the first is.
-    """
-
-    kind: str
-    channels: tuple[str, ...]
-    mend: str
-    probability: float
-    left: float
-    hypothesis: SetupHypothesis
-    is_mended: bool = False
-
-    def __repr__(self) -> str:
-        """The main facts, in a line."""
-        return f"SetupError({self.kind}: {', '.join(self.channels)}, probability {self.probability:.2f})"
-
-    @property
-    def sentence(self) -> str:
-        """The error and its mend, for people."""
-        return f"{KINDS[self.kind]} (probability {self.probability:.2f}); mend: {self.mend}"
-
-    def as_json(self) -> dict[str, Any]:
-        """Entry of verdict.json."""
-        return {"kind": self.kind, "channels": list(self.channels), "mend": self.mend, "probability": round(self.probability, 6)}
-
-
-def late_run(file: str, seconds: float, left: float) -> SetupError:
-    """The error that a file's positions trail its commands by some seconds, or lead them, and leave a part of the misfit without that."""
-
-    def apply(run: Run) -> Run:
-        if run.file != file:
-            return run
-        shifted = [np.interp(run.time + seconds, run.time, column) for column in run.points.reshape(run.rows, -1).T]
-        return replace(run, points=np.stack(shifted, axis=1).reshape(run.points.shape))
-
-    mend = f"{file}: take {seconds:.2f} s off the times of its positions"
-    return SetupError("late_run", (file,), mend, 1 - left, left, SetupHypothesis("late_run", (file,), mend, apply, "points"))
-
-
-def mend_runs(runs: Sequence[Run], setup: Sequence[SetupError]) -> tuple[Run, ...]:
-    """The runs with the first of the alternatives of each set-up error mended."""
-    for error in setup:
-        if error.is_mended or error.kind == "late_run":
-            runs = [error.hypothesis.apply(run) for run in runs]
-    return tuple(runs)
 
 
 def input_hypotheses(signals: Signals) -> Iterator[SetupHypothesis]:

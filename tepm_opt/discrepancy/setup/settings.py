@@ -23,6 +23,8 @@ class SetupSettings:
         max_unexplained: share of the measured motion's square that may be left with the mend; beside effects it was 0.14 at most.
         worth: independent samples that the compared ones are worth, for the odds of mends: neighbours say nearly the same.
         min_listed: probability from which an alternative is told.
+        foreign_ratio: mean square that the corrected model leaves in a run over that in every other one, from which the run is odd.
+        min_runs: least number of runs of which one can be odd.
         max_errors: most set-up errors found one after the other.
     """
 
@@ -41,6 +43,8 @@ class SetupSettings:
     max_unexplained: float = 0.3
     worth: float = 60.0
     min_listed: float = 0.1
+    foreign_ratio: float = 5.0
+    min_runs: int = 4
     max_errors: int = 3
 
 
