@@ -19,11 +19,13 @@ from tepm_opt.errors import InputError
 if TYPE_CHECKING:
     from tepm_opt.recording.plan import RecordingPlan
 
-STANDARD, DEFAULT = "standard", "kang2017"
+MADE, DEFAULT = ("standard", "wiring"), "kang2017"
 
 
 def record(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (.toml), see docs/how-to/recording.md; or the word standard.")],
+    plan: Annotated[
+        Path, typer.Argument(metavar="PLAN", help="Plan file (.toml, docs/how-to/recording.md), or the word standard or wiring.")
+    ],
     out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the data set; runs it has are kept.")],
     rig: RigOption = "sim",
     seed: SeedOption = 0,
@@ -32,11 +34,12 @@ def record(
 ) -> int:
     """Record a plan's runs on a rig into a data set. Call it again to go on where it was interrupted.
 
-    The plan `standard` is the one that `tepm data excite` writes for the robot, --robot or the rig's; a plan file names its robot itself.
+    The plan `standard` is the one that `tepm data excite` writes for the robot, --robot or the rig's; `wiring` moves every muscle and
+    tendon alone, so that `tepm data check` finds exchanged hoses. A plan file names its robot itself.
     """
-    if robot and str(plan) != STANDARD:
-        raise InputError(f"--robot {robot}: {plan} names its robot itself; leave the option out, or record the plan {STANDARD!r}")
-    planned = _standard(robot_there(robot, None, rig) or DEFAULT) if str(plan) == STANDARD else tepm.read_plan(plan)
+    if robot and str(plan) not in MADE:
+        raise InputError(f"--robot {robot}: {plan} names its robot itself; leave the option out, or record the plan {' or '.join(MADE)}")
+    planned = _made(str(plan), robot_there(robot, None, rig) or DEFAULT) if str(plan) in MADE else tepm.read_plan(plan)
     try:
         with stopped_by_signals(), shown(as_json) as bars:
             done = tepm.record(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
@@ -56,9 +59,9 @@ def record(
     return 0
 
 
-def _standard(robot: str) -> RecordingPlan:
-    """The standard plan of a robot."""
-    return tepm.standard(tepm.Model.of(robot)).plan
+def _made(name: str, robot: str) -> RecordingPlan:
+    """A plan that is made for a robot."""
+    return tepm.standard(tepm.Model.of(robot), name).plan
 
 
 def kept(plan: RecordingPlan, out: Path) -> str:

@@ -25,7 +25,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.patterns import PatternContext
 from tepm_opt.recording.plan import PlannedRun, RecordingPlan
 from tepm_opt.recording.reach import Reach, reach_of, unbearable
-from tepm_opt.recording.standard import PlannedPattern, plan_text, sample_rate, standard_runs
+from tepm_opt.recording.standard import PLANS, PlannedPattern, plan_text, sample_rate
 from tepm_opt.solvers.plant import PredictionError
 
 SHARES = (1.0, 0.8, 0.6, 0.45, 0.3)
@@ -65,8 +65,15 @@ class Standard:
         return plan_text(self.plan.name, robot, self.plan.sample_rate, self.runs, HEAD)
 
 
-def standard(model: Model) -> Standard:
-    """The standard plan of a robot, with levels that the model bears: stable at every set point, and with a motion between them.
+PURPOSES = {"standard": "identification", "wiring": "wiring"}
+
+
+def standard(model: Model, plan: str = "standard") -> Standard:
+    """A plan made for a robot, with levels that the model bears: stable at every set point, and with a motion between them.
+
+    Args:
+        model: of the robot.
+        plan: "standard", with all that tells effects apart, or "wiring", with every input alone for a few seconds.
 
     Raises:
         InputError: the robot does not stand, or does not bear even a third of the levels.
@@ -74,7 +81,7 @@ def standard(model: Model) -> Standard:
     compiled, robot = compile_model(model), model.robot
     reach, rate, why = reach_of(compiled), sample_rate(model.robot), ""
     for share in SHARES:
-        patterns = standard_runs(robot, reach, share)
+        patterns = PLANS[plan](robot, reach, share)
         runs = [
             PlannedRun(p.pattern.file, p.pattern.role, p.pattern.setpoints(PatternContext(robot, rate, Path(), p.pattern.file)))
             for p in patterns
@@ -82,9 +89,9 @@ def standard(model: Model) -> Standard:
         reasons = ((run.file, unbearable(compiled, run.setpoints)) for run in runs)
         why = next((f"{file}: {reason}" for file, reason in reasons if reason), "")
         if not why:
-            plan = RecordingPlan(f"{robot.name}, identification", robot, model.source, rate, None, tuple(runs))
+            plan = RecordingPlan(f"{robot.name}, {PURPOSES[plan]}", robot, model.source, rate, None, tuple(runs))
             return Standard(model, reach, share, patterns, plan)
-    raise InputError(f"robot {robot.name}: it does not bear the standard plan, not even {SHARES[-1]:.0%} of its levels: {why}")
+    raise InputError(f"robot {robot.name}: it does not bear the {plan} plan, not even {SHARES[-1]:.0%} of its levels: {why}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,6 +146,35 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
     return tuple(PlannedPattern(*run) for run in runs)
 
 
+def wiring_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[PlannedPattern, ...]:
+    """Runs of 2.5 s for each muscle and each tendon alone, which show exchanged hoses, tendons, axes and wrong units.
+
+    Args:
+        robot: for its actuators.
+        reach: its levels.
+        share: of the levels, for a robot that does not bear all of them.
+    """
+    layout = Layout.of(robot)
+    each = [(k // layout.actuators, name) for k, name in enumerate(layout.actuator_names)]
+    muscles = [{f"pressure_{name}_Pa": _rounded(0.5 * share * reach.alone[module])} for module, name in each]
+    tendons = [{f"tension_{name}_N": _rounded(share * reach.tension[module])} for module, name in each]
+    rest = {"pressure_Pa": _rounded(share * FIRM * reach.common)}
+    return (
+        PlannedPattern(
+            Steps(file="muscles.csv", role="fit", rise_s=1.0, hold_s=0.25, rest_s=1.0, levels=_to_and_fro(muscles)),
+            "every muscle alone",
+        ),
+        PlannedPattern(
+            Steps(file="tendons.csv", role="fit", rest=rest, rise_s=1.0, hold_s=0.25, rest_s=1.0, levels=_to_and_fro(tendons)),
+            "every tendon alone, muscles firm",
+        ),
+    )
+
+
+PLANS = {"standard": standard_runs, "wiring": wiring_runs}
+"""Plans by their names on the command line."""
+
+
 def _to_and_fro(levels: Sequence[Level]) -> list[Level]:
     """Levels with rest between them."""
     return [one for level in levels for one in (level, {})][:-1]

@@ -17,7 +17,7 @@ from tepm_opt.recording.patterns import PatternContext
 from tepm_opt.recording.plan import read_plan
 from tepm_opt.recording.probing import drawn, random_run, varied
 from tepm_opt.recording.reach import BEND, Reach, reach_of, unbearable
-from tepm_opt.recording.standard import plan_text, sample_rate, standard_runs
+from tepm_opt.recording.standard import plan_text, sample_rate, standard_runs, wiring_runs
 from tepm_opt.solvers.statics import solve_statics
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -60,6 +60,17 @@ def test_levels_shrink_with_the_share(reach: Reach) -> None:
     setup = PatternContext(robot, 50.0, Path(), "here")
     tops = [[run.pattern.setpoints(setup).inputs.max() for run in runs] for runs in (whole, half)]
     assert np.all(np.array(tops[1]) < 0.7 * np.array(tops[0]))
+
+
+def test_the_wiring_plan_moves_every_input_alone(reach: Reach) -> None:
+    """Above rest, which is none or equal pressures, one input at a time, each of them, in less than half a minute."""
+    robot = load_robot("kang2017")
+    setup = PatternContext(robot, 50.0, Path(), "here")
+    courses = [run.pattern.setpoints(setup) for run in wiring_runs(robot, reach)]
+    moved = [course.inputs > course.inputs.min(axis=0) + 1e-9 for course in courses]
+    assert all(np.all(each.sum(axis=1) <= 1) for each in (moved[0], moved[1][:, 6:]))
+    assert np.all(np.any(np.concatenate(moved), axis=0))
+    assert all(course.time[-1] < 30 for course in courses)
 
 
 def test_a_robot_on_a_guide_has_a_plan_without_a_pulley(tmp_path: Path) -> None:

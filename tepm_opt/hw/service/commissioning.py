@@ -60,6 +60,7 @@ def by_hand(port: str, robot: str, actuator: str) -> list[str]:
         f"Regulators, for each: tepm hw calibrate pressure {at} --actuator {actuator} --at-kPa 0,100,200,300; then as for dynamometers.",
         "Emergency stop under pressure: press the button during a jog; pressure and motors have to go off.",
         f"Tracker: tepm hw calibrate base {at} INPUTS.csv; then put what it prints into the robot file.",
+        f"Wiring: tepm record wiring --rig serial:{port} --out wiring, then tepm data check wiring names exchanged hoses and axes.",
         f"Everything together, slowly: tepm play INPUTS.csv --rig serial:{port}.",
     ]
 
