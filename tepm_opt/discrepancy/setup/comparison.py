@@ -33,13 +33,14 @@ class Misfit:
         return float(np.nanmean(np.concatenate([r.ravel() for r in self.residuals]) ** 2))
 
     def coefficient(self, mended: Misfit) -> tuple[float, float]:
-        """Multiple of a mend's change that fits the residuals best, and its standard deviation by jackknife over halves of runs.
+        """Multiple of a mend's change that fits the residuals best, and its standard deviation by jackknife over parts of runs.
 
         It is 1 where the mend is right and 0 where there is nothing to mend, whatever else the model misses besides.
         """
         products, squares = [], []
+        parts = max(2, -(-14 // len(self.residuals)))  # of a run: few runs would leave out all that a mend changes
         for before, after in zip(self.residuals, mended.residuals, strict=True):
-            for old, new in zip(np.array_split(before, 2), np.array_split(after, 2), strict=True):
+            for old, new in zip(np.array_split(before, parts), np.array_split(after, parts), strict=True):
                 change = old - new
                 products.append(np.nansum(old * change))
                 squares.append(np.nansum(change**2))
