@@ -147,7 +147,7 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
 
 
 def wiring_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[PlannedPattern, ...]:
-    """Runs of 2.5 s for each muscle and each tendon alone, which show exchanged hoses, tendons, axes and wrong units.
+    """Runs of 5 s for each muscle and each tendon alone, which show exchanged hoses, tendons, axes and wrong units.
 
     Args:
         robot: for its actuators.
@@ -161,11 +161,11 @@ def wiring_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Planned
     rest = {"pressure_Pa": _rounded(share * FIRM * reach.common)}
     return (
         PlannedPattern(
-            Steps(file="muscles.csv", role="fit", rise_s=1.0, hold_s=0.25, rest_s=1.0, levels=_to_and_fro(muscles)),
+            Steps(file="muscles.csv", role="fit", rise_s=1.5, hold_s=1.0, rest_s=1.0, levels=_to_and_fro(muscles)),
             "every muscle alone",
         ),
         PlannedPattern(
-            Steps(file="tendons.csv", role="fit", rest=rest, rise_s=1.0, hold_s=0.25, rest_s=1.0, levels=_to_and_fro(tendons)),
+            Steps(file="tendons.csv", role="fit", rest=rest, rise_s=1.5, hold_s=1.0, rest_s=1.0, levels=_to_and_fro(tendons)),
             "every tendon alone, muscles firm",
         ),
     )

