@@ -17,6 +17,7 @@ class SearchSettings:
 
     Attributes:
         max_noise_excess: excess that counts as noise: 0.05 is 22 % of the noise's standard deviation.
+        min_size_sigma: standard deviations by which an effect's size must differ from the size at which it vanishes to be named.
         min_excess_removed: excess that an effect must remove alone to be named: 0.15 is 39 % of the noise's standard deviation.
         min_probability: probability by which one more effect must beat going without it to be tried along.
         even_odds_ratio: how many times the excess left an effect alone must remove for even odds that it is a cause, not a stand-in.
@@ -99,6 +100,7 @@ class SearchSettings:
     """
 
     max_noise_excess: float = 0.05
+    min_size_sigma: float = 2.0
     min_excess_removed: float = 0.15
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0
