@@ -20,7 +20,6 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
 from tepm_opt.discrepancy.selection.linearised import Linearised
-from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.solvers.plant import PredictionError
 
 
@@ -142,8 +141,7 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
         least = {effect: form_error_allowance(effect, wrong[effect], cost, left, settings) for effect, cost in costs.items()}
         shares, steady, acts = dict.fromkeys(fits.seen, np.inf), {}, {}
         for effect in (effect for effect in best.effects if effect not in fits.seen):
-            stands_out = costs[effect] >= least[effect] and is_significant(best.estimate, effect, settings)
-            shares[effect] = costs[effect] / left if stands_out else 0.0
+            shares[effect] = costs[effect] / left if costs[effect] >= least[effect] else 0.0
             steady[effect] = constancy_probability(effect_size_by_segment(linear, effect))
             acts[effect] = steady[effect] * shares[effect] / (shares[effect] + even)
         unsure = [effect for effect in acts if acts[effect] < settings.min_listed_probability and effect not in stay]
@@ -151,9 +149,9 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
             return best, shares
         weakest = min(unsure, key=lambda effect: (acts[effect], costs[effect]))
         rest, cost = _fit_without(fits, best, weakest)
-        removes_enough = cost >= form_error_allowance(weakest, wrong[weakest], cost, left, settings)
+        stands_out = cost >= form_error_allowance(weakest, wrong[weakest], cost, left, settings)
         likely = steady[weakest] * cost >= settings.min_listed_probability * (cost + even * left)
-        if rest is None or cost >= settings.max_unsure_share * whole or (removes_enough and likely):
+        if rest is None or cost >= settings.max_unsure_share * whole or (stands_out and likely):
             fitted[weakest] = cost if np.isfinite(cost) else most
             stay.add(weakest)
         else:

@@ -87,6 +87,8 @@ def _screen_by_fits(
     names, values = [f.name for f in problem.free], estimate.values
     null = problem.residuals(values, names)
     square = normal_equations(null)[0]
+    if problem.joint is not None:
+        square = square + problem.joint.terms(problem.free)[1]
     squares, coordinates = sum(r.squares for r in null), sum(r.count for r in null)
 
     def fit_from_probe(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
