@@ -168,6 +168,8 @@ STAGES: tuple[Callable[[Any], Any], ...] = (check_setup, prepare, recalibrate, s
 def learn_baseline(question: Question) -> Baseline:
     """Fit the known parameters to an earlier recording and estimate what the model misses there.
 
+    Its set-up is taken as it is: a set-up that has changed since shows in the other recording.
+
     Args:
         question: about the recording.
 
@@ -176,17 +178,15 @@ def learn_baseline(question: Question) -> Baseline:
     """
     require_fit_runs(question.dataset)
     try:
-        state = recalibrate(prepare(check_setup(question)))
+        state = recalibrate(prepare(question))
         fits = state.fits
         without = fits.fit((), {})
         if without is None:
             raise PredictionError("no motion with any values of the parameters")
         shown = fits.fit(fits.seen, {**without.estimate.named, **fits.values}) if fits.seen else None
-        estimate = (shown or without).estimate
-        known = tuple(f for f in fits.problem.free if f.name in estimate.named)
-        known = tuple(replace(f, start=estimate.named[f.name]) for f in known)
-        problem = replace(estimate.problem, plant=estimate.plant, free=known)
-        return fit_baseline(question.dataset.name, identify(problem, 0), question.settings, problem.runs)
+        found = shown or without
+        estimate = replace(found.estimate, problem=replace(found.estimate.problem, plant=found.estimate.plant))
+        return fit_baseline(question.dataset.name, estimate, found.evidence, question.plant.known, question.settings)
     except PredictionError as error:
         raise InputError(f"{question.dataset.name}: the model cannot do the runs: {error}") from error
 

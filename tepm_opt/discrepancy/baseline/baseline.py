@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.baseline.motion_range import MotionRange
 from tepm_opt.discrepancy.baseline.settings import DEFAULT, BaselineSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.discrepancy.selection.cross_validation import leave_out
+from tepm_opt.discrepancy.selection.cross_validation import Evidence, leave_out
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.prior import JointPrior
 
@@ -89,24 +89,26 @@ class Baseline:
         }  # fmt: skip
 
 
-def fit_baseline(name: str, estimate: ParameterEstimate, settings: SearchSettings, runs: Sequence[Run]) -> Baseline:
+def fit_baseline(name: str, estimate: ParameterEstimate, evidence: Evidence, known: Sequence[str], settings: SearchSettings) -> Baseline:
     """Baseline of a fit without an effect: fitted once more with every point weighed by its own error.
 
     Args:
         name: of the data set.
         estimate: fit of the known parameters to the recording.
+        evidence: of left-out parts of it.
+        known: full names of the machine's known parameters.
         settings: of the search.
-        runs: of the recording, whose inputs tell its kinds of motion.
 
     Raises:
         InputError: the recording is too short to tell the model's error.
     """
-    error = estimate_model_error(estimate, leave_out(estimate, settings), name)
+    error = estimate_model_error(estimate, evidence, name)
     problem = estimate.problem
     free = tuple(replace(f, start=float(value)) for f, value in zip(problem.free, estimate.values, strict=True))
     block = problem.block if problem.plant.static else max(problem.block, error.lasts)
     again = identify(replace(problem, noise=error.size, block=block, free=free), settings.max_iterations, tolerance=settings.tolerance)
     error = estimate_model_error(again, leave_out(again, settings), name)
-    names, units = tuple(f.name for f in free), tuple(f.unit for f in free)
-    posterior = JointPrior(names, again.values, again.covariance, error.weight)
-    return Baseline(name, posterior, units, error, MotionRange.of(runs, error.lasts))
+    own = [k for k, f in enumerate(free) if f.name in known]  # not those of effects that gauges show: the other recording has its gauges
+    names, units = tuple(free[k].name for k in own), tuple(free[k].unit for k in own)
+    posterior = JointPrior(names, again.values[own], again.covariance[np.ix_(own, own)], error.weight)
+    return Baseline(name, posterior, units, error, MotionRange.of(problem.runs, error.lasts))
