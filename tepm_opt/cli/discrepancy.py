@@ -35,6 +35,10 @@ def discrepancy(
         list[Path] | None,
         typer.Option("--add", metavar="DATASET", help="More data of the same machine, such as a run of tepm data next."),
     ] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option("--baseline", metavar="OLD", help="Earlier data of the same machine: tell what changed since."),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,
     invent: Annotated[bool, typer.Option("--invent", help="Seek a law where no known effect explains what is left.")] = False,
@@ -54,7 +58,7 @@ def discrepancy(
     try:
         with shown(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend)
+            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend, baseline)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             if result.law is not None:
@@ -63,6 +67,7 @@ def discrepancy(
                 "data set": f"{result.dataset.name} ({', '.join(map(str, (dataset, *(add or ()))))})",
                 "machine": result.verdict.machine,
                 "model": str(plant or model or "the robot as it is"),
+                **({"baseline": str(baseline)} if baseline else {}),
                 "tepm_opt": version("tepm-opt"),
                 "seed": str(seed),
             }

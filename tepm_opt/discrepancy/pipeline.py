@@ -22,6 +22,7 @@ from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_l
 from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
+from tepm_opt.discrepancy.baseline.baseline import Baseline, fit_baseline
 from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
 from tepm_opt.discrepancy.preparation.clock import check_clock
 from tepm_opt.discrepancy.preparation.devices import identify_devices
@@ -35,6 +36,7 @@ from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_nois
 from tepm_opt.discrepancy.preparation.time_step import choose_time_step
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.reporting.change import withhold_new_motions
 from tepm_opt.discrepancy.reporting.report import build_verdict
 from tepm_opt.discrepancy.reporting.sentences import next_step
 from tepm_opt.discrepancy.selection.fitting import Fits
@@ -78,6 +80,8 @@ def prepare(state: Question) -> Prepared:
 def recalibrate(state: Prepared) -> Recalibrated:
     """Fit the known parameters alone; take the noise from what that leaves of motions."""
     problem, noise, remarks = _with_initial_states(state.problem, state.settings), state.noise, state.remarks
+    if state.baseline is not None:
+        return _constrain(state, state.baseline, problem)
     first = Fits(problem, state.settings, progress=state.progress)
     fit = first.fit((), {})
     if fit is not None and not problem.plant.static:
@@ -87,6 +91,14 @@ def recalibrate(state: Prepared) -> Recalibrated:
     shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
     fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done)
     known: dict[str, Any] = vars(state) | {"noise": noise, "remarks": remarks}
+    return Recalibrated(**known, fits=fits)
+
+
+def _constrain(state: Prepared, baseline: Baseline, problem: Problem) -> Recalibrated:
+    """The search for what changed: parameters within the baseline's posterior, the model's error there in the place of noise."""
+    shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
+    fits = Fits(baseline.constrain(problem), state.settings, state.store, state.key, state.progress, shown, values)
+    known: dict[str, Any] = vars(state) | {"missing": baseline.rebase(state.missing)}
     return Recalibrated(**known, fits=fits)
 
 
@@ -131,6 +143,8 @@ def assess(state: Validated) -> Assessed:
     explanation, settings = state.explanation, state.settings
     laws, unseen = alternative_law_odds(explanation, settings, state.seed), bool(state.dataset.validation)
     judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
+    if state.baseline is not None:
+        judgement = withhold_new_motions(judgement, state.baseline.motions.share_outside(state.dataset.fit), state.baseline)
     dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)
@@ -153,6 +167,32 @@ STAGES: tuple[Callable[[Any], Any], ...] = (check_setup, prepare, recalibrate, s
 """The workflow: each takes the state that the one before it returns, from a `Question` to a `Discovery`."""
 
 
+def learn_baseline(question: Question) -> Baseline:
+    """Fit the known parameters to an earlier recording and estimate what the model misses there.
+
+    Its set-up is taken as it is: a set-up that has changed since shows in the other recording.
+
+    Args:
+        question: about the recording.
+
+    Raises:
+        InputError: no run to fit to, too short a recording, or the model cannot do the runs.
+    """
+    require_fit_runs(question.dataset)
+    try:
+        state = recalibrate(prepare(question))
+        fits = state.fits
+        without = fits.fit((), {})
+        if without is None:
+            raise PredictionError("no motion with any values of the parameters")
+        shown = fits.fit(fits.seen, {**without.estimate.named, **fits.values}) if fits.seen else None
+        found = shown or without
+        estimate = replace(found.estimate, problem=replace(found.estimate.problem, plant=found.estimate.plant))
+        return fit_baseline(question.dataset.name, estimate, found.evidence, question.plant.known, question.settings)
+    except PredictionError as error:
+        raise InputError(f"{question.dataset.name}: the model cannot do the runs: {error}") from error
+
+
 def require_fit_runs(dataset: RunSet) -> None:
     """Refuse a data set without a run to fit to, which costs nothing before a model is compiled.
 
@@ -167,6 +207,7 @@ def require_fit_runs(dataset: RunSet) -> None:
 def discover(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
     settings: SearchSettings | None = None, progress: Progress = silent, stages: Sequence[Callable[[Any], Any]] = STAGES,
+    baseline: Baseline | None = None,
 ) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
@@ -180,6 +221,7 @@ def discover(
         settings: thresholds of the search.
         progress: told of every piece of work.
         stages: of the pipeline.
+        baseline: an earlier recording of the machine (`learn_baseline`); the answer then tells what changed since.
 
     Raises:
         InputError: no run to fit to, or the model cannot do the runs.
@@ -187,7 +229,9 @@ def discover(
     began = time.monotonic()
     require_fit_runs(dataset)
     settings = settings or SearchSettings.of(plant)
-    question = Question(dataset, plant, noise, settings, seed, store, key, progress)
+    if baseline is not None:
+        plant, settings = plant.with_values(baseline.values), baseline.adapt(settings, dataset.fit)
+    question = Question(dataset, plant, noise, settings, seed, store, key, progress, baseline=baseline)
     found = run_stages(question, stages)
     if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
         found = _without_beginnings(question, found, stages)

@@ -12,6 +12,7 @@ from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy.assessment.credibility import Judgement
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Verdict
+from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.preparation.clock import ClockShift
 from tepm_opt.discrepancy.preparation.devices import IdentifiedDevices
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
@@ -39,6 +40,7 @@ class Question:
         key: content of `store` is used only if it was made with the same key.
         progress: told of every piece of work.
         setup: errors of the set-up that are mended in `dataset`.
+        baseline: an earlier recording of the machine, from which the answer tells what changed; None for none.
     """
 
     dataset: RunSet
@@ -50,6 +52,7 @@ class Question:
     key: str = ""
     progress: Progress = silent
     setup: tuple[SetupError, ...] = ()
+    baseline: Baseline | None = None
 
 
 @dataclass(frozen=True, eq=False)

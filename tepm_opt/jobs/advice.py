@@ -32,6 +32,7 @@ class Asked:
         despite_errors: whether the data were taken as they are.
         effects: files with effects of one's own.
         mend: whether mended data were written.
+        baseline: an earlier data set with which they were compared.
     """
 
     folder: Path
@@ -43,6 +44,7 @@ class Asked:
     despite_errors: bool = False
     effects: Sequence[Path] = ()
     mend: bool = False
+    baseline: Path | None = None
 
     def again(self, *more: str | Path) -> str:
         """The command once more, with further options."""
@@ -50,6 +52,7 @@ class Asked:
         for name, file in (("--model", self.model), ("--plant", self.plant)):
             options += [name, file] if file else []
         options += [part for each in self.add for part in ("--add", each)]
+        options += ["--baseline", self.baseline] if self.baseline else []
         options += ["--despite-errors"] if self.despite_errors else []
         return _command("discrepancy", *options, *self._own, *more, "--out", self.out)
 

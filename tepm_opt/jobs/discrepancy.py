@@ -19,12 +19,15 @@ from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
-from tepm_opt.data.trials import read_trials
+from tepm_opt.data.trials import Trials, read_trials
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.pipeline import discover, require_fit_runs
+from tepm_opt.discrepancy.baseline.baseline import Baseline
+from tepm_opt.discrepancy.pipeline import discover, learn_baseline, require_fit_runs
+from tepm_opt.discrepancy.problem.plant import SearchablePlant
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.setup.errors import mend_runs
-from tepm_opt.discrepancy.state import Discovery
+from tepm_opt.discrepancy.state import Discovery, Question
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.discrepancy.symbolic.invent import invent as invented
 from tepm_opt.discrepancy.symbolic.page import as_json, curves, page
@@ -35,10 +38,10 @@ from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.effect_files import loaded_effects, loaded_files
 from tepm_opt.models.model import Model, read_model, write_model
-from tepm_opt.progress import Progress, silent
+from tepm_opt.progress import Progress, named, silent
 from tepm_opt.solvers.plant import PredictionError
 
-VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
+VERDICT, FITS, EFFECTS, BASELINE = "verdict.json", ".fits.json", "effects", "baseline.json"
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: bool = False) -> tuple[DataSet, list[str]]:
@@ -68,6 +71,7 @@ def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: boo
 def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
     progress: Progress = silent, plant: str | Path | None = None, invent: bool = False, add: Sequence[str | Path] = (), mend: bool = False,
+    baseline: str | Path | None = None,
 ) -> Discovery:  # fmt: skip
     """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file gives the machine.
 
@@ -84,6 +88,8 @@ def run_discrepancy(
         invent: whether to seek a law where no known effect explains what is left; its effect file, page and model go into `effects`.
         add: data sets of the same machine that were recorded later, see `joined`.
         mend: whether to write the data without their set-up errors into `mended`.
+        baseline: an earlier data set of the same machine: the answer tells what changed since; what it says of the parameters and of the
+            model's error goes into `baseline.json`.
 
     Raises:
         InputError: data or model cannot be used; the message says why.
@@ -94,9 +100,20 @@ def run_discrepancy(
     if plant is not None:
         if mend:
             raise InputError("--mend and --plant exclude each other; valid: data sets of a robot")
-        return _of_plant(folder, out, Path(plant), seed, progress)
+        return _of_plant(folder, out, Path(plant), seed, progress, Path(baseline) if baseline else None)
     more = tuple(map(Path, add))
-    asked = Asked(folder, out, Path(model) if model else None, None, more, invent, despite_errors, loaded_files(), mend)
+    asked = Asked(
+        folder,
+        out,
+        Path(model) if model else None,
+        None,
+        more,
+        invent,
+        despite_errors,
+        loaded_files(),
+        mend,
+        Path(baseline) if baseline else None,
+    )
     dataset, warnings = checked_datasets([folder, *more], despite_errors, mends_setup=True)
     known = read_model(model) if model else Model.of(dataset.robot)
     channels = channels_of(known.robot)
@@ -108,7 +125,13 @@ def run_discrepancy(
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.from_model(known, channels, dataset.static)
     key = _fingerprint([folder, *more], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
-    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress)
+    earlier = None
+    if baseline is not None:
+        old, more_warnings = checked_dataset(Path(baseline), despite_errors, mends_setup=True)
+        warnings = [*warnings, *more_warnings]
+        earlier = _learn(Question(old, network, noise_of(old), SearchSettings.of(network), seed), progress, out)
+        key = _fingerprint([Path(baseline)], key)
+    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, baseline=earlier)
     if not result.verdict.setup:
         checked_datasets([folder, *more], despite_errors)  # refuses errors of the set-up that the workflow did not find
     write_model(result.verdict.model, out / MODEL)
@@ -183,7 +206,15 @@ def with_law(result: Discovery, folder: Path, progress: Progress = silent) -> In
     return law
 
 
-def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress) -> Discovery:
+def _learn(question: Question, progress: Progress, out: Path) -> Baseline:
+    """Fit the model to a baseline and write `baseline.json`."""
+    progress(f"fitting the model to {question.dataset.name}", 0, 0)
+    found = learn_baseline(replace(question, progress=named(progress, "baseline")))
+    write_atomically(out / BASELINE, json.dumps(found.as_json(), indent=2) + "\n")
+    return found
+
+
+def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress, baseline: Path | None = None) -> Discovery:
     """Explain a data set of a plant file's machine, see `run_discrepancy`.
 
     Args:
@@ -192,21 +223,30 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
         file: with the plant.
         seed: of all random draws.
         progress: told of every piece of work.
+        baseline: an earlier data set of the machine; None for none.
     """
     plant = load_plant(file)
     dataset = read_trials(folder, plant.signals, plant.static)
-    alike = plant.signals.unit and np.ptp(dataset.noise) == 0
     out = output_folder(out)
     texts = [
         path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))
     ]  # it may import those beside it
     key = _fingerprint([folder], file.name, *texts, str(seed))
-    noise = float(dataset.noise[0, 0]) if alike else dataset.noise
-    result = discover(dataset, plant, noise, seed, out / FITS, key, None, progress)
+    earlier = None
+    if baseline is not None:
+        old = read_trials(baseline, plant.signals, plant.static)
+        earlier = _learn(Question(old, plant, _noise(old, plant), SearchSettings.of(plant), seed), progress, out)
+        key = _fingerprint([baseline], key)
+    result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
-    result = advised(result, Asked(folder, out, plant=file))
+    result = advised(result, Asked(folder, out, plant=file, baseline=baseline))
     _write(result, out, [])
     return result
+
+
+def _noise(dataset: Trials, plant: SearchablePlant) -> float | np.ndarray:
+    """Noise of a plant's data: one number where all outputs have the same, in the same unit, else that of each, (outputs, 1)."""
+    return float(dataset.noise[0, 0]) if plant.signals.unit and np.ptp(dataset.noise) == 0 else dataset.noise
 
 
 def _write(result: Discovery, out: Path, warnings: Sequence[str], origin: Mapping[str, Any] | None = None) -> None:

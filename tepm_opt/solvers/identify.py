@@ -15,6 +15,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import START, Free, Plant, PredictionError
+from tepm_opt.solvers.prior import JointPrior
 from tepm_opt.solvers.residuals import BLOCK, Residual, normal_equations, weighted
 from tepm_opt.solvers.start import begun, without_start
 from tepm_opt.solvers.text import html_table, listed
@@ -41,6 +42,7 @@ class Problem:
         derivatives_apart: time in s between the samples at which derivatives are taken, with straight lines between them; 0 takes them at
             every sample. Derivatives of a motion are smooth: 0.04 s leaves errors of 0.2 % as a rule, of some % where inputs jump.
         block: time in s after which residuals count as independent.
+        joint: prior of several parameters together, besides those that each has for itself; None for none.
     """
 
     plant: Plant
@@ -51,6 +53,7 @@ class Problem:
     step: float = np.inf
     derivatives_apart: float = 0.0
     block: float = BLOCK
+    joint: JointPrior | None = None
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -82,8 +85,14 @@ class Problem:
 
     @property
     def prior(self) -> tuple[np.ndarray, np.ndarray]:
-        """Means of the normal priors and their precisions 1/std², 0 where there is none, (parameters,) each."""
-        return np.array([free.prior_mean for free in self.free]), np.array([free.prior_std for free in self.free]) ** -2.0
+        """Mean μ, (parameters,), and precision Λ, (parameters, parameters), of the normal priors: they cost (θ - μ)ᵀ Λ (θ - μ)."""
+        mean = np.array([free.prior_mean for free in self.free])
+        precision = np.diag(np.array([free.prior_std for free in self.free]) ** -2.0)
+        if self.joint is None:
+            return mean, precision
+        shared, more = self.joint.terms(self.free)
+        told = np.diag(more) > 0  # what earlier data tell includes what was known before them
+        return np.where(told, shared, mean), np.where(np.outer(told, told), more, precision)
 
     @property
     def noises(self) -> tuple[float | np.ndarray, ...]:
@@ -306,7 +315,7 @@ def _weights(residuals: list[Residual], robust: bool) -> list[np.ndarray | None]
 
 def _cost(problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None]) -> float:
     mean, precision = problem.prior
-    return float(precision @ (values - mean) ** 2) + float(
+    return float((values - mean) @ precision @ (values - mean)) + float(
         sum(np.sum((r.values if w is None else r.values * w) ** 2) for r, w in zip(residuals, weights, strict=True))
     )
 
@@ -316,7 +325,7 @@ def _step(
 ) -> tuple[np.ndarray, float]:
     square, slope = normal_equations(residuals, weights)
     mean, precision = problem.prior
-    square, slope = square + np.diag(precision), slope + precision * (values - mean)
+    square, slope = square + precision, slope + precision @ (values - mean)
     low, high = problem.low, problem.high
     nearest, farthest = np.where(low > 0, np.maximum(low, values / FACTOR), low), np.where(low > 0, np.minimum(high, values * FACTOR), high)
     return bounded_step(square, slope, nearest - values, farthest - values, problem.scale, damping)
@@ -328,6 +337,11 @@ def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.nd
     if not count:
         return np.zeros((0, 0))
     known = np.diag((scale / np.array([free.spread for free in problem.free])) ** 2)
+    known_scores = known
+    if problem.joint is not None:
+        shared = problem.joint.terms(problem.free)[1] * np.outer(scale, scale)
+        told = np.outer(np.diag(shared) > 0, np.diag(shared) > 0)
+        known, known_scores = np.where(told, shared, known), np.where(told, problem.joint.weight * shared, known)
     square, meat = np.zeros((count, count)), np.zeros((count, count))
     for r, w in zip(residuals, weights, strict=True):
         values, by = weighted(r, w)
@@ -338,6 +352,6 @@ def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.nd
     square, meat = square * np.outer(scale, scale), meat * np.outer(scale, scale)
     inverse = np.linalg.pinv(square + known, hermitian=True)
     white = inverse  # what white noise alone leaves
-    cov = inverse @ (meat + known) @ inverse
+    cov = inverse @ (meat + known_scores) @ inverse
     cov = np.where(np.eye(count, dtype=bool), np.maximum(np.diag(cov), np.diag(white)), cov)
     return cov * np.outer(scale, scale)

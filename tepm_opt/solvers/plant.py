@@ -31,6 +31,7 @@ class Free:
         prior_mean, prior_std: of a normal prior besides the range; infinite standard deviation for none.
         group: of alike parameters whose common `prior_std` the data tell (see `hierarchy`); none where empty.
         refines: whether it refines how something acts that acts without it, too: a corner, a bend.
+        changed: whether an effect says that its value is another than before, so that earlier data tell nothing of it.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Free:
     prior_std: float = np.inf
     group: str = ""
     refines: bool = False
+    changed: bool = False
 
     @property
     def spread(self) -> float:

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from tepm_opt.discrepancy.laws.axis import AXIS, BY_DIRECTION
 from tepm_opt.discrepancy.laws.effect import At, Law, Quantity
+from tepm_opt.discrepancy.laws.mechanism import MECHANISM
 from tepm_opt.discrepancy.laws.signals import DRIVE, INPUT, OUTPUT
 
-SIZES = {"signal": 5.0, "time": 0.4, "force": 30.0, "speed": 0.7, "position": 0.2, "1": 1.0}
-UNITS = {"signal": "V", "time": "s", "force": "N", "speed": "m/s", "position": "m", "1": "1"}
+SIZES = {"signal": 5.0, "time": 0.4, "force": 30.0, "speed": 0.7, "position": 0.2, "mass": 0.5, "1": 1.0}
+UNITS = {"signal": "V", "time": "s", "force": "N", "speed": "m/s", "position": "m", "mass": "kg", "1": "1"}
 STEP = 1e-3  # s
-LAWS = {law.name: law for law in (*INPUT, *DRIVE, *AXIS, *BY_DIRECTION, *OUTPUT)}
+LAWS = {law.name: law for law in (*INPUT, *DRIVE, *AXIS, *MECHANISM, *BY_DIRECTION, *OUTPUT)}
 signals, positions, speeds = st.floats(-20, 20), st.floats(-1, 1), st.floats(-3, 3)
 Numbers = Mapping[str, float]
 
@@ -81,6 +82,33 @@ def test_hysteresis_is_bouc_and_wens(speed: float, z: float, stiffness: float, c
     assert force == -z
     terms = (stiffness * speed, -closing * abs(speed) * z, -opening * speed * abs(z))
     assert rate == pytest.approx(sum(terms), abs=1e-12 * max(1.0, *map(abs, terms)))
+
+
+@given(
+    way=st.floats(-1.0, 1.0),
+    stiffness=st.floats(1.0, 1e3),
+    closing=st.floats(0.1, 1e2),
+    opening=st.floats(-1e2, 1e2),
+    part=st.floats(-0.99, 0.99),
+)
+def test_hysteresis_is_passive_within_its_range(way: float, stiffness: float, closing: float, opening: float, part: float) -> None:
+    """No more power comes out than a storage that depends on the state alone gives: dS/dt <= z v, wherever z may come to."""
+    reach = min(stiffness / max(closing + opening, 1e-12), 1e3)
+    z = part * reach
+    _, (rate,) = asked(LAWS["hysteresis"], {"stiffness": stiffness, "closing": closing, "opening": opening}, z, speed=way)
+    slope = z / (stiffness - opening * abs(z))  # S'(z)
+    assert slope * z >= 0
+    assert slope * rate <= z * way + 1e-9 * abs(z)
+    assert all(q.low > 0 for q in LAWS["hysteresis"].quantities if q.name == "closing"), "without closing there is no loop"
+
+
+@given(position=positions, speed=speeds, strength=st.floats(0.0, 300.0))
+def test_linear_elements_are_passive(position: float, speed: float, strength: float) -> None:
+    spring = asked(LAWS["linear_spring"], {"stiffness": strength}, position=position, speed=speed)[0]
+    damper = asked(LAWS["linear_damper"], {"damping": strength}, position=position, speed=speed)[0]
+    assert spring == -strength * position
+    assert damper == -strength * speed
+    assert all(q.low == 0 for law in MECHANISM for q in law.quantities)
 
 
 @pytest.mark.slow
@@ -158,7 +186,7 @@ class TestCandidates:
         assert q.probes == pytest.approx((0.1 * unit, unit))
 
     def test_names_are_told_once(self) -> None:
-        assert len(LAWS) == len((*INPUT, *DRIVE, *AXIS, *BY_DIRECTION, *OUTPUT))
+        assert len(LAWS) == len((*INPUT, *DRIVE, *AXIS, *MECHANISM, *BY_DIRECTION, *OUTPUT))
         for law in LAWS.values():
             assert law.explains
             assert set(law.beside) <= set(LAWS)

@@ -138,11 +138,24 @@ class CasadiPlant(DescribedPlant):
             size, most = np.fmax(size, np.abs(change)), np.fmax(most, np.abs(rates))
             if (np.abs(change) <= 1e-10 * size).all():  # nothing but rounding is left
                 break
-        still = (np.abs(rates) <= 1e-6 * np.fmax(most, np.abs(by_x) @ size[:, None])).all()
+        floor = self._negligible_rates(run, by_x, by_theta)
+        still = (np.abs(rates) <= np.fmax(1e-6 * np.fmax(most, np.abs(by_x) @ size[:, None]), floor)).all()
         if not still or _solve_scaled(by_x, -rates.ravel())[1] < len(free):
             what = "comes to rest wherever it is" if still else "does not come to rest"
             raise PredictionError(f'{run.file}: {self.name} {what} under the first inputs; valid: start = "measured" or "free"')
         return -np.linalg.solve(by_x, by_theta)
+
+    def _negligible_rates(self, run: Run, by_x: np.ndarray, by_theta: np.ndarray) -> np.ndarray:
+        """Rates of the free states at which a run is at rest all the same, (free states, 1) per s.
+
+        They are a millionth of what visible changes of the parameters do to a rate, or would move a state over the whole run by a millionth
+        of what such changes do to it at rest. A relative tolerance alone would refuse states that are zero but for rounding.
+        """
+        visible = np.array([[self.parameters[name].scale] for name in self.of_run(run).values()])
+        rates = np.abs(by_theta) @ visible
+        moved = np.abs(_solve_scaled(by_x, rates.ravel())[0])[:, None]
+        seconds = float(np.ptp(run.time)) if run.rows > 1 else 1.0
+        return np.nan_to_num(1e-6 * np.fmax(rates, moved / seconds), posinf=0.0)
 
 
 def _solve_scaled(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, int]:

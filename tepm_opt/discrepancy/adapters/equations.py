@@ -27,6 +27,7 @@ from tepm_opt.discrepancy.adapters.inputs import Between
 from tepm_opt.discrepancy.adapters.motion import DeadTime, Motion
 from tepm_opt.discrepancy.laws.axis import AXIS
 from tepm_opt.discrepancy.laws.effect import At, Law
+from tepm_opt.discrepancy.laws.mechanism import MECHANISM
 from tepm_opt.discrepancy.laws.signals import INPUT, OUTPUT
 from tepm_opt.discrepancy.laws.vessels import VESSEL
 from tepm_opt.discrepancy.problem.parameters import MachineDescription
@@ -44,7 +45,7 @@ class Equations(MachineDescription):
     """
 
     time: float = 1.0
-    laws: Sequence[Law] = (*INPUT, *AXIS, *VESSEL, *OUTPUT)
+    laws: Sequence[Law] = (*INPUT, *AXIS, *MECHANISM, *VESSEL, *OUTPUT)
     _states: dict[str, tuple[ca.SX, float]] = field(default_factory=dict)
     _rates: dict[str, ca.SX] = field(default_factory=dict)
     _inputs: dict[str, tuple[ca.SX, ca.SX, float]] = field(default_factory=dict)
@@ -97,6 +98,39 @@ class Equations(MachineDescription):
         units = {"force": {"m": "N", "rad": "N m"}.get(unit, ""), "speed": f"{unit}/s" if unit else "", "position": unit}
         sizes = self._sizes(name, force=force, speed=speed, position=position, time=self.time)
         return self._sum_effects("axis", name, sizes, units, q, v, ca.SX(0))
+
+    def mass(self, name: str, size: float) -> ca.SX:
+        """Add a mass that may hang at a place; returns it in kg, for the equations to give it weight and inertia.
+
+        Args:
+            name: of the place.
+            size: a usual mass there in kg.
+        """
+        total = ca.SX(0)
+        for law in self._laws("mass"):
+            total += self.effect(law, name, {"mass": size}, {"mass": "kg"})
+        return total
+
+    def effect(self, law: Law, name: str, sizes: Mapping[str, float], units: Mapping[str, str] | None = None, **where: Any) -> ca.SX:
+        """Add a law of one's own that may act; returns its outcome, 0 where it does not act, for the equations to use.
+
+        Args:
+            law: with an outcome that does not depend on delayed commands, see `laws.effect.Law`.
+            name: of the part that it acts on; the effect is called "law[name]".
+            sizes: usual sizes there by the kinds of size that the law's parameters and function ask for ("force", "position", …).
+            units: of these kinds; a kind that is absent has none.
+            **where: quantities that the law's function reads: `signal`, `position`, `speed`, `along`, `turned` (see `laws.effect.At`).
+
+        Raises:
+            InputError: a size that the law needs is missing or not above 0, or the effect is there already.
+        """
+        known = self._sizes(name, **{"time": self.time, **sizes})
+        asked = {kind for q in law.quantities for kind in q.size.split("/")} - {"1"}
+        if lacking := sorted(asked - set(known)):
+            raise InputError(f"{self.name}: {law.name}[{name}]: size of {lacking[0]!r} is missing; valid: {', '.join(sorted(asked))}")
+        unnamed = dict.fromkeys(set(known) - {"time", "1"}, "")
+        acts = self._act(law, name, known, unnamed | dict(units or {}), ca.SX(where.get("signal", 0)), **where)
+        return self._switches[f"{law.name}[{name}]"] * acts
 
     def vessel(self, name: str, level: ca.SX, rate: ca.SX, size: float, unit: str = "", last: bool = False) -> ca.SX:
         """Set the rate of a vessel's level, less the outflow by effects; returns the part of that which enters the next vessel.
@@ -173,8 +207,7 @@ class Equations(MachineDescription):
     ) -> ca.SX:
         """Add all effects on a part of this kind and name to `total`; their states begin at 0."""
         for law in self._laws(part):
-            acts = self._act(law, name, sizes, units, ca.SX(0), position=position, speed=speed)
-            total += self._switches[f"{law.name}[{name}]"] * acts
+            total += self.effect(law, name, sizes, units, position=position, speed=speed)
         return total
 
     def _filter(self, law: Law, name: str, signal: ca.SX, sizes: Mapping[str, float], unit: str) -> ca.SX:

@@ -17,6 +17,7 @@ from tepm_opt.discrepancy.selection.cross_validation import weights
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.matching_pursuit import odds
+from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.discrepancy.symbolic.places import ALL, Place
 from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
 from tepm_opt.solvers.hierarchy import clustering, off_centre
@@ -75,7 +76,7 @@ def alternative_law_odds(
         springs = [law for law in alternatives(best.estimate) if law.place.kind == "force" and law.place.variable == "position"]
         first = min(springs, key=lambda law: law.evidence.excess, default=None)
         if first is not None and first.evidence.excess < thresholds.spring_max_excess * best.excess:
-            holds = float(weights([best.evidence, first.evidence], seed)[0])
+            holds = float(weights([best.evidence.measured, first.evidence], seed)[0])
             if holds < 1 - settings.min_probability:  # of next to nothing chance may take away half
                 found = dict.fromkeys(pushing, AlternativeLaw(holds, first))
     if best.only_noise(settings):
@@ -85,7 +86,7 @@ def alternative_law_odds(
         laws = [] if rest is None else [law for law in alternatives(rest.estimate) if not _acts_like(effect, law.place)]
         if laws:
             first = min(laws, key=lambda law: law.evidence.excess)
-            found[effect] = AlternativeLaw(float(weights([best.evidence, first.evidence], seed)[0]), first)
+            found[effect] = AlternativeLaw(float(weights([best.evidence.measured, first.evidence], seed)[0]), first)
     return found
 
 
@@ -131,7 +132,11 @@ def assess(
             if hypothesis is best or (weight > thresholds.min_rival and unclear):
                 listed += [(effect, other, hypothesis, cause[effect] * weight) for other in others]
     listed.sort(key=lambda each: -each[-1])
-    most = {effect: max(p for of, _, _, p in listed if of == effect) for effect in best.effects}
+    vague = [e for e in best.effects if e not in shown and not is_significant(best.estimate, e, settings)]
+    listed = [each for each in listed if each[0] not in vague]
+    if not listed:
+        return Judgement(VerdictStatus.UNEXPLAINED, cause, remarks=tuple(_vague(vague)))
+    most = {effect: max(p for of, _, _, p in listed if of == effect) for effect in best.effects if effect not in vague}
     refuted = [e for e in best.effects if e.runs] if unseen and increases_validation_error(errors, thresholds) else []
     if refuted:  # what acts in runs of its own has no excuse for spoiling others
         status = VerdictStatus.UNEXPLAINED
@@ -144,8 +149,13 @@ def assess(
     else:
         status = VerdictStatus.PARTIAL if max(most.values()) >= settings.min_listed_probability else VerdictStatus.UNEXPLAINED
     spoils = "stands in for something: with it in the model the runs kept for validation fit worse."
-    remarks = (*_objections(explanation, laws, constancy, thresholds), *(f"{effect.told} {spoils}" for effect in refuted))
+    remarks = (*_vague(vague), *_objections(explanation, laws, constancy, thresholds), *(f"{effect.told} {spoils}" for effect in refuted))
     return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)
+
+
+def _vague(effects: Sequence[Candidate]) -> list[str]:
+    """Remarks on effects that the fit needs but whose size is not known to differ from none."""
+    return [f"{e.told} helps the fit, but its size does not differ significantly from none: it is not named." for e in effects]
 
 
 def _explains_all(

@@ -164,6 +164,7 @@ class Verdict(Tabular):
         notes: what a reader should know: doubts about the data, directions the runs cannot tell, structure left.
         seconds: it took.
         setup: errors of the set-up, with their mends; the answer is about the data with the likeliest of each mended.
+        baseline: name of the earlier data set, where the answer is about what changed since; else empty.
     """
 
     status: VerdictStatus
@@ -182,6 +183,7 @@ class Verdict(Tabular):
     next: str = ""
     command: str = ""
     setup: tuple[SetupError, ...] = ()
+    baseline: str = ""
 
     @property
     def setup_sentences(self) -> tuple[str, ...]:
@@ -236,6 +238,7 @@ class Verdict(Tabular):
         """Content of verdict.json."""
         return {
             "status": self.status.value,
+            **({"baseline": self.baseline} if self.baseline else {}),
             "effects": [
                 {
                     "name": named.candidate.name,

@@ -17,7 +17,11 @@ def _way(at: At) -> ca.SX:
 
 
 def _bouc_wen(at: At) -> tuple[ca.SX, list[ca.SX]]:
-    """The force and its rate, limited to what the time steps can follow; at that limit it is dry friction."""
+    """The force and its rate, limited to what the time steps can follow; at that limit it is dry friction.
+
+    Passive for stiffness >= 0 and closing >= 0, whatever the opening: dS/dt <= z v with the storage S' = z / (stiffness - opening |z|)
+    over all z that it reaches, |z| < stiffness / (closing + opening). With closing = 0 it is a spring, which has no loop.
+    """
     (z,), v, p = at.z, at.speed, at.p
     forgets = ca.fabs(v) * (ca.fabs(p["closing"]) + ca.fabs(p["opening"]))
     fastest = 2.0  # decay in a time step; a Runge-Kutta method of order 4 is stable up to 2.78
@@ -57,7 +61,7 @@ AXIS = (
         "hysteresis", "body",
         (
             Quantity("stiffness", "force/position", 0.0, (0.1, 1.0), 0.0, 100.0),
-            Quantity("closing", "1/position", 1.0, (0.1, 1.0, 10.0), 0.0, 1e3, shape=True),
+            Quantity("closing", "1/position", 1.0, (0.1, 1.0, 10.0), 0.1, 1e3, shape=True),
             Quantity("opening", "1/position", 0.0, (0.0,), -1e3, 1e3, shape=True),
         ),
         _bouc_wen, states=1, smooth=False,

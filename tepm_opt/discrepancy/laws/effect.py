@@ -19,10 +19,10 @@ class Quantity:
 
     Attributes:
         name: within the effect.
-        size: kind of its size: "force", "speed", "position", "signal", "time", a quotient of two of them, or "1".
+        size: kind of its size: "force", "speed", "position", "mass", "signal", "time", a quotient of two of them, or "1".
         null: value at which the effect vanishes; where another parameter makes it vanish, a usual value.
         probes: values worth a try: decades where nobody knows.
-        low, high: its range.
+        low, high: its range, in which the law is passive where it is a passive element: fits stay within it.
         shape: whether it changes the form of the effect, not its strength.
     """
 
@@ -93,7 +93,7 @@ class Law:
         reference: source of the law.
         beside: effects one of which it needs.
         family: name of the effect of which it is one form.
-        place: the kind of part it acts on, where the stage does not tell: "vessel".
+        place: the kind of part it acts on, where the stage does not tell: "vessel", "mass".
         gauge: whether a gauge that measures an input may have it, too: an offset, a gain.
         delays: whether it asks for the command's past (`At.earlier`): it acts before all other effects on an input.
     """
@@ -114,7 +114,7 @@ class Law:
 
     @property
     def part(self) -> str:
-        """Kind of part it acts on: "input", "axis", "output", "vessel"."""
+        """Kind of part it acts on: "input", "axis", "output", "vessel", "mass"."""
         return self.place or ("axis" if self.stage == "body" else self.stage)
 
     def place_on(self, part: str, sizes: Mapping[str, float], units: Mapping[str, str]) -> tuple[Candidate, dict[str, Free]]:

@@ -226,7 +226,7 @@ def free_candidate_parameters(plant: Plant, candidate: Candidate) -> tuple[Free,
     for free in plant.free(candidate.parameters):
         if free.name in candidate.ranges:
             low, high = candidate.ranges[free.name]
-            free = replace(free, low=low, high=high, prior_std=np.inf)
+            free = replace(free, low=low, high=high, prior_std=np.inf, changed=True)
         found.append(free)
     return tuple(found)
 

@@ -17,6 +17,9 @@ class SearchSettings:
 
     Attributes:
         max_noise_excess: excess that counts as noise: 0.05 is 22 % of the noise's standard deviation.
+        chance_excess: excess that counts as chance, because the noise is a model's error on other data (`baseline`).
+        chance_sigmas: standard deviations by which parameters may be off what other data tell of them by chance.
+        min_size_sigma: standard deviations by which an effect's size must differ from the size at which it vanishes to be named.
         min_excess_removed: excess that an effect must remove alone to be named: 0.15 is 39 % of the noise's standard deviation.
         min_probability: probability by which one more effect must beat going without it to be tried along.
         even_odds_ratio: how many times the excess left an effect alone must remove for even odds that it is a cause, not a stand-in.
@@ -99,6 +102,9 @@ class SearchSettings:
     """
 
     max_noise_excess: float = 0.05
+    chance_excess: float = 0.0
+    chance_sigmas: float = 3.0
+    min_size_sigma: float = 2.0
     min_excess_removed: float = 0.15
     min_probability: float = 0.95
     even_odds_ratio: float = 3.0

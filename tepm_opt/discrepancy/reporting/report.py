@@ -12,6 +12,7 @@ from tepm_opt.discrepancy.assessment.residual_locations import error_unit
 from tepm_opt.discrepancy.assessment.result import Named, Rival, Value, Verdict, VerdictStatus
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting import sentences
+from tepm_opt.discrepancy.reporting.change import describe_change, describe_model_error
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.setup.errors import foreign_run, late_run
@@ -48,6 +49,9 @@ def build_verdict(state: Assessed) -> Verdict:
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
     notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
     answer = sentences.describe_answer(judgement.status, named, errors, state.localisation.sentence, known, explanation, unit)
+    if state.baseline is not None:
+        answer = describe_change(answer, judgement.status, state.baseline, explanation.without)
+        notes = (*notes, describe_model_error(state.baseline, state.settings.chance_excess))
     return Verdict(
         VerdictStatus.SETUP_ERROR if setup else judgement.status,
         answer,
@@ -63,6 +67,7 @@ def build_verdict(state: Assessed) -> Verdict:
         fits=len(explanation.tried),
         next=sentences.next_step(VerdictStatus.SETUP_ERROR if setup else judgement.status, shift is not None),
         setup=setup,
+        baseline="" if state.baseline is None else state.baseline.name,
     )
 
 

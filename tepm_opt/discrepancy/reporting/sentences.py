@@ -120,7 +120,7 @@ def collect_notes(
     if explanation.best.effects and dataset.validation and not reduces_validation_error(errors):
         found.append("On the runs kept for validation the gap does not shrink: what acts in the runs fitted to does not act there.")
     left, axes = explanation.best.excess, axes_measured(np.concatenate([run.points for run in dataset.fit]))
-    if explanation.best.effects and left > 0.1:
+    if explanation.best.effects and left > 0.1 and not explanation.settings.chance_excess:
         found.append(
             f"Structure of {_format_error(float(np.sqrt(axes * left) * alike), unit)} is left in the runs fitted to: "
             "the effect's form differs from the machine's, or something small is missing besides. It keeps probabilities below 1."

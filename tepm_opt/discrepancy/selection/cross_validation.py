@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -27,6 +28,8 @@ class Evidence:
         scatter: jackknife standard deviation of the free parameters over the folds, (parameters,).
         worth: how many independent measurements a coordinate is worth, at most 1: neighbours in time say nearly the same.
         held_out: whether the data were left out of the fits that predict them.
+        chance: excess that counts as chance, because the noise is a model's error whose size is known from other data only.
+        prior_excess: excess of the misfit between the parameters and what other data tell of them; it has a block of its own in `squares`.
     """
 
     squares: np.ndarray
@@ -35,6 +38,8 @@ class Evidence:
     scatter: np.ndarray
     worth: float = 1.0
     held_out: bool = True
+    chance: float = 0.0
+    prior_excess: float = 0.0
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -46,9 +51,15 @@ class Evidence:
         return int(self.counts.sum())
 
     @property
+    def measured(self) -> Evidence:
+        """The evidence of measurements alone, without that of a prior."""
+        return replace(self, squares=self.squares[self.counts > 0], counts=self.counts[self.counts > 0], prior_excess=0.0)
+
+    @property
     def excess(self) -> float:
-        """Mean square of the errors beyond the noise, over the noise's: 0 where nothing but noise is left."""
-        return max(float(self.squares.sum()) / max(self.count, 1) - 1.0, 0.0)
+        """Mean square of the errors beyond noise and chance, over the noise's: 0 where nothing but noise is left."""
+        measured = float(self.squares[self.counts > 0].sum()) / max(self.count, 1)
+        return max(measured - 1.0 - self.chance, 0.0) + self.prior_excess
 
     @property
     def spread(self) -> float:
@@ -71,7 +82,7 @@ def leave_out(estimate: ParameterEstimate, settings: SearchSettings, partly: Col
     """
     problem, residuals = estimate.problem, estimate.residuals
     if settings.refit_folds:
-        return leave_out_by_refits(estimate, settings)
+        return _with_joint_prior(leave_out_by_refits(estimate, settings), estimate, settings)
     count = len(problem.free)
     parts = []  # (values (rows, points · 3), by, block, counts) of every fold
     for r, cut in zip(residuals, _runs_to_cut(estimate, partly, settings), strict=True):
@@ -91,8 +102,8 @@ def leave_out(estimate: ParameterEstimate, settings: SearchSettings, partly: Col
             others = sum(squares) - squares[k]
             stays = estimate.at_bound | [free.refines for free in problem.free]
             low, high = (np.where(stays, 0.0, bound - estimate.values) for bound in (problem.low, problem.high))
-            slope = sum(slopes) - slopes[k] + precision * (estimate.values - mean)
-            step, less = bounded_step(others + np.diag(precision), slope, low, high, problem.scale)
+            slope = sum(slopes) - slopes[k] + precision @ (estimate.values - mean)
+            step, less = bounded_step(others + precision, slope, low, high, problem.scale)
             left = values + by @ step
             part = min((float(np.sum(values**2)) + max(less, 0.0)) / max(float(np.sum(left**2)), 1e-300), 1.0)
             steps.append(step)
@@ -102,7 +113,29 @@ def leave_out(estimate: ParameterEstimate, settings: SearchSettings, partly: Col
     every = np.concatenate(counts)
     scatter = np.sqrt((len(parts) - 1) * np.var(steps, axis=0)) if count and len(parts) > 1 else np.zeros(count)
     worth = 1.0 if problem.plant.static else min(problem.block / independent_after(residuals, problem.runs), 1.0)
-    return Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter, worth)
+    found = Evidence(np.concatenate(errors)[every > 0], every[every > 0], count, scatter, worth)
+    return _with_joint_prior(found, estimate, settings)
+
+
+def _with_joint_prior(evidence: Evidence, estimate: ParameterEstimate, settings: SearchSettings) -> Evidence:
+    """Evidence with the parameters' distance from a joint prior as one more block; as it is without such a prior.
+
+    The squared distance of parameters that did not change follows a chi-square distribution; what exceeds it beyond chance is structure.
+    """
+    joint, free = estimate.problem.joint, estimate.problem.free
+    if joint is None:
+        return evidence
+    mean, precision = joint.terms(free)
+    squares, told = float((estimate.values - mean) @ precision @ (estimate.values - mean)), int((np.diag(precision) > 0).sum())
+    likely = joint.weight * float(chi2.isf(norm.sf(settings.chance_sigmas), max(told, 1)))
+    return replace(
+        evidence,
+        squares=np.append(evidence.squares, squares),
+        counts=np.append(evidence.counts, 0),
+        worth=1 / joint.weight,
+        chance=settings.chance_excess,
+        prior_excess=max(squares - likely, 0.0) / max(evidence.count, 1),
+    )
 
 
 def _runs_to_cut(estimate: ParameterEstimate, names: Collection[str], settings: SearchSettings) -> np.ndarray:
@@ -177,11 +210,13 @@ def _refit(estimate: ParameterEstimate, kept: Sequence[np.ndarray], steps: int) 
     mean, precision = problem.prior
 
     def cost(residuals: Sequence[Residual], at: np.ndarray) -> float:
-        return float(sum(np.sum(r.values[mask] ** 2) for r, mask in zip(residuals, masks, strict=True)) + precision @ (at - mean) ** 2)
+        return float(
+            sum(np.sum(r.values[mask] ** 2) for r, mask in zip(residuals, masks, strict=True)) + (at - mean) @ precision @ (at - mean)
+        )
 
     for _ in range(steps):
-        slope = sum(by.T @ r.values.ravel() for by, r in zip(slopes, left, strict=True)) + precision * (values - mean)
-        step, promised = bounded_step(square + np.diag(precision), slope, problem.low - values, problem.high - values, problem.scale)
+        slope = sum(by.T @ r.values.ravel() for by, r in zip(slopes, left, strict=True)) + precision @ (values - mean)
+        step, promised = bounded_step(square + precision, slope, problem.low - values, problem.high - values, problem.scale)
         before = cost(left, values)
         if promised < 1e-3 + 1e-6 * before:
             break

@@ -56,7 +56,9 @@ class Hypothesis:
 
     @property
     def by_chance(self) -> float:
-        """Excess that the noise of so few samples may have by chance (3 sigma)."""
+        """Excess that the noise of so few samples may have by chance (3 sigma); 0 where the excess is beyond chance already."""
+        if self.evidence.chance:
+            return 0.0
         return float(3 * np.sqrt(2 / max(self.estimate.count, 1)))
 
     @property

@@ -22,6 +22,7 @@ from tepm_opt.discrepancy.selection.matching_pursuit import (
 from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, most_probable
 from tepm_opt.discrepancy.selection.run_subsets import list_run_spans, select_longest_span
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
+from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.text import shortened
@@ -119,7 +120,8 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         best = widest = onward
     if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
-    tried, scores = list(fits.done.values()), fits.screen(base, missing)
+    unchanged = fits.problem.joint is not None and best is without and best.only_noise(settings)
+    tried, scores = list(fits.done.values()), [] if unchanged else fits.screen(base, missing)
     return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.seen else None, settings)
 
 
@@ -244,7 +246,8 @@ def _fit_pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> li
 def _eliminate_backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, Shares]:
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
-    An effect stands out where it removes more than form errors of the others may (see `form_error_allowance`), and a share of what is left.
+    An effect stands out where it removes more than form errors of the others may (see `form_error_allowance`), and a share of what is left,
+    and where its size is significant.
     """
     settings = fits.settings
     while True:
@@ -259,7 +262,8 @@ def _eliminate_backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, Share
                 smaller[effect] = found
                 taken = lost[effect] = found.excess - best.excess
                 least = form_error_allowance(effect, sum(doubt[c] for c in rest), taken, left, settings)
-                shares[effect] = taken / left if taken >= least else 0.0
+                stands_out = taken >= least and is_significant(best.estimate, effect, settings)
+                shares[effect] = taken / left if stands_out else 0.0
         weakest = min(shares, key=lambda effect: (shares[effect], lost[effect]), default=None)
         if weakest is None or shares[weakest] >= settings.least_share:
             return best, shares

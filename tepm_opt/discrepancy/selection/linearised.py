@@ -94,6 +94,10 @@ class Linearised:
         scale = np.array([*(f.scale for f in free), *(1.0 for _ in probed)])
         square = np.einsum("cij,ic,jc->ij", self.square[:, at][:, :, at], masks, masks, optimize=True)
         slope = np.einsum("ci,ic->i", self.slope[:, at], masks)
+        if problem.joint is not None:
+            mean, precision = problem.joint.terms(free)
+            square[: len(free), : len(free)] += precision
+            slope[: len(free)] += precision @ (values - mean)
         lost = 0.0
         for effect in present.values():
             still = next((c for c in effects if c.label == effect.label), None)

@@ -46,7 +46,24 @@ def fit_promising(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: 
     least_left = min((t for t in trials if t is not None), key=lambda t: t.excess, default=None)
     if settings.adapt_fit_count and not (base.effects or rival or least_left is None or least_left.only_noise(settings)):
         trials += fits.fit_all([each for one in list_starts(ranked[most : 2 * most]) for each in one], least_left, bound)
-    return list(dict.fromkeys(trial for trial in trials if trial is not None))
+    found = [trial for trial in trials if trial is not None]
+    below = _scores_above_best(found if rival is None else [*found, rival], scores, ranked)
+    found += [t for t in fits.fit_all([each for one in list_starts(below) for each in one], solved, bound) if t is not None]
+    return list(dict.fromkeys(found))
+
+
+def _scores_above_best(fitted: Sequence[Hypothesis], scores: Sequence[Score], ranked: Sequence[Score]) -> list[Score]:
+    """Scores that are not among the fitted and promise more than the fit that leaves least: first order says little near the noise.
+
+    Args:
+        fitted: hypotheses, the best of which may be chosen.
+        scores: of all candidates, one of each.
+        ranked: those of them that are worth a fit.
+    """
+    chosen = min(fitted, key=lambda h: h.excess, default=None)
+    added = {effect for h in fitted for effect in h.effects}
+    least = max((score.gain for score in scores if chosen is not None and score.candidate in chosen.effects), default=np.inf)
+    return [score for score in ranked if score.gain > least and score.candidate not in added]
 
 
 def _early_end_bound(fits: Fits, base: Hypothesis) -> float:

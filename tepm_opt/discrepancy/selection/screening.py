@@ -87,7 +87,10 @@ def _screen_by_fits(
     names, values = [f.name for f in problem.free], estimate.values
     null = problem.residuals(values, names)
     square = normal_equations(null)[0]
+    if problem.joint is not None:
+        square = square + problem.joint.terms(problem.free)[1]
     squares, coordinates = sum(r.squares for r in null), sum(r.count for r in null)
+    excess = max(estimate.cost - estimate.count, 1e-9 * estimate.count) * coordinates / max(estimate.count, 1)  # as in all other scores
 
     def fit_from_probe(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
         candidate, at = probe
@@ -102,8 +105,7 @@ def _screen_by_fits(
             return None
 
     def score_fit(candidate: Candidate, found: ParameterEstimate) -> Score:
-        gain = (squares - sum(r.squares for r in found.residuals)) / max(squares - coordinates, 1e-9 * coordinates)
-        return Score(candidate, gain, found.named)
+        return Score(candidate, (squares - sum(r.squares for r in found.residuals)) / excess, found.named)
 
     def continue_fit(score: Score) -> Score:
         free = collect_free_parameters(problem.free, problem.plant, [score.candidate])

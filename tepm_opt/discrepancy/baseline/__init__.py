@@ -1,0 +1,1 @@
+"""Baseline: an earlier recording of the same machine, whose misfit is the model's error and not news."""

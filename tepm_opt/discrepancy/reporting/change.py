@@ -1,0 +1,70 @@
+"""Sentences of an answer about what changed since a baseline."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tepm_opt.discrepancy.assessment.credibility import Judgement
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.baseline.baseline import Baseline
+from tepm_opt.discrepancy.baseline.settings import DEFAULT, BaselineSettings
+from tepm_opt.discrepancy.selection.fitting import Hypothesis
+
+
+def describe_change(answer: tuple[str, ...], status: VerdictStatus, baseline: Baseline, without: Hypothesis) -> tuple[str, ...]:
+    """The sentences of an answer with its first one about what changed.
+
+    Args:
+        answer: sentences about what is missing in the model.
+        status: kind of answer.
+        baseline: what it is compared with.
+        without: fit of the known parameters within the baseline's posterior.
+    """
+    since = f"since {baseline.name}"
+    if status is VerdictStatus.NO_DISCREPANCY:
+        size, chance = without.evidence.measured, without.evidence.chance
+        more = 100 * (float(size.squares.sum()) / max(size.count, 1) - 1)
+        first = (
+            f"Nothing changed {since}: the parameters stay within what it tells of them, and the model's squared error is "
+            f"{more:+.0f} % of what it was there (chance: up to {100 * chance:+.0f} %)."
+        )
+        return (first, *answer[1:])
+    heads = {
+        VerdictStatus.NAMED: ("Missing: ", f"Changed {since}: "),
+        VerdictStatus.PARTIAL: ("Partly explained: ", f"Changed {since}, partly explained: "),
+        VerdictStatus.INDISTINGUISHABLE: ("Missing: ", f"Changed {since}: "),
+        VerdictStatus.UNEXPLAINED: (
+            "Unexplained: structure above the noise remains that no known effect explains",
+            f"Unexplained: something changed {since} that no known law explains",
+        ),
+    }
+    before, after = heads.get(status, ("", ""))
+    return (answer[0].replace(before, after, 1), *answer[1:]) if before else answer
+
+
+def withhold_new_motions(judgement: Judgement, share: float, baseline: Baseline, settings: BaselineSettings = DEFAULT) -> Judgement:
+    """The judgement without a name where too many samples have a motion that the baseline has nowhere: the model's error is unknown there.
+
+    Args:
+        judgement: of what changed.
+        share: of samples with such motions, 0 … 1.
+        baseline: what is compared with.
+        settings: thresholds.
+    """
+    if share <= settings.max_new_motion:
+        return judgement
+    remark = (
+        f"{100 * share:.0f} % of the samples move as {baseline.name} does nowhere: how much the model errs in such motions is unknown, "
+        "and a change is not told from that. Compare runs with alike inputs."
+    )
+    if judgement.status is VerdictStatus.NO_DISCREPANCY:
+        return replace(judgement, remarks=(*judgement.remarks, remark))
+    return Judgement(VerdictStatus.UNEXPLAINED, judgement.cause, remarks=(*judgement.remarks, remark))
+
+
+def describe_model_error(baseline: Baseline, chance: float) -> str:
+    """Memory and scatter of the model's error on the baseline, in a sentence; `chance` is the share that its square may differ by."""
+    return (
+        f"Baseline {baseline.name}: the model's error there lasts {baseline.error.lasts:.2g} s, so that the data are worth "
+        f"{baseline.error.blocks} independent pieces; its square may differ by {100 * chance:.0f} % by chance."
+    )
