@@ -24,9 +24,7 @@ def fit_promising(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: 
     settings = fits.settings
     if not scores:
         return []
-    most = settings.fits_later_rounds if base.effects else settings.fits_first_round
-    least = settings.min_share_closed / 2 if base.effects and settings.beam > 1 else 0.0
-    ranked = drop_richer_forms([score for score in scores if score.gain >= max(settings.min_gain_ratio * scores[0].gain, least)], settings)
+    ranked, most = rank_promising(base, scores, settings)
     promising = ranked[:most]
 
     def list_starts(some: Sequence[Score]) -> list[list[tuple[Effects, dict[str, float]]]]:
@@ -47,6 +45,14 @@ def fit_promising(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: 
     if settings.adapt_fit_count and not (base.effects or rival or least_left is None or least_left.only_noise(settings)):
         trials += fits.fit_all([each for one in list_starts(ranked[most : 2 * most]) for each in one], least_left, bound)
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
+
+
+def rank_promising(base: Hypothesis, scores: Sequence[Score], settings: SearchSettings) -> tuple[list[Score], int]:
+    """Scores that are worth a fit beside a hypothesis, largest gain first, and how many of them are fitted at first."""
+    most = settings.fits_later_rounds if base.effects else settings.fits_first_round
+    least = settings.min_share_closed / 2 if base.effects and settings.beam > 1 else 0.0
+    least = max(settings.min_gain_ratio * scores[0].gain, least) if scores else least
+    return drop_richer_forms([score for score in scores if score.gain >= least], settings), most
 
 
 def _early_end_bound(fits: Fits, base: Hypothesis) -> float:
