@@ -14,11 +14,9 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
-
-import casadi as ca
-import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends import store
@@ -62,7 +60,7 @@ def read_or_write(
 def _sources() -> str:
     """Hash of the sources of models, and of what reads and writes them."""
     files = sorted(path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".c"))
-    digest = hashlib.sha256("\n".join((ca.__version__, np.__version__, platform.python_version())).encode())
+    digest = hashlib.sha256("\n".join((version("casadi"), platform.python_version())).encode())
     for path in files:
         digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\n" + path.read_bytes())
     return digest.hexdigest()
