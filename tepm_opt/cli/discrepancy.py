@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from threading import Thread
@@ -20,9 +19,8 @@ from tepm_opt.cli.progress import shown
 PAGE = "report.html"
 
 
-def _import_what_comes_last() -> None:
-    """Import what draws and what learns without physics."""
-    import_module("sklearn.gaussian_process")
+def _import_plots() -> None:
+    """Import what draws."""
     _ = plots.draw
 
 
@@ -53,7 +51,7 @@ def discrepancy(
 
     try:
         with shown(as_json, told=True) as progress:
-            Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
+            Thread(target=_import_plots, daemon=True).start()  # beside the search
             result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)

@@ -15,7 +15,7 @@ import tepm_opt
 from tepm_opt import plots, studies
 from tepm_opt.cli.program import app
 
-HEAVY = {"casadi", "control", "matplotlib", "mujoco", "scipy", "sklearn"}
+HEAVY = {"casadi", "control", "matplotlib", "mujoco", "scipy"}
 IMPORTED = """
 import sys
 from tepm_opt.cli import run
