@@ -62,16 +62,16 @@ def check_setup(state: Question) -> Question:
 
 def prepare(state: Question) -> Prepared:
     """Remove outliers, read the regulators off the gauges, choose the time step."""
-    dataset, plant, noise = state.dataset, state.plant, state.noise
+    dataset, plant, noise, plain = state.dataset, state.plant, state.noise, state.plant.without_candidates
     state.progress("simulating the runs with the model as it is", 0, 0)
-    nominal, remarks = predict_runs(plant, dataset, noise), list[str]()
+    nominal, remarks = predict_runs(plain, dataset, noise), list[str]()
     missing = downstream_candidates(plant.candidates, dataset.gauges)
     if not plant.static:
         dataset, remarks = without_strays(dataset, nominal, noise)
     devices = identify_devices(dataset, plant)
     if devices is not None:
         dataset, remarks, missing = dataset.with_runs(devices.runs), [*remarks, f"{devices.note}."], devices.narrow_candidates(missing)
-    step = choose_time_step(plant, dataset, nominal, noise, state.settings)
+    step = choose_time_step(plain, dataset, nominal, noise, state.settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
     known: dict[str, Any] = vars(state) | {"dataset": dataset}
     return Prepared(**known, nominal=nominal, missing=missing, devices=devices, problem=problem, remarks=remarks)
@@ -124,7 +124,7 @@ def validate(state: Selected) -> Validated:
     """Predict all runs with the nominal, the recalibrated and the corrected model and a black box."""
     state.progress("judging on validation runs", 0, 0)
     dataset, noise = state.dataset, state.noise
-    compared = compare_models(state.fits, state.explanation, dataset, state.plant.signals, state.nominal, noise, state.seed)
+    compared = compare_models(state.fits, state.explanation, dataset, state.plant, state.nominal, noise, state.seed)
     predictions = compared.predictions
     shift = None if state.plant.static else check_clock(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
     return Validated(
@@ -302,7 +302,7 @@ def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:
     best = state.explanation.best
     if not (state.settings.check_constancy and best.effects):
         return {}
-    linear = linearise(best.estimate, state.fits.problem.free, best.effects, (), state.settings)
+    linear = linearise(state.best, state.fits.problem.free, best.effects, (), state.settings)
     return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
 
 

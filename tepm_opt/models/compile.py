@@ -15,11 +15,13 @@ import numpy as np
 from tepm_opt.data.sizes import PRESSURE, TENSION
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends import ccode
+from tepm_opt.models.backends.ccode import Texts
 from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
 from tepm_opt.models.backends.interface import StaticsBackend, TimeStepper
 from tepm_opt.models.backends.kinematics import PythonKinematics
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
-from tepm_opt.models.dynamics import write_dynamics
+from tepm_opt.models.backends.written import read_or_write
+from tepm_opt.models.dynamics import Dynamics, write_dynamics
 from tepm_opt.models.effect import BEGAN, CLOCK, ActiveEffect, Effect
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.layout import Layout
@@ -70,14 +72,18 @@ class CompiledModel:
         return self.statics is not self.reference
 
     @cached_property
+    def _written_dynamics(self) -> tuple[Dynamics, Texts]:
+        return read_or_write("time_stepping", self.model, write_dynamics, stepping_unit)
+
+    @cached_property
     def reference_stepper(self) -> PythonTimeStepper:
         """Functions of the moving network, not compiled: what need not be fast."""
-        return PythonTimeStepper(write_dynamics(self.model))
+        return PythonTimeStepper(self._written_dynamics[0] if self.is_c else write_dynamics(self.model))
 
     @cached_property
     def stepper(self) -> TimeStepper:
         """Motion in time, compiled when first used: C if the statics are C."""
-        library = ccode.build(stepping_unit(self.reference_stepper.dynamics)) if self.is_c else None
+        library = ccode.build(self._written_dynamics[1]) if self.is_c else None
         return CompiledTimeStepper(self.reference_stepper.dynamics, library) if library else self.reference_stepper
 
     @cached_property
@@ -92,7 +98,9 @@ class CompiledModel:
             InputError: wrong number of values, or not finite.
         """
         other = replace(self, theta=finite_array(theta, self.theta.shape, "theta"))
-        other.__dict__.update({name: self.__dict__[name] for name in ("reference_stepper", "stepper") if name in self.__dict__})
+        other.__dict__.update(
+            {name: self.__dict__[name] for name in ("_written_dynamics", "reference_stepper", "stepper") if name in self.__dict__}
+        )
         return other
 
     def at_time(self, began: float) -> CompiledModel:
@@ -249,9 +257,9 @@ def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c
         InputError: no such robot, or `backend="c"` where no compiler works.
     """
     model = model if isinstance(model, Model) else Model.of(model)
-    network = write_network(model)
+    network, texts = (write_network(model), None) if backend == "python" else read_or_write("statics", model, write_network, statics_unit)
     reference = PythonKinematics(network)
-    library = None if backend == "python" else ccode.build(statics_unit(network))
+    library = None if texts is None else ccode.build(texts)
     if backend == "c" and library is None:
         raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")
     statics = CompiledStatics(network, library) if library else reference

@@ -2,149 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from html import escape
 
 import numpy as np
 
-from tepm_opt.data.run import Run, spaced
 from tepm_opt.errors import InputError
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import START, Free, Plant, PredictionError
-from tepm_opt.solvers.prior import JointPrior
-from tepm_opt.solvers.residuals import BLOCK, Residual, normal_equations, weighted
-from tepm_opt.solvers.start import begun, without_start
-from tepm_opt.solvers.text import html_table, listed
+from tepm_opt.solvers.plant import Plant, PredictionError
+from tepm_opt.solvers.problem import Problem
+from tepm_opt.solvers.residuals import Residual, normal_equations, update_derivatives, weighted
+from tepm_opt.solvers.text import html_table
 
 ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation
 HOPE = 2.0  # how many times what a step promises to first order a fit may still gain
 OUT_OF_REACH = "a rival cannot be reached any more"
 FACTOR = 4.0  # by which what is above 0 changes at most in a step: a time or a distance does not leap past its best
+TRUSTED = 0.1  # part of what a step promised by which its gain may be off for derivatives before it to serve for one more
 SHORTEST = 2.0**-12  # part of a step that is tried where the model cannot do the runs at its end
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """What to fit to what.
-
-    Attributes:
-        plant: a model of the machine; its values hold for all that is not free.
-        runs: to fit to.
-        free: the parameters to be found.
-        noise: of a coordinate, 1 sigma in m, or of each point, (points, 1); of all runs alike or of each.
-        robust: whether outliers are weighted down (Huber's loss at 4 robust standard deviations of the residuals).
-        step: longest time step of the simulations in s.
-        derivatives_apart: time in s between the samples at which derivatives are taken, with straight lines between them; 0 takes them at
-            every sample. Derivatives of a motion are smooth: 0.04 s leaves errors of 0.2 % as a rule, of some % where inputs jump.
-        block: time in s after which residuals count as independent.
-        joint: prior of several parameters together, besides those that each has for itself; None for none.
-    """
-
-    plant: Plant
-    runs: tuple[Run, ...]
-    free: tuple[Free, ...]
-    noise: float | np.ndarray | tuple[float | np.ndarray, ...]
-    robust: bool = False
-    step: float = np.inf
-    derivatives_apart: float = 0.0
-    block: float = BLOCK
-    joint: JointPrior | None = None
-
-    def __repr__(self) -> str:
-        """The main numbers, in a line."""
-        return f"Problem({len(self.runs)} runs, free: {listed([free.name for free in self.free]) or 'nothing'})"
-
-    def with_values(self, values: np.ndarray) -> Plant:
-        """The model with these values of the free parameters."""
-        return self.plant.with_values({free.name: float(value) for free, value in zip(self.free, values, strict=True)})
-
-    @property
-    def start(self) -> np.ndarray:
-        """First values, (parameters,)."""
-        return np.array([free.start for free in self.free])
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lower bounds, (parameters,)."""
-        return np.array([free.low for free in self.free])
-
-    @property
-    def high(self) -> np.ndarray:
-        """Upper bounds, (parameters,)."""
-        return np.array([free.high for free in self.free])
-
-    @property
-    def scale(self) -> np.ndarray:
-        """Small but visible changes, (parameters,)."""
-        return np.array([free.scale for free in self.free])
-
-    @property
-    def prior(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean μ, (parameters,), and precision Λ, (parameters, parameters), of the normal priors: they cost (θ - μ)ᵀ Λ (θ - μ)."""
-        mean = np.array([free.prior_mean for free in self.free])
-        precision = np.diag(np.array([free.prior_std for free in self.free]) ** -2.0)
-        if self.joint is None:
-            return mean, precision
-        shared, more = self.joint.terms(self.free)
-        told = np.diag(more) > 0  # what earlier data tell includes what was known before them
-        return np.where(told, shared, mean), np.where(np.outer(told, told), more, precision)
-
-    @property
-    def noises(self) -> tuple[float | np.ndarray, ...]:
-        """Noise of each run."""
-        return self.noise if isinstance(self.noise, tuple) else (self.noise,) * len(self.runs)
-
-    def residuals(self, values: np.ndarray, names: Sequence[str] | None = None) -> list[Residual]:
-        """Measured less modelled of every run, differentiated by `names` (the free ones where absent).
-
-        Raises:
-            PredictionError: the model cannot do a run with these values.
-        """
-        names = [free.name for free in self.free] if names is None else names
-        plant = self.with_values(values)
-        noise = self.noises
-        if any(run.start != "equilibrium" for run in self.runs):
-            return self._from_states(plant, names, noise)
-        sparse = self.sparse if names else self
-        work = [(self.step, run, names if sparse is self else ()) for run in self.runs]
-        work += [(sparse.step, run, names) for run in sparse.runs if sparse is not self]
-        found = in_parallel(
-            lambda piece: plant.predict(piece[1], piece[2], piece[0]),
-            work,
-            lambda piece: piece[1].rows * (1 + len(piece[2])),
-            plant.concurrent,
-        )
-        points, slopes = found[: len(self.runs)], found[-len(self.runs) :]
-        return [
-            Residual.of(run, modelled.points, change.by, sigma, at.time, self.block)
-            for run, modelled, change, sigma, at in zip(self.runs, points, slopes, noise, sparse.runs, strict=True)
-        ]
-
-    def _from_states(self, plant: Plant, names: Sequence[str], noise: tuple[float | np.ndarray, ...]) -> list[Residual]:
-        """Residuals of runs that begin with states of their own, each the best one for these parameters where it is free."""
-        own = [START + name for name in plant.states]
-
-        def left(measured: tuple[Run, float | np.ndarray]) -> Residual:
-            run, sigma = begun(plant, *measured, self.step), measured[1]
-            free = own if run.start == "free" else []
-            found = plant.predict(run, [*names, *free], self.step)
-            residual = Residual.of(run, found.points, found.by, sigma, block=self.block)
-            return without_start(residual, len(free)) if free else residual
-
-        return in_parallel(left, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, plant.concurrent)
-
-    @property
-    def sparse(self) -> Problem:
-        """The problem with only those samples at which derivatives are taken; this one where that is every one."""
-        if self.plant.static or not self.derivatives_apart or any(run.start != "equilibrium" for run in self.runs):
-            return self
-        runs = tuple(spaced(run, self.derivatives_apart) for run in self.runs)
-        return replace(self, runs=runs, step=self.derivatives_apart, derivatives_apart=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +115,8 @@ def identify(
         progress: told of every step.
         tolerance: part of the squared residuals beyond the noise for which no further step is made.
         reached: cost that a rival has: no further step is made where `HOPE` times what it promises would leave more.
-        near: whether the first values are so good that derivatives there serve for all steps and for the estimate.
+        near: whether the first values are so good that derivatives there serve for all steps and for the estimate. One more step at the
+            end is then made to first order, without a simulation.
 
     Raises:
         InputError: no runs, no parameters or no measured sample.
@@ -245,37 +125,111 @@ def identify(
     if not problem.runs or not sum(np.isfinite(run.points).sum() for run in problem.runs):
         raise InputError("nothing to fit to: no run with a measured sample")
     values = np.clip(problem.start, problem.low, problem.high)
-    residuals = problem.residuals(values)
-    weights = _weights(residuals, problem.robust)
-    cost, damping, done, message = _cost(problem, values, residuals, weights), 1e-6, 0, "steps ended"
-    converged, count, part = not problem.free, sum(r.count for r in residuals), 1.0
+    at = _Iterate(problem, values, problem.residuals(values), near, near or problem.sparse is not problem)
+    damping, done, message, converged = 1e-6, 0, "steps ended", not problem.free
+    count, part = sum(r.count for r in at.residuals), 1.0
     while done < max_iterations and not converged:
-        step, promised = _step(problem, values, residuals, weights, damping)
-        if promised < 0.1 + tolerance * max(cost - count, 0.0):
+        step, promised = at.compute_step(damping)
+        if promised < 0.1 + tolerance * max(at.cost - count, 0.0):
+            if at.is_stale:
+                at = at.refresh_derivatives()
+                continue
             converged, message = True, "no step promises less"
             break
-        if cost - HOPE * promised > reached:
+        if at.cost - HOPE * promised > reached:
             message = OUT_OF_REACH
             break
         done += 1
-        tried, part, failure = _tried(problem, values, step, part, residuals if near else None)
-        new = np.inf if tried is None else _cost(problem, values + part * step, tried, weights)
-        if tried is not None and new < cost:
-            gained = (cost - new) / (promised * part * (2 - part))
-            values, residuals, part = values + part * step, tried, min(4 * part, 1.0)
+        tried, part, failure = _tried(problem, at.values, step, part, at.residuals if at.keeps else None)
+        new = np.inf if tried is None else _cost(problem, at.values + part * step, tried, at.weights)
+        if tried is not None and new < at.cost:
+            gained = (at.cost - new) / (promised * part * (2 - part))
+            at, part = at.advance(part * step, tried, gained), min(4 * part, 1.0)
             damping = damping / 10 if gained > 0.25 else damping * 3
-            weights = _weights(residuals, problem.robust)
-            cost = _cost(problem, values, residuals, weights)
+        elif at.is_stale:
+            at, part = at.refresh_derivatives(), 1.0
         else:
             damping, part, message = max(10 * damping, 1e-3), 1.0, failure or message
             if damping > 1e6:
                 converged, message = bool(np.isfinite(new)), failure or "no shorter step helps"
                 break
         progress("fit", done, max_iterations)
-    outcome = Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message)
-    square, _ = normal_equations(residuals)
-    information = square * np.outer(problem.scale, problem.scale)
-    return ParameterEstimate(problem, values, _covariance(problem, residuals, weights), residuals, cost, done, information, outcome)
+    at = at.take_linear_step(damping) if near else at.refresh_derivatives()
+    return at.estimate(done, Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message))
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """Values on the way of a fit.
+
+    Attributes:
+        problem: what is fitted.
+        values: of the free parameters, (parameters,).
+        residuals: at the values, with derivatives.
+        near: whether the first derivatives serve for all steps.
+        keeps: whether residuals are simulated without derivatives at first.
+        is_stale: whether the derivatives are of earlier values, corrected by Broyden's rule.
+    """
+
+    problem: Problem
+    values: np.ndarray
+    residuals: list[Residual]
+    near: bool
+    keeps: bool
+    is_stale: bool = False
+
+    @cached_property
+    def weights(self) -> list[np.ndarray | None]:
+        """Square roots of Huber's weights, of the residuals' shape; None for all 1."""
+        return _weights(self.residuals, self.problem.robust)
+
+    @cached_property
+    def cost(self) -> float:
+        """Sum of the weighted squares over the noise, with the priors'."""
+        return _cost(self.problem, self.values, self.residuals, self.weights)
+
+    def compute_step(self, damping: float) -> tuple[np.ndarray, float]:
+        """Damped Gauss-Newton step, (parameters,), and the squares that it promises to remove."""
+        problem, values = self.problem, self.values
+        square, slope = normal_equations(self.residuals, self.weights)
+        mean, precision = problem.prior
+        square, slope = square + precision, slope + precision @ (values - mean)
+        low, high = problem.low, problem.high
+        nearest, farthest = (
+            np.where(low > 0, np.maximum(low, values / FACTOR), low),
+            np.where(low > 0, np.minimum(high, values * FACTOR), high),
+        )
+        return bounded_step(square, slope, nearest - values, farthest - values, problem.scale, damping)
+
+    def refresh_derivatives(self) -> _Iterate:
+        """The same with derivatives at its values."""
+        if not self.is_stale:
+            return self
+        return replace(self, residuals=self.problem.differentiate(self.values, self.residuals), is_stale=False)
+
+    def advance(self, step: np.ndarray, tried: list[Residual], gained: float) -> _Iterate:
+        """The next one, behind a step that gained so many times what it promised; derivatives serve on where that is about once."""
+        there = replace(self, values=self.values + step, residuals=tried)
+        if self.near or not self.keeps:
+            return there
+        if abs(gained - 1) < TRUSTED and not self.is_stale:
+            update_derivatives(self.residuals, tried, step, self.problem.scale)
+            return replace(there, is_stale=True)
+        return replace(there, is_stale=True).refresh_derivatives()
+
+    def take_linear_step(self, damping: float) -> _Iterate:
+        """The next one to first order, without a simulation."""
+        if not self.problem.free:
+            return self
+        step, _ = self.compute_step(damping)
+        return replace(self, values=self.values + step, residuals=[r.with_linear_step(step) for r in self.residuals])
+
+    def estimate(self, steps: int, outcome: Outcome) -> ParameterEstimate:
+        """The result, after so many steps."""
+        problem, residuals = self.problem, self.residuals
+        square, _ = normal_equations(residuals)
+        information, covariance = square * np.outer(problem.scale, problem.scale), _covariance(problem, residuals, self.weights)
+        return ParameterEstimate(problem, self.values, covariance, residuals, self.cost, steps, information, outcome)
 
 
 def _tried(
@@ -318,17 +272,6 @@ def _cost(problem: Problem, values: np.ndarray, residuals: list[Residual], weigh
     return float((values - mean) @ precision @ (values - mean)) + float(
         sum(np.sum((r.values if w is None else r.values * w) ** 2) for r, w in zip(residuals, weights, strict=True))
     )
-
-
-def _step(
-    problem: Problem, values: np.ndarray, residuals: list[Residual], weights: list[np.ndarray | None], damping: float
-) -> tuple[np.ndarray, float]:
-    square, slope = normal_equations(residuals, weights)
-    mean, precision = problem.prior
-    square, slope = square + precision, slope + precision @ (values - mean)
-    low, high = problem.low, problem.high
-    nearest, farthest = np.where(low > 0, np.maximum(low, values / FACTOR), low), np.where(low > 0, np.minimum(high, values * FACTOR), high)
-    return bounded_step(square, slope, nearest - values, farthest - values, problem.scale, damping)
 
 
 def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.ndarray | None]) -> np.ndarray:

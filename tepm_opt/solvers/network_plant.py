@@ -52,6 +52,8 @@ class NetworkPlant:
 
     def with_values(self, values: Mapping[str, float]) -> Self:
         """The same network with other values of some parameters."""
+        if not self.static:
+            _ = self.model.stepper  # read or compiled now: the models of all values share it
         theta = self.model.theta.copy()
         for name, value in values.items():
             theta[self.model.network.parameter_names.index(name)] = value

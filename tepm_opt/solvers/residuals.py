@@ -51,13 +51,23 @@ class Residual:
         """
         present = np.isfinite(run.points)
         values = np.where(present, run.points - points, 0.0) / noise
+        time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // block
+        bare = Residual(run.file, values, present, np.empty((values.size, 0)), time.astype(int))
+        return bare.with_derivatives(run, by, noise, at)
+
+    def with_derivatives(self, run: Run, by: np.ndarray, noise: float | np.ndarray, at: np.ndarray | None = None) -> Residual:
+        """The residuals with derivatives; arguments as for `of`."""
+        present = self.present
         slopes = np.empty((len(by), present.size))
         between = None if at is None or len(at) == run.rows else _between(run.time, at)
         for slope, change in zip(slopes, by, strict=True):  # one by one: all of them at once take several times the memory
             whole = change if between is None else between(change)
             np.divide(np.where(present, whole, 0.0), -noise, out=slope.reshape(present.shape))
-        time = np.arange(run.rows) if np.isnan(run.time).any() else (run.time - run.time[0]) // block
-        return Residual(run.file, values, present, slopes.T, time.astype(int))
+        return replace(self, by=slopes.T)
+
+    def with_linear_step(self, step: np.ndarray) -> Residual:
+        """The residuals after a step of the parameters, (parameters,), to first order."""
+        return replace(self, values=self.values + (self.by @ step).reshape(self.values.shape))
 
     @property
     def bare(self) -> Residual:
@@ -116,3 +126,20 @@ def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray
         square += by.T @ by
         slope += by.T @ values
     return square, slope
+
+
+def update_derivatives(before: Sequence[Residual], after: Sequence[Residual], step: np.ndarray, scale: np.ndarray) -> None:
+    """Correct derivatives in place by what a step changed (Broyden, Mathematics of Computation 19, 1965).
+
+    Args:
+        before: residuals where the step began, with the derivatives.
+        after: where it ended.
+        step: change of the parameters, (parameters,).
+        scale: of the parameters, in which the correction is the smallest possible, (parameters,).
+    """
+    along = step / scale**2
+    shares = along / (along @ step)
+    for old, new in zip(before, after, strict=True):
+        missed = (new.values - old.values).ravel() - old.by @ step
+        for slope, share in zip(new.by.T, shares, strict=True):  # column by column, which takes no memory
+            slope += share * missed

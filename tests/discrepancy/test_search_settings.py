@@ -15,7 +15,7 @@ from tepm_opt.discrepancy.adapters.network import candidate
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection import alternatives as rivals
-from tepm_opt.discrepancy.selection import forward_backward as search
+from tepm_opt.discrepancy.selection import elimination
 from tepm_opt.discrepancy.selection import ranking as rounds
 from tepm_opt.discrepancy.selection.cross_validation import Evidence, weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Hypothesis, may_act_beside
@@ -52,7 +52,9 @@ class Table:
         """Runs whose points swing by `MOTION` times the noise."""
         points = MOTION * NOISE * np.sqrt(2) * np.sin(2 * np.pi * np.arange(ROWS) / ROWS)[:, None, None] * np.ones((1, 4, 3))
         run = Run("swing.csv", "fit", np.arange(ROWS) / 50, np.zeros((ROWS, 12)), np.zeros((ROWS, 3)), points)
-        return SimpleNamespace(runs=(run,), noise=NOISE, noises=(NOISE,), plant=SimpleNamespace(static=False, quick=False))
+        return SimpleNamespace(
+            runs=(run,), noise=NOISE, noises=(NOISE,), plant=SimpleNamespace(static=False, quick=False, concurrent=False)
+        )
 
     def fit(self, effects: Effects, _: object) -> Hypothesis:
         effects = tuple(sorted(effects, key=lambda c: c.label))
@@ -74,6 +76,9 @@ class Table:
         self.again = (*self.again, effects)
         return self.fit(effects, start)
 
+    def linearise_in(self, base: Hypothesis, some: Sequence[Candidate]) -> Any:
+        return self.linear(base, some)
+
     def linear(self, base: Hypothesis, _: object) -> Any:
         """What promises nothing in pairs, or in the place of others."""
         return SimpleNamespace(
@@ -88,7 +93,7 @@ class Table:
 @pytest.fixture(autouse=True)
 def exact_forms(monkeypatch: pytest.MonkeyPatch) -> None:
     """No doubt about the effects' forms, and outputs that differ."""
-    monkeypatch.setattr(search, "_output", lambda *_: 0.0)
+    monkeypatch.setattr(elimination, "_output", lambda *_: 0.0)
     monkeypatch.setattr(rivals, "coincidence", lambda *_: 0.0)
 
 
@@ -169,14 +174,14 @@ class TestRules:
         self, monkeypatch: pytest.MonkeyPatch, output: float, left: float, kept: str
     ) -> None:
         """s2 takes away 0.9 beside s1, whose form may be wrong by a four-hundredth of its squared output; no mending leaves nothing."""
-        monkeypatch.setattr(search, "_output", lambda _, effect: output if effect == EFFECTS["s1"] else 0.0)
+        monkeypatch.setattr(elimination, "_output", lambda _, effect: output if effect == EFFECTS["s1"] else 0.0)
         assert named(searched({"": 8.0, "s1": 0.9 + left, "s2": 7.0, "s1 s2": left})[0]) == kept
 
     def test_of_two_that_are_not_needed_the_one_that_takes_away_less_goes(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Both stand below the errors of forms; without s2 (the last in order) next to nothing more is left, without s1 much is."""
-        monkeypatch.setattr(search, "_output", lambda *_: 1e4)
+        monkeypatch.setattr(elimination, "_output", lambda *_: 1e4)
         table: Any = Table(SearchSettings(), {"": 30.0, "s1": 0.5, "s2": 7.0, "s1 s2": 0.4}, {})
-        best, _ = search._eliminate_backward(table, table.fit((EFFECTS["s1"], EFFECTS["s2"]), {}))
+        best, _ = elimination.eliminate_backward(table, table.fit((EFFECTS["s1"], EFFECTS["s2"]), {}))
         assert [c.detail for c in best.effects] == ["s1"]
 
 

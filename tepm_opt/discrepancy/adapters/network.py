@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -143,7 +143,7 @@ class SearchableNetwork(NetworkPlant):
         """A network to which nothing is missing: enough to check the set-up, and compiled in a fraction of the time."""
         return SearchableNetwork(compile_model(known), static, known_model=known, candidates=(), signals=channels.signals)
 
-    @property
+    @cached_property
     def without_candidates(self) -> NetworkPlant:
         """The network of the known model."""
         return NetworkPlant(compile_model(self.known_model), self.static)
@@ -151,7 +151,7 @@ class SearchableNetwork(NetworkPlant):
     @property
     def equilibria(self) -> NetworkPlant | None:
         """The network of the known model at rest, where the runs are motions."""
-        return None if self.static else NetworkPlant(compile_model(self.known_model), static=True)
+        return None if self.static else replace(self.without_candidates, static=True)
 
     @property
     def name(self) -> str:

@@ -126,7 +126,7 @@ def active_runs(
         noise: of what is measured, 1 sigma per axis.
         settings: when a run shows an effect.
     """
-    problem = replace(best.problem, plant=without_run_restriction(best.plant), runs=dataset.validation, noise=noise)
+    problem = replace(best.problem, plant=without_run_restriction(best.plant), runs=dataset.validation, noise=noise).sparse
     files = [run.file for run in dataset.fit if not effect.runs or run.file in effect.runs]
     idle = len(dataset.fit) - len(files)
     if problem.runs and problem.plant.states:

@@ -9,12 +9,13 @@ import numpy as np
 
 from tepm_opt.data.metrics import axes_measured, error_over_time
 from tepm_opt.data.run import RunSet
-from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.assessment.black_box import predict_residuals
 from tepm_opt.discrepancy.assessment.constancy import extend_to_validation_runs
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation, localise
 from tepm_opt.discrepancy.assessment.result import Errors
 from tepm_opt.discrepancy.preparation.time_step import PRECISE_STEP
+from tepm_opt.discrepancy.problem.plant import SearchablePlant
+from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.solvers.identify import ParameterEstimate, identify
@@ -50,7 +51,7 @@ def predict_runs(plant: Plant, dataset: RunSet, noise: float | np.ndarray) -> li
 
 
 def compare_models(
-    fits: Fits, explanation: Explanation, dataset: RunSet, signals: Signals,
+    fits: Fits, explanation: Explanation, dataset: RunSet, machine: SearchablePlant,
     nominal: list[np.ndarray], noise: float | np.ndarray, seed: int,
 ) -> Comparison:  # fmt: skip
     """Predict all runs with the nominal, the recalibrated and the corrected model, and the validation runs with a black box.
@@ -59,7 +60,7 @@ def compare_models(
         fits: of the search.
         explanation: with the selected effects.
         dataset: all runs.
-        signals: what is measured.
+        machine: the nominal model.
         nominal: predictions of the model as it was.
         noise: of the measurements, 1 sigma per axis.
         seed: of random draws.
@@ -67,14 +68,14 @@ def compare_models(
     plant = fits.problem.plant
 
     def predict_corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
-        best = _refine_fit(explanation.best.estimate, fits.settings.final_step)
+        best = _refine_fit(explanation.best.estimate, fits.settings)
         return best, predict_runs(extend_to_validation_runs(best.plant, explanation.best.effects, dataset), dataset, noise)
 
     def predict_recalibrated() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
-        recalibrated = predict_runs(explanation.without.estimate.plant, dataset, noise)
+        recalibrated = predict_runs(machine.without_candidates.with_values(explanation.without.estimate.named), dataset, noise)
         nothing = not explanation.best.effects and explanation.without.only_noise(fits.settings)
         compared = nominal if nothing else recalibrated
-        place = localise(dataset.runs, compared, noise, signals, plant.static, seed, fits.problem.block)
+        place = localise(dataset.runs, compared, noise, machine.signals, plant.static, seed, fits.problem.block)
         return recalibrated, place, _predict_black_box(dataset, recalibrated, plant.static)
 
     (recalibrated, place, bound), (best, points) = beside(predict_recalibrated, predict_corrected, plant.concurrent)
@@ -115,10 +116,10 @@ def _predict_black_box(dataset: RunSet, recalibrated: Sequence[np.ndarray], stat
     return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
 
 
-def _refine_fit(estimate: ParameterEstimate, step: float) -> ParameterEstimate:
-    """The fit repeated from its values with a time step in s."""
+def _refine_fit(estimate: ParameterEstimate, settings: SearchSettings) -> ParameterEstimate:
+    """The fit with the final time step: one step to first order from its values, after others where it has not converged."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
     try:
-        return identify(replace(estimate.problem, free=free, step=step), 3, near=True)
+        return identify(replace(estimate.problem, free=free, step=settings.final_step), 0 if estimate.solved else 3, near=True)
     except PredictionError:
         return estimate

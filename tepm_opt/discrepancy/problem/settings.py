@@ -76,6 +76,8 @@ class SearchSettings:
         run_choice_slack: forward selection: squares that a choice of more runs may leave beyond a choice of fewer; chance exceeds 6 once in
             fifty.
         least_share: backward elimination: how many times the excess left an effect must remove alone to stay.
+        sure_share: backward elimination: how many times the excess left the removal of an effect must be for it to stay surely: fits
+            without it then end early, while others are dropped.
         form_error_ratio: backward elimination: share of what the other effects remove that errors of their forms may leave: 5 % in size.
         min_mend_share: backward elimination: share of an effect's removal from which the excess left lets it be a form error of others.
 
@@ -158,6 +160,7 @@ class SearchSettings:
     min_wide_share: float = 0.5
     run_choice_slack: float = 6.0
     least_share: float = 1.0
+    sure_share: float = 10.0
     form_error_ratio: float = 0.0025
     min_mend_share: float = 0.2
 

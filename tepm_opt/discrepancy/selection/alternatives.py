@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, may_act_beside
-from tepm_opt.discrepancy.selection.ranking import beats, fit_promising
+from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, rank_promising
 from tepm_opt.discrepancy.selection.screening import Score
 from tepm_opt.discrepancy.selection.significance import is_significant
 
@@ -67,7 +67,7 @@ def _favour_plain(group: Sequence[Hypothesis], weight: np.ndarray, settings: Sea
 
 
 def _start_from_best(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:
-    """Scores of rivals, with first values linearised at the best fit where that promises to leave less.
+    """Scores of rivals, with first values linearised at the best fit where that promises to leave less, of those that will be fitted.
 
     Earlier fits of rivals that left far more than that are repeated from there.
 
@@ -81,7 +81,9 @@ def _start_from_best(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: lis
     settings = fits.settings
     if not settings.linear_moves or (len(best.effects) == 1 and best.only_noise(settings)):
         return scores  # beside nothing else first order leads astray hardly anywhere
-    here, there = fits.linear(rest, missing), fits.linear(best, missing)
+    ranked, most = rank_promising(rest, scores, settings)
+    tried = [score.candidate for score in scores if fits.find((*rest.effects, score.candidate)) is not None]
+    here, there = fits.linear(rest, missing), fits.linearise_in(best, [*(score.candidate for score in ranked[:most]), *tried])
     found, astray = [], []
     for score in scores:
         if score.candidate in there.able:

@@ -210,6 +210,12 @@ class Fits:
             self.linearised[effects] = linearise(hypothesis.estimate, self.problem.free, effects, others, self.settings)
         return self.linearised[effects]
 
+    def linearise_in(self, hypothesis: Hypothesis, some: Sequence[Candidate]) -> Linearised:
+        """The linearised fit of a hypothesis in a few effects, unless it has been linearised in all."""
+        effects = hypothesis.effects
+        able = dict.fromkeys(c for c in some if not c.runs and may_act_beside(c, effects))
+        return self.linearised.get(effects) or linearise(hypothesis.estimate, self.problem.free, effects, list(able), self.settings)
+
     def screen(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> list[Score]:
         """First-order gains of the effects a hypothesis does not have."""
         effects = hypothesis.effects

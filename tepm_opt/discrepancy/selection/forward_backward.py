@@ -11,23 +11,21 @@ import numpy as np
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.alternatives import replacements
+from tepm_opt.discrepancy.selection.elimination import Shares, eliminate_backward
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, labels
 from tepm_opt.discrepancy.selection.matching_pursuit import (
     extend_by_matching_pursuit,
     fit_by_matching_pursuit,
-    form_error_allowance,
     prune_insignificant,
     weigh_best_rival,
 )
 from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, most_probable
 from tepm_opt.discrepancy.selection.run_subsets import list_run_spans, select_longest_span
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
-from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.text import shortened
 
-Shares = dict[Candidate, float]
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
 
 
@@ -157,9 +155,9 @@ def _eliminate(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed:
     if len(best.effects) <= fits.settings.many_effects:
         weigh = replacements
         more = len(best.effects) > 1
-        best, shares = _eliminate_backward(fits, best)
+        best, shares = eliminate_backward(fits, best)
         if more and not best.effects:
-            alone = [_eliminate_backward(fits, fits.complete(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
+            alone = [eliminate_backward(fits, fits.complete(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
             best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
     return best, shares, {e: [(best, 1.0)] if e in fits.seen else weigh(fits, best, e, missing, seed) for e in best.effects}
 
@@ -241,42 +239,3 @@ def _fit_pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> li
     pairs = [(pair, start) for pair, _, start in screened if pair[0].form_of != pair[1].form_of]
     asked = [(pair, {**base.estimate.named, **start}) for pair, start in pairs[: settings.fits_first_round]]
     return [trial for trial in fits.fit_all(asked) if trial is not None]
-
-
-def _eliminate_backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, Shares]:
-    """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
-
-    An effect stands out where it removes more than form errors of the others may (see `form_error_allowance`), and a share of what is left,
-    and where its size is significant.
-    """
-    settings = fits.settings
-    while True:
-        shares, smaller, lost = {}, {}, {}
-        doubt = {effect: settings.form_error_ratio * _output(best, effect) for effect in best.effects}
-        left = best.excess + settings.max_noise_excess / 10
-        rests = [tuple(c for c in best.effects if c != effect) for effect in best.effects]
-        without = fits.fit_all([(rest, best.estimate.named) for rest in rests])
-        for effect, rest, found in zip(best.effects, rests, without, strict=True):
-            shares[effect], lost[effect] = np.inf, np.inf  # where the model cannot do the runs without it, or gauges show it
-            if found is not None and effect not in fits.seen:
-                smaller[effect] = found
-                taken = lost[effect] = found.excess - best.excess
-                least = form_error_allowance(effect, sum(doubt[c] for c in rest), taken, left, settings)
-                stands_out = taken >= least and is_significant(best.estimate, effect, settings)
-                shares[effect] = taken / left if stands_out else 0.0
-        weakest = min(shares, key=lambda effect: (shares[effect], lost[effect]), default=None)
-        if weakest is None or shares[weakest] >= settings.least_share:
-            return best, shares
-        best = smaller[weakest]
-
-
-def _output(hypothesis: Hypothesis, effect: Candidate) -> float:
-    """Mean square over the noise's of the change of modelled positions by one effect; 0 where the model cannot do the runs without it."""
-    estimate = hypothesis.estimate
-    problem = replace(estimate.problem, plant=estimate.plant.with_values(effect.null), free=())
-    try:
-        without = problem.residuals(np.zeros(0))
-    except PredictionError:
-        return 0.0
-    changed = sum(float(np.sum((a.values - b.values) ** 2)) for a, b in zip(without, estimate.residuals, strict=True))
-    return changed / max(estimate.count, 1)

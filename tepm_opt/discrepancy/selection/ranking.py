@@ -24,9 +24,7 @@ def fit_promising(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: 
     settings = fits.settings
     if not scores:
         return []
-    most = settings.fits_later_rounds if base.effects else settings.fits_first_round
-    least = settings.min_share_closed / 2 if base.effects and settings.beam > 1 else 0.0
-    ranked = drop_richer_forms([score for score in scores if score.gain >= max(settings.min_gain_ratio * scores[0].gain, least)], settings)
+    ranked, most = rank_promising(base, scores, settings)
     promising = ranked[:most]
 
     def list_starts(some: Sequence[Score]) -> list[list[tuple[Effects, dict[str, float]]]]:
@@ -64,6 +62,14 @@ def _scores_above_best(fitted: Sequence[Hypothesis], scores: Sequence[Score], ra
     added = {effect for h in fitted for effect in h.effects}
     least = max((score.gain for score in scores if chosen is not None and score.candidate in chosen.effects), default=np.inf)
     return [score for score in ranked if score.gain > least and score.candidate not in added]
+
+
+def rank_promising(base: Hypothesis, scores: Sequence[Score], settings: SearchSettings) -> tuple[list[Score], int]:
+    """Scores that are worth a fit beside a hypothesis, largest gain first, and how many of them are fitted at first."""
+    most = settings.fits_later_rounds if base.effects else settings.fits_first_round
+    least = settings.min_share_closed / 2 if base.effects and settings.beam > 1 else 0.0
+    least = max(settings.min_gain_ratio * scores[0].gain, least) if scores else least
+    return drop_richer_forms([score for score in scores if score.gain >= least], settings), most
 
 
 def _early_end_bound(fits: Fits, base: Hypothesis) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tepm_opt.data.run import Run
+from tepm_opt.data.run import Run, spaced
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.setup.comparison import Comparison, Misfit, take_rows
 from tepm_opt.discrepancy.setup.errors import SetupError
@@ -66,10 +66,12 @@ def find_setup_errors(
 
 
 def _choose_rows(plant: SearchablePlant, runs: Sequence[Run], settings: SetupSettings) -> list[Run]:
-    """Runs to compare: all of a network's motions, some equilibria, the beginnings of the fit runs of a plant that is simulated in full."""
+    """Runs to compare: thinned motions of a network, some equilibria, beginnings of the fit runs of a plant simulated in full."""
     if plant.without_candidates.static:
         return [take_rows(run, np.unique(np.linspace(0, run.rows - 1, min(run.rows, settings.rows)).round().astype(int))) for run in runs]
-    return list(runs) if plant.equilibria is not None else [first(run, settings.first_rows) for run in runs if run.role == "fit"]
+    if plant.equilibria is not None:
+        return [spaced(run, settings.sample_spacing) for run in runs]
+    return [first(run, settings.first_rows) for run in runs if run.role == "fit"]
 
 
 def _rank_hypotheses(comparison: Comparison, plant: SearchablePlant) -> list[tuple[Misfit, SetupHypothesis]]:

@@ -13,8 +13,9 @@ from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.setup.hypotheses import SetupHypothesis
 from tepm_opt.discrepancy.setup.settings import DEFAULT, SetupSettings
 from tepm_opt.solvers.least_squares import bounded_step
+from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.start import begun
+from tepm_opt.solvers.start import begun, predictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +95,9 @@ class Comparison:
         rows = tuple(np.unique(np.linspace(0, run.rows - 1, min(settings.rows, run.rows)).round().astype(int)) for run in runs)
         spread = {free.name: free.spread for free in plain.free(plant.known)}
         motions, nuisances = [], []
-        for run, at in zip(runs, rows, strict=True):
-            found = plain.predict(begun(plain, run, noise), plant.known)
+        step = np.inf if still is None else settings.sample_spacing
+        predicted = in_parallel(lambda run: plain.predict(begun(plain, run, noise), plant.known, step), runs, threads=plain.concurrent)
+        for run, at, found in zip(runs, rows, predicted, strict=True):
             motions.append(found.points)
             columns = [spread[name] * by for name, by in zip(plant.known, found.by, strict=True)]
             columns += _frame_and_clock(run, found.points, noise, plain.static, settings)
@@ -123,8 +125,9 @@ class Comparison:
         points: Sequence[np.ndarray] = self.points
         if hypothesis.changes != "points":
             whole = [self.within_limits(hypothesis.apply(run)) for run in self.runs]
+            step = np.inf if self.still is None else self.settings.sample_spacing
             try:
-                found = [self.plant.predict(begun(self.plant, run, self.noise)) for run in whole]
+                found = predictions(self.plant, whole, self.noise, step)
             except PredictionError:
                 return None
             points = [prediction.points[at] for prediction, at in zip(found, self.rows, strict=True)]

@@ -12,6 +12,7 @@ class SetupSettings:
     Attributes:
         rows: samples of a run at which models and data are compared.
         slow_rows: of these, the slowest of so many stretches, for hypotheses that are screened by statics.
+        sample_spacing: time in s between the samples of a network's motion, and its time step.
         first_rows: samples of each run of a plant that is simulated in full for every hypothesis.
         confirmed: most hypotheses that are simulated in full after the screening.
         lag, shift, turn: size of the nuisances besides the known parameters: a late clock in s, a shifted frame in m, a turned one in rad.
@@ -31,6 +32,7 @@ class SetupSettings:
 
     rows: int = 60
     slow_rows: int = 10
+    sample_spacing: float = 0.04
     first_rows: int = 2000
     confirmed: int = 5
     lag: float = 0.2

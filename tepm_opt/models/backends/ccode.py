@@ -73,6 +73,14 @@ class Unit:
         found[LOOPS] = "\n".join((start, *declared, *(f"extern TABLE {name};" for name in self._tables), *self._loops))
         return found
 
+    @property
+    def texts(self) -> Texts:
+        """The same with what loading the library needs, as plain data."""
+        try:
+            return Texts(self.parts, self.stem, self.symbols)
+        except ValueError as error:  # an effect that is no mere arithmetic
+            return Texts({}, self.stem, self.symbols, str(error))
+
     @cached_property
     def _kernel_texts(self) -> dict[str, Kernel]:
         return {name: Kernel(function, name in self.lanes) for name, function in self.kernels.items()}
@@ -110,15 +118,30 @@ LOOPS, TABLES = "loops", "tables"
 """Names of the parts that have no formulas."""
 
 
-def build(unit: Unit) -> ctypes.CDLL | None:
+@dataclass(frozen=True)
+class Texts:
+    """The C of a unit.
+
+    Attributes:
+        parts: texts that are compiled apart, by name.
+        stem, symbols: see `Unit`.
+        error: why there is no C, empty where there is.
+    """
+
+    parts: Mapping[str, str]
+    stem: str
+    symbols: tuple[str, ...]
+    error: str = ""
+
+
+def build(texts: Texts) -> ctypes.CDLL | None:
     """The library of a unit, kept or compiled; None (and one warning) where that is not possible."""
     instead = "CasADi's virtual machine is used, with the same results, some 50 times slower"
-    try:
-        parts = [compiler.Part(name, text, _flags_of(name)) for name, text in unit.parts.items()]
-    except ValueError as error:  # an effect that is no mere arithmetic
-        store.warn_once(f"{error}: {instead}")
+    if texts.error:
+        store.warn_once(f"{texts.error}: {instead}")
         return None
-    return compiler.build(parts, unit.stem, unit.symbols, instead)
+    parts = [compiler.Part(name, text, _flags_of(name)) for name, text in texts.parts.items()]
+    return compiler.build(parts, texts.stem, texts.symbols, instead)
 
 
 def _flags_of(part: str) -> tuple[str, ...]:

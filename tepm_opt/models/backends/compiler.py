@@ -140,7 +140,7 @@ def _compile_all(folder: Path, compiler: tuple[str, ...], parts: Sequence[Part],
 
     def read_or_compile(part: Part, name: str) -> bytes:
         with store.turn(folder, name):
-            content = store.read_object(folder, name)
+            content = store.read_file(folder, name, ".o")
             if content is None:
                 content = _compile(compiler, part.text, _flags_of(part, compiler))
                 store.keep(folder, name, content, ".o")

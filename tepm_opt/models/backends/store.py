@@ -99,9 +99,9 @@ def load(folder: Path, name: str, symbols: Sequence[str]) -> ctypes.CDLL | None:
     return None
 
 
-def read_object(folder: Path, name: str) -> bytes | None:
-    """The object file of a name that was kept; None where there is none that is whole and the own user's."""
-    return next((content for _, content in _whole(folder, name, ".o")), None)
+def read_file(folder: Path, name: str, suffix: str) -> bytes | None:
+    """The file of a name that was kept; None where there is none that is whole and the own user's."""
+    return next((content for _, content in _whole(folder, name, suffix)), None)
 
 
 def _whole(folder: Path, name: str, suffix: str) -> Iterator[tuple[Path, bytes]]:
@@ -129,7 +129,7 @@ def open_library(path: Path, symbols: Sequence[str]) -> ctypes.CDLL:
 
 
 def keep(folder: Path, name: str, content: bytes, suffix: str = ".so") -> Path:
-    """Keep a library or an object file, which replaces all others of that name and appears when it is whole.
+    """Keep a library or another file, which replaces all others of that name and appears when it is whole.
 
     The digest in its name tells if it still is.
 
@@ -137,7 +137,7 @@ def keep(folder: Path, name: str, content: bytes, suffix: str = ".so") -> Path:
         folder: of all of them.
         name: with the hash of all that it depends on.
         content: of the file.
-        suffix: ".so" of a library, ".o" of an object file.
+        suffix: ".so" of a library, ".o" of an object file, ".functions" of a model's functions.
 
     Raises:
         InputError: the folder cannot be written to.
