@@ -39,7 +39,7 @@ def record(
     """
     if robot and str(plan) not in MADE:
         raise InputError(f"--robot {robot}: {plan} names its robot itself; leave the option out, or record the plan {' or '.join(MADE)}")
-    planned = _made(str(plan), robot_there(robot, None, rig) or DEFAULT) if str(plan) in MADE else tepm.read_plan(plan)
+    planned = _plan_for(str(plan), robot_there(robot, None, rig) or DEFAULT) if str(plan) in MADE else tepm.read_plan(plan)
     try:
         with stopped_by_signals(), shown(as_json) as bars:
             done = tepm.record(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
@@ -59,7 +59,7 @@ def record(
     return 0
 
 
-def _made(name: str, robot: str) -> RecordingPlan:
+def _plan_for(name: str, robot: str) -> RecordingPlan:
     """A plan that is made for a robot."""
     return tepm.standard(tepm.Model.of(robot), name).plan
 

@@ -18,7 +18,7 @@ from tepm_opt.solvers.text import listed
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What to fit to what.
+    """The model, the runs and the free parameters of a fit.
 
     Attributes:
         plant: a model of the machine; its values hold for all that is not free.
@@ -133,14 +133,14 @@ class Problem:
         """Residuals of runs that begin with states of their own, each the best one for these parameters where it is free."""
         own = [START + name for name in plant.states]
 
-        def left(measured: tuple[Run, float | np.ndarray]) -> Residual:
+        def find_residual(measured: tuple[Run, float | np.ndarray]) -> Residual:
             run, sigma = begun(plant, *measured, self.step), measured[1]
             free = own if run.start == "free" else []
             found = plant.predict(run, [*names, *free], self.step)
             residual = Residual.of(run, found.points, found.by, sigma, block=self.block)
             return without_start(residual, len(free)) if free else residual
 
-        return in_parallel(left, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, plant.concurrent)
+        return in_parallel(find_residual, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, plant.concurrent)
 
     @property
     def sparse(self) -> Problem:

@@ -52,9 +52,8 @@ class Table:
         """Runs whose points swing by `MOTION` times the noise."""
         points = MOTION * NOISE * np.sqrt(2) * np.sin(2 * np.pi * np.arange(ROWS) / ROWS)[:, None, None] * np.ones((1, 4, 3))
         run = Run("swing.csv", "fit", np.arange(ROWS) / 50, np.zeros((ROWS, 12)), np.zeros((ROWS, 3)), points)
-        return SimpleNamespace(
-            runs=(run,), noise=NOISE, noises=(NOISE,), plant=SimpleNamespace(static=False, quick=False, concurrent=False)
-        )
+        plant = SimpleNamespace(static=False, quick=False, concurrent=False)
+        return SimpleNamespace(runs=(run,), noise=NOISE, noises=(NOISE,), joint=None, plant=plant)
 
     def fit(self, effects: Effects, _: object) -> Hypothesis:
         effects = tuple(sorted(effects, key=lambda c: c.label))
@@ -92,7 +91,9 @@ class Table:
 
 @pytest.fixture(autouse=True)
 def exact_forms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No doubt about the effects' forms, and outputs that differ."""
+    """No doubt about the effects' forms and sizes, and outputs that differ."""
+    for room in (elimination, rivals):
+        monkeypatch.setattr(room, "is_significant", lambda *_: True)
     monkeypatch.setattr(elimination, "_output", lambda *_: 0.0)
     monkeypatch.setattr(rivals, "coincidence", lambda *_: 0.0)
 

@@ -111,4 +111,4 @@ def fit_baseline(name: str, estimate: ParameterEstimate, evidence: Evidence, kno
     own = [k for k, f in enumerate(free) if f.name in known]  # not those of effects that gauges show: the other recording has its gauges
     names, units = tuple(free[k].name for k in own), tuple(free[k].unit for k in own)
     posterior = JointPrior(names, again.values[own], again.covariance[np.ix_(own, own)], error.weight)
-    return Baseline(name, posterior, units, error, MotionRange.of(problem.runs, error.lasts))
+    return Baseline(name, posterior, units, error, MotionRange.from_runs(problem.runs, error.lasts))

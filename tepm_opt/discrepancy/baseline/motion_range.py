@@ -31,7 +31,7 @@ class MotionRange:
     farthest: float
 
     @staticmethod
-    def of(runs: Sequence[Run], lasts: float, settings: BaselineSettings = DEFAULT) -> MotionRange:
+    def from_runs(runs: Sequence[Run], lasts: float, settings: BaselineSettings = DEFAULT) -> MotionRange:
         """Range of motions of some runs.
 
         Args:
