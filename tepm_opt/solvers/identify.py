@@ -14,7 +14,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.problem import Problem
-from tepm_opt.solvers.residuals import Residual, normal_equations, update_derivatives, weighted
+from tepm_opt.solvers.residuals import Residual, carry_derivatives, normal_equations, weighted
 from tepm_opt.solvers.text import html_table
 
 ITERATIONS = 15
@@ -213,8 +213,7 @@ class _Iterate:
         if self.near or not self.keeps:
             return there
         if abs(gained - 1) < TRUSTED and not self.is_stale:
-            update_derivatives(self.residuals, tried, step, self.problem.scale)
-            return replace(there, is_stale=True)
+            return replace(there, residuals=carry_derivatives(self.residuals, tried, step, self.problem.scale), is_stale=True)
         return replace(there, is_stale=True).refresh_derivatives()
 
     def take_linear_step(self, damping: float) -> _Iterate:

@@ -128,11 +128,13 @@ def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray
     return square, slope
 
 
-def update_derivatives(before: Sequence[Residual], after: Sequence[Residual], step: np.ndarray, scale: np.ndarray) -> None:
-    """Correct derivatives in place by what a step changed (Broyden, Mathematics of Computation 19, 1965).
+def carry_derivatives(before: Sequence[Residual], after: Sequence[Residual], step: np.ndarray, scale: np.ndarray) -> list[Residual]:
+    """Residuals after a step with the derivatives before it, corrected by what the step changed (Broyden, Math. Comp. 19, 1965).
+
+    The arrays of the derivatives are used on, with other contents.
 
     Args:
-        before: residuals where the step began, with the derivatives.
+        before: residuals where the step began, with derivatives.
         after: where it ended.
         step: change of the parameters, (parameters,).
         scale: of the parameters, in which the correction is the smallest possible, (parameters,).
@@ -141,5 +143,6 @@ def update_derivatives(before: Sequence[Residual], after: Sequence[Residual], st
     shares = along / (along @ step)
     for old, new in zip(before, after, strict=True):
         missed = (new.values - old.values).ravel() - old.by @ step
-        for slope, share in zip(new.by.T, shares, strict=True):  # column by column, which takes no memory
+        for slope, share in zip(old.by.T, shares, strict=True):  # column by column, which takes no memory
             slope += share * missed
+    return [replace(new, by=old.by) for old, new in zip(before, after, strict=True)]

@@ -186,6 +186,23 @@ class TestRules:
         assert [c.detail for c in best.effects] == ["s1"]
 
 
+def test_fits_without_what_surely_stays_end_early_until_nothing_else_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With three effects, one of which does nothing: bounds while it is dropped, and none for the shares of those that stay."""
+    bounds: list[tuple[int, bool]] = []
+    table: Any = Table(SearchSettings(), {"s1": 7.0, "s2": 6.0, "s1 s2": 0.01, "s1 s3": 6.0, "s2 s3": 7.0, "s1 s2 s3": 0.01}, {})
+    fit_all = table.fit_all
+
+    def watched(asked: Sequence[tuple[Effects, object]], rival: object = None, bound: float = np.inf) -> list[Hypothesis]:
+        bounds.append((len(asked), bool(np.isfinite(bound))))
+        return fit_all(asked, rival, bound)
+
+    monkeypatch.setattr(table, "fit_all", watched)
+    best, shares = elimination.eliminate_backward(table, table.fit(tuple(EFFECTS[label] for label in ("s1", "s2", "s3")), {}))
+    assert [c.detail for c in best.effects] == ["s1", "s2"]
+    assert bounds == [(3, True), (2, True), (2, False)]
+    assert shares == pytest.approx({EFFECTS["s1"]: 5.99 / 0.015, EFFECTS["s2"]: 6.99 / 0.015}, rel=0.01)
+
+
 @pytest.mark.parametrize(("promise", "begins"), [(0.5, "there"), (-50.0, "here")])
 def test_rivals_begin_where_the_best_fit_ended_if_that_promises_more(promise: float, begins: str) -> None:
     """From the fit without the effect they may have to go so far that first order leads astray."""

@@ -140,7 +140,8 @@ def linearise(
     names = list(dict.fromkeys([*(f.name for f in estimate.problem.free), *(name for c in smooth for name in c.parameters)]))
     names += [f.name for f in known if f.name not in names]
     estimate = apply_suggested_shapes(estimate, missing)
-    has_slopes = not missing and all(r.by.shape[1] == len(names) for r in estimate.residuals)
+    size = 8 * len(names) * sum(r.values.size for r in estimate.residuals)
+    has_slopes = not missing and size <= settings.max_derivative_bytes and all(r.by.shape[1] == len(names) for r in estimate.residuals)
     estimate = estimate if has_slopes else thin_samples(estimate, len(names) + len(bent) + len(afar), settings.max_derivative_bytes)
     problem, threads = estimate.problem, estimate.problem.plant.concurrent
 
