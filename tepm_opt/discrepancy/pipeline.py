@@ -53,7 +53,10 @@ from tepm_opt.solvers.start import begun
 
 def check_setup(state: Question) -> Question:
     """Look for mistakes of wiring, axes, units and markers, and mend them in the data."""
-    found, runs = find_setup_errors(state.plant, state.dataset.runs, state.noise, state.progress)
+    baseline, noise = state.baseline, state.noise
+    spreads = None if baseline is None else dict(zip(baseline.posterior.names, baseline.posterior.std.tolist(), strict=True))
+    noise = noise if baseline is None else baseline.error.size
+    found, runs = find_setup_errors(state.plant, state.dataset.runs, noise, state.progress, spreads=spreads)
     return replace(state, dataset=state.dataset.with_runs(runs), setup=found) if found else state
 
 

@@ -78,7 +78,7 @@ class Baseline:
             "parameters": [
                 {"name": name, "mean": mean, "std": std, "unit": unit}
                 for name, mean, std, unit in zip(
-                    self.posterior.names, self.posterior.mean.tolist(), np.sqrt(np.diag(self.posterior.covariance)).tolist(), self.units,
+                    self.posterior.names, self.posterior.mean.tolist(), self.posterior.std.tolist(), self.units,
                     strict=True,
                 )
             ],
