@@ -107,7 +107,7 @@ class TestWhatChanged:
         for seed in (2, 3):
             verdict = changed(recording("after", seed), before)
             assert verdict.status is VerdictStatus.NO_DISCREPANCY, verdict
-            assert verdict.sentences[0].startswith("Nothing changed since before: ")
+            assert verdict.sentences[0].startswith("Nothing changed since before beyond chance: ")
             assert verdict.baseline == "before"
             assert not verdict.effects
 

@@ -25,7 +25,7 @@ def describe_change(answer: tuple[str, ...], status: VerdictStatus, baseline: Ba
         size, chance = without.evidence.measured, without.evidence.chance
         more = 100 * (float(size.squares.sum()) / max(size.count, 1) - 1)
         first = (
-            f"Nothing changed {since}: the parameters stay within what it tells of them, and the model's squared error is "
+            f"Nothing changed {since} beyond chance: the parameters stay within what it tells of them, and the model's squared error is "
             f"{more:+.0f} % of what it was there (chance: up to {100 * chance:+.0f} %)."
         )
         return (first, *answer[1:])
