@@ -17,6 +17,7 @@ import measured_emps
 import measured_silverbox
 import measured_tanks
 import measured_tentacle
+import measured_trunk
 
 PREPARED: dict[str, Callable[[Path, Path], None]] = {
     "bouc_wen": measured_bouc_wen.bouc_wen,
@@ -29,6 +30,9 @@ PREPARED: dict[str, Callable[[Path, Path], None]] = {
     "pneumatic_arm_contact": measured_arm.contact,
     "silverbox": measured_silverbox.silverbox,
     "tentacle": measured_tentacle.tentacle,
+    "trunk_0g": measured_trunk.payload(0),
+    "trunk_100g": measured_trunk.payload(100),
+    "trunk_300g": measured_trunk.payload(300),
 }
 """By name: what writes the data set of a machine from a folder of measurements into a folder."""
 

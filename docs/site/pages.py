@@ -22,6 +22,7 @@ CONTENTS: dict[str, tuple[str, ...]] = {
             "recording",
             "importing",
             "discrepancy",
+            "what_changed",
             "any_machine",
             "hardware",
             "studio",

@@ -23,6 +23,8 @@ from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
 from tepm_opt.discrepancy.baseline.baseline import Baseline, fit_baseline
+from tepm_opt.discrepancy.baseline.judgement import judge_change
+from tepm_opt.discrepancy.baseline.motion_range import share_unlike
 from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
 from tepm_opt.discrepancy.preparation.clock import check_clock
 from tepm_opt.discrepancy.preparation.devices import identify_devices
@@ -36,7 +38,6 @@ from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_nois
 from tepm_opt.discrepancy.preparation.time_step import choose_time_step
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.discrepancy.reporting.change import withhold_new_motions
 from tepm_opt.discrepancy.reporting.report import build_verdict
 from tepm_opt.discrepancy.reporting.sentences import next_step
 from tepm_opt.discrepancy.selection.fitting import Fits
@@ -56,7 +57,10 @@ from tepm_opt.solvers.start import begun
 
 def check_setup(state: Question) -> Question:
     """Look for mistakes of wiring, axes, units and markers, and mend them in the data."""
-    found, runs = find_setup_errors(state.plant, state.dataset.runs, state.noise, state.progress)
+    baseline, noise = state.baseline, state.noise
+    spreads = None if baseline is None else dict(zip(baseline.posterior.names, baseline.posterior.std.tolist(), strict=True))
+    noise = noise if baseline is None else baseline.error.size
+    found, runs = find_setup_errors(state.plant, state.dataset.runs, noise, state.progress, spreads=spreads)
     return replace(state, dataset=state.dataset.with_runs(runs), setup=found) if found else state
 
 
@@ -144,7 +148,8 @@ def assess(state: Validated) -> Assessed:
     laws, unseen = alternative_law_odds(explanation, settings, state.seed), bool(state.dataset.validation)
     judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
     if state.baseline is not None:
-        judgement = withhold_new_motions(judgement, state.baseline.motions.share_outside(state.dataset.fit), state.baseline)
+        new_motion = share_unlike(state.baseline.runs, state.dataset.fit, state.baseline.error.lasts)
+        judgement = judge_change(judgement, explanation, settings, new_motion, state.baseline)
     dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)

@@ -31,6 +31,11 @@ class JointPrior:
         """The main numbers, in a line."""
         return f"JointPrior({len(self.names)} parameters, weight {self.weight:.3g})"
 
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations, (parameters,)."""
+        return np.sqrt(np.diag(self.covariance))
+
     def terms(self, free: Sequence[Free]) -> tuple[np.ndarray, np.ndarray]:
         """Mean, (free parameters,), and precision times weight, (free parameters,) squared, of the marginal distribution.
 
@@ -41,7 +46,7 @@ class JointPrior:
         mean, precision = np.zeros(len(free)), np.zeros((len(free), len(free)))
         if at:
             mean[at] = self.mean[own]
-            scale = np.sqrt(np.diag(self.covariance))[own]
+            scale = self.std[own]
             correlation = self.covariance[np.ix_(own, own)] / np.outer(scale, scale)
             precision[np.ix_(at, at)] = self.weight * np.linalg.pinv(correlation, rcond=1e-12, hermitian=True) / np.outer(scale, scale)
         return mean, precision

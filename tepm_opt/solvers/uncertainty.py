@@ -16,12 +16,17 @@ from tepm_opt.solvers.plant import PredictionError
 
 
 def unidentifiable(estimate: ParameterEstimate, max_relative_std: float = 0.5) -> list[str]:
-    """Directions whose uncertainty, from the runs alone, exceeds `max_relative_std` of what was known before or of the parameters' size."""
+    """Directions whose uncertainty exceeds `max_relative_std` of what was known before or of the parameters' size.
+
+    It is that from the runs alone, or from these and a joint prior, which other runs have told.
+    """
     free = estimate.problem.free
     if not free:
         return []
     size = np.array([min(f.spread, max(abs(value), f.scale)) for f, value in zip(free, estimate.values, strict=True)])
     information = estimate.information * np.outer(size, size) / np.outer(estimate.problem.scale, estimate.problem.scale)
+    if estimate.problem.joint is not None:
+        information = information + estimate.problem.joint.terms(free)[1] * np.outer(size, size)
     excess = max(estimate.cost / max(estimate.count, 1), 1.0)
     values, vectors = np.linalg.eigh(information)
     words = []

@@ -15,7 +15,7 @@ from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
 from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
 from tepm_opt.discrepancy.baseline.baseline import Baseline
-from tepm_opt.discrepancy.baseline.motion_range import MotionRange
+from tepm_opt.discrepancy.baseline.motion_range import MotionRange, share_unlike
 from tepm_opt.discrepancy.laws.mechanism import MECHANISM
 from tepm_opt.discrepancy.laws.signals import INPUT
 from tepm_opt.discrepancy.pipeline import discover, learn_baseline
@@ -107,7 +107,7 @@ class TestWhatChanged:
         for seed in (2, 3):
             verdict = changed(recording("after", seed), before)
             assert verdict.status is VerdictStatus.NO_DISCREPANCY, verdict
-            assert verdict.sentences[0].startswith("Nothing changed since before: ")
+            assert verdict.sentences[0].startswith("Nothing changed since before beyond chance: ")
             assert verdict.baseline == "before"
             assert not verdict.effects
 
@@ -134,15 +134,15 @@ class TestWhatChanged:
     def test_another_kind_of_motion_is_told_from_nothing(self, before: Baseline) -> None:
         """Slow motions about another place, where the baseline never stays: the hardening spring shows as never before."""
         new = recording("slow", 7, pace=0.1, offset=0.5)
-        assert before.motions.share_outside(new.fit) > 0.25
+        assert share_unlike(before.runs, new.fit, before.error.lasts) > 0.25
         verdict = changed(new, before)
         assert not verdict.effects
-        assert any("% of the samples move as before does nowhere" in note for note in verdict.notes)
+        assert any("of before are nowhere in the other one" in note for note in verdict.notes)
 
 
 class TestMotionRange:
     def test_of_the_same_kind_is_inside(self, before: Baseline) -> None:
-        assert before.motions.share_outside(recording("after", 2).fit) < 0.1
+        assert share_unlike(before.runs, recording("after", 2).fit, before.error.lasts) < 0.1
 
     def test_an_input_that_never_moved_tells(self) -> None:
         time, zeros = np.arange(0, 10, STEP), np.zeros(200)
@@ -151,6 +151,16 @@ class TestMotionRange:
         moved = replace(run, inputs=np.stack([np.sin(time), zeros + 0.01], 1))
         assert motions.share_outside([run]) == 0.0
         assert motions.share_outside([moved]) == 1.0
+
+    def test_slow_motions_alone_are_another_kind_than_slow_and_fast_ones(self) -> None:
+        """None of them is outside, but most of the others are."""
+        time = np.arange(0, 60, STEP)
+        both = 0.5 * np.sin(0.5 * time) + 0.5 * np.sin(6.1 * time)
+        slow = 0.5 * np.sin(0.5 * time)
+        first, second = (Run("r", "fit", time, u[:, None], np.zeros((len(time), 3)), np.zeros((len(time), 1, 1))) for u in (both, slow))
+        assert MotionRange.from_runs([first], 0.5).share_outside([second]) < 0.1
+        assert share_unlike([first], [second], 0.5) > 0.25
+        assert share_unlike([first], [first], 0.5) == 0.0
 
 
 class TestCommand:

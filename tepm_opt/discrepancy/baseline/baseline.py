@@ -10,7 +10,6 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.baseline.model_error import ModelError, estimate_model_error
-from tepm_opt.discrepancy.baseline.motion_range import MotionRange
 from tepm_opt.discrepancy.baseline.settings import DEFAULT, BaselineSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -28,14 +27,14 @@ class Baseline:
         posterior: joint distribution of the known parameters that it tells.
         units: of these parameters.
         error: of the model there.
-        motions: its kinds of motion.
+        runs: that the model was fitted to.
     """
 
     name: str
     posterior: JointPrior
     units: tuple[str, ...]
     error: ModelError
-    motions: MotionRange
+    runs: tuple[Run, ...]
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
@@ -78,7 +77,7 @@ class Baseline:
             "parameters": [
                 {"name": name, "mean": mean, "std": std, "unit": unit}
                 for name, mean, std, unit in zip(
-                    self.posterior.names, self.posterior.mean.tolist(), np.sqrt(np.diag(self.posterior.covariance)).tolist(), self.units,
+                    self.posterior.names, self.posterior.mean.tolist(), self.posterior.std.tolist(), self.units,
                     strict=True,
                 )
             ],
@@ -111,4 +110,4 @@ def fit_baseline(name: str, estimate: ParameterEstimate, evidence: Evidence, kno
     own = [k for k, f in enumerate(free) if f.name in known]  # not those of effects that gauges show: the other recording has its gauges
     names, units = tuple(free[k].name for k in own), tuple(free[k].unit for k in own)
     posterior = JointPrior(names, again.values[own], again.covariance[np.ix_(own, own)], error.weight)
-    return Baseline(name, posterior, units, error, MotionRange.from_runs(problem.runs, error.lasts))
+    return Baseline(name, posterior, units, error, problem.runs)

@@ -1,4 +1,4 @@
-"""Kinds of motion that a recording has: its inputs and what they were shortly before."""
+"""Kinds of motion that recordings have: their inputs and what these were shortly before."""
 
 from __future__ import annotations
 
@@ -57,6 +57,20 @@ class MotionRange:
         """Squared Mahalanobis distances, (rows,)."""
         scaled = (values - self.mean) / self.spread
         return np.asarray(np.einsum("ij,jk,ik->i", scaled, self.precision, scaled))
+
+
+def share_unlike(one: Sequence[Run], other: Sequence[Run], lasts: float, settings: BaselineSettings = DEFAULT) -> float:
+    """Share of the samples of one recording with motions that the other has nowhere, 0 … 1; of both recordings the larger share.
+
+    Both ways count: where one has fast and slow motions and the other slow ones only, the mean error of a model differs, too.
+
+    Args:
+        one, other: runs of the recordings.
+        lasts: time in s for which the model's error lasts; 0 for equilibria.
+        settings: thresholds.
+    """
+    shares = [MotionRange.from_runs(a, lasts, settings).share_outside(b) for a, b in ((one, other), (other, one))]
+    return max(shares)
 
 
 def _features(run: Run, seconds: Sequence[float]) -> np.ndarray:

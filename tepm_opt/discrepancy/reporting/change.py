@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from tepm_opt.discrepancy.assessment.credibility import Judgement
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.baseline.baseline import Baseline
-from tepm_opt.discrepancy.baseline.settings import DEFAULT, BaselineSettings
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 
 
@@ -25,7 +21,7 @@ def describe_change(answer: tuple[str, ...], status: VerdictStatus, baseline: Ba
         size, chance = without.evidence.measured, without.evidence.chance
         more = 100 * (float(size.squares.sum()) / max(size.count, 1) - 1)
         first = (
-            f"Nothing changed {since}: the parameters stay within what it tells of them, and the model's squared error is "
+            f"Nothing changed {since} beyond chance: the parameters stay within what it tells of them, and the model's squared error is "
             f"{more:+.0f} % of what it was there (chance: up to {100 * chance:+.0f} %)."
         )
         return (first, *answer[1:])
@@ -40,26 +36,6 @@ def describe_change(answer: tuple[str, ...], status: VerdictStatus, baseline: Ba
     }
     before, after = heads.get(status, ("", ""))
     return (answer[0].replace(before, after, 1), *answer[1:]) if before else answer
-
-
-def withhold_new_motions(judgement: Judgement, share: float, baseline: Baseline, settings: BaselineSettings = DEFAULT) -> Judgement:
-    """The judgement without a name where too many samples have a motion that the baseline has nowhere: the model's error is unknown there.
-
-    Args:
-        judgement: of what changed.
-        share: of samples with such motions, 0 … 1.
-        baseline: what is compared with.
-        settings: thresholds.
-    """
-    if share <= settings.max_new_motion:
-        return judgement
-    remark = (
-        f"{100 * share:.0f} % of the samples move as {baseline.name} does nowhere: how much the model errs in such motions is unknown, "
-        "and a change is not told from that. Compare runs with alike inputs."
-    )
-    if judgement.status is VerdictStatus.NO_DISCREPANCY:
-        return replace(judgement, remarks=(*judgement.remarks, remark))
-    return Judgement(VerdictStatus.UNEXPLAINED, judgement.cause, remarks=(*judgement.remarks, remark))
 
 
 def describe_model_error(baseline: Baseline, chance: float) -> str:

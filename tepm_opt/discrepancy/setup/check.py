@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,12 @@ from tepm_opt.solvers.start import first
 
 
 def find_setup_errors(
-    plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray, progress: Progress = silent, settings: SetupSettings = DEFAULT
+    plant: SearchablePlant,
+    runs: Sequence[Run],
+    noise: float | np.ndarray,
+    progress: Progress = silent,
+    settings: SetupSettings = DEFAULT,
+    spreads: Mapping[str, float] | None = None,
 ) -> tuple[tuple[SetupError, ...], tuple[Run, ...]]:
     """Set-up errors, likelier ones of each mistake first, and the mended runs.
 
@@ -37,6 +42,7 @@ def find_setup_errors(
         noise: of the measurements, 1 sigma per axis, or of each point, (points, 1).
         progress: told of the work.
         settings: thresholds.
+        spreads: standard deviations of known parameters by full name, where more is known of them than the plant says.
     """
     found: list[SetupError] = []
     progress("checking the set-up: wiring, axes, units, markers", 0, 0)
@@ -44,7 +50,7 @@ def find_setup_errors(
     if not any(np.isfinite(run.points).any() for run in compared):
         return (), tuple(runs)
     try:
-        comparison = Comparison.simulate(plant, compared, noise, settings)
+        comparison = Comparison.simulate(plant, compared, noise, settings, spreads)
         for _ in range(settings.max_errors):
             ranked = _rank_hypotheses(comparison, plant)
             if not ranked:
@@ -53,7 +59,7 @@ def find_setup_errors(
             if not _is_explained(comparison, misfit, best):
                 break
             mended, compared = ([comparison.within_limits(best.apply(run)) for run in each] for each in (runs, comparison.runs))
-            after = Comparison.simulate(plant, compared, noise, settings)
+            after = Comparison.simulate(plant, compared, noise, settings, spreads)
             late = comparison.least_on_another_clock()
             if late <= misfit.mean_square and after.least_on_another_clock() > settings.max_left_by_clock * late:
                 break  # a clock explains as much, and with it the mend explains little

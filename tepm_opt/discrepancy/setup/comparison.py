@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,7 +79,10 @@ class Comparison:
     settings: SetupSettings = DEFAULT
 
     @staticmethod
-    def simulate(plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray, settings: SetupSettings = DEFAULT) -> Comparison:
+    def simulate(
+        plant: SearchablePlant, runs: Sequence[Run], noise: float | np.ndarray, settings: SetupSettings = DEFAULT,
+        spreads: Mapping[str, float] | None = None,
+    ) -> Comparison:  # fmt: skip
         """Simulate the runs with the nominal model.
 
         Args:
@@ -87,13 +90,14 @@ class Comparison:
             runs: as recorded.
             noise: of the measurements, 1 sigma per axis in the unit of the points, or of each point, (points, 1).
             settings: thresholds.
+            spreads: standard deviations of known parameters by full name, where more is known of them than the plant says.
 
         Raises:
             PredictionError: the model cannot do the runs as they are.
         """
         plain, still = plant.without_candidates, plant.equilibria
         rows = tuple(np.unique(np.linspace(0, run.rows - 1, min(settings.rows, run.rows)).round().astype(int)) for run in runs)
-        spread = {free.name: free.spread for free in plain.free(plant.known)}
+        spread = {free.name: free.spread for free in plain.free(plant.known)} | dict(spreads or {})
         motions, nuisances = [], []
         step = np.inf if still is None else settings.sample_spacing
         predicted = in_parallel(lambda run: plain.predict(begun(plain, run, noise), plant.known, step), runs, threads=plain.concurrent)
