@@ -307,7 +307,7 @@ def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:
     best = state.explanation.best
     if not (state.settings.check_constancy and best.effects):
         return {}
-    linear = linearise(state.best, state.fits.problem.free, best.effects, (), state.settings)
+    linear = linearise(best.estimate, state.fits.problem.free, best.effects, (), state.settings)
     return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
 
 

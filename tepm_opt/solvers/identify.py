@@ -14,7 +14,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.problem import Problem
-from tepm_opt.solvers.residuals import Residual, carry_derivatives, normal_equations, weighted
+from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
 from tepm_opt.solvers.text import html_table
 
 ITERATIONS = 15
@@ -22,7 +22,6 @@ MAD = 1.4826  # of a normal distribution's median absolute deviation
 HOPE = 2.0  # how many times what a step promises to first order a fit may still gain
 OUT_OF_REACH = "a rival cannot be reached any more"
 FACTOR = 4.0  # by which what is above 0 changes at most in a step: a time or a distance does not leap past its best
-TRUSTED = 0.1  # part of what a step promised by which its gain may be off for derivatives before it to serve for one more
 SHORTEST = 2.0**-12  # part of a step that is tried where the model cannot do the runs at its end
 
 
@@ -131,9 +130,6 @@ def identify(
     while done < max_iterations and not converged:
         step, promised = at.compute_step(damping)
         if promised < 0.1 + tolerance * max(at.cost - count, 0.0):
-            if at.is_stale:
-                at = at.refresh_derivatives()
-                continue
             converged, message = True, "no step promises less"
             break
         if at.cost - HOPE * promised > reached:
@@ -144,17 +140,15 @@ def identify(
         new = np.inf if tried is None else _cost(problem, at.values + part * step, tried, at.weights)
         if tried is not None and new < at.cost:
             gained = (at.cost - new) / (promised * part * (2 - part))
-            at, part = at.advance(part * step, tried, gained), min(4 * part, 1.0)
+            at, part = at.advance(part * step, tried), min(4 * part, 1.0)
             damping = damping / 10 if gained > 0.25 else damping * 3
-        elif at.is_stale:
-            at, part = at.refresh_derivatives(), 1.0
         else:
             damping, part, message = max(10 * damping, 1e-3), 1.0, failure or message
             if damping > 1e6:
                 converged, message = bool(np.isfinite(new)), failure or "no shorter step helps"
                 break
         progress("fit", done, max_iterations)
-    at = at.take_linear_step(damping) if near else at.refresh_derivatives()
+    at = at.take_linear_step(damping) if near else at
     return at.estimate(done, Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message))
 
 
@@ -168,7 +162,6 @@ class _Iterate:
         residuals: at the values, with derivatives.
         near: whether the first derivatives serve for all steps.
         keeps: whether residuals are simulated without derivatives at first.
-        is_stale: whether the derivatives are of earlier values, corrected by Broyden's rule.
     """
 
     problem: Problem
@@ -176,7 +169,6 @@ class _Iterate:
     residuals: list[Residual]
     near: bool
     keeps: bool
-    is_stale: bool = False
 
     @cached_property
     def weights(self) -> list[np.ndarray | None]:
@@ -201,20 +193,10 @@ class _Iterate:
         )
         return bounded_step(square, slope, nearest - values, farthest - values, problem.scale, damping)
 
-    def refresh_derivatives(self) -> _Iterate:
-        """The same with derivatives at its values."""
-        if not self.is_stale:
-            return self
-        return replace(self, residuals=self.problem.differentiate(self.values, self.residuals), is_stale=False)
-
-    def advance(self, step: np.ndarray, tried: list[Residual], gained: float) -> _Iterate:
-        """The next one, behind a step that gained so many times what it promised; derivatives serve on where that is about once."""
-        there = replace(self, values=self.values + step, residuals=tried)
-        if self.near or not self.keeps:
-            return there
-        if abs(gained - 1) < TRUSTED and not self.is_stale:
-            return replace(there, residuals=carry_derivatives(self.residuals, tried, step, self.problem.scale), is_stale=True)
-        return replace(there, is_stale=True).refresh_derivatives()
+    def advance(self, step: np.ndarray, tried: list[Residual]) -> _Iterate:
+        """The next one, behind a step; residuals tried without derivatives get them now."""
+        values = self.values + step
+        return replace(self, values=values, residuals=self.problem.differentiate(values, tried) if self.keeps and not self.near else tried)
 
     def take_linear_step(self, damping: float) -> _Iterate:
         """The next one to first order, without a simulation."""

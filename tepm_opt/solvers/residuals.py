@@ -126,23 +126,3 @@ def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray
         square += by.T @ by
         slope += by.T @ values
     return square, slope
-
-
-def carry_derivatives(before: Sequence[Residual], after: Sequence[Residual], step: np.ndarray, scale: np.ndarray) -> list[Residual]:
-    """Residuals after a step with the derivatives before it, corrected by what the step changed (Broyden, Math. Comp. 19, 1965).
-
-    The arrays of the derivatives are used on, with other contents.
-
-    Args:
-        before: residuals where the step began, with derivatives.
-        after: where it ended.
-        step: change of the parameters, (parameters,).
-        scale: of the parameters, in which the correction is the smallest possible, (parameters,).
-    """
-    along = step / scale**2
-    shares = along / (along @ step)
-    for old, new in zip(before, after, strict=True):
-        missed = (new.values - old.values).ravel() - old.by @ step
-        for slope, share in zip(old.by.T, shares, strict=True):  # column by column, which takes no memory
-            slope += share * missed
-    return [replace(new, by=old.by) for old, new in zip(before, after, strict=True)]

@@ -129,7 +129,7 @@ def linearise(
     """Linearise a fit in all candidates: derivatives of smooth ones, finite probes of others and of larger sizes.
 
     Args:
-        estimate: the fit; without candidates derivatives that it has serve.
+        estimate: the fit.
         known: parameters that are fitted whatever acts.
         effects: those of the fit.
         missing: the candidates; one that the model cannot simulate is left out.
@@ -140,13 +140,11 @@ def linearise(
     names = list(dict.fromkeys([*(f.name for f in estimate.problem.free), *(name for c in smooth for name in c.parameters)]))
     names += [f.name for f in known if f.name not in names]
     estimate = apply_suggested_shapes(estimate, missing)
-    size = 8 * len(names) * sum(r.values.size for r in estimate.residuals)
-    has_slopes = not missing and size <= settings.max_derivative_bytes and all(r.by.shape[1] == len(names) for r in estimate.residuals)
-    estimate = estimate if has_slopes else thin_samples(estimate, len(names) + len(bent) + len(afar), settings.max_derivative_bytes)
+    estimate = thin_samples(estimate, len(names) + len(bent) + len(afar), settings.max_derivative_bytes)
     problem, threads = estimate.problem, estimate.problem.plant.concurrent
 
     def slopes() -> list[Residual]:
-        return estimate.residuals if has_slopes else problem.residuals(estimate.values, names)
+        return problem.residuals(estimate.values, names)
 
     variants = [replace(c, probes=(probe,)) for c in (*bent, *afar) for probe in c.probes]
 
