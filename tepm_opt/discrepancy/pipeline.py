@@ -1,7 +1,6 @@
-"""The discrepancy workflow as a pipeline of stages: check the set-up, prepare, recalibrate, screen, select, validate, assess, report.
+"""The discrepancy workflow as a pipeline of stages (`stages.py`), run, timed and repeated where a beginning or a run is odd.
 
-Each stage takes the state that the stage before it returned and adds what it found. States are frozen, so that a stage can be run, timed
-or replaced alone (`discover(…, stages=…)`).
+States are frozen, so that a stage can be run, timed or replaced alone (`discover(…, stages=…)`).
 """
 
 from __future__ import annotations
@@ -15,161 +14,21 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tepm_opt.data.outliers import without_strays
 from tepm_opt.data.run import RunSet
-from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, effect_size_by_segment
-from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_law_odds
-from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
+from tepm_opt.discrepancy.assessment.validation import predict_runs
 from tepm_opt.discrepancy.baseline.baseline import Baseline, fit_baseline
-from tepm_opt.discrepancy.baseline.judgement import judge_change
-from tepm_opt.discrepancy.baseline.motion_range import share_unlike
 from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
-from tepm_opt.discrepancy.preparation.clock import check_clock
-from tepm_opt.discrepancy.preparation.devices import identify_devices
-from tepm_opt.discrepancy.preparation.measured_inputs import (
-    downstream_candidates,
-    exclude_by_measured_inputs,
-    measured_inputs,
-    with_measured_inputs,
-)
-from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_noise
-from tepm_opt.discrepancy.preparation.time_step import choose_time_step
-from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
+from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.discrepancy.reporting.report import build_verdict
 from tepm_opt.discrepancy.reporting.sentences import next_step
-from tepm_opt.discrepancy.selection.fitting import Fits
-from tepm_opt.discrepancy.selection.forward_backward import explain
-from tepm_opt.discrepancy.selection.linearised import linearise
-from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.discrepancy.setup.errors import foreign_run
 from tepm_opt.discrepancy.setup.foreign import odd_run
-from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
+from tepm_opt.discrepancy.stages import STAGES, other_store, prepare, recalibrate
+from tepm_opt.discrepancy.state import Discovery, Question
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.residuals import independent_after
-from tepm_opt.solvers.start import begun
-
-
-def check_setup(state: Question) -> Question:
-    """Look for mistakes of wiring, axes, units and markers, and mend them in the data."""
-    baseline, noise = state.baseline, state.noise
-    spreads = None if baseline is None else dict(zip(baseline.posterior.names, baseline.posterior.std.tolist(), strict=True))
-    noise = noise if baseline is None else baseline.error.size
-    found, runs = find_setup_errors(state.plant, state.dataset.runs, noise, state.progress, spreads=spreads)
-    return replace(state, dataset=state.dataset.with_runs(runs), setup=found) if found else state
-
-
-def prepare(state: Question) -> Prepared:
-    """Remove outliers, read the regulators off the gauges, choose the time step."""
-    dataset, plant, noise, plain = state.dataset, state.plant, state.noise, state.plant.without_candidates
-    state.progress("simulating the runs with the model as it is", 0, 0)
-    nominal, remarks = predict_runs(plain, dataset, noise), list[str]()
-    missing = downstream_candidates(plant.candidates, dataset.gauges)
-    if not plant.static:
-        dataset, remarks = without_strays(dataset, nominal, noise)
-    devices = identify_devices(dataset, plant)
-    if devices is not None:
-        dataset, remarks, missing = dataset.with_runs(devices.runs), [*remarks, f"{devices.note}."], devices.narrow_candidates(missing)
-    step = choose_time_step(plain, dataset, nominal, noise, state.settings)
-    problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
-    known: dict[str, Any] = vars(state) | {"dataset": dataset}
-    return Prepared(**known, nominal=nominal, missing=missing, devices=devices, problem=problem, remarks=remarks)
-
-
-def recalibrate(state: Prepared) -> Recalibrated:
-    """Fit the known parameters alone; take the noise from what that leaves of motions."""
-    problem, noise, remarks = _with_initial_states(state.problem, state.settings), state.noise, state.remarks
-    if state.baseline is not None:
-        return _constrain(state, state.baseline, problem)
-    first = Fits(problem, state.settings, progress=state.progress)
-    fit = first.fit((), {})
-    if fit is not None and not problem.plant.static:
-        noise, scatters = estimate_noise(noise, problem.runs, fit.estimate.residuals)
-        remarks = [*remarks, *describe_noise(scatters, state.noise, state.plant.signals)]
-    done = first.done if np.all(noise == problem.noise) else {}
-    shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
-    fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done)
-    known: dict[str, Any] = vars(state) | {"noise": noise, "remarks": remarks}
-    return Recalibrated(**known, fits=fits)
-
-
-def _constrain(state: Prepared, baseline: Baseline, problem: Problem) -> Recalibrated:
-    """The search for what changed: parameters within the baseline's posterior, the model's error there in the place of noise."""
-    shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
-    fits = Fits(baseline.constrain(problem), state.settings, state.store, state.key, state.progress, shown, values)
-    known: dict[str, Any] = vars(state) | {"missing": baseline.rebase(state.missing)}
-    return Recalibrated(**known, fits=fits)
-
-
-def screen(state: Recalibrated) -> Screened:
-    """Exclude candidates by a search with measured inputs, where gauges measure inputs and have not shown the regulators already."""
-    fits, signals = state.fits, state.plant.signals
-    shown = None if state.devices is not None else with_measured_inputs(fits.problem.runs, signals)
-    if shown is None:
-        return Screened(**vars(state), candidates=state.missing)
-    state.progress("with measured inputs, for what happens behind them", 0, 0)
-    behind_them = Fits(replace(fits.problem, runs=shown), state.settings, _other_store(state.store, "measured"), state.key, state.progress)
-    body = explain(behind_them, downstream_candidates(state.missing, measured_inputs(fits.problem.runs, signals)), state.seed)
-    state.progress("with commanded inputs", 0, 0)
-    return Screened(**vars(state), candidates=exclude_by_measured_inputs(body, state.missing, state.settings))
-
-
-def select(state: Screened) -> Selected:
-    """Select the set of effects that explains the gap."""
-    return Selected(**vars(state), explanation=explain(state.fits, state.candidates, state.seed))
-
-
-def validate(state: Selected) -> Validated:
-    """Predict all runs with the nominal, the recalibrated and the corrected model and a black box."""
-    state.progress("judging on validation runs", 0, 0)
-    dataset, noise = state.dataset, state.noise
-    compared = compare_models(state.fits, state.explanation, dataset, state.plant, state.nominal, noise, state.seed)
-    predictions = compared.predictions
-    shift = None if state.plant.static else check_clock(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
-    return Validated(
-        **vars(state),
-        predictions=predictions,
-        bound=compared.bound,
-        localisation=compared.localisation,
-        best=compared.best,
-        errors=validation_errors(dataset, noise, predictions, compared.bound),
-        clock_shift=shift,
-    )
-
-
-def assess(state: Validated) -> Assessed:
-    """Weigh every selected effect; drop all of them where a clock or something unknown is the likelier cause."""
-    explanation, settings = state.explanation, state.settings
-    laws, unseen = alternative_law_odds(explanation, settings, state.seed), bool(state.dataset.validation)
-    judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
-    if state.baseline is not None:
-        new_motion = share_unlike(state.baseline.runs, state.dataset.fit, state.baseline.error.lasts)
-        judgement = judge_change(judgement, explanation, settings, new_motion, state.baseline)
-    dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
-    if not dropped:
-        return Assessed(**vars(state), judgement=judgement)
-    predictions = state.predictions | {"corrected": state.predictions["recalibrated"]}
-    known: dict[str, Any] = vars(state) | {
-        "explanation": replace(explanation, best=explanation.without, shares={}, groups={}),
-        "predictions": predictions,
-        "best": explanation.without.estimate,
-        "errors": validation_errors(state.dataset, state.noise, predictions, state.bound),
-    }
-    return Assessed(**known, judgement=Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks))
-
-
-def report(state: Assessed) -> Discovery:
-    """Put the answer into words and tables."""
-    return Discovery(build_verdict(state), state.dataset, state.noise, state.localisation, state.predictions, state.explanation)
-
-
-STAGES: tuple[Callable[[Any], Any], ...] = (check_setup, prepare, recalibrate, screen, select, validate, assess, report)
-"""The workflow: each takes the state that the one before it returns, from a `Question` to a `Discovery`."""
 
 
 def learn_baseline(question: Question) -> Baseline:
@@ -251,7 +110,7 @@ def _without_beginnings(question: Question, found: Discovery, stages: Sequence[C
     if not remarks:
         return found
     question.progress("once more without beginnings that nothing explains", 0, 0)
-    again = run_stages(replace(question, dataset=shorter, store=_other_store(question.store, "shorter")), stages)
+    again = run_stages(replace(question, dataset=shorter, store=other_store(question.store, "shorter")), stages)
     if not again.verdict.effects:
         return found
     notes = tuple(dict.fromkeys((*remarks, *again.verdict.notes)))
@@ -269,7 +128,7 @@ def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Call
         return found
     file = dataset.runs[odd[0]].file
     question.progress(f"once more without {file}", 0, 0)
-    again = run_stages(replace(question, dataset=rest, store=_other_store(question.store, "without")), stages)
+    again = run_stages(replace(question, dataset=rest, store=other_store(question.store, "without")), stages)
     if again.verdict.status not in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY):
         return found
     still = odd_run(dataset.runs, predict_runs(again.explanation.best.estimate.plant, dataset, again.noise), again.noise)
@@ -277,11 +136,6 @@ def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Call
         return found
     status, setup = VerdictStatus.SETUP_ERROR, (*again.verdict.setup, foreign_run(file, still[1]))
     return replace(again, verdict=replace(again.verdict, status=status, setup=setup, next=next_step(status)))
-
-
-def _other_store(store: Path | None, name: str) -> Path | None:
-    """A file for the fits of another search."""
-    return None if store is None else store.with_name(f"{store.name}-{name}")
 
 
 def run_stages(question: Question, stages: Sequence[Callable[[Any], Any]] = STAGES) -> Discovery:
@@ -300,22 +154,3 @@ def run_stages(question: Question, stages: Sequence[Callable[[Any], Any]] = STAG
             raise InputError(f"{question.dataset.name}: the model cannot do the runs: {error}") from error
         seconds[stage.__name__] = time.monotonic() - began
     return replace(state, seconds=seconds)
-
-
-def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:
-    """Sizes of every effect in parts of the data, but for those that gauges have shown."""
-    best = state.explanation.best
-    if not (state.settings.check_constancy and best.effects):
-        return {}
-    linear = linearise(best.estimate, state.fits.problem.free, best.effects, (), state.settings)
-    return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
-
-
-def _with_initial_states(problem: Problem, settings: SearchSettings) -> Problem:
-    """The problem with estimated initial states of its runs and blocks as long as residuals remember, where settings ask for it."""
-    if not settings.estimate_beginnings:
-        return problem
-    found = identify(problem)
-    runs = tuple(begun(found.plant, run, noise, problem.step) for run, noise in zip(problem.runs, problem.noises, strict=True))
-    block = problem.block if problem.plant.static else independent_after(found.residuals, runs)
-    return replace(problem, runs=runs, block=block)
