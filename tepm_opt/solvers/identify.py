@@ -114,8 +114,7 @@ def identify(
         progress: told of every step.
         tolerance: part of the squared residuals beyond the noise for which no further step is made.
         reached: cost that a rival has: no further step is made where `HOPE` times what it promises would leave more.
-        near: whether the first values are so good that derivatives there serve for all steps and for the estimate. One more step at the
-            end is then made to first order, without a simulation.
+        near: whether the first values are so good that derivatives there serve for all steps and for the estimate.
 
     Raises:
         InputError: no runs, no parameters or no measured sample.
@@ -148,7 +147,6 @@ def identify(
                 converged, message = bool(np.isfinite(new)), failure or "no shorter step helps"
                 break
         progress("fit", done, max_iterations)
-    at = at.take_linear_step(damping) if near else at
     return at.estimate(done, Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message))
 
 
@@ -197,13 +195,6 @@ class _Iterate:
         """The next one, behind a step; residuals tried without derivatives get them now."""
         values = self.values + step
         return replace(self, values=values, residuals=self.problem.differentiate(values, tried) if self.keeps and not self.near else tried)
-
-    def take_linear_step(self, damping: float) -> _Iterate:
-        """The next one to first order, without a simulation."""
-        if not self.problem.free:
-            return self
-        step, _ = self.compute_step(damping)
-        return replace(self, values=self.values + step, residuals=[r.with_linear_step(step) for r in self.residuals])
 
     def estimate(self, steps: int, outcome: Outcome) -> ParameterEstimate:
         """The result, after so many steps."""

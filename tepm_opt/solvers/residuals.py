@@ -65,10 +65,6 @@ class Residual:
             np.divide(np.where(present, whole, 0.0), -noise, out=slope.reshape(present.shape))
         return replace(self, by=slopes.T)
 
-    def with_linear_step(self, step: np.ndarray) -> Residual:
-        """The residuals after a step of the parameters, (parameters,), to first order."""
-        return replace(self, values=self.values + (self.by @ step).reshape(self.values.shape))
-
     @property
     def bare(self) -> Residual:
         """The residuals without derivatives, which take most of the memory."""

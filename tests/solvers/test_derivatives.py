@@ -11,7 +11,6 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.plant import Free, Prediction
-from tepm_opt.solvers.residuals import Residual
 
 NOISE, TIME = 1e-3, np.arange(0, 4, 0.02)
 TRUTH = {"size": 1.3, "lag": 0.7}
@@ -65,9 +64,3 @@ def test_derivatives_apart_lead_to_the_same_optimum(start: dict[str, float]) -> 
     np.testing.assert_allclose(found.residuals[0].by, apart.differentiate(found.values, found.residuals)[0].by, rtol=1e-12)
     asked = apart.plant.asked[:-1]
     assert 2 <= sum(count > 0 for count in asked) <= sum(count == 0 for count in asked)
-
-
-def test_a_linear_step_is_exact_for_straight_residuals() -> None:
-    residual = Residual("a.csv", np.ones((2, 1, 3)), np.ones((2, 1, 3), bool), np.arange(12.0).reshape(6, 2), np.arange(2))
-    moved = residual.with_linear_step(np.array([1.0, -1.0]))
-    np.testing.assert_array_equal(moved.values.ravel(), np.zeros(6))

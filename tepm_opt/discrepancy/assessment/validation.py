@@ -15,7 +15,6 @@ from tepm_opt.discrepancy.assessment.residual_locations import Localisation, loc
 from tepm_opt.discrepancy.assessment.result import Errors
 from tepm_opt.discrepancy.preparation.time_step import PRECISE_STEP
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
-from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.solvers.identify import ParameterEstimate, identify
@@ -68,7 +67,7 @@ def compare_models(
     plant = fits.problem.plant
 
     def predict_corrected() -> tuple[ParameterEstimate, list[np.ndarray]]:
-        best = _refine_fit(explanation.best.estimate, fits.settings)
+        best = _refine_fit(explanation.best.estimate, fits.settings.final_step)
         return best, predict_runs(extend_to_validation_runs(best.plant, explanation.best.effects, dataset), dataset, noise)
 
     def predict_recalibrated() -> tuple[list[np.ndarray], Localisation, list[np.ndarray]]:
@@ -116,10 +115,10 @@ def _predict_black_box(dataset: RunSet, recalibrated: Sequence[np.ndarray], stat
     return [recalibrated[k] + guess for k, guess in zip(judged, guessed, strict=True)]
 
 
-def _refine_fit(estimate: ParameterEstimate, settings: SearchSettings) -> ParameterEstimate:
-    """The fit with the final time step: one step to first order from its values, after others where it has not converged."""
+def _refine_fit(estimate: ParameterEstimate, step: float) -> ParameterEstimate:
+    """The fit repeated from its values with a time step in s."""
     free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, estimate.values, strict=True))
     try:
-        return identify(replace(estimate.problem, free=free, step=settings.final_step), 0 if estimate.solved else 3, near=True)
+        return identify(replace(estimate.problem, free=free, step=step), 3, near=True)
     except PredictionError:
         return estimate
