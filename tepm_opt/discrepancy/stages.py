@@ -20,7 +20,6 @@ from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
 from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.baseline.judgement import judge_change
-from tepm_opt.discrepancy.baseline.motion_range import share_unlike
 from tepm_opt.discrepancy.preparation.clock import check_clock
 from tepm_opt.discrepancy.preparation.devices import identify_devices
 from tepm_opt.discrepancy.preparation.measured_inputs import (
@@ -96,7 +95,12 @@ def _constrain(state: Prepared, baseline: Baseline, problem: Problem) -> Recalib
 
 
 def screen(state: Recalibrated) -> Screened:
-    """Exclude candidates by a search with measured inputs, where gauges measure inputs and have not shown the regulators already."""
+    """Exclude candidates by a search with measured inputs, where gauges measure inputs and have not shown the regulators already.
+
+    Where the recording moves otherwise than its baseline, nothing could be named, and no candidate is left.
+    """
+    if state.baseline is not None and not state.baseline.moves_alike(state.dataset.fit):
+        return Screened(**vars(state), candidates=())
     fits, signals = state.fits, state.plant.signals
     shown = None if state.devices is not None else with_measured_inputs(fits.problem.runs, signals)
     if shown is None:
@@ -137,8 +141,7 @@ def assess(state: Validated) -> Assessed:
     laws, unseen = alternative_law_odds(explanation, settings, state.seed), bool(state.dataset.validation)
     judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
     if state.baseline is not None:
-        new_motion = share_unlike(state.baseline.runs, state.dataset.fit, state.baseline.error.lasts)
-        judgement = judge_change(judgement, explanation, settings, new_motion, state.baseline)
+        judgement = judge_change(judgement, explanation, settings, state.baseline, state.dataset.fit)
     dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)

@@ -134,7 +134,7 @@ class TestWhatChanged:
     def test_another_kind_of_motion_is_told_from_nothing(self, before: Baseline) -> None:
         """Slow motions about another place, where the baseline never stays: the hardening spring shows as never before."""
         new = recording("slow", 7, pace=0.1, offset=0.5)
-        assert share_unlike(before.runs, new.fit, before.error.lasts) > 0.25
+        assert not before.moves_alike(new.fit)
         verdict = changed(new, before)
         assert not verdict.effects
         assert any("of before are nowhere in the other one" in note for note in verdict.notes)
@@ -142,7 +142,7 @@ class TestWhatChanged:
 
 class TestMotionRange:
     def test_of_the_same_kind_is_inside(self, before: Baseline) -> None:
-        assert share_unlike(before.runs, recording("after", 2).fit, before.error.lasts) < 0.1
+        assert before.share_unlike(recording("after", 2).fit) < 0.1
 
     def test_an_input_that_never_moved_tells(self) -> None:
         time, zeros = np.arange(0, 10, STEP), np.zeros(200)

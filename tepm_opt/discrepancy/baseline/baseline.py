@@ -10,6 +10,7 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.baseline.model_error import ModelError, estimate_model_error
+from tepm_opt.discrepancy.baseline.motion_range import share_unlike
 from tepm_opt.discrepancy.baseline.settings import DEFAULT, BaselineSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -44,6 +45,14 @@ class Baseline:
     def values(self) -> dict[str, float]:
         """Means of the parameters by full name."""
         return dict(zip(self.posterior.names, self.posterior.mean.tolist(), strict=True))
+
+    def share_unlike(self, runs: Sequence[Run], thresholds: BaselineSettings = DEFAULT) -> float:
+        """Share of this recording, or of some runs, with motions that the other has nowhere, 0 … 1."""
+        return share_unlike(self.runs, runs, self.error.lasts, thresholds)
+
+    def moves_alike(self, runs: Sequence[Run], thresholds: BaselineSettings = DEFAULT) -> bool:
+        """Whether some runs move as this recording does, so that the model's error is the same."""
+        return self.share_unlike(runs, thresholds) <= thresholds.max_new_motion
 
     def constrain(self, problem: Problem) -> Problem:
         """The problem of another recording: with this posterior as prior and this model error as noise."""

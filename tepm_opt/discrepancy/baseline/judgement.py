@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.assessment.credibility import Judgement
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.baseline.baseline import Baseline
@@ -13,7 +15,7 @@ from tepm_opt.discrepancy.selection.forward_backward import Explanation
 
 
 def judge_change(
-    judgement: Judgement, explanation: Explanation, search: SearchSettings, new_motion: float, baseline: Baseline,
+    judgement: Judgement, explanation: Explanation, search: SearchSettings, baseline: Baseline, runs: Sequence[Run],
     settings: BaselineSettings = DEFAULT,
 ) -> Judgement:  # fmt: skip
     """The judgement of what is missing as one of what changed since a baseline.
@@ -22,19 +24,20 @@ def judge_change(
         judgement: of the effects that were found.
         explanation: result of the search.
         search: its settings.
-        new_motion: share of the samples of one recording with motions that the other has nowhere, 0 … 1.
         baseline: what is compared with.
+        runs: of the later recording.
         settings: thresholds.
     """
     found = _doubt_several_causes(judgement, explanation, search, settings)
     best = max((probability for *_, probability in found.listed), default=1.0)
     if best < search.min_listed_probability:
         found = replace(found, status=VerdictStatus.UNEXPLAINED, listed=())
-    if new_motion <= settings.max_new_motion:
+    if baseline.moves_alike(runs, settings):
         return found
+    share = 100 * baseline.share_unlike(runs, settings)
     remark = (
-        f"{100 * new_motion:.0f} % of the motions of this recording or of {baseline.name} are nowhere in the other one: how much the "
-        "model errs in them is unknown, and a change is not told from that. Compare runs with alike inputs."
+        f"{share:.0f} % of the motions of this recording or of {baseline.name} are nowhere in the other one: how much the model errs in "
+        "them is unknown, and a change is not told from that. Compare runs with alike inputs."
     )
     if found.status is VerdictStatus.NO_DISCREPANCY:
         return replace(found, remarks=(*found.remarks, remark))

@@ -7,7 +7,9 @@ from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 
 
-def describe_change(answer: tuple[str, ...], status: VerdictStatus, baseline: Baseline, without: Hypothesis) -> tuple[str, ...]:
+def describe_change(
+    answer: tuple[str, ...], status: VerdictStatus, baseline: Baseline, without: Hypothesis, moves_alike: bool
+) -> tuple[str, ...]:
     """The sentences of an answer with its first one about what changed.
 
     Args:
@@ -15,6 +17,7 @@ def describe_change(answer: tuple[str, ...], status: VerdictStatus, baseline: Ba
         status: kind of answer.
         baseline: what it is compared with.
         without: fit of the known parameters within the baseline's posterior.
+        moves_alike: whether both recordings have the same kinds of motion.
     """
     since = f"since {baseline.name}"
     if status is VerdictStatus.NO_DISCREPANCY:
@@ -24,6 +27,9 @@ def describe_change(answer: tuple[str, ...], status: VerdictStatus, baseline: Ba
             f"Nothing changed {since} beyond chance: the parameters stay within what it tells of them, and the model's squared error is "
             f"{more:+.0f} % of what it was there (chance: up to {100 * chance:+.0f} %)."
         )
+        return (first, *answer[1:])
+    if status is VerdictStatus.UNEXPLAINED and not moves_alike:
+        first = f"Not comparable: this recording moves otherwise than {baseline.name}, so that a change is not told from the model's error."
         return (first, *answer[1:])
     heads = {
         VerdictStatus.NAMED: ("Missing: ", f"Changed {since}: "),

@@ -50,7 +50,7 @@ def build_verdict(state: Assessed) -> Verdict:
     notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
     answer = sentences.describe_answer(judgement.status, named, errors, state.localisation.sentence, known, explanation, unit)
     if state.baseline is not None:
-        answer = describe_change(answer, judgement.status, state.baseline, explanation.without)
+        answer = describe_change(answer, judgement.status, state.baseline, explanation.without, state.baseline.moves_alike(dataset.fit))
         notes = (*notes, describe_model_error(state.baseline, state.settings.chance_excess))
     return Verdict(
         VerdictStatus.SETUP_ERROR if setup else judgement.status,
