@@ -147,7 +147,7 @@ class TestMotionRange:
     def test_an_input_that_never_moved_tells(self) -> None:
         time, zeros = np.arange(0, 10, STEP), np.zeros(200)
         run = Run("r", "fit", time, np.stack([np.sin(time), zeros], 1), np.zeros((200, 3)), np.zeros((200, 1, 1)))
-        motions = MotionRange.of([run], 0.5)
+        motions = MotionRange.from_runs([run], 0.5)
         moved = replace(run, inputs=np.stack([np.sin(time), zeros + 0.01], 1))
         assert motions.share_outside([run]) == 0.0
         assert motions.share_outside([moved]) == 1.0
@@ -158,7 +158,7 @@ class TestMotionRange:
         both = 0.5 * np.sin(0.5 * time) + 0.5 * np.sin(6.1 * time)
         slow = 0.5 * np.sin(0.5 * time)
         first, second = (Run("r", "fit", time, u[:, None], np.zeros((len(time), 3)), np.zeros((len(time), 1, 1))) for u in (both, slow))
-        assert MotionRange.of([first], 0.5).share_outside([second]) < 0.1
+        assert MotionRange.from_runs([first], 0.5).share_outside([second]) < 0.1
         assert share_unlike([first], [second], 0.5) > 0.25
         assert share_unlike([first], [first], 0.5) == 0.0
 

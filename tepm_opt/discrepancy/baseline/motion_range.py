@@ -31,7 +31,7 @@ class MotionRange:
     farthest: float
 
     @staticmethod
-    def of(runs: Sequence[Run], lasts: float, settings: BaselineSettings = DEFAULT) -> MotionRange:
+    def from_runs(runs: Sequence[Run], lasts: float, settings: BaselineSettings = DEFAULT) -> MotionRange:
         """Range of motions of some runs.
 
         Args:
@@ -69,7 +69,7 @@ def share_unlike(one: Sequence[Run], other: Sequence[Run], lasts: float, setting
         lasts: time in s for which the model's error lasts; 0 for equilibria.
         settings: thresholds.
     """
-    shares = [MotionRange.of(a, lasts, settings).share_outside(b) for a, b in ((one, other), (other, one))]
+    shares = [MotionRange.from_runs(a, lasts, settings).share_outside(b) for a, b in ((one, other), (other, one))]
     return max(shares)
 
 

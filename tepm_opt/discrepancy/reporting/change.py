@@ -21,7 +21,7 @@ def describe_change(
     """
     since = f"since {baseline.name}"
     if status is VerdictStatus.NO_DISCREPANCY:
-        size, chance = without.evidence.measured, without.evidence.chance
+        size, chance = without.evidence.without_prior, without.evidence.chance
         more = 100 * (float(size.squares.sum()) / max(size.count, 1) - 1)
         first = (
             f"Nothing changed {since} beyond chance: the parameters stay within what it tells of them, and the model's squared error is "
