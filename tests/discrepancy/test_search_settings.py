@@ -31,7 +31,8 @@ def hypothesis(effects: Effects, excess: float, uneven: float = 0.0) -> Hypothes
     """One that leaves an excess, unevenly over the blocks of time if asked to."""
     counts = np.full(BLOCKS, SAMPLES)
     squares = SAMPLES * (1 + excess + uneven * np.cos(np.arange(BLOCKS)) - uneven * np.cos(np.arange(BLOCKS)).mean())
-    estimate: Any = SimpleNamespace(named={}, cost=float(squares.sum()), count=int(counts.sum()), out_of_reach=False)
+    problem = SimpleNamespace(free=())
+    estimate: Any = SimpleNamespace(named={}, cost=float(squares.sum()), count=int(counts.sum()), out_of_reach=False, problem=problem)
     return Hypothesis(effects, estimate, Evidence(squares, counts, 1, np.zeros(1)))
 
 

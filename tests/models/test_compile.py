@@ -82,7 +82,7 @@ def test_who_comes_while_it_is_compiled_waits_for_it(empty_cache, monkeypatch, c
     with ThreadPoolExecutor(2) as pool:
         assert all(pool.map(load, range(2)))
     assert set(compiled.values()) == {1}
-    assert {left.suffix for left in empty_cache.iterdir()} == {".so", ".o"}
+    assert {left.suffix for left in empty_cache.iterdir()} == {".so", ".o", ".functions"}
 
 
 @pytest.mark.parametrize(

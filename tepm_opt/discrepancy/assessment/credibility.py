@@ -76,7 +76,7 @@ def alternative_law_odds(
         springs = [law for law in alternatives(best.estimate) if law.place.kind == "force" and law.place.variable == "position"]
         first = min(springs, key=lambda law: law.evidence.excess, default=None)
         if first is not None and first.evidence.excess < thresholds.spring_max_excess * best.excess:
-            holds = float(weights([best.evidence.measured, first.evidence], seed)[0])
+            holds = float(weights([best.evidence.without_prior, first.evidence], seed)[0])
             if holds < 1 - settings.min_probability:  # of next to nothing chance may take away half
                 found = dict.fromkeys(pushing, AlternativeLaw(holds, first))
     if best.only_noise(settings):
@@ -86,7 +86,7 @@ def alternative_law_odds(
         laws = [] if rest is None else [law for law in alternatives(rest.estimate) if not _acts_like(effect, law.place)]
         if laws:
             first = min(laws, key=lambda law: law.evidence.excess)
-            found[effect] = AlternativeLaw(float(weights([best.evidence.measured, first.evidence], seed)[0]), first)
+            found[effect] = AlternativeLaw(float(weights([best.evidence.without_prior, first.evidence], seed)[0]), first)
     return found
 
 

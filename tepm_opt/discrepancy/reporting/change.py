@@ -21,12 +21,14 @@ def describe_change(
     """
     since = f"since {baseline.name}"
     if status is VerdictStatus.NO_DISCREPANCY:
-        size, chance = without.evidence.measured, without.evidence.chance
+        size, chance = without.evidence.without_prior, without.evidence.chance
         more = 100 * (float(size.squares.sum()) / max(size.count, 1) - 1)
         first = (
             f"Nothing changed {since} beyond chance: the parameters stay within what it tells of them, and the model's squared error is "
             f"{more:+.0f} % of what it was there (chance: up to {100 * chance:+.0f} %)."
         )
+        if 1 + more / 100 < (1 + chance) ** -2:  # far below what chance makes of it
+            return (first, f"The model errs far less than there: something that acted in {baseline.name} may be gone.", *answer[1:])
         return (first, *answer[1:])
     if status is VerdictStatus.UNEXPLAINED and not moves_alike:
         first = f"Not comparable: this recording moves otherwise than {baseline.name}, so that a change is not told from the model's error."

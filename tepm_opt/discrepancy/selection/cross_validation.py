@@ -51,7 +51,7 @@ class Evidence:
         return int(self.counts.sum())
 
     @property
-    def measured(self) -> Evidence:
+    def without_prior(self) -> Evidence:
         """The evidence of measurements alone, without that of a prior."""
         return replace(self, squares=self.squares[self.counts > 0], counts=self.counts[self.counts > 0], prior_excess=0.0)
 

@@ -118,7 +118,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         best = widest = onward
     if best.excess > settings.max_unexplained_ratio**2 * _motion(fits.problem):
         best, shares, groups = without, {}, {}
-    unchanged = fits.problem.joint is not None and best is without and best.only_noise(settings)
+    unchanged = settings.chance_excess > 0 and best is without and best.only_noise(settings)
     tried, scores = list(fits.done.values()), [] if unchanged else fits.screen(base, missing)
     return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.seen else None, settings)
 
