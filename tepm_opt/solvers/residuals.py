@@ -56,7 +56,14 @@ class Residual:
         return bare.with_derivatives(run, by, noise, at)
 
     def with_derivatives(self, run: Run, by: np.ndarray, noise: float | np.ndarray, at: np.ndarray | None = None) -> Residual:
-        """The residuals with derivatives; arguments as for `of`."""
+        """The residuals with derivatives.
+
+        Args:
+            run: measured.
+            by: derivatives of the modelled points, (parameters, rows or samples of `at`, points, axes).
+            noise: 1 sigma per axis in m, or of each point, (points, 1).
+            at: times in s of the derivatives, with straight lines between them; None for all rows.
+        """
         present = self.present
         slopes = np.empty((len(by), present.size))
         between = None if at is None or len(at) == run.rows else _between(run.time, at)
