@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
@@ -43,14 +44,17 @@ def pendulum(payload: bool = True) -> CasadiPlant:
 
 
 def recording(
-    name: str, seed: int, mass: float = 0.0, friction: float = 0.0, seconds: float = 80.0, pace: float = 1.5, offset: float = 0.0
-) -> RunSet:
-    """Runs of an arm whose spring hardens and whose base sways, which no law of the model knows."""
+    name: str, seed: int, mass: float = 0.0, friction: float = 0.0, seconds: float = 80.0, pace: float = 1.5, offset: float = 0.0,
+    at_random: bool = False,
+) -> RunSet:  # fmt: skip
+    """Runs of an arm whose spring hardens and whose base sways, in three sines or at random, which no law of the model knows."""
     random, runs = np.random.default_rng(seed), []
     for k in range(4):
         time = np.arange(0.0, seconds / 4, STEP)
         command = offset + sum(0.2 * np.sin(pace * w * time + random.uniform(0, 6)) for w in (1.1, 1.7, 2.3, 3.4))
         sway = sum(0.02 * np.sin(w * time + random.uniform(0, 6)) for w in (0.9, 1.9, 2.9))
+        if at_random:  # an Ornstein-Uhlenbeck process that forgets in half a second
+            sway = lfilter([1.0], [1.0, -np.exp(-STEP / 0.5)], 0.008 * random.normal(size=len(time)))
 
         def rates(t: float, x: np.ndarray, at: np.ndarray = time, u: np.ndarray = command, base: np.ndarray = sway) -> list[float]:
             pull = np.interp(t, at, u) + np.interp(t, at, base) - x[0]
@@ -89,7 +93,7 @@ class TestWhatABaselineTells:
     def test_posterior_is_joint_and_allows_for_the_colour(self, before: Baseline) -> None:
         """Recordings of the same arm scatter as one of them says, which white noise would put several times too low."""
         assert before.posterior.names == ("stiffness", "damping", "zero")
-        others = [learned(recording("again", seed)) for seed in range(10, 18)]
+        others = [learned(recording("again", seed, at_random=True)) for seed in range(10, 18)]
         scatter = np.std([each.posterior.mean for each in others], axis=0, ddof=1)
         told = np.sqrt(np.mean([np.diag(each.posterior.covariance) for each in others], axis=0))
         assert np.all(scatter < 2 * told)
