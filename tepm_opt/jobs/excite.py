@@ -89,8 +89,8 @@ def standard(model: Model, plan: str = "standard") -> Standard:
         reasons = ((run.file, unbearable(compiled, run.setpoints)) for run in runs)
         why = next((f"{file}: {reason}" for file, reason in reasons if reason), "")
         if not why:
-            plan = RecordingPlan(f"{robot.name}, {PURPOSES[plan]}", robot, model.source, rate, None, tuple(runs))
-            return Standard(model, reach, share, patterns, plan)
+            recorded = RecordingPlan(f"{robot.name}, {PURPOSES[plan]}", robot, model.source, rate, None, tuple(runs))
+            return Standard(model, reach, share, patterns, recorded)
     raise InputError(f"robot {robot.name}: it does not bear the {plan} plan, not even {SHARES[-1]:.0%} of its levels: {why}")
 
 

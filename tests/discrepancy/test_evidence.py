@@ -70,8 +70,8 @@ class TestLeaveOut:
         hardly = [replace(r, by=r.by * np.r_[1e-3, 1, 1, 1]) for r in rest]  # one parameter is told by the first run alone
         found = leave_out(replace(estimate, residuals=[first, *hardly]), SETTINGS).squares
         mean, precision = estimate.problem.prior
-        others = sum(r.by.T @ r.by for r in hardly) + np.diag(precision)
-        slope = sum(r.by.T @ r.values.ravel() for r in hardly) + precision * (estimate.values - mean)
+        others = sum(r.by.T @ r.by for r in hardly) + precision
+        slope = sum(r.by.T @ r.values.ravel() for r in hardly) + precision @ (estimate.values - mean)
         plugged = first.values.ravel() - first.by @ np.linalg.solve(others, slope)
         against = first.by.T @ plugged
         expected = plugged @ plugged - against @ np.linalg.solve(others + first.by.T @ first.by, against)

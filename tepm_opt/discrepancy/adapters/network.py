@@ -143,9 +143,13 @@ class SearchableNetwork(NetworkPlant):
         """A network to which nothing is missing: enough to check the set-up, and compiled in a fraction of the time."""
         return SearchableNetwork(compile_model(known), static, known_model=known, candidates=(), signals=channels.signals)
 
-    @cached_property
+    @property
     def without_candidates(self) -> NetworkPlant:
         """The network of the known model."""
+        return self._known_network
+
+    @cached_property
+    def _known_network(self) -> NetworkPlant:
         return NetworkPlant(compile_model(self.known_model), self.static)
 
     @property
