@@ -96,6 +96,7 @@ def definitions() -> list[tuple[str, bool, str, str]]:
     return [(path, own, node.name, ast.get_docstring(node) or "") for path, text in PACKAGE.items() for own, node in public(text)]
 
 
+@pytest.mark.slow
 def test_docstrings_can_be_read_alone(definitions: list[tuple[str, bool, str, str]]) -> None:
     """A tooltip shows them without the name's context: they begin with a noun or a verb. Methods may inherit theirs."""
     hanging = re.compile(r"(Of|By|With|From|For|To|In|On|At|As|And|Or|But|Than|Also|Because)\b")
@@ -127,6 +128,7 @@ def test_the_page_on_verdicts_lists_every_effect() -> None:
     assert [effect.name for effect in effects() if f"`{effect.name}`" not in listed] == []
 
 
+@pytest.mark.slow
 def test_four_arguments_are_described() -> None:
     """Args names all of them. Commands describe theirs as options; a method without words has those of the one it overrides."""
     many = [(path, *each) for path, text in PACKAGE.items() for each in described(text) if len(each[2]) >= 4]

@@ -115,10 +115,12 @@ class TestWhatChanged:
             assert verdict.baseline == "before"
             assert not verdict.effects
 
+    @pytest.mark.slow
     def test_without_the_baseline_the_same_data_are_no_healthy_machine(self) -> None:
         assert discover(recording("after", 2), pendulum(), NOISE).verdict.status is not VerdictStatus.NO_DISCREPANCY
 
-    @pytest.mark.parametrize("mass", [0.25, 0.5])
+    @pytest.mark.sample(2)
+    @pytest.mark.parametrize("mass", [0.5, 0.25])
     def test_a_payload_with_its_size(self, before: Baseline, mass: float) -> None:
         verdict = changed(recording("after", 5, mass=mass), before)
         assert verdict.status is VerdictStatus.NAMED, verdict
@@ -130,6 +132,7 @@ class TestWhatChanged:
         assert found.std < 0.3 * mass
         assert verdict.sentences[0].startswith("Changed since before: payload[tip]")
 
+    @pytest.mark.slow
     def test_something_that_no_law_explains(self, before: Baseline) -> None:
         verdict = changed(recording("after", 6, friction=0.8), before, payload=False)
         assert verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL), verdict
@@ -168,6 +171,7 @@ class TestMotionRange:
 
 
 class TestCommand:
+    @pytest.mark.slow
     def test_of_a_plant_file_writes_what_the_baseline_tells(self, tmp_path: Path) -> None:
         """The same from files: a plant of a data set, `--baseline`, `baseline.json`."""
         plant = tmp_path / "arm.py"

@@ -90,7 +90,7 @@ def found(model: CompiledModel, runs: list[Run]) -> list[str]:
     return [error.kind for error in find_setup_errors(network(model), runs, NOISE)[0]]
 
 
-@pytest.mark.sample(7)
+@pytest.mark.sample(14)
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_told_and_its_mend_gives_back_the_data(plain: CompiledModel, healthy: list[Run], name: str) -> None:
     """An angle is found to 2 degrees, which is the tip's place to 15 mm."""
@@ -118,7 +118,7 @@ def test_nothing_is_told_of_a_machine_that_is_set_up_well(plain: CompiledModel, 
     assert found(plain, loaded) == []
 
 
-@pytest.mark.sample(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.5, 0.0])
 def test_a_weak_tendon_is_no_unit(plain: CompiledModel, part: float) -> None:
     """One that lost half of its tension, or all of it, is physics, although a unit that is smaller explains most of it."""

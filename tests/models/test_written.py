@@ -83,6 +83,7 @@ def test_a_damaged_file_is_written_anew(empty_cache) -> None:
     assert path.read_bytes() == whole
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("empty_cache")
 def test_kept_models_move_alike(compiler) -> None:
     """A model whose functions were read has the same library and statics as one whose functions were written."""

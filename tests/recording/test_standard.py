@@ -73,6 +73,7 @@ def test_the_wiring_plan_moves_every_input_alone(reach: Reach) -> None:
     assert all(course.time[-1] <= 32 for course in courses)
 
 
+@pytest.mark.slow
 def test_a_robot_on_a_guide_has_a_plan_without_a_pulley(tmp_path: Path) -> None:
     model = Model.of(DOCS / "one_axis.toml")
     plan = standard(model).plan

@@ -44,6 +44,7 @@ def test_posterior_as_prior_is_the_fit_to_both() -> None:
     np.testing.assert_allclose(after.std, together.std, rtol=0.3)
 
 
+@pytest.mark.slow
 def test_covariance_counts_prior_and_data_alike_where_samples_are_not_independent() -> None:
     """Ten alike samples are one measurement: with that weight the posterior scatters as it says it does."""
     found = []
