@@ -40,23 +40,41 @@ static void scatter(work *w, int first, int count, const vector *matrix) {
 }
 
 /* Inverse of a block in place by Gauss-Jordan without pivoting (matrices here are positive definite up to the small asymmetry of
-   damping on turning edges). Returns 1 where a pivot is 0 or not a number. */
+   damping on turning edges), the three coordinates of a point at once. Returns 1 where a pivot is 0 or not a number. */
 static int invert(block a) {
-#pragma GCC unroll 12
-  for (int p = 0; p < NB; p++) {
-    vector column[PARTS];
-    if (!(fabs(a[p][p]) > 0)) return 1;
-    double inverse = 1 / a[p][p];
-    a[p][p] = 0;
-    memcpy(column, a[p], sizeof column);
-    for (int c = 0; c < NB; c++) {
-      if (c == p) continue;
-      double scale = a[c][p] * inverse;
-      for (int v = 0; v < PARTS; v++) ((vector *)a[c])[v] -= scale * column[v];
-      a[c][p] = scale;
+#pragma GCC unroll 4
+  for (int p = 0; p < NB; p += 3) {
+    vector column[3][PARTS];
+    double m[3][3], inverse[3][3], determinant = 0; /* column by column, as the block */
+    for (int c = 0; c < 3; c++) for (int r = 0; r < 3; r++) m[c][r] = a[p + c][p + r];
+    for (int c = 0; c < 3; c++)
+      for (int r = 0; r < 3; r++) { /* cofactors */
+        const int c_1 = (c + 1) % 3, c_2 = (c + 2) % 3, r_1 = (r + 1) % 3, r_2 = (r + 2) % 3;
+        inverse[r][c] = m[c_1][r_1] * m[c_2][r_2] - m[c_1][r_2] * m[c_2][r_1];
+      }
+    for (int c = 0; c < 3; c++) determinant += m[c][0] * inverse[0][c];
+    if (!(fabs(determinant) > 0)) return 1;
+    for (int c = 0; c < 3; c++) for (int r = 0; r < 3; r++) inverse[c][r] *= 1 / determinant;
+    for (int c = 0; c < 3; c++) {
+      for (int r = 0; r < 3; r++) a[p + c][p + r] = 0;
+      memcpy(column[c], a[p + c], sizeof column[c]);
     }
-    for (int v = 0; v < PARTS; v++) ((vector *)a[p])[v] = -inverse * column[v];
-    a[p][p] = inverse;
+    for (int c = 0; c < NB; c++) {
+      if (c >= p && c < p + 3) continue;
+      const double x = a[c][p], y = a[c][p + 1], z = a[c][p + 2];
+      const double s = inverse[0][0] * x + inverse[1][0] * y + inverse[2][0] * z;
+      const double t = inverse[0][1] * x + inverse[1][1] * y + inverse[2][1] * z;
+      const double u = inverse[0][2] * x + inverse[1][2] * y + inverse[2][2] * z;
+      for (int v = 0; v < PARTS; v++) ((vector *)a[c])[v] -= s * column[0][v] + t * column[1][v] + u * column[2][v];
+      a[c][p] = s; /* one by one: what is stored together and read apart waits */
+      a[c][p + 1] = t;
+      a[c][p + 2] = u;
+    }
+    for (int c = 0; c < 3; c++) {
+      for (int v = 0; v < PARTS; v++)
+        ((vector *)a[p + c])[v] = -(inverse[c][0] * column[0][v] + inverse[c][1] * column[1][v] + inverse[c][2] * column[2][v]);
+      for (int r = 0; r < 3; r++) a[p + c][p + r] = inverse[c][r];
+    }
   }
   return 0;
 }

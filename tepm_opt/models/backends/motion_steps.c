@@ -47,8 +47,14 @@ static void move_inputs(stepper *m, work *w, state *s, double at, double duratio
 
 /* P and level 0 under the actuation a and the external forces at a time. */
 static void set_properties(stepper *m, work *w, const double *a, double t) {
-  look(m, known_at(m, w, t, FORCES), 0, NU, NEXT, w->external);
-  const double *arg[] = {a, w->external, w->theta};
+  double external[AT_LEAST_1(NEXT)];
+  look(m, known_at(m, w, t, FORCES), 0, NU, NEXT, external);
+  if (!TIMED && w->has_properties && !memcmp(a, w->acting, sizeof w->acting) && !memcmp(external, w->external, NEXT * sizeof *external))
+    return; /* inputs are held */
+  w->has_properties = 1;
+  memcpy(w->acting, a, sizeof w->acting);
+  memcpy(w->external, external, NEXT * sizeof *external);
+  const double *arg[] = {w->acting, w->external, w->theta};
   double *res[] = {w->P[0], w->level_0};
   run(properties, arg, res);
   pack(w);

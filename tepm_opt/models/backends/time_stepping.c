@@ -69,7 +69,9 @@ typedef struct { /* what a group of directions needs of the Jacobians; of a segm
 typedef struct {
   levels x, v, force;
   edge_states y, rate; /* edge states before a stage, their rates at its end */
-  double P[NLEV][NPROP], level_0[NB], a[NU], external[AT_LEAST_1(NEXT)];
+  double P[NLEV][NPROP], level_0[NB], a[NU];
+  double acting[NU], external[AT_LEAST_1(NEXT)]; /* what P and level_0 belong to, once they are there */
+  int has_properties;
   levels step;
   vector pull[BATCHES][NEDGES], trusted[BATCHES][NEDGES]; /* of the edges: at the last evaluation, and in the last stage that was solved */
   double theta[NTHETA_ROOM];
@@ -79,7 +81,7 @@ typedef struct {
   selection chosen;
   double by_properties[properties_by_nnz_ROOM], by_inputs[input_motion_by_nnz_ROOM];
   turns turns; /* from here on what functions need for themselves: stacks are small in threads */
-  struct { levels guess, from; } in_newton;
+  struct { levels guess, from, correction; } in_newton;
   struct { double a[2][NU]; levels x_0, v_0, V[2], A[2]; edge_states Y[2]; state start; } in_step;
   struct { double u[NU], rate[NU], y[AT_LEAST_1(NIN)], a[NU]; } in_inputs;
   struct { levels x, v; double observed[NOBS]; } in_record;
