@@ -12,9 +12,9 @@ from itertools import groupby
 
 import casadi as ca
 
-PIECE = 1000
-"""Instructions of a piece: of a quarter, RK4 takes a twentieth longer; longer ones take longer to compile."""
-PIECES = 4
+PIECE = 600
+"""Instructions of a piece: of half of that, RK4 takes a twentieth longer; longer ones take longer to compile."""
+PIECES = 7
 """Pieces of a text that is compiled apart."""
 SMALL = 16
 """Multiples of an eighth up to this number are formulas' and stay in the text; all other numbers are data."""
