@@ -42,6 +42,7 @@ def discrepancy(
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,
     invent: Annotated[bool, typer.Option("--invent", help="Seek a law where no known effect explains what is left.")] = False,
+    minutes: Annotated[float | None, typer.Option("--minutes", help="End the search after so long and say what is untried.")] = None,
     mend: Annotated[bool, typer.Option("--mend", help="Write the data without their set-up errors into OUT/mended.")] = False,
     as_json: JsonOption = False,
 ) -> int:
@@ -58,7 +59,9 @@ def discrepancy(
     try:
         with shown(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend, baseline)
+            result = tepm.run_discrepancy(
+                dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend, baseline, minutes
+            )
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             if result.law is not None:

@@ -21,6 +21,7 @@ from tepm_opt.discrepancy.baseline.baseline import Baseline, fit_baseline
 from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.problem.time_limit import TimeLimit
 from tepm_opt.discrepancy.reporting.sentences import next_step
 from tepm_opt.discrepancy.setup.errors import foreign_run
 from tepm_opt.discrepancy.setup.foreign import odd_run
@@ -71,7 +72,7 @@ def require_fit_runs(dataset: RunSet) -> None:
 def discover(
     dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
     settings: SearchSettings | None = None, progress: Progress = silent, stages: Sequence[Callable[[Any], Any]] = STAGES,
-    baseline: Baseline | None = None,
+    baseline: Baseline | None = None, limit: TimeLimit | None = None,
 ) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
@@ -86,6 +87,7 @@ def discover(
         progress: told of every piece of work.
         stages: of the pipeline.
         baseline: an earlier recording of the machine (`learn_baseline`); the answer then tells what changed since.
+        limit: after which no more sets of effects are fitted; the answer says which were not, and is `partial` at best.
 
     Raises:
         InputError: no run to fit to, or the model cannot do the runs.
@@ -95,11 +97,11 @@ def discover(
     settings = settings or SearchSettings.of(plant)
     if baseline is not None:
         plant, settings = plant.with_values(baseline.values), baseline.adapt(settings, dataset.fit)
-    question = Question(dataset, plant, noise, settings, seed, store, key, progress, baseline=baseline)
+    question = Question(dataset, plant, noise, settings, seed, store, key, progress, baseline=baseline, limit=limit or TimeLimit())
     found = run_stages(question, stages)
-    if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
+    if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not (plant.static or question.limit.is_over):
         found = _without_beginnings(question, found, stages)
-    if found.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
+    if found.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL) and not question.limit.is_over:
         found = _without_odd_run(question, found, stages)
     return replace(found, verdict=replace(found.verdict, seconds=time.monotonic() - began))
 

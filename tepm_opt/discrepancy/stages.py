@@ -32,6 +32,7 @@ from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_nois
 from tepm_opt.discrepancy.preparation.time_step import choose_time_step
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.problem.time_limit import TimeLimit
 from tepm_opt.discrepancy.reporting.report import build_verdict
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import explain
@@ -74,14 +75,14 @@ def recalibrate(state: Prepared) -> Recalibrated:
     problem, noise, remarks = _with_initial_states(state.problem, state.settings), state.noise, state.remarks
     if state.baseline is not None:
         return _constrain(state, state.baseline, problem)
-    first = Fits(problem, state.settings, progress=state.progress)
+    first = Fits(problem, state.settings, progress=state.progress, limit=state.limit)
     fit = first.fit((), {})
     if fit is not None and not problem.plant.static:
         noise, scatters = estimate_noise(noise, problem.runs, fit.estimate.residuals)
         remarks = [*remarks, *describe_noise(scatters, state.noise, state.plant.signals)]
     done = first.done if np.all(noise == problem.noise) else {}
     shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
-    fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done)
+    fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done, state.limit)
     known: dict[str, Any] = vars(state) | {"noise": noise, "remarks": remarks}
     return Recalibrated(**known, fits=fits)
 
@@ -89,7 +90,7 @@ def recalibrate(state: Prepared) -> Recalibrated:
 def _constrain(state: Prepared, baseline: Baseline, problem: Problem) -> Recalibrated:
     """The search for what changed: parameters within the baseline's posterior, the model's error there in the place of noise."""
     shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
-    fits = Fits(baseline.constrain(problem), state.settings, state.store, state.key, state.progress, shown, values)
+    fits = Fits(baseline.constrain(problem), state.settings, state.store, state.key, state.progress, shown, values, limit=state.limit)
     known: dict[str, Any] = vars(state) | {"missing": baseline.rebase(state.missing)}
     return Recalibrated(**known, fits=fits)
 
@@ -106,7 +107,8 @@ def screen(state: Recalibrated) -> Screened:
     if shown is None:
         return Screened(**vars(state), candidates=state.missing)
     state.progress("with measured inputs, for what happens behind them", 0, 0)
-    behind_them = Fits(replace(fits.problem, runs=shown), state.settings, other_store(state.store, "measured"), state.key, state.progress)
+    store = other_store(state.store, "measured")
+    behind_them = Fits(replace(fits.problem, runs=shown), state.settings, store, state.key, state.progress, limit=state.limit)
     body = explain(behind_them, downstream_candidates(state.missing, measured_inputs(fits.problem.runs, signals)), state.seed)
     state.progress("with commanded inputs", 0, 0)
     return Screened(**vars(state), candidates=exclude_by_measured_inputs(body, state.missing, state.settings))
@@ -142,6 +144,7 @@ def assess(state: Validated) -> Assessed:
     judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
     if state.baseline is not None:
         judgement = judge_change(judgement, explanation, settings, state.baseline, state.dataset.fit)
+    judgement = _limit(judgement, state.limit)
     dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)
@@ -167,6 +170,14 @@ STAGES: tuple[Callable[[Any], Any], ...] = (check_setup, prepare, recalibrate, s
 def other_store(store: Path | None, name: str) -> Path | None:
     """A file for the fits of another search."""
     return None if store is None else store.with_name(f"{store.name}-{name}")
+
+
+def _limit(judgement: Judgement, limit: TimeLimit) -> Judgement:
+    """Take the answer of a search that left others untried for a part of the answer."""
+    if not limit.untried:
+        return judgement
+    status = VerdictStatus.PARTIAL if judgement.status is VerdictStatus.NAMED else judgement.status
+    return replace(judgement, status=status, remarks=(limit.remark, *judgement.remarks))
 
 
 def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:

@@ -17,6 +17,7 @@ from tepm_opt.discrepancy.preparation.clock import ClockShift
 from tepm_opt.discrepancy.preparation.devices import IdentifiedDevices
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.problem.time_limit import TimeLimit
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.setup.errors import SetupError
@@ -41,6 +42,7 @@ class Question:
         progress: told of every piece of work.
         setup: errors of the set-up that are mended in `dataset`.
         baseline: an earlier recording of the machine, from which the answer tells what changed; None for none.
+        limit: time that the search may take.
     """
 
     dataset: RunSet
@@ -53,6 +55,7 @@ class Question:
     progress: Progress = silent
     setup: tuple[SetupError, ...] = ()
     baseline: Baseline | None = None
+    limit: TimeLimit = field(default_factory=TimeLimit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ class Asked:
         effects: files with effects of one's own.
         mend: whether mended data were written.
         baseline: an earlier data set with which they were compared.
+        ended_early: whether the search left something untried for want of time.
     """
 
     folder: Path
@@ -45,6 +46,7 @@ class Asked:
     effects: Sequence[Path] = ()
     mend: bool = False
     baseline: Path | None = None
+    ended_early: bool = False
 
     def again(self, *more: str | Path) -> str:
         """The command once more, with further options."""
@@ -88,6 +90,8 @@ def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
     """What to do now, in words, and the command for it."""
     verdict = result.verdict
     step, status = verdict.next, verdict.status
+    if asked.ended_early and status is not VerdictStatus.SETUP_ERROR:
+        return "let the search go on from there", asked.again()
     if status in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY):
         if asked.plant:
             return f"take the values of {(asked.out / VALUES).as_posix()} over into {asked.plant.as_posix()}, then ask again", asked.again()

@@ -26,6 +26,7 @@ from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.pipeline import discover, learn_baseline, require_fit_runs
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.problem.time_limit import TimeLimit
 from tepm_opt.discrepancy.setup.errors import mend_runs
 from tepm_opt.discrepancy.state import Discovery, Question
 from tepm_opt.discrepancy.symbolic.invent import Invention
@@ -71,7 +72,7 @@ def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: boo
 def run_discrepancy(
     folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
     progress: Progress = silent, plant: str | Path | None = None, invent: bool = False, add: Sequence[str | Path] = (), mend: bool = False,
-    baseline: str | Path | None = None,
+    baseline: str | Path | None = None, minutes: float | None = None,
 ) -> Discovery:  # fmt: skip
     """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file gives the machine.
 
@@ -90,17 +91,19 @@ def run_discrepancy(
         mend: whether to write the data without their set-up errors into `mended`.
         baseline: an earlier data set of the same machine: the answer tells what changed since; what it says of the parameters and of the
             model's error goes into `baseline.json`.
+        minutes: that the search may take; None for no limit. What was fitted is kept then, and the same command goes on from there.
 
     Raises:
         InputError: data or model cannot be used; the message says why.
     """
     folder, out = Path(folder), Path(out)
+    limit = _time_limit(minutes)
     if plant is not None and add:
         raise InputError("--add and --plant exclude each other; valid: data sets of a robot")
     if plant is not None:
         if mend:
             raise InputError("--mend and --plant exclude each other; valid: data sets of a robot")
-        return _of_plant(folder, out, Path(plant), seed, progress, Path(baseline) if baseline else None)
+        return _of_plant(folder, out, Path(plant), seed, progress, Path(baseline) if baseline else None, limit)
     more = tuple(map(Path, add))
     asked = Asked(
         folder,
@@ -131,7 +134,7 @@ def run_discrepancy(
         warnings = [*warnings, *more_warnings]
         earlier = _learn(Question(old, network, noise_of(old), SearchSettings.of(network), seed), progress, out)
         key = _fingerprint([Path(baseline)], key)
-    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, baseline=earlier)
+    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     if not result.verdict.setup:
         checked_datasets([folder, *more], despite_errors)  # refuses errors of the set-up that the workflow did not find
     write_model(result.verdict.model, out / MODEL)
@@ -139,8 +142,8 @@ def run_discrepancy(
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         result = replace(result, law=with_law(result, out / EFFECTS, progress))
-    result = advised(result, asked)
-    _write(result, out, warnings, {"data": [_seen_from(out, each) for each in (folder, *add)], "model": _seen_from(out, model)})
+    result = advised(result, replace(asked, ended_early=bool(limit.untried)))
+    _write(result, out, warnings, limit, {"data": [_seen_from(out, each) for each in (folder, *add)], "model": _seen_from(out, model)})
     return result
 
 
@@ -214,7 +217,7 @@ def _learn(question: Question, progress: Progress, out: Path) -> Baseline:
     return found
 
 
-def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress, baseline: Path | None = None) -> Discovery:
+def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress, baseline: Path | None, limit: TimeLimit) -> Discovery:
     """Explain a data set of a plant file's machine, see `run_discrepancy`.
 
     Args:
@@ -224,6 +227,7 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
         seed: of all random draws.
         progress: told of every piece of work.
         baseline: an earlier data set of the machine; None for none.
+        limit: of the search.
     """
     plant = load_plant(file)
     dataset = read_trials(folder, plant.signals, plant.static)
@@ -237,10 +241,10 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
         old = read_trials(baseline, plant.signals, plant.static)
         earlier = _learn(Question(old, plant, _noise(old, plant), SearchSettings.of(plant), seed), progress, out)
         key = _fingerprint([baseline], key)
-    result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier)
+    result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
-    result = advised(result, Asked(folder, out, plant=file, baseline=baseline))
-    _write(result, out, [])
+    result = advised(result, Asked(folder, out, plant=file, baseline=baseline, ended_early=bool(limit.untried)))
+    _write(result, out, [], limit)
     return result
 
 
@@ -249,14 +253,25 @@ def _noise(dataset: Trials, plant: SearchablePlant) -> float | np.ndarray:
     return float(dataset.noise[0, 0]) if plant.signals.unit and np.ptp(dataset.noise) == 0 else dataset.noise
 
 
-def _write(result: Discovery, out: Path, warnings: Sequence[str], origin: Mapping[str, Any] | None = None) -> None:
-    """Write `verdict.json`, with what it is about; what was kept in case of an interruption goes."""
+def _time_limit(minutes: float | None) -> TimeLimit:
+    """The limit of a search.
+
+    Raises:
+        InputError: not a positive number.
+    """
+    if minutes is not None and not minutes > 0:
+        raise InputError(f"--minutes: {minutes:g} is no time to search; valid: above 0, such as 10")
+    return TimeLimit() if minutes is None else TimeLimit(minutes)
+
+
+def _write(result: Discovery, out: Path, warnings: Sequence[str], limit: TimeLimit, origin: Mapping[str, Any] | None = None) -> None:
+    """Write `verdict.json`, with what it is about; kept fits go, unless there were others for which time was short."""
     content = result.verdict.as_json() | dict(origin or {})
     if result.law is not None:
         content["law"] = as_json(result.law)
     content["notes"] += [f"data: {line}" for line in warnings]
     write_atomically(out / VERDICT, json.dumps(content, indent=2) + "\n")
-    for kept in out.glob(f"{FITS}*"):
+    for kept in () if limit.untried else out.glob(f"{FITS}*"):
         kept.unlink()
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters, restrict_effects_to_runs
 from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.problem.time_limit import TimeLimit
 from tepm_opt.discrepancy.selection.cross_validation import Evidence, leave_out
 from tepm_opt.discrepancy.selection.linearised import Linearised, linearise
 from tepm_opt.discrepancy.selection.screening import Score, screen
@@ -83,6 +84,7 @@ class Fits:
         key: identifies the data and the model that the file must have been made from.
         progress: told of every fit.
         seen: effects that gauges have shown already, and `values` of their parameters by full name to fit from.
+        limit: after which no further set of effects is fitted, but those that gauges have shown.
     """
 
     problem: Problem
@@ -93,6 +95,7 @@ class Fits:
     seen: Effects = ()
     values: Mapping[str, float] = field(default_factory=dict)
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
+    limit: TimeLimit = field(default_factory=TimeLimit)
     screened: dict[Effects, list[Score]] = field(default_factory=dict)
     linearised: dict[Effects, Linearised] = field(default_factory=dict)
     _kept: dict[str, Any] = field(default_factory=dict)
@@ -181,10 +184,13 @@ class Fits:
 
         def tell(stage: str, done: float, of: float) -> None:
             self.progress(_describe_fit(effects), done, of)
+            if set(effects) - set(self.seen):
+                self.limit.check(effects)
 
         for start in [kept] if kept else begun:
             begin = tuple(replace(f, start=float(np.clip(start.get(f.name, f.start), f.low, f.high))) for f in free)
             with suppress(PredictionError):
+                tell(stage, 0, settings.max_iterations)
                 fits.append(identify(replace(problem, free=begin), steps, tell, tolerance=settings.tolerance, reached=bound))
         self.progress(_describe_fit(effects), settings.max_iterations, settings.max_iterations)
         if not fits:
@@ -205,6 +211,7 @@ class Fits:
         effects = hypothesis.effects
         if effects not in self.linearised:
             others = [c for c in missing if may_act_beside(c, effects) and (c.smooth or not self.settings.screen_by_fits)]
+            others = [] if self.limit.is_over else others
             beside = f" beside {', '.join(c.told for c in effects)}" if effects else ""
             self.progress(f"screening {len(others)} effects{beside}", 0, 0)
             self.linearised[effects] = linearise(hypothesis.estimate, self.problem.free, effects, others, self.settings)

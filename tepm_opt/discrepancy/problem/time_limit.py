@@ -1,0 +1,53 @@
+"""Time that a search may take, and what it left untried."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.text import listed
+
+
+class TimeLimitError(PredictionError):
+    """Ends a fit at the time limit of its search; to the search it is a fit that failed."""
+
+
+@dataclass(eq=False)
+class TimeLimit:
+    """The time limit of a search, and the sets of effects that were not fitted for want of time.
+
+    Attributes:
+        minutes: from the first use; infinite for none.
+        untried: sets of effects, in the order in which the search asked for them.
+    """
+
+    minutes: float = float("inf")
+    untried: dict[tuple[Candidate, ...], None] = field(default_factory=dict)
+    _began: float = field(default_factory=time.monotonic)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() - self._began > 60 * self.minutes
+
+    def check(self, effects: tuple[Candidate, ...]) -> None:
+        """Refuse the fit of a set of effects when the time is up, and note it.
+
+        Raises:
+            TimeLimitError: the time is up.
+        """
+        if self.is_over:
+            self.untried[effects] = None
+            raise TimeLimitError(f"the {self.minutes:g} minutes are over")
+
+    @property
+    def remark(self) -> str:
+        """Sentence about the sets that were not fitted."""
+        names = listed(list(dict.fromkeys(effect.told for effects in self.untried for effect in effects)), 5)
+        sets = "one set" if len(self.untried) == 1 else f"{len(self.untried)} sets"
+        return (
+            f"Time: the search ended after {self.minutes:g} minutes and left {sets} of effects unfitted, with {names}. "
+            "None of them is ruled out; the same command with more minutes goes on from there."
+        )

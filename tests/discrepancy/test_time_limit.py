@@ -1,0 +1,78 @@
+"""A search that ends after a time says what it left untried, and goes on from there when it is asked again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.time_limit import TimeLimit, TimeLimitError
+from tepm_opt.errors import InputError
+from tepm_opt.jobs.discrepancy import FITS, run_discrepancy
+from tests.discrepancy.test_quick_plants import NOISE, runs
+
+TANK = """from tepm_opt.discrepancy.adapters.equations import Equations
+
+m = Equations("tank", time=0.5)
+level, inflow = m.state("level"), m.input("inflow", size=1.0)
+m.rate(level, inflow - m.known("leak", 2.0, "1/s", within=0.05) * level)
+m.output("level", level, "m", size=0.5)
+plant = m.plant()
+"""
+
+
+@pytest.fixture
+def late(tmp_path: Path) -> Path:
+    """Levels of a tank that follows its inflow 0.2 s late, and the plant file of one that does not."""
+    folder = tmp_path / "late"
+    folder.mkdir()
+    measured, random = runs(4, leak=2.0), np.random.default_rng(1)
+    for run in measured:
+        still = run.inputs[0, 0] / 2.0 + NOISE * random.normal(size=10)
+        rows = zip(run.time, run.inputs[:, 0], [*still, *run.points[:-10, 0, 0]], strict=True)
+        (folder / run.file).write_text("time_s,inflow,level\n" + "".join(f"{t:.6f},{u:.9f},{x:.9f}\n" for t, u, x in rows))
+    listed = ", ".join(f'{{ file = "{run.file}", role = "{"validation" if run is measured[-1] else "fit"}" }}' for run in measured)
+    (folder / "dataset.toml").write_text(f'name = "late"\nruns = [{listed}]\n[noise]\nlevel = {NOISE}\n')
+    (tmp_path / "tank.py").write_text(TANK)
+    return folder
+
+
+@pytest.mark.slow
+def test_what_is_named_in_time_is_a_part_at_best(late: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time is up after a few iterations; asked again without a limit, the search takes over what it had."""
+    allowed = iter([False] * 8)
+    monkeypatch.setattr(TimeLimit, "is_over", property(lambda self: self.minutes < 1e3 and next(allowed, True)))
+    out, plant = tmp_path / "out", tmp_path / "tank.py"
+    early = run_discrepancy(late, out, plant=plant, minutes=1.0).verdict
+    assert early.status in (VerdictStatus.PARTIAL, VerdictStatus.UNEXPLAINED)
+    assert any(note.startswith("Time: the search ended after 1 minutes") for note in early.notes)
+    assert early.command.startswith("tepm discrepancy")
+    assert "--minutes" not in early.command
+    assert (out / FITS).is_file()
+    whole = run_discrepancy(late, out, plant=plant).verdict
+    assert whole.status is VerdictStatus.NAMED
+    assert not any(note.startswith("Time:") for note in whole.notes)
+    assert not (out / FITS).exists()
+
+
+def test_the_remark_names_what_was_left() -> None:
+    limit = TimeLimit(0.0)
+    for name in ("payload", "creep"):
+        with pytest.raises(TimeLimitError):
+            limit.check((Candidate(name, None, (), "", {}),))
+    assert "left 2 sets of effects unfitted, with payload, creep" in limit.remark
+
+
+def test_no_limit_is_never_over() -> None:
+    limit = TimeLimit()
+    limit.check(())
+    assert not limit.untried
+
+
+@pytest.mark.parametrize("minutes", [0.0, -3.0, float("nan")])
+def test_no_time_at_all_is_refused(tmp_path: Path, minutes: float) -> None:
+    with pytest.raises(InputError, match=r"--minutes: .* valid: above 0, such as 10"):
+        run_discrepancy(tmp_path, tmp_path / "out", minutes=minutes)
