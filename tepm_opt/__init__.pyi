@@ -40,9 +40,12 @@ from .jobs.executors import processes as processes
 from .jobs.executors import sweep as sweep
 from .jobs.gain import GainRun as GainRun
 from .jobs.gain import run_gain as run_gain
+from .jobs.identify import FitOptions as FitOptions
 from .jobs.identify import IdentifyRun as IdentifyRun
 from .jobs.identify import open_datasets as open_datasets
+from .jobs.identify import open_trials as open_trials
 from .jobs.identify import run_identify as run_identify
+from .jobs.identify import run_identify_plant as run_identify_plant
 from .jobs.ik import IkRun as IkRun
 from .jobs.ik import run_ik as run_ik
 from .jobs.import_data import ImportRun as ImportRun
@@ -58,6 +61,7 @@ from .jobs.next_run import NextRun as NextRun
 from .jobs.next_run import run_next as run_next
 from .jobs.plan import PlanRun as PlanRun
 from .jobs.plan import run_plan as run_plan
+from .jobs.plants import load_plant as load_plant
 from .jobs.play import play as play
 from .jobs.record import record as record
 from .jobs.rounds import RoundsRun as RoundsRun

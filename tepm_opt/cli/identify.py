@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +24,9 @@ from tepm_opt.errors import InputError
 def identify(
     datasets: Annotated[list[Path], typer.Argument(metavar="DATASET...", help="Folders with dataset.toml and a CSV file a run.")],
     workers: WorkerOptions,
-    out: Annotated[Path, typer.Option("--out", help="Folder for model.toml and identified.json.")] = Path("identified"),
+    out: Annotated[Path, typer.Option("--out", help="Folder for identified.json and model.toml or, with --plant, values.json.")] = Path(
+        "identified"
+    ),
     free: Annotated[
         str | None, typer.Option("--free", help="Parameters by commas: K_a,c_a,r,payload.mass.", show_default="those with priors")
     ] = None,
@@ -34,6 +37,7 @@ def identify(
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,
     robot: RobotOption = None,
     model: ModelOption = None,
+    plant: Annotated[Path | None, typer.Option("--plant", help="Python file of another machine, which the data sets are of.")] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Fit parameters to measured runs (role fit) within their priors, judge them on the others, say what the runs cannot tell.
@@ -44,14 +48,18 @@ def identify(
         raise InputError(f"--starts {starts}; valid: at least 1")
     if workers.given and starts == 1:
         raise InputError("--jobs and --scheduler are for --starts; leave them out, or fit from several starts")
-    sets = tepm.open_datasets(datasets, despite_errors)
-    compiled = load(robot or (None if model else sets[0].robot), model)
     names = [name.strip() for name in free.split(",")] if free else None
-    if names is None and not compiled.robot.priors:
-        raise InputError(f"robot {compiled.robot.name} has no priors: name the parameters to fit with --free")
+    options = tepm.FitOptions(starts, intervals, outliers, seed)
+    fit = _of_plant(plant, datasets, names, options, robot or model or despite_errors) if plant else None
+    if fit is None:
+        sets = tepm.open_datasets(datasets, despite_errors)
+        compiled = load(robot or (None if model else sets[0].robot), model)
+        if names is None and not compiled.robot.priors:
+            raise InputError(f"robot {compiled.robot.name} has no priors: name the parameters to fit with --free")
+        fit = partial(tepm.run_identify, compiled, sets, names, options)
     try:
         with workers.opened() as executor, shown(as_json) as progress:
-            run = tepm.run_identify(compiled, sets, names, starts, intervals, outliers, seed, progress, executor)
+            run = fit(progress, executor)
     except KeyboardInterrupt:
         stderr.print("interrupted: nothing was written")
         return INTERRUPTED
@@ -62,21 +70,30 @@ def identify(
     else:
         _tell(run.summary(), folder)
         if run.doubts:
-            step = f"Next: find out what the model lacks: {_next(datasets, model, despite_errors)}"
+            step = f"Next: find out what the model lacks: {_next(datasets, model, plant, despite_errors)}"
             stdout.print(step, soft_wrap=True, highlight=False, markup=False)
     return SOLVED if run.ok else UNSOLVED
 
 
-def _next(datasets: Sequence[Path], model: Path | None, despite_errors: bool) -> str:
+def _of_plant(file: Path, datasets: Sequence[Path], names: list[str] | None, options: tepm.FitOptions, mixed: object) -> partial[Any]:
+    """The fit of a plant file's machine, ready to run."""
+    if mixed:
+        raise InputError("--plant excludes --robot, --model and --despite-errors; valid: --plant FILE alone")
+    plant = tepm.load_plant(file)
+    return partial(tepm.run_identify_plant, plant, tepm.open_trials(datasets, plant), names, options)
+
+
+def _next(datasets: Sequence[Path], model: Path | None, plant: Path | None, despite_errors: bool) -> str:
     """The command that finds out what the model lacks."""
     from tepm_opt.jobs.advice import Asked
 
-    return Asked(datasets[0], Path("found"), model, None, datasets[1:], False, despite_errors).again()
+    more = () if plant else datasets[1:]  # of a plant one at a time
+    return Asked(datasets[0], Path("found"), model, plant, more, despite_errors=despite_errors).again()
 
 
 def _tell(summary: dict[str, Any], folder: Path) -> None:
     """Print what was found for people."""
-    from tepm_opt.jobs.discrepancy import MODEL
+    from tepm_opt.jobs.advice import MODEL, VALUES
     from tepm_opt.jobs.identify import SUMMARY
 
     table = Table("parameter", "before", "found", "95 %", "unit", "")
@@ -85,10 +102,13 @@ def _tell(summary: dict[str, Any], folder: Path) -> None:
         note = "at its bound" if entry["at_bound"] else ""
         table.add_row(escape(name), f"{entry['before']:.5g}", f"{entry['value']:.6g}", interval, entry["unit"], note)
     stdout.print(table)
-    errors = summary["validation_rmse_m"]
+    of_plant = "validation_over_noise" in summary
+    errors = summary["validation_over_noise" if of_plant else "validation_rmse_m"]
     lines = [f"residuals {summary['residual_over_noise']:.3g} times the noise after {summary['iterations']} steps ({summary['message']})"]
-    if errors["after"] is not None:
+    if errors["after"] is not None and of_plant:
+        lines.append(f"validation runs: {errors['before']:.3g} times the noise before, [bold]{errors['after']:.3g} times[/] after")
+    elif errors["after"] is not None:
         lines.append(f"validation runs, Eq. (5): {1e3 * errors['before']:.3g} mm before, [bold]{1e3 * errors['after']:.3g} mm[/] after")
     lines += [f"[yellow]{escape(text)}[/]" for text in (*summary["doubts"], *summary["cannot_tell"])]
-    for line in (*lines, f"{folder / MODEL}, {folder / SUMMARY}"):
+    for line in (*lines, f"{folder / (VALUES if of_plant else MODEL)}, {folder / SUMMARY}"):
         stdout.print(line, soft_wrap=True, highlight=False)

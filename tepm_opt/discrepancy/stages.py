@@ -72,7 +72,7 @@ def prepare(state: Question) -> Prepared:
 
 def recalibrate(state: Prepared) -> Recalibrated:
     """Fit the known parameters alone; take the noise from what that leaves of motions."""
-    problem, noise, remarks = _with_initial_states(state.problem, state.settings), state.noise, state.remarks
+    problem, noise, remarks = with_initial_states(state.problem, state.settings), state.noise, state.remarks
     if state.baseline is not None:
         return _constrain(state, state.baseline, problem)
     first = Fits(problem, state.settings, progress=state.progress, limit=state.limit)
@@ -189,7 +189,7 @@ def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:
     return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
 
 
-def _with_initial_states(problem: Problem, settings: SearchSettings) -> Problem:
+def with_initial_states(problem: Problem, settings: SearchSettings) -> Problem:
     """The problem with estimated initial states of its runs and blocks as long as residuals remember, where settings ask for it."""
     if not settings.estimate_beginnings:
         return problem

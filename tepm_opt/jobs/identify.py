@@ -1,9 +1,9 @@
-"""Parameters of a model from data sets."""
+"""Parameters of a model or of any machine from data sets."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,8 +18,13 @@ from tepm_opt.data.frames import Tabular
 from tepm_opt.data.metrics import error_over_time
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.run import Run
+from tepm_opt.data.trials import Trials, read_trials
 from tepm_opt.discrepancy.adapters.network import with_selected_candidates
-from tepm_opt.errors import InputError
+from tepm_opt.discrepancy.problem.plant import SearchablePlant
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.stages import with_initial_states
+from tepm_opt.errors import InputError, unknown_name
+from tepm_opt.jobs.advice import VALUES
 from tepm_opt.jobs.discrepancy import MODEL, checked_dataset
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import write_model
@@ -60,19 +65,34 @@ def open_datasets(folders: Sequence[Path], despite_errors: bool = False) -> list
     return found
 
 
+def open_trials(folders: Sequence[Path], plant: SearchablePlant) -> list[Trials]:
+    """Read data sets of a plant's machine that are fitted together; their runs are named by folder and file.
+
+    Args:
+        folders: at least one.
+        plant: says which columns are inputs and outputs.
+
+    Raises:
+        InputError: see `read_trials`.
+    """
+    found = [(folder, read_trials(folder, plant.signals, plant.static)) for folder in folders]
+    return [replace(each, runs=tuple(replace(run, file=f"{folder.name}/{run.file}") for run in each.runs)) for folder, each in found]
+
+
 @dataclass(frozen=True, eq=False)
 class IdentifyRun(Tabular):
     """Parameters fitted to measured runs, judged on others.
 
     Attributes:
-        before: the model before.
+        before: the model before, or the plant.
         estimate: what was found.
         intervals: of 95 %, lowest and highest value by the parameter's name, within its bounds.
-        validation: Eq. (5) over time in m on runs not fitted to, "before" and "after"; None where there are none.
+        validation: error on runs not fitted to, "before" and "after": Eq. (5) over time in m, of a plant the root mean square over the
+            noise; None where there are none.
         cannot_tell: what the runs cannot tell, a line each.
     """
 
-    before: CompiledModel
+    before: CompiledModel | SearchablePlant
     estimate: ParameterEstimate
     intervals: dict[str, tuple[float, float]]
     validation: dict[str, float | None]
@@ -80,7 +100,12 @@ class IdentifyRun(Tabular):
 
     def __repr__(self) -> str:
         names = ", ".join(free.name for free in self.estimate.problem.free)
-        return f"<IdentifyRun {self.outcome}; {names} of {self.before.robot.name}>"
+        return f"<IdentifyRun {self.outcome}; {names} of {self.machine}>"
+
+    @property
+    def machine(self) -> str:
+        """Name of the robot or the plant."""
+        return self.before.robot.name if isinstance(self.before, CompiledModel) else self.before.name
 
     @property
     def outcome(self) -> Outcome:
@@ -122,7 +147,7 @@ class IdentifyRun(Tabular):
             "parameters": values,
             "correlation": correlation.round(4).tolist(),
             "residual_over_noise": self.over_noise,
-            "validation_rmse_m": self.validation,
+            "validation_rmse_m" if isinstance(self.before, CompiledModel) else "validation_over_noise": self.validation,
             "cannot_tell": self.cannot_tell,
             "iterations": estimate.iterations,
             "converged": self.outcome.solved,
@@ -137,25 +162,41 @@ class IdentifyRun(Tabular):
         return {"parameter": np.array(list(found)), **columns}
 
     def save(self, folder: str | Path) -> None:
-        """Write model.toml, for --model of every command, and identified.json.
+        """Write identified.json, and model.toml, for --model of every command, or of a plant values.json.
 
         Raises:
             InputError: the folder cannot be written to.
         """
         folder = output_folder(folder)
-        write_model(with_selected_candidates(self.before.model, self.estimate.plant.values, ()), folder / MODEL)
+        if isinstance(self.before, CompiledModel):
+            write_model(with_selected_candidates(self.before.model, self.estimate.plant.values, ()), folder / MODEL)
+        else:
+            write_atomically(folder / VALUES, json.dumps(self.estimate.named, indent=2) + "\n")
         write_atomically(folder / SUMMARY, json.dumps(self.summary(), indent=2) + "\n")
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
+@dataclass(frozen=True)
+class FitOptions:
+    """Options of a fit of parameters.
+
+    Attributes:
+        starts: number of fits, all but the first from random values; the best counts.
+        profiles: whether to find profile intervals: slower, right where bounds are near.
+        robust: whether outliers are weighted down.
+        seed: of the random starts.
+    """
+
+    starts: int = 1
+    profiles: bool = False
+    robust: bool = True
+    seed: int = 0
+
+
 def run_identify(
     model: CompiledModel,
     datasets: Sequence[DataSet],
     parameters: Sequence[str] | None = None,
-    starts: int = 1,
-    profiles: bool = False,
-    robust: bool = True,
-    seed: int = 0,
+    options: FitOptions | None = None,
     progress: Progress = silent,
     executor: Executor | None = None,
 ) -> IdentifyRun:
@@ -165,35 +206,79 @@ def run_identify(
         model: compiled model.
         datasets: of its robot, as `open_datasets` reads them.
         parameters: full names of those to fit; those with priors where absent.
-        starts: number of fits, all but the first from random values; the best counts.
-        profiles: whether to find profile intervals: slower, right where bounds are near.
-        robust: whether outliers are weighted down.
-        seed: of the random starts.
+        options: of the fit.
         progress: told what is being done.
         executor: where the fits run; here, one after the other, where None.
 
     Raises:
         InputError: nothing to fit, an unknown parameter, fewer than one start, or a model that cannot do the runs.
     """
-    if starts < 1:
-        raise InputError(f"starts {starts}; valid: at least 1")
+    options = options or FitOptions()
     free = free_parameters(model, parameters)
     if not free:
         raise InputError(f"robot {model.robot.name} has no priors: name the parameters to fit")
     runs = [(run, noise_of(dataset)) for dataset in datasets for run in dataset.fit]
-    noise, static = tuple(sigma for _, sigma in runs), datasets[0].static
-    plant = NetworkPlant(model, static)
-    problem = Problem(plant, tuple(run for run, _ in runs), free, noise, robust, STEP)
+    plant, noise = NetworkPlant(model, datasets[0].static), tuple(sigma for _, sigma in runs)
+    problem = Problem(plant, tuple(run for run, _ in runs), free, noise, options.robust, STEP)
     judged = [run for dataset in datasets for run in dataset.validation]
+    return _fit(model, problem, lambda plant: _error(plant, judged), options, progress, executor)
+
+
+def run_identify_plant(
+    plant: SearchablePlant,
+    datasets: Sequence[Trials],
+    parameters: Sequence[str] | None = None,
+    options: FitOptions | None = None,
+    progress: Progress = silent,
+    executor: Executor | None = None,
+) -> IdentifyRun:
+    """Fit values of any machine that are known roughly, as `run_identify` does of a robot.
+
+    Args:
+        plant: of a plant file.
+        datasets: as `open_trials` reads them.
+        parameters: names of those to fit; all known ones where absent.
+        options: of the fit.
+        progress: told what is being done.
+        executor: where the fits run; here, one after the other, where None.
+
+    Raises:
+        InputError: nothing to fit, an unknown parameter, fewer than one start, or a plant that cannot do the runs.
+    """
+    options = options or FitOptions()
+    if not plant.known:
+        raise InputError(f"{plant.name}: nothing to fit; valid: a plant with m.known(…) for each value that is known roughly")
+    for name in parameters or ():
+        if name not in plant.known:
+            raise unknown_name("parameter", name, plant.known)
+    runs = [(run, dataset.noise) for dataset in datasets for run in dataset.fit]
+    if not runs:
+        raise InputError(f"{datasets[0].name}: no run has the role 'fit'; there is nothing to learn from")
+    free, noise = plant.free(list(parameters or plant.known)), tuple(sigma for _, sigma in runs)
+    plain, apart = plant.without_candidates, plant.derivatives_apart
+    problem = Problem(plain, tuple(run for run, _ in runs), free, noise, options.robust, derivatives_apart=apart)
+    judged = [(run, dataset.noise) for dataset in datasets for run in dataset.validation]
+    problem = with_initial_states(problem, SearchSettings.of(plant))
+    return _fit(plant, problem, lambda plant: _error_over_noise(plant, judged), options, progress, executor)
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
+def _fit(
+    model: CompiledModel | SearchablePlant, problem: Problem, error: Callable[[Plant], float | None], options: FitOptions,
+    progress: Progress, executor: Executor | None,
+) -> IdentifyRun:  # fmt: skip
+    """Fit the parameters of a problem and judge them by an error on other runs."""
+    if options.starts < 1:
+        raise InputError(f"starts {options.starts}; valid: at least 1")
     try:
         progress("compiling the motion", 0, 0)
-        estimate = multi_start(problem, starts, seed, progress=progress, executor=executor)
+        estimate = multi_start(problem, options.starts, options.seed, progress=progress, executor=executor)
         progress("judging", 0, 0)
-        intervals = _intervals(estimate, profiles)
-        validation = {name: _error(which, judged) for name, which in (("before", plant), ("after", estimate.plant))}
+        intervals = _intervals(estimate, options.profiles)
+        validation = {name: error(which) for name, which in (("before", problem.plant), ("after", estimate.plant))}
         return IdentifyRun(model, estimate, intervals, validation, unidentifiable(estimate))
-    except PredictionError as error:
-        raise InputError(f"the model cannot do the runs: {error}") from error
+    except PredictionError as failure:
+        raise InputError(f"the model cannot do the runs: {failure}") from failure
 
 
 def _intervals(estimate: ParameterEstimate, profiles: bool) -> dict[str, tuple[float, float]]:
@@ -211,3 +296,9 @@ def _error(plant: Plant, runs: Sequence[Run]) -> float | None:
         return None
     found = predictions(plant, runs, 1.0)
     return error_over_time(np.concatenate([run.points for run in runs]), np.concatenate([each.points for each in found]))
+
+
+def _error_over_noise(plant: Plant, judged: Sequence[tuple[Run, np.ndarray]]) -> float | None:
+    """Root mean square error over the noise on runs not fitted to; None where there are none."""
+    parts = [((run.points - predictions(plant, [run], noise)[0].points) / noise).ravel() for run, noise in judged]
+    return float(np.sqrt(np.nanmean(np.square(np.concatenate(parts))))) if parts else None

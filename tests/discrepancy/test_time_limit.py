@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,31 +14,18 @@ from tepm_opt.discrepancy.problem.time_limit import TimeLimit, TimeLimitError
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import FITS, run_discrepancy
 from tests.discrepancy.test_quick_plants import NOISE, runs
-
-TANK = """from tepm_opt.discrepancy.adapters.equations import Equations
-
-m = Equations("tank", time=0.5)
-level, inflow = m.state("level"), m.input("inflow", size=1.0)
-m.rate(level, inflow - m.known("leak", 2.0, "1/s", within=0.05) * level)
-m.output("level", level, "m", size=0.5)
-plant = m.plant()
-"""
+from tests.tank import write_plant, write_tank
 
 
 @pytest.fixture
 def late(tmp_path: Path) -> Path:
-    """Levels of a tank that follows its inflow 0.2 s late, and the plant file of one that does not."""
-    folder = tmp_path / "late"
-    folder.mkdir()
-    measured, random = runs(4, leak=2.0), np.random.default_rng(1)
-    for run in measured:
-        still = run.inputs[0, 0] / 2.0 + NOISE * random.normal(size=10)
-        rows = zip(run.time, run.inputs[:, 0], [*still, *run.points[:-10, 0, 0]], strict=True)
-        (folder / run.file).write_text("time_s,inflow,level\n" + "".join(f"{t:.6f},{u:.9f},{x:.9f}\n" for t, u, x in rows))
-    listed = ", ".join(f'{{ file = "{run.file}", role = "{"validation" if run is measured[-1] else "fit"}" }}' for run in measured)
-    (folder / "dataset.toml").write_text(f'name = "late"\nruns = [{listed}]\n[noise]\nlevel = {NOISE}\n')
-    (tmp_path / "tank.py").write_text(TANK)
-    return folder
+    """Levels of a tank that follows its inflow 0.2 s late; `tank.py` beside them knows nothing of that."""
+    random, measured = np.random.default_rng(1), []
+    for run in runs(4, leak=2.0):
+        still = run.inputs[0, 0] / 2.0 + NOISE * random.normal(size=(10, 1, 1))
+        measured.append(replace(run, points=np.concatenate([still, run.points[:-10]])))
+    write_plant(tmp_path / "tank.py", within=0.05)
+    return write_tank(tmp_path / "late", measured, NOISE)
 
 
 @pytest.mark.slow

@@ -1,0 +1,55 @@
+"""Parameters of any machine: `tepm identify DATASET --plant FILE`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tepm_opt.errors import InputError
+from tepm_opt.jobs.identify import open_trials, run_identify_plant
+from tepm_opt.jobs.plants import load_plant
+from tests.cli.conftest import Command
+from tests.discrepancy.test_quick_plants import NOISE, runs
+from tests.tank import write_plant, write_tank
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Path:
+    """Levels of a tank that leaks 2.6 per second instead of 2, with `tank.py` beside them."""
+    write_plant(tmp_path / "tank.py", within=0.9)
+    return write_tank(tmp_path / "data", runs(3, leak=2.6), NOISE)
+
+
+def test_the_leak_is_found_within_its_interval(tank: Path) -> None:
+    plant = load_plant(tank.with_name("tank.py"))
+    found = run_identify_plant(plant, open_trials([tank], plant)).summary()
+    leak = found["parameters"]["leak"]
+    assert leak["low"] < 2.6 < leak["high"]
+    assert leak["value"] == pytest.approx(2.6, rel=0.01)
+    assert found["residual_over_noise"] == pytest.approx(1, abs=0.1)
+    assert found["validation_over_noise"]["after"] == pytest.approx(1, abs=0.15)
+    assert found["validation_over_noise"]["before"] > 3
+
+
+def test_two_data_sets_are_fitted_together(tank: Path) -> None:
+    other = write_tank(tank.with_name("more"), runs(3, leak=2.6, seed=9), NOISE)
+    plant = load_plant(tank.with_name("tank.py"))
+    alone, both = (run_identify_plant(plant, open_trials(sets, plant)).estimate.std[0] for sets in ([tank], [tank, other]))
+    assert 0.5 < both / alone < 0.9  # twice the data
+
+
+def test_an_unknown_parameter_is_refused(tank: Path) -> None:
+    plant = load_plant(tank.with_name("tank.py"))
+    with pytest.raises(InputError, match=r"unknown parameter 'leek'.*leak"):
+        run_identify_plant(plant, open_trials([tank], plant), ["leek"])
+
+
+def test_command(tepm: Command, tank: Path) -> None:
+    done = tepm("identify", str(tank), "--plant", str(tank.with_name("tank.py")), "--out", str(tank.with_name("out")))
+    assert (done.status, done.err) == (0, "")
+    assert "times the noise before" in done.out
+    assert json.loads((tank.with_name("out") / "values.json").read_text()) == {"leak": pytest.approx(2.6, rel=0.01)}
+    mixed = tepm("identify", str(tank), "--plant", "tank.py", "--robot", "kang2017")
+    assert "--plant excludes --robot" in mixed.err
