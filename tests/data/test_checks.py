@@ -39,7 +39,7 @@ def moved(change: Callable[[np.ndarray], object]) -> DataSet:
 
 
 class TestSilence:
-    @pytest.mark.sample(3)
+    @pytest.mark.sample(7)
     @pytest.mark.parametrize("name", BLIND)
     def test_blind_sets(self, name: str) -> None:
         """All 18 effects, foreign ones and pairs are physics, not faults of the data."""
@@ -53,7 +53,7 @@ class TestSilence:
         assert check(reference("null")) == []
         assert check_reading(read_folder(reference("null"))) == []
 
-    @pytest.mark.sample(3)
+    @pytest.mark.sample(5)
     @pytest.mark.parametrize(
         ("noise", "grid"), [(1e-5, 0.0), (1e-5, 1e-4), (2e-4, 0.0), (2e-4, 1e-4), (5e-4, 1e-5), (1e-3, 0.0), (1e-3, 1e-3)]
     )

@@ -107,6 +107,7 @@ class TestWhatABaselineTells:
 
 
 class TestWhatChanged:
+    @pytest.mark.slow
     def test_nothing(self, before: Baseline) -> None:
         for seed in (2, 3):
             verdict = changed(recording("after", seed), before)

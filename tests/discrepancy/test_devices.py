@@ -94,6 +94,7 @@ def test_without_a_delay_none_is_there() -> None:
     assert found.delay.ranges == {"time_delay.delay": (0.0, pytest.approx(1e-3, abs=1e-3))}
 
 
+@pytest.mark.slow
 def test_what_follows_slowly_gets_as_much_as_from_stairs() -> None:
     """Stairs behind a lag against the rows that stand for them, linear between, behind the same; rounded rows are twice as far off."""
     data = gauged(on_grid)

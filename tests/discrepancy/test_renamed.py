@@ -5,7 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
 
+
+@pytest.mark.slow
 def test_old_names_give_the_same_objects_with_a_warning() -> None:
     """In a process of its own: here the modules may be imported already."""
     code = (

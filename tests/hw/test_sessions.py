@@ -38,7 +38,7 @@ def times_out(host: Host, replay: Callable[[int], bytes]) -> None:
     assert host.state is State.HOST_TIMEOUT
 
 
-@pytest.mark.parametrize("length", [1, 2, 130, 256, 300])
+@pytest.mark.parametrize("length", [1, 2, 256, pytest.param(130, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.slow)])
 def test_looped_recording(armed: Host, length: int) -> None:
     """The last frames of a dead host, over and over, however many: none is a sign of life, none is acted on."""
     recorded = []

@@ -55,6 +55,7 @@ def test_the_cache_is_keyed_by_the_network_not_by_its_parameters(empty_cache, mo
     assert sorted(empty_cache.iterdir()) == libraries
 
 
+@pytest.mark.slow
 def test_it_is_told_how_much_is_compiled(empty_cache, compiler):
     told = []
     with c_compiler.report_to(lambda stage, done, of: told.append((stage, done, of))):

@@ -55,6 +55,7 @@ def test_effects_order_and_sources_count(empty_cache, monkeypatch) -> None:
     assert len(kept(empty_cache)) == 4
 
 
+@pytest.mark.slow
 def test_effects_from_elsewhere_are_written_anew(empty_cache) -> None:
     """Nobody knows what code an effect from outside the package depends on."""
 
