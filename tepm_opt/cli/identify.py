@@ -50,8 +50,12 @@ def identify(
         raise InputError("--jobs and --scheduler are for --starts; leave them out, or fit from several starts")
     names = [name.strip() for name in free.split(",")] if free else None
     options = tepm.FitOptions(starts, intervals, outliers, seed)
-    fit = _of_plant(plant, datasets, names, options, robot or model or despite_errors) if plant else None
-    if fit is None:
+    if plant is not None:
+        if robot or model or despite_errors or workers.given:
+            raise InputError("--plant excludes --robot, --model, --despite-errors, --jobs and --scheduler; leave these out")
+        machine = tepm.load_plant(plant)
+        fit: Any = partial(tepm.run_identify_plant, machine, tepm.open_trials(datasets, machine), names, options)
+    else:
         sets = tepm.open_datasets(datasets, despite_errors)
         compiled = load(robot or (None if model else sets[0].robot), model)
         if names is None and not compiled.robot.priors:
@@ -59,7 +63,7 @@ def identify(
         fit = partial(tepm.run_identify, compiled, sets, names, options)
     try:
         with workers.opened() as executor, shown(as_json) as progress:
-            run = fit(progress, executor)
+            run = fit(progress) if executor is None else fit(progress, executor)
     except KeyboardInterrupt:
         stderr.print("interrupted: nothing was written")
         return INTERRUPTED
@@ -73,14 +77,6 @@ def identify(
             step = f"Next: find out what the model lacks: {_next(datasets, model, plant, despite_errors)}"
             stdout.print(step, soft_wrap=True, highlight=False, markup=False)
     return SOLVED if run.ok else UNSOLVED
-
-
-def _of_plant(file: Path, datasets: Sequence[Path], names: list[str] | None, options: tepm.FitOptions, mixed: object) -> partial[Any]:
-    """The fit of a plant file's machine, ready to run."""
-    if mixed:
-        raise InputError("--plant excludes --robot, --model and --despite-errors; valid: --plant FILE alone")
-    plant = tepm.load_plant(file)
-    return partial(tepm.run_identify_plant, plant, tepm.open_trials(datasets, plant), names, options)
 
 
 def _next(datasets: Sequence[Path], model: Path | None, plant: Path | None, despite_errors: bool) -> str:

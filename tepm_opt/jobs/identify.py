@@ -230,7 +230,6 @@ def run_identify_plant(
     parameters: Sequence[str] | None = None,
     options: FitOptions | None = None,
     progress: Progress = silent,
-    executor: Executor | None = None,
 ) -> IdentifyRun:
     """Fit values of any machine that are known roughly, as `run_identify` does of a robot.
 
@@ -240,7 +239,6 @@ def run_identify_plant(
         parameters: names of those to fit; all known ones where absent.
         options: of the fit.
         progress: told what is being done.
-        executor: where the fits run; here, one after the other, where None.
 
     Raises:
         InputError: nothing to fit, an unknown parameter, fewer than one start, or a plant that cannot do the runs.
@@ -259,13 +257,13 @@ def run_identify_plant(
     problem = Problem(plain, tuple(run for run, _ in runs), free, noise, options.robust, derivatives_apart=apart)
     judged = [(run, dataset.noise) for dataset in datasets for run in dataset.validation]
     problem = with_initial_states(problem, SearchSettings.of(plant))
-    return _fit(plant, problem, lambda plant: _error_over_noise(plant, judged), options, progress, executor)
+    return _fit(plant, problem, lambda plant: _error_over_noise(plant, judged), options, progress)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def _fit(
     model: CompiledModel | SearchablePlant, problem: Problem, error: Callable[[Plant], float | None], options: FitOptions,
-    progress: Progress, executor: Executor | None,
+    progress: Progress, executor: Executor | None = None,
 ) -> IdentifyRun:  # fmt: skip
     """Fit the parameters of a problem and judge them by an error on other runs."""
     if options.starts < 1:

@@ -51,5 +51,8 @@ def test_command(tepm: Command, tank: Path) -> None:
     assert (done.status, done.err) == (0, "")
     assert "times the noise before" in done.out
     assert json.loads((tank.with_name("out") / "values.json").read_text()) == {"leak": pytest.approx(2.6, rel=0.01)}
-    mixed = tepm("identify", str(tank), "--plant", "tank.py", "--robot", "kang2017")
-    assert "--plant excludes --robot" in mixed.err
+
+
+@pytest.mark.parametrize("option", [("--robot", "kang2017"), ("--starts", "2", "--jobs", "2")])
+def test_options_of_robots_are_refused(tepm: Command, tank: Path, option: tuple[str, ...]) -> None:
+    assert "--plant excludes --robot" in tepm("identify", str(tank), "--plant", "tank.py", *option).err

@@ -19,7 +19,7 @@ class TimeLimit:
     """The time limit of a search, and the sets of effects that were not fitted for want of time.
 
     Attributes:
-        minutes: from the first use; infinite for none.
+        minutes: from when it was made; infinite for none.
         untried: sets of effects, in the order in which the search asked for them.
     """
 
