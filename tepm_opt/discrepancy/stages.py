@@ -144,7 +144,7 @@ def assess(state: Validated) -> Assessed:
     judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
     if state.baseline is not None:
         judgement = judge_change(judgement, explanation, settings, state.baseline, state.dataset.fit)
-    judgement = _limit(judgement, state.limit)
+    judgement = _limit(judgement, state.limit, settings)
     dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)
@@ -172,12 +172,16 @@ def other_store(store: Path | None, name: str) -> Path | None:
     return None if store is None else store.with_name(f"{store.name}-{name}")
 
 
-def _limit(judgement: Judgement, limit: TimeLimit) -> Judgement:
-    """Take the answer of a search that left others untried for a part of the answer."""
+def _limit(judgement: Judgement, limit: TimeLimit, settings: SearchSettings) -> Judgement:
+    """Take the answer of a search that left sets untried for a part at best; every untried set without an effect is its equal rival."""
     if not limit.untried:
         return judgement
+    listed = tuple((of, effect, fit, p / (1 + limit.rivals(effect))) for of, effect, fit, p in judgement.listed)
+    remarks = (limit.remark, *judgement.remarks)
+    if max((p for *_, p in listed), default=0.0) < settings.min_listed_probability:
+        return Judgement(VerdictStatus.UNEXPLAINED, remarks=remarks)
     status = VerdictStatus.PARTIAL if judgement.status is VerdictStatus.NAMED else judgement.status
-    return replace(judgement, status=status, remarks=(limit.remark, *judgement.remarks))
+    return replace(judgement, status=status, listed=listed, remarks=remarks)
 
 
 def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:

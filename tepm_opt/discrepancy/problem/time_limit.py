@@ -42,6 +42,10 @@ class TimeLimit:
             self.untried[effects] = None
             raise TimeLimitError(f"the {self.minutes:g} minutes are over")
 
+    def rivals(self, effect: Candidate) -> int:
+        """Number of untried sets that do without an effect."""
+        return sum(effect not in effects for effects in self.untried)
+
     @property
     def remark(self) -> str:
         """Sentence about the sets that were not fitted."""
