@@ -64,3 +64,24 @@ def test_no_limit_is_never_over() -> None:
 def test_no_time_at_all_is_refused(tmp_path: Path, minutes: float) -> None:
     with pytest.raises(InputError, match=r"--minutes: .* valid: above 0, such as 10"):
         run_discrepancy(tmp_path, tmp_path / "out", minutes=minutes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checks", [16, 30, 42])
+def test_a_stand_in_is_not_certain_while_its_rival_is_untried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, checks: int) -> None:
+    """A gain before the tank and one behind it are the same to the data: whichever the search fits first has one half at most."""
+    random, measured = np.random.default_rng(1), []
+    for run in runs(4, leak=2.0):
+        still = run.inputs[0, 0] / 2.0 + NOISE * random.normal(size=(10, 1, 1))
+        measured.append(replace(run, points=np.minimum(1.3 * np.concatenate([still, run.points[:-10]]), 0.75)))
+    folder, plant = write_tank(tmp_path / "data", measured, NOISE), write_plant(tmp_path / "tank.py", within=0.05)
+    allowed = iter([False] * checks)
+    monkeypatch.setattr(TimeLimit, "is_over", property(lambda self: next(allowed, True)))
+    verdict = run_discrepancy(folder, tmp_path / "out", plant=plant, minutes=1.0).verdict
+    assert all(named.probability <= 0.5 for named in verdict.effects if named.candidate.name.endswith("_gain"))
+
+
+def test_rivals_are_untried_sets_without_an_effect() -> None:
+    payload, creep = Candidate("payload"), Candidate("creep")
+    limit = TimeLimit(untried={(payload,): None, (creep,): None, (creep, payload): None})
+    assert (limit.rivals(payload), limit.rivals(Candidate("slack"))) == (1, 3)
