@@ -51,7 +51,7 @@ def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: boo
     Args:
         folder: of the data set.
         despite_errors: whether to take it without a check, as long as it can be used at all; there are no warnings then.
-        mends_setup: whether errors of the set-up are left to the caller, where there are no others.
+        mends_setup: whether errors of the set-up, which most runs have, are left to the caller, where there are no others.
 
     Raises:
         InputError: the data cannot be used, or the check finds errors; the first few stand in the message.
@@ -61,12 +61,18 @@ def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: boo
         return reading.usable, []
     findings = check_reading(reading)
     lines = {kind: [_line(f) for f in findings if f.severity == kind] for kind in ("error", "warning")}
-    if mends_setup and all(f.is_setup for f in findings if f.severity == "error"):
+    if mends_setup and _of_whole_setup([f for f in findings if f.severity == "error"], len(reading.listed)):
         return reading.usable, lines["warning"]
     if errors := lines["error"]:
         more = f" (and {len(errors) - 3} more errors: tepm data check {folder})" if len(errors) > 3 else ""
         raise InputError(f"{folder}: {'; '.join(errors[:3])}{more}. An answer from such data would mislead")
     return reading.usable, lines["warning"]
+
+
+def _of_whole_setup(errors: Sequence[Finding], runs: int) -> bool:
+    """Whether all errors are of the set-up and in more than half of the runs; what one recording has is for its file to mend."""
+    files = {channel: {f.file for f in errors if f.channel == channel} for channel in {f.channel for f in errors}}
+    return all(f.is_setup for f in errors) and all(2 * len(those) > runs for those in files.values())
 
 
 def run_discrepancy(
