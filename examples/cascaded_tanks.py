@@ -7,9 +7,9 @@ from tepm_opt.discrepancy.adapters.equations import Equations
 m = Equations("cascaded tanks", time=100.0)
 upper, lower = m.state("upper", 5.0), m.state("lower", 5.0)
 pump = m.input("pump", size=3.0)
-filling = m.known("filling", 0.04, "1/s", low=0.005, high=0.3)
-through, out = m.known("through", 0.05, "V^0.5/s", low=0.005, high=0.3), m.known("out", 0.05, "V^0.5/s", low=0.005, high=0.3)
-zero = m.known("zero", 0.0, "V", low=-3.0, high=3.0)
+filling = m.parameter("filling", 0.04, "1/s", low=0.005, high=0.3)
+through, out = m.parameter("through", 0.05, "V^0.5/s", low=0.005, high=0.3), m.parameter("out", 0.05, "V^0.5/s", low=0.005, high=0.3)
+zero = m.parameter("zero", 0.0, "V", low=-3.0, high=3.0)
 
 
 def flow(level: ca.SX) -> ca.SX:

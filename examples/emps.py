@@ -14,7 +14,7 @@ def drive(force: Callable[[Equations], ca.SX]) -> CasadiPlant:
     """The drive with whatever columns its force in N is written into."""
     m = Equations("EMPS", time=0.1, laws=(*AXIS, *OUTPUT))  # s, of a start or a stop; the force is what the motor's current tells
     q, v = m.state("q"), m.state("v")
-    mass, viscous = m.known("mass", 100.0, "kg"), m.known("viscous", 200.0, "N s/m", within=0.5)
+    mass, viscous = m.parameter("mass", 100.0, "kg"), m.parameter("viscous", 200.0, "N s/m", within=0.5)
     missing = m.axis("slide", q, v, force=50.0, speed=0.1, position=0.1)
     m.rate(q, v)
     m.rate(v, (force(m) - viscous * v + missing) / mass)

@@ -6,8 +6,8 @@ m = Equations("linear drive", time=0.2)  # s, of a start or a stop
 
 position, speed = m.state("position"), m.state("speed")
 force = m.input("force", size=50.0, unit="N")
-mass = m.known("mass", 10.0, "kg", within=0.2)
-viscous = m.known("viscous", 40.0, "N s/m", within=0.5)
+mass = m.parameter("mass", 10.0, "kg", within=0.2)
+viscous = m.parameter("viscous", 40.0, "N s/m", within=0.5)
 
 missing = m.axis("rail", position, speed, force=50.0, speed=0.5, position=0.2)  # whatever else may act along the rail
 m.rate(position, speed)

@@ -8,8 +8,8 @@ from tepm_opt.discrepancy.adapters.callable_plant import Simulator
 from tepm_opt.discrepancy.laws.effect import Law, Quantity
 
 m = Simulator("motor", Signals.of(["voltage"], ["speed"], "rad/s"))
-m.known("gain", 12.0, "rad/s/V")
-m.known("time", 0.3, "s", within=0.3)
+m.parameter("gain", 12.0, "rad/s/V")
+m.parameter("time", 0.3, "s", within=0.3)
 
 stick = Law(
     "dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),), smooth=False, explains="low voltages do nothing"

@@ -12,9 +12,9 @@ from tepm_opt.discrepancy.laws.signals import OUTPUT
 def inside(m: Equations, pressure: ca.SX, turning: ca.SX) -> tuple[ca.SX, ca.SX]:
     """A pressure that follows its command, and a spring on a damper beside the body's own."""
     held = m.state("held")
-    filling, exhausting = m.known("filling", 0.3, "s", low=0.05, high=5.0), m.known("exhausting", 1.5, "s", low=0.05, high=5.0)
+    filling, exhausting = m.parameter("filling", 0.3, "s", low=0.05, high=5.0), m.parameter("exhausting", 1.5, "s", low=0.05, high=5.0)
     m.rate(held, (pressure - held) / ca.if_else(pressure > held, filling, exhausting))
-    creep, time = m.known("creep", 0.7, "1", low=0.0, high=3.0), m.known("creep_time", 2.0, "s", low=0.2, high=20.0)
+    creep, time = m.parameter("creep", 0.7, "1", low=0.0, high=3.0), m.parameter("creep_time", 2.0, "s", low=0.2, high=20.0)
     stretched = m.state("stretched")
     m.rate(stretched, turning - stretched / time)
     return held, creep * stretched

@@ -19,16 +19,16 @@ STATIONS = {"p1": 0.33, "p2": 0.58, "p3": 0.79, "p4": 1.0}  # of the markers, in
 
 m = Simulator("tentacle", Signals.of(["tension_1", "tension_2"], list(STATIONS), "m", axes=AXES))
 for k, direction in enumerate((0.5, 2.5)):
-    m.known(f"bend_{k + 1}", 1.0, "1/(N m)", low=0.1, high=10)  # radius on which the tendon runs, over EI
-    m.known(f"direction_{k + 1}", direction, "rad", low=direction - 1, high=direction + 1)
-m.known("taper", 0.4, low=0.0, high=0.85)
-m.known("weight", 50.0, "1/m2", low=0.0, high=400)  # over EI
-m.known("shortening", 0.003, "1/N", low=0.0, high=0.03)
+    m.parameter(f"bend_{k + 1}", 1.0, "1/(N m)", low=0.1, high=10)  # radius on which the tendon runs, over EI
+    m.parameter(f"direction_{k + 1}", direction, "rad", low=direction - 1, high=direction + 1)
+m.parameter("taper", 0.4, low=0.0, high=0.85)
+m.parameter("weight", 50.0, "1/m2", low=0.0, high=400)  # over EI
+m.parameter("shortening", 0.003, "1/N", low=0.0, high=0.03)
 own = [(f"base_{axis}", 0.0, "m", 0.04) for axis in AXES] + [(f"tilt_{axis}", 0.0, "rad", 0.3) for axis in "xy"]
 own += [(f"station_{p}", station, "1", 0.08) for p, station in STATIONS.items()]
 own += [(f"aside_{p}_{axis}", 0.0, "m", 0.02) for p in STATIONS for axis in "xy"]
 for name, value, unit, std in own:
-    m.known(name, value, unit, std=std, groups=("first", "second"))
+    m.parameter(name, value, unit, std=std, groups=("first", "second"))
 tendons = [m.effects(TENDONS, f"tension_{k}", "N", signal=8.0) for k in (1, 2)]
 laws = {law.name: law for law in BODIES}
 routing, stiffness = m.effects([laws["taper"]], "routing"), m.effects([laws["stiffness_along"]], "body")
@@ -52,7 +52,7 @@ def simulate(run, values):
     steps = LENGTH / PIECES * np.maximum(1 - long["shortening"] * tension.sum(axis=0) / thick**2, 0.1)
     tilt = np.stack([flat["tilt_x"], flat["tilt_y"], 0 * flat["tilt_x"]])
     body, base = equilibrium(pulls, stiff, weight, steps, tilt), np.stack([flat[f"base_{axis}"] for axis in AXES])
-    markers = [base + body.at(flat[f"station_{p}"], flat[f"aside_{p}_x"], flat[f"aside_{p}_y"]) for p in STATIONS]
+    markers = [base + body.point_at(flat[f"station_{p}"], flat[f"aside_{p}_x"], flat[f"aside_{p}_y"]) for p in STATIONS]
     return np.moveaxis(np.stack(markers, axis=-1), 0, -1)
 
 

@@ -19,17 +19,17 @@ motors = [m.input(f"u{k}", size=30.0, unit="deg") for k in range(1, 7)]
 
 def pull(axis: str, gains: list[float]) -> ca.SX:
     """Bend in rad to which the tendons would pull a trunk without weight."""
-    each = [m.known(f"{axis}_{k}", gain, "rad/deg", low=gain - 0.01, high=gain + 0.01) for k, gain in enumerate(gains, 1)]
-    return m.known(f"rest_{axis}", 0.0, "rad", low=-0.3, high=0.3) + sum(gain * u for gain, u in zip(each, motors, strict=True))
+    each = [m.parameter(f"{axis}_{k}", gain, "rad/deg", low=gain - 0.01, high=gain + 0.01) for k, gain in enumerate(gains, 1)]
+    return m.parameter(f"rest_{axis}", 0.0, "rad", low=-0.3, high=0.3) + sum(gain * u for gain, u in zip(each, motors, strict=True))
 
 
 asked = ca.vertcat(pull("x", [0.007, -0.002, -0.006, -0.007, -0.003, 0.007]), pull("z", [-0.007, -0.007, 0.0, 0.002, 0.006, 0.008]))
-stiffness = m.known("stiffness", 1.0, "N m/rad", low=0.1, high=5.0)
-damping = m.known("damping", 0.02, "s", low=0.002, high=0.2)  # of the stiffness
-trail = m.known("trail", 0.15, "s", low=0.03, high=0.5)  # of the motors behind their set points
-yielding = m.known("yielding", 0.3, "1/rad2", low=0.0, high=10.0)  # the gain falls with amplitude
-rise = m.known("rise", 1 / 6, "1", low=0.08, high=0.5)  # of the tip, in parts of the length
-places = [m.known(name, value, "m", low=value - 0.05, high=value + 0.05) for name, value in (("x0", 0.1), ("y0", 0.0), ("z0", 0.105))]
+stiffness = m.parameter("stiffness", 1.0, "N m/rad", low=0.1, high=5.0)
+damping = m.parameter("damping", 0.02, "s", low=0.002, high=0.2)  # of the stiffness
+trail = m.parameter("trail", 0.15, "s", low=0.03, high=0.5)  # of the motors behind their set points
+yielding = m.parameter("yielding", 0.3, "1/rad2", low=0.0, high=10.0)  # the gain falls with amplitude
+rise = m.parameter("rise", 1 / 6, "1", low=0.08, high=0.5)  # of the tip, in parts of the length
+places = [m.parameter(name, value, "m", low=value - 0.05, high=value + 0.05) for name, value in (("x0", 0.1), ("y0", 0.0), ("z0", 0.105))]
 
 turned = ca.sumsqr(bend)
 across = LENGTH / 2 * bend * (1 - turned / 12)

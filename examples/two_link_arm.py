@@ -13,8 +13,8 @@ m = Equations("two-link arm", time=0.5)  # s, of a swing
 shoulder, elbow = m.state("shoulder"), m.state("elbow")  # rad: from hanging down, and relative to the upper arm
 d_shoulder, d_elbow = m.state("shoulder rate"), m.state("elbow rate")
 torques = ca.vertcat(m.input("torque_1", size=3.0, unit="N m"), m.input("torque_2", size=1.0, unit="N m"))
-upper, fore = m.known("upper_mass", MASS[0], "kg", within=0.1), m.known("fore_mass", MASS[1], "kg", within=0.1)
-damping = m.known("damping", 0.1, "N m s/rad", within=0.8)
+upper, fore = m.parameter("upper_mass", MASS[0], "kg", within=0.1), m.parameter("fore_mass", MASS[1], "kg", within=0.1)
+damping = m.parameter("damping", 0.1, "N m s/rad", within=0.8)
 
 q, dq = ca.vertcat(shoulder, elbow), ca.vertcat(d_shoulder, d_elbow)
 coupling = fore * LENGTH * CENTRE[1] * ca.cos(elbow)

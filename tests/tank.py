@@ -11,7 +11,7 @@ TANK = """from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("tank", time=0.5)
 level, inflow = m.state("level"), m.input("inflow", size=1.0)
-m.rate(level, inflow - m.known("leak", 2.0, "1/s", within=WITHIN) * level)
+m.rate(level, inflow - m.parameter("leak", 2.0, "1/s", within=WITHIN) * level)
 m.output("level", level, "m", size=0.5)
 plant = m.plant()
 """

@@ -94,7 +94,7 @@ def discover(
     """
     began = time.monotonic()
     require_fit_runs(dataset)
-    settings = settings or SearchSettings.of(plant)
+    settings = settings or SearchSettings.for_plant(plant)
     if baseline is not None:
         plant, settings = plant.with_values(baseline.values), baseline.adapt(settings, dataset.fit)
     question = Question(dataset, plant, noise, settings, seed, store, key, progress, baseline=baseline, limit=limit or TimeLimit())

@@ -138,7 +138,7 @@ def run_discrepancy(
     if baseline is not None:
         old, more_warnings = checked_dataset(Path(baseline), despite_errors, mends_setup=True)
         warnings = [*warnings, *more_warnings]
-        earlier = _learn(Question(old, network, noise_of(old), SearchSettings.of(network), seed), progress, out)
+        earlier = _learn(Question(old, network, noise_of(old), SearchSettings.for_plant(network), seed), progress, out)
         key = _fingerprint([Path(baseline)], key)
     result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     if not result.verdict.setup:
@@ -204,7 +204,7 @@ def with_law(result: Discovery, folder: Path, progress: Progress = silent) -> In
     names = {*known.robot.parameters.model_dump(), *(f"{effect.label}.{name}" for effect in known.effects for name in effect.parameters)}
     if not isinstance(best.plant, SearchableNetwork) or not {f.name for f in best.problem.free} <= names:
         best = result.explanation.without.estimate  # what holds in some runs only is in no model
-        known = best.plant.corrected(())  # type: ignore[attr-defined]
+        known = best.plant.corrected_model(())  # type: ignore[attr-defined]
     try:
         law = invented(best, known, folder, result.dataset.name, result.dataset.validation, progress)
     except PredictionError:
@@ -245,7 +245,7 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
     earlier = None
     if baseline is not None:
         old = read_trials(baseline, plant.signals, plant.static)
-        earlier = _learn(Question(old, plant, _noise(old, plant), SearchSettings.of(plant), seed), progress, out)
+        earlier = _learn(Question(old, plant, _noise(old, plant), SearchSettings.for_plant(plant), seed), progress, out)
         key = _fingerprint([baseline], key)
     result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")

@@ -214,7 +214,7 @@ def run_excite(model: Model, noise: float | None = None, progress: Progress = si
         told = information(network, [run for run in sampled if run.role == "fit"], noise, network.candidates)
     except PredictionError as error:
         raise InputError(f"robot {model.robot.name}: the model cannot do the runs of the plan: {error}") from error
-    least = SearchSettings.of(network).min_excess_removed
+    least = SearchSettings.for_plant(network).min_excess_removed
     names: Sequence[str] = [name for move in told.moves for name in move.probe]
     units = {free.name: free.unit for free in network.free(list(dict.fromkeys(names)))}
     return ExciteRun(found, noise, told, tuple(told.separability(move, least) for move in told.moves), units)

@@ -245,7 +245,7 @@ def run_identify_plant(
     """
     options = options or FitOptions()
     if not plant.known:
-        raise InputError(f"{plant.name}: nothing to fit; valid: a plant with m.known(…) for each value that is known roughly")
+        raise InputError(f"{plant.name}: nothing to fit; valid: a plant with m.parameter(…) for each value that is known roughly")
     for name in parameters or ():
         if name not in plant.known:
             raise unknown_name("parameter", name, plant.known)
@@ -256,7 +256,7 @@ def run_identify_plant(
     plain, apart = plant.without_candidates, plant.derivatives_apart
     problem = Problem(plain, tuple(run for run, _ in runs), free, noise, options.robust, derivatives_apart=apart)
     judged = [(run, dataset.noise) for dataset in datasets for run in dataset.validation]
-    problem = with_initial_states(problem, SearchSettings.of(plant))
+    problem = with_initial_states(problem, SearchSettings.for_plant(plant))
     return _fit(plant, problem, lambda plant: _error_over_noise(plant, judged), options, progress)
 
 

@@ -265,7 +265,7 @@ def run_next(
     problem = Problem(
         network, dataset.fit, network.free(network.known), noise, step=LONGEST_STEP, derivatives_apart=network.derivatives_apart
     )
-    fits = Fits(problem, SearchSettings.of(network), progress=progress)
+    fits = Fits(problem, SearchSettings.for_plant(network), progress=progress)
     hypotheses = refit_hypotheses(content, _corrected(found, known, network), fits, network.candidates)
     rig = Rig(known, reach_of(compile_model(known)), dataset.sample_rate, noise, seconds, loads)
     estimates = [hypothesis.estimate for hypothesis in hypotheses]

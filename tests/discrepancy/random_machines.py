@@ -50,7 +50,7 @@ def equations(random: np.random.Generator, time: float) -> CasadiPlant:
     before = ca.SX(0)
     states = []
     for k in range(random.integers(4)):
-        gain = m.known(f"gain_{k}", float(random.uniform(0.5, 2)), "1", within=float(random.uniform(0.01, 1.5)))
+        gain = m.parameter(f"gain_{k}", float(random.uniform(0.5, 2)), "1", within=float(random.uniform(0.01, 1.5)))
         into = gain * (sum(drives, ca.SX(0)) + before / size)
         kind = random.choice(["axis", "integrator", "lag", "vessel"])
         q = m.state(f"q{k}")
@@ -77,8 +77,8 @@ def function(random: np.random.Generator) -> CallablePlant:
     inputs, outputs, size = int(random.integers(1, 4)), int(random.integers(1, 4)), unit(random)
     signals = Signals.of([f"u{k}" for k in range(inputs)], [f"y{k}" for k in range(outputs)], "m")
     m = Simulator("a map", signals)
-    m.known("slope", 2.0, "1", within=0.5, groups=GROUPS if random.random() < 0.5 else ())
-    m.known("bend", 0.1, "1", within=0.9)
+    m.parameter("slope", 2.0, "1", within=0.5, groups=GROUPS if random.random() < 0.5 else ())
+    m.parameter("bend", 0.1, "1", within=0.9)
     stateless = [law for law in INPUT if not law.states and law.name != "input_dead_zone"]
     m.effects([law for law in stateless if "gain" in law.name or "offset" in law.name], "u0", signal=1.0)
     mixed = random.normal(size=(inputs, outputs))

@@ -45,7 +45,7 @@ class Straight:
     def signals(self) -> Signals:
         raise NotImplementedError
 
-    def corrected(self, kept: Sequence[Candidate]) -> object:
+    def corrected_model(self, kept: Sequence[Candidate]) -> object:
         return kept
 
     @staticmethod

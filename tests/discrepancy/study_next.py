@@ -89,7 +89,7 @@ def fitted(
     """Both hypotheses fitted to runs; None where the model cannot do them."""
     free = network.free(network.known)
     problem = Problem(network, tuple(runs), free, NOISE, step=LONGEST_STEP, derivatives_apart=network.derivatives_apart)
-    fits = Fits(problem, SearchSettings.of(network))
+    fits = Fits(problem, SearchSettings.for_plant(network))
     if not starts:
         base = fits.fit((), {})
         if base is None:

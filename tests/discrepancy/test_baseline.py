@@ -33,8 +33,8 @@ def pendulum(payload: bool = True) -> CasadiPlant:
     laws = [law for law in (*INPUT, *MECHANISM) if payload or law.name != "payload"]
     m = Equations("arm", time=0.4, laws=[law for law in laws if law.name in ("payload", "linear_damper", "input_gain", "input_offset")])
     angle, speed, command = m.state("angle"), m.state("speed"), m.input("command", size=0.5, unit="rad")
-    stiffness, damping = m.known("stiffness", 3.0, "N m/rad", within=0.5), m.known("damping", 0.2, "N m s/rad", within=0.9)
-    zero, mass = m.known("zero", 0.0, "rad", low=-0.1, high=0.1), 0.5 + m.mass("tip", size=0.2)
+    stiffness, damping = m.parameter("stiffness", 3.0, "N m/rad", within=0.5), m.parameter("damping", 0.2, "N m s/rad", within=0.9)
+    zero, mass = m.parameter("zero", 0.0, "rad", low=-0.1, high=0.1), 0.5 + m.mass("tip", size=0.2)
     lost = m.axis("joint", angle, speed, force=1.0, speed=2.0, position=0.3, unit="rad")
     moment = stiffness * (command + zero - angle) - damping * speed - mass * GRAVITY * 0.3 * angle + lost
     m.rate(angle, speed)
@@ -74,7 +74,7 @@ def before() -> Baseline:
 
 def learned(old: RunSet) -> Baseline:
     plant = pendulum()
-    return learn_baseline(Question(old, plant, NOISE, SearchSettings.of(plant)))
+    return learn_baseline(Question(old, plant, NOISE, SearchSettings.for_plant(plant)))
 
 
 def changed(new: RunSet, baseline: Baseline, payload: bool = True) -> Verdict:

@@ -32,7 +32,7 @@ from tepm_opt.discrepancy.adapters.callable_plant import Simulator
 from tepm_opt.discrepancy.laws.effect import Law, Quantity
 
 m = Simulator("a lever on a spring", Signals.of(["torque"], ["angle"], "rad"))
-m.known("compliance", 0.1, "rad/(N m)")
+m.parameter("compliance", 0.1, "rad/(N m)")
 m.effects([Law("dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),), smooth=False)], "torque", signal=4.0)
 m.effects([Law("stiffening", "body", (Quantity("part", "1", 0.0, (0.01, 0.1), -1.0, 1.0),))], "spring")
 
@@ -72,8 +72,8 @@ def line(run: Run, values: Mapping[str, Any]) -> np.ndarray:
 
 def parabola(groups: tuple[str, ...] = (), **more: Any) -> CallablePlant:
     m = Simulator("a parabola", Signals.of(["u"], ["y"]))
-    m.known("a", 2.0)
-    m.known("b", 1.0, std=0.5, groups=groups)
+    m.parameter("a", 2.0)
+    m.parameter("b", 1.0, std=0.5, groups=groups)
     return m.plant(line, static=True, **more)
 
 
@@ -94,7 +94,7 @@ def test_differences_keep_within_the_range() -> None:
         return np.full(run.rows, np.sqrt(values["a"] * (1 - values["a"])))
 
     m = Simulator("roots", Signals.of(["u"], ["y"]))
-    m.known("a", 0.5, low=0.0, high=1.0)
+    m.parameter("a", 0.5, low=0.0, high=1.0)
     plant, run = m.plant(root, static=True), run_of(np.zeros((1, 1)), np.zeros((1, 1, 1)))
     for end in (0.0, 1.0):
         assert np.isfinite(plant.with_values({"a": end}).predict(run, ["a"]).by).all()
@@ -110,8 +110,8 @@ def test_many_sets_of_values_at_once_are_one_call() -> None:
         return values["a"][:, None] * run.inputs[:, 0] ** 2 + values["b"][:, None]
 
     m = Simulator("a parabola", Signals.of(["u"], ["y"]))
-    m.known("a", 2.0)
-    m.known("b", 1.0, std=0.5)
+    m.parameter("a", 2.0)
+    m.parameter("b", 1.0, std=0.5)
     run = run_of(np.linspace(0, 3, 7)[:, None], np.zeros((7, 1, 1)))
     found, single = m.plant(many, static=True, many=True).predict(run, ["b", "a"]), parabola().predict(run, ["b", "a"])
     assert calls == [3]
@@ -128,7 +128,7 @@ def test_states_that_a_run_begins_with() -> None:
         return height + speed * run.time - values["g"] / 2 * run.time**2
 
     m = Simulator("a stone", Signals.of([], ["height"], "m"))
-    m.known("g", 9.8, "m/s2")
+    m.parameter("g", 9.8, "m/s2")
     m.state("height", size=1.0)
     m.state("speed", size=5.0)
     time = np.arange(4.0)
@@ -173,11 +173,11 @@ def test_what_a_function_can_get_wrong() -> None:
 
 def test_what_a_plant_file_can_get_wrong() -> None:
     m = Simulator("m", Signals.of(["u"], ["y"]))
-    m.known("a", 2.0)
+    m.parameter("a", 2.0)
     with pytest.raises(InputError, match="'a' is there twice"):
-        m.known("a", 2.0)
+        m.parameter("a", 2.0)
     with pytest.raises(InputError, match="outside its range; valid: 0 … 1"):
-        m.known("b", 2.0, low=0, high=1)
+        m.parameter("b", 2.0, low=0, high=1)
     with pytest.raises(InputError, match=r"dead_zone\[u\] needs the size of 'signal'"):
         m.effects([DEAD], "u")
     lag = next(law for law in (*INPUT, *AXIS) if law.states)

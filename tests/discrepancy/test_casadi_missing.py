@@ -19,7 +19,7 @@ ROWS = np.delete(np.arange(len(TIME)), [*range(40, 44), *range(100, 140), 200]) 
 def machine(between: Literal["hold", "line"] = "line") -> CasadiPlant:
     m = Equations("a stiff spring", time=0.3)
     q, v = m.state("q"), m.state("v")
-    force, spring = m.input("force", size=2.0), m.known("spring", 2000.0, "N/m")
+    force, spring = m.input("force", size=2.0), m.parameter("spring", 2000.0, "N/m")
     m.rate(q, v)
     m.rate(v, force - spring * q - 4.0 * v + m.axis("guide", q, v, force=2.0, speed=0.5, position=0.1))
     m.output("position", q, "m", size=0.1)
@@ -71,7 +71,7 @@ def test_an_effect_acts_by_its_strength_or_where_its_strength_is_asked_for() -> 
 
 def test_a_motion_whose_derivatives_no_square_holds_is_refused() -> None:
     m = Equations("what falls over", laws=())
-    x, rate = m.state("x", 1e-300), m.known("rate", 50.0, "1/s")
+    x, rate = m.state("x", 1e-300), m.parameter("rate", 50.0, "1/s")
     m.rate(x, rate * x)
     m.output("x", 0.0 * x + x)
     run = Run(

@@ -41,7 +41,7 @@ def machine(between: Between = "line", substeps: int = 1) -> CasadiPlant:
     m = Equations("a mass on a spring", time=0.5)
     q, v = m.state("q"), m.state("v")
     force = m.input("force", size=2.0, unit="N")
-    mass, spring = m.known("mass", 1.5, "kg"), m.known("spring", 20.0, "N/m", within=0.5)
+    mass, spring = m.parameter("mass", 1.5, "kg"), m.parameter("spring", 20.0, "N/m", within=0.5)
     m.rate(q, v)
     m.rate(v, (force - spring * q - 1.2 * v + m.axis("guide", q, v, force=2.0, speed=0.5, position=0.1)) / mass)
     m.output("position", q, "m", size=0.1)
@@ -52,7 +52,7 @@ def lag(between: Between = "line", substeps: int = 1, through: float = 0.0) -> C
     """x' = -x / 0.3 + u, y = x + through · u."""
     m = Equations("a lag", laws=())
     x, u = m.state("x"), m.input("u", size=1.0)
-    m.rate(x, -x / m.known("time", 0.3, "s") + u)
+    m.rate(x, -x / m.parameter("time", 0.3, "s") + u)
     m.output("y", x + through * u)
     return m.plant(substeps, between)
 
@@ -128,7 +128,7 @@ class TestMotion:
     def test_a_machine_without_states(self) -> None:
         m = Equations("a lever", laws=())
         u = m.input("u", size=1.0)
-        m.output("y", m.known("ratio", 2.0) * u)
+        m.output("y", m.parameter("ratio", 2.0) * u)
         np.testing.assert_allclose(m.plant().predict(pushed()).points[:, 0], 2.0 * pushed().inputs, atol=1e-12)
         found = m.plant().predict(pushed(), ["ratio"])
         np.testing.assert_allclose(found.points[:, 0], 2.0 * pushed().inputs, atol=1e-12)
@@ -158,7 +158,7 @@ class TestDerivatives:
     def test_of_several_outputs_and_substeps(self) -> None:
         m = Equations("two", laws=())
         a, b = m.state("a", 1.0), m.state("b")
-        u, k = m.input("u", size=1.0), m.known("k", 2.0)
+        u, k = m.input("u", size=1.0), m.parameter("k", 2.0)
         m.rate(a, -k * a + u)
         m.rate(b, a * b - b + k * u)
         m.output("first", a * k)
@@ -244,7 +244,7 @@ class TestRest:
         q, v = ca.vertcat(m.state("a"), m.state("b")), ca.vertcat(m.state("rate a"), m.state("rate b"))
         pull = ca.vertcat(m.input("u", size=1.0), m.input("w", size=1.0))
         height = -0.3 * (1 - 0.2 * ca.sumsqr(q))
-        rates = (m.known("stiffness", 1.8, "N m/rad") * (pull - q) - 1.5 * ca.gradient(height, q) - 0.02 * v) / 0.0037
+        rates = (m.parameter("stiffness", 1.8, "N m/rad") * (pull - q) - 1.5 * ca.gradient(height, q) - 0.02 * v) / 0.0037
         for k in range(2):
             m.rate(q[k], v[k])
             m.rate(v[k], rates[k])
@@ -354,11 +354,11 @@ class TestRefusals:
             (lambda m: m.input("y", size=1.0), "m: 'y' is there twice"),
             (lambda m: m.input("time_s", size=1.0), "m: 'time_s' is there twice"),
             (lambda m: m.output("u", 1.0), "m: 'u' is there twice"),
-            (lambda m: m.known("k", 1.0), "m: 'k' is there twice"),
+            (lambda m: m.parameter("k", 1.0), "m: 'k' is there twice"),
             (lambda m: m.rate(ca.SX.sym("w"), 1.0), "unknown state 'w'"),
-            (lambda m: m.known("zero", 0.0), "zero has no range (0 … 0); valid: low and high, low below high"),
-            (lambda m: m.known("off", 3.0, low=0.0, high=1.0), "off = 3 1 is outside its range; valid: 0 … 1"),
-            (lambda m: m.known("nan", np.nan), "nan has no range"),
+            (lambda m: m.parameter("zero", 0.0), "zero has no range (0 … 0); valid: low and high, low below high"),
+            (lambda m: m.parameter("off", 3.0, low=0.0, high=1.0), "off = 3 1 is outside its range; valid: 0 … 1"),
+            (lambda m: m.parameter("nan", np.nan), "nan has no range"),
             (lambda m: m.input("f", size=0.0), "m: f: signal = 0; valid: a size above 0"),
             (lambda m: m.output("f", 0.0, size=-1.0), "m: f: signal = -1; valid: a size above 0"),
             (lambda m: m.axis("a", ca.SX(0), ca.SX(0), force=1.0, speed=np.nan), "m: a: speed = nan; valid: a size above 0"),
@@ -367,7 +367,7 @@ class TestRefusals:
     def test_equations(self, wrong: Callable[[Equations], object], says: str) -> None:
         m = Equations("m")
         q, u = m.state("q"), m.input("u", size=1.0)
-        m.rate(q, u - m.known("k", 1.0) * q)
+        m.rate(q, u - m.parameter("k", 1.0) * q)
         m.output("y", q)
         with pytest.raises(InputError, match=re.escape(says)):
             _ = wrong(m), m.plant()
@@ -437,5 +437,5 @@ class TestCandidates:
     def test_what_people_go_on_with(self) -> None:
         plant = machine().with_values({"dry_friction[guide].force": 0.3})
         kept = [candidate for candidate in plant.candidates if candidate.name == "dry_friction"]
-        assert plant.corrected(kept) == {"mass": 1.5, "spring": 20.0, "dry_friction[guide].force": 0.3}
+        assert plant.corrected_model(kept) == {"mass": 1.5, "spring": 20.0, "dry_friction[guide].force": 0.3}
         assert repr(plant) == f"CasadiPlant(a mass on a spring, {len(plant.motion.states)} states, {len(plant.candidates)} effects)"

@@ -116,7 +116,7 @@ from tepm_opt.discrepancy.adapters.equations import Equations
 
 m = Equations("tank", laws=())
 x, u = m.state("x"), m.input("u", size=1.0)
-m.rate(x, (m.known("gain", 1.0, low=0.8, high=1.2) * u - x) / 0.2)
+m.rate(x, (m.parameter("gain", 1.0, low=0.8, high=1.2) * u - x) / 0.2)
 m.output("x", x, size=1.0)
 plant = m.plant()
 """

@@ -29,7 +29,7 @@ CASE = SHARED / "cases" / "21-valve-dead-time"
 def valve(between: Between = "hold", substeps: int = 2) -> CasadiPlant:
     m = Equations("valve", time=0.5)
     p, u = m.state("pressure"), m.input("command", size=10.0, unit="psi")
-    m.rate(p, (u - p) / m.known("lag", 0.3, "s", low=0.02, high=2.0))
+    m.rate(p, (u - p) / m.parameter("lag", 0.3, "s", low=0.02, high=2.0))
     m.output("gauge", p, "psi", size=10.0)
     return m.plant(substeps, between)
 

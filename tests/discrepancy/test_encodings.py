@@ -33,7 +33,7 @@ ENCODINGS: dict[str, tuple[Force, Callable[[np.ndarray], dict[str, np.ndarray]]]
 def plant_of(force: Force) -> CasadiPlant:
     m = Equations("drive", time=0.2, laws=[law for law in AXIS if law.name not in ("hysteresis", "stribeck_friction")])  # quicker
     q, v = m.state("q"), m.state("v")
-    mass, viscous = m.known("mass", 10.0, "kg", within=0.2), m.known("viscous", 40.0, "N s/m", within=0.5)
+    mass, viscous = m.parameter("mass", 10.0, "kg", within=0.2), m.parameter("viscous", 40.0, "N s/m", within=0.5)
     m.rate(q, v)
     m.rate(v, (force(m) - viscous * v + m.axis("rail", q, v, force=50.0, speed=0.5, position=0.2)) / mass)
     m.output("encoder", q, "m", size=0.2)

@@ -29,9 +29,9 @@ from tepm_opt.discrepancy.laws.tendons import TENDONS
 
 ALONG = (np.arange(10) + 0.5) / 10
 m = Simulator("a rod", Signals.of(["tension"], ["middle", "tip"], "m", axes=("x", "z")))
-m.known("bend", 1.0, "1/(N m)", within=0.5)
-m.known("weight", 20.0, "1/m2", within=0.5)
-m.known("tilt", 0.0, "rad", std=0.1, groups=("a", "b"))
+m.parameter("bend", 1.0, "1/(N m)", within=0.5)
+m.parameter("weight", 20.0, "1/m2", within=0.5)
+m.parameter("tilt", 0.0, "rad", std=0.1, groups=("a", "b"))
 tendon = m.effects(TENDONS, "tension", "N", signal=8.0)
 body = m.effects([law for law in BODIES if law.name == "stiffness_along"], "body")
 
@@ -46,7 +46,7 @@ def simulate(run, values):
     tilt = values["tilt"][:, None]
     steps = np.full((1, run.rows, 10), 0.03)
     rod = equilibrium(pulls, stiffness, long["weight"] / 10 + 0 * steps, steps, np.stack([0 * tilt, tilt, 0 * tilt]))
-    found = [rod.at(np.full((1, run.rows), at), 0.0, 0.0)[::2] for at in (0.5, 1.0)]
+    found = [rod.point_at(np.full((1, run.rows), at), 0.0, 0.0)[::2] for at in (0.5, 1.0)]
     return np.moveaxis(found, (0, 1), (2, 3))
 
 plant = m.plant(simulate, static=True, many=True)

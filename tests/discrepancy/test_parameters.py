@@ -23,8 +23,8 @@ TIME = np.linspace(0, 2, 81)
 def swing(groups: tuple[str, ...] = ("empty", "loaded")) -> CasadiPlant:
     m = Equations("a swing", laws=())
     q, v = m.state("q"), m.state("v")
-    spring = m.known("spring", 30.0, "N/m", std=3.0)
-    mass, damper = m.known("mass", 1.0, "kg", within=0.9, groups=groups), m.known("damper", 1.0, "N s/m")
+    spring = m.parameter("spring", 30.0, "N/m", std=3.0)
+    mass, damper = m.parameter("mass", 1.0, "kg", within=0.9, groups=groups), m.parameter("damper", 1.0, "N s/m")
     m.rate(q, v)
     m.rate(v, (m.input("force", size=10.0) - spring * q - damper * v) / mass)
     m.output("position", q, "m")
@@ -67,7 +67,7 @@ def test_the_order_of_parameters_does_not_matter() -> None:
 def known(*args: Any, **kwargs: Any) -> list[Free]:
     """Parameters that a machine gets."""
     machine = MachineDescription("a machine")
-    machine.known(*args, **kwargs)
+    machine.parameter(*args, **kwargs)
     return list(machine._free.values())
 
 
@@ -83,3 +83,10 @@ def test_ranges_and_priors() -> None:
         known("a", 2.0, "m", low=0, high=1)
     with pytest.raises(InputError, match="a has no range"):
         known("a", 0.0)
+
+
+def test_the_old_name_of_a_parameter_warns() -> None:
+    machine = MachineDescription("a machine")
+    with pytest.warns(DeprecationWarning, match=r"m\.known\(…\) is now m\.parameter\(…\)"):
+        machine.known("a", 2.0, "m")
+    assert list(machine._free) == ["a"]

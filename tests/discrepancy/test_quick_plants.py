@@ -26,7 +26,7 @@ def tank(**laws: object) -> Equations:
     """A level that falls by itself: ẋ = u - x / time."""
     m = Equations("tank", time=0.5, **laws)  # type: ignore[arg-type]
     level, inflow = m.state("level"), m.input("inflow", size=1.0)
-    m.rate(level, inflow - m.known("leak", 2.0, "1/s", within=0.9) * level)
+    m.rate(level, inflow - m.parameter("leak", 2.0, "1/s", within=0.9) * level)
     m.output("level", level, "m", size=0.5)
     return m
 
@@ -58,7 +58,7 @@ def test_left_out_data_are_predicted_by_fits_to_the_rest(count: int) -> None:
     """Against fits that never saw a fold: whole runs, or parts of the one run there is."""
     asked = problem(runs(count, leak=2.6))
     estimate = identify(asked)
-    found = leave_out(estimate, SearchSettings.of(estimate.plant))
+    found = leave_out(estimate, SearchSettings.for_plant(estimate.plant))
     fold = np.arange(count * 200) // 200 if count > 1 else np.arange(200) * 24 // 200 % FOLDS
     total = 0.0
     for k in range(FOLDS):
@@ -76,7 +76,7 @@ def test_left_out_data_are_predicted_by_fits_to_the_rest(count: int) -> None:
 def test_neighbours_in_time_count_as_what_they_say() -> None:
     """A coordinate is worth a block's share: as many independent measurements as there are blocks."""
     estimate = identify(replace(problem(runs(2, leak=2.6)), block=0.5))
-    found = leave_out(estimate, SearchSettings.of(estimate.plant))
+    found = leave_out(estimate, SearchSettings.for_plant(estimate.plant))
     assert len(found.counts) == 2 * 8
     assert found.worth == pytest.approx(16 / 400)
 
@@ -103,7 +103,7 @@ def test_a_probe_is_judged_by_what_a_few_steps_gain() -> None:
         for k, run in enumerate(runs(4, 2.0))
     )
     estimate = identify(Problem(machine, measured, machine.free(machine.known), NOISE))
-    settings = SearchSettings.of(machine)
+    settings = SearchSettings.for_plant(machine)
     scores = screen(linearise(estimate, estimate.problem.free, (), (), settings), settings, machine.candidates)
     score = next(s for s in scores if s.candidate.name == "input_lag")
     assert score.gain > 0.9

@@ -27,7 +27,7 @@ def bent(moment: np.ndarray, weight: float = 0.0, base: tuple[float, ...] = (0, 
 
 def tip(rod: Bent) -> np.ndarray:
     """(3, sets)."""
-    return rod.at(np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))[..., 0]
+    return rod.point_at(np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))[..., 0]
 
 
 def test_without_weight_it_is_an_arc() -> None:
@@ -84,7 +84,7 @@ def test_sets_far_apart_are_as_if_alone() -> None:
 
 def test_points_of_cross_sections_go_along() -> None:
     rod = bent(np.array([[0.0, 3.0]]))
-    middle, outside = (rod.at(np.full((1, 1), 0.5), np.full((1, 1), x), np.full((1, 1), 0.02))[:, 0, 0] for x in (0.0, 0.1))
+    middle, outside = (rod.point_at(np.full((1, 1), 0.5), np.full((1, 1), x), np.full((1, 1), 0.02))[:, 0, 0] for x in (0.0, 0.1))
     angle = 3.0 * LENGTH / 2
     np.testing.assert_allclose(outside - middle, 0.1 * np.array([np.cos(angle), 0, -np.sin(angle)]), atol=1e-9)
     assert middle[1] == pytest.approx(0.02)

@@ -138,7 +138,7 @@ def two_masses() -> CasadiPlant:
     m = Equations("two masses", time=0.3, laws=())
     (x, v), (y, w) = ((m.state(f"place {k}"), m.state(f"speed {k}")) for k in "12")
     f, g = m.input("force_1", size=1.0), m.input("force_2", size=1.0)
-    spring, between = m.known("spring", 40.0, "N/m", within=0.2), m.known("between", 10.0, "N/m", within=0.2)
+    spring, between = m.parameter("spring", 40.0, "N/m", within=0.2), m.parameter("between", 10.0, "N/m", within=0.2)
     m.rate(x, v)
     m.rate(v, f - spring * x - between * (x - y) - 2.0 * v)
     m.rate(y, w)

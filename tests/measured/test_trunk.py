@@ -41,7 +41,7 @@ def recorded(plant: CasadiPlant, folder: Path, grams: int, part: tuple[float, fl
 
 
 def learned(plant: CasadiPlant, old: Trials) -> Baseline:
-    return learn_baseline(Question(old, plant, NOISE, SearchSettings.of(plant)))
+    return learn_baseline(Question(old, plant, NOISE, SearchSettings.for_plant(plant)))
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ def line(seed: int, rows: int = 400, correlated: bool = False) -> Problem:
     """y = a u + b with white noise, or with noise in which ten rows are alike."""
     m = Equations("line", laws=())
     u = m.input("u", size=1.0)
-    m.output("y", m.known("a", 1.0, low=-9.0, high=9.0) * u + m.known("b", 0.0, low=-9.0, high=9.0))
+    m.output("y", m.parameter("a", 1.0, low=-9.0, high=9.0) * u + m.parameter("b", 0.0, low=-9.0, high=9.0))
     random = np.random.default_rng(seed)
     time = np.arange(rows) * 0.1
     inputs = 1.0 + np.repeat(random.normal(size=rows // 10), 10)[:, None]

@@ -27,7 +27,7 @@ def plant() -> CasadiPlant:
     m = Equations("a mass on a spring", laws=())
     q, v = m.state("q"), m.state("v")
     force = m.input("force", size=1.0)
-    spring, damping = m.known("spring", 20.0, "N/m", within=0.5), m.known("damping", 1.0, "N s/m", within=0.9)
+    spring, damping = m.parameter("spring", 20.0, "N/m", within=0.5), m.parameter("damping", 1.0, "N s/m", within=0.9)
     m.rate(q, v)
     m.rate(v, force - spring * (q + 4 * q**3) - damping * v)
     m.output("position", q, "m")

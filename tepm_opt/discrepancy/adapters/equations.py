@@ -3,7 +3,7 @@
 m = Equations("a mass on a spring")
 q, v = m.state("q"), m.state("v")
 force = m.input("force", size=10.0)
-mass, spring = m.known("mass", 2.0, "kg"), m.known("spring", 500.0, "N/m")
+mass, spring = m.parameter("mass", 2.0, "kg"), m.parameter("spring", 500.0, "N/m")
 m.rate(q, v)
 m.rate(v, (force - spring * q + m.axis("guide", q, v, force=10.0, speed=0.5, position=0.02)) / mass)
 m.output("position", q, "m", size=0.02)

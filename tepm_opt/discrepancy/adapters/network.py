@@ -178,6 +178,6 @@ class SearchableNetwork(NetworkPlant):
         missing = {name for candidate in self.candidates for name in candidate.parameters}
         return (*self.known_model.robot.priors, *(name for name in self.values if "." in name and name not in missing))
 
-    def corrected(self, kept: Sequence[Candidate]) -> Model:
+    def corrected_model(self, kept: Sequence[Candidate]) -> Model:
         """The model with these effects only and the values it has."""
         return with_selected_candidates(self.known_model, self.model.values, kept)

@@ -28,7 +28,7 @@ class Bent:
     nodes: np.ndarray
     turns: np.ndarray
 
-    def at(self, station: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def point_at(self, station: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """A point of a cross-section, (3, sets, rows) in m.
 
         Args:

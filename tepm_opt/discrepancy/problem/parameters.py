@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from typing import Any, Self
@@ -28,7 +29,13 @@ class MachineDescription:
     _grouped: dict[str, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False)
     _candidates: list[Candidate] = field(default_factory=list, init=False, repr=False)
 
-    def known(
+    @property
+    def known(self) -> Callable[..., Any]:
+        """`parameter`, by its name of version 0.2."""
+        warnings.warn("m.known(…) is now m.parameter(…); the old name goes with version 0.4", DeprecationWarning, stacklevel=2)
+        return self.parameter
+
+    def parameter(
         self, name: str, value: float, unit: str = "1", within: float = 0.2, low: float | None = None, high: float | None = None,
         std: float = inf, groups: Sequence[str] = (),
     ) -> Any:  # fmt: skip
@@ -143,7 +150,7 @@ class DescribedPlant:
             found |= {f"{name}[{group}]": (name, group) for group in groups}
         return {name: full for full, (name, group) in found.items() if group == run.group}
 
-    def corrected(self, kept: Sequence[Candidate]) -> dict[str, float]:
+    def corrected_model(self, kept: Sequence[Candidate]) -> dict[str, float]:
         """Values by full name of the known parameters and those of these effects."""
         names = [*self.known, *(name for candidate in kept for name in candidate.parameters)]
         return {name: self.parameters[name].start for name in names}

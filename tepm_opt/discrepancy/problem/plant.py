@@ -126,7 +126,7 @@ class SearchablePlant(Plant, Protocol):
 
     def with_values(self, values: Mapping[str, float]) -> SearchablePlant: ...
 
-    def corrected(self, kept: Sequence[Candidate]) -> object:
+    def corrected_model(self, kept: Sequence[Candidate]) -> object:
         """The model with these effects only and the values it has, in the form that people go on with."""
 
 

@@ -187,7 +187,7 @@ class SearchSettings:
     max_pair_excess: float = 0.5
 
     @staticmethod
-    def of(plant: Plant) -> SearchSettings:
+    def for_plant(plant: Plant) -> SearchSettings:
         """The usual settings; a plant that is quick to simulate bears a wider search with more steps and refits.
 
         Its forms are said to be exact by whoever wrote its equations.

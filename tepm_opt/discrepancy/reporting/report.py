@@ -60,7 +60,7 @@ def build_verdict(state: Assessed) -> Verdict:
         tuple(place for place in state.localisation.places if place.p <= 0.01),
         known,
         errors,
-        plant.with_values(best.plant.values).corrected(explanation.best.effects),
+        plant.with_values(best.plant.values).corrected_model(explanation.best.effects),
         tuple(dict.fromkeys((*([f"{shift.sentence}."] if shift else []), *state.remarks, *judgement.remarks, *notes))),
         machine=plant.name,
         unit=unit,

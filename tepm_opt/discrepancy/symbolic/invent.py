@@ -146,7 +146,7 @@ def _fit_and_judge(
     if fitted is None:
         return None
     anew = replace(estimate, residuals=estimate.problem.residuals(estimate.values))  # with derivatives at the values
-    search = SearchSettings.of(fitted.plant)
+    search = SearchSettings.for_plant(fitted.plant)
     before, after = leave_out(anew, search).excess, leave_out(fitted, search).excess
     closes = (before - after) / max(before, 1e-12)
     if closes < settings.min_closed:
