@@ -37,7 +37,7 @@ def discrepancy(
     ] = None,
     baseline: Annotated[
         Path | None,
-        typer.Option("--baseline", metavar="OLD", help="Earlier data of the same machine: tell what changed since."),
+        typer.Option("--baseline", metavar="OLD", help="Earlier data of the same machine, or its baseline.json: tell what changed since."),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of all random draws.")] = 0,
     despite_errors: Annotated[bool, typer.Option("--despite-errors", help="Go on where the check of the data finds errors.")] = False,

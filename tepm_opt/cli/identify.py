@@ -19,14 +19,15 @@ from tepm_opt.cli.groups import WorkerOptions
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
+from tepm_opt.solvers.prior import JointPrior
 
 
 def identify(
     datasets: Annotated[list[Path], typer.Argument(metavar="DATASET...", help="Folders with dataset.toml and a CSV file a run.")],
     workers: WorkerOptions,
-    out: Annotated[Path, typer.Option("--out", help="Folder for identified.json and model.toml or, with --plant, values.json.")] = Path(
-        "identified"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for identified.json, posterior.json and model.toml or, with --plant, values.json.")
+    ] = Path("identified"),
     free: Annotated[
         str | None, typer.Option("--free", help="Parameters by commas: K_a,c_a,r,payload.mass.", show_default="those with priors")
     ] = None,
@@ -38,6 +39,10 @@ def identify(
     robot: RobotOption = None,
     model: ModelOption = None,
     plant: Annotated[Path | None, typer.Option("--plant", help="Python file of another machine, which the data sets are of.")] = None,
+    prior: Annotated[
+        Path | None,
+        typer.Option("--prior", metavar="FILE", help="posterior.json of an earlier fit, or baseline.json: what is known before."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Fit parameters to measured runs (role fit) within their priors, judge them on the others, say what the runs cannot tell.
@@ -49,7 +54,7 @@ def identify(
     if workers.given and starts == 1:
         raise InputError("--jobs and --scheduler are for --starts; leave them out, or fit from several starts")
     names = [name.strip() for name in free.split(",")] if free else None
-    options = tepm.FitOptions(starts, intervals, outliers, seed)
+    options = tepm.FitOptions(starts, intervals, outliers, seed, JointPrior.from_file(prior) if prior else None)
     if plant is not None:
         if robot or model or despite_errors or workers.given:
             raise InputError("--plant excludes --robot, --model, --despite-errors, --jobs and --scheduler; leave these out")

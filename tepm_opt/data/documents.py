@@ -51,6 +51,25 @@ def read_text(path: Path, way: str = TOML) -> str:
         raise InputError(f"{path}: is not a text file (UTF-8)") from error
 
 
+def read_json(path: Path, writer: str) -> dict[str, Any]:
+    """Content of a JSON file that a command wrote.
+
+    Args:
+        path: of the file.
+        writer: the command, for messages.
+
+    Raises:
+        InputError: it cannot be read, or holds no object.
+    """
+    try:
+        content = json.loads(read_text(path))
+    except ValueError as error:
+        raise InputError(f"{path}: is damaged: {error}; run {writer} again") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: is damaged; run {writer} again")
+    return content
+
+
 def parse_toml(text: str, where: str, way: str = TOML) -> dict[str, Any]:
     """A TOML document from its text.
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +14,13 @@ import numpy as np
 from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.checks.findings import Finding
 from tepm_opt.data.datasets import DataSet, write_dataset
-from tepm_opt.data.documents import read_text
+from tepm_opt.data.documents import read_json
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.trials import Trials, read_trials
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.baseline.baseline import Baseline
-from tepm_opt.discrepancy.pipeline import discover, learn_baseline, require_fit_runs
+from tepm_opt.discrepancy.pipeline import discover, require_fit_runs
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.problem.time_limit import TimeLimit
@@ -34,15 +31,16 @@ from tepm_opt.discrepancy.symbolic.invent import invent as invented
 from tepm_opt.discrepancy.symbolic.page import as_json, curves, page
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.advice import MENDED, MODEL, VALUES, Asked, advised
+from tepm_opt.jobs.baseline import BaselineFile, fingerprint
 from tepm_opt.jobs.joined import joined
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.effect_files import loaded_effects, loaded_files
 from tepm_opt.models.model import Model, read_model, write_model
-from tepm_opt.progress import Progress, named, silent
+from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.plant import PredictionError
 
-VERDICT, FITS, EFFECTS, BASELINE = "verdict.json", ".fits.json", "effects", "baseline.json"
+VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: bool = False) -> tuple[DataSet, list[str]]:
@@ -96,7 +94,7 @@ def run_discrepancy(
         add: data sets of the same machine that were recorded later, see `joined`.
         mend: whether to write the data without their set-up errors into `mended`.
         baseline: an earlier data set of the same machine: the answer tells what changed since; what it says of the parameters and of the
-            model's error goes into `baseline.json`.
+            model's error goes into `baseline.json`. Or such a file, so that nothing is learned anew.
         minutes: that the search may take; None for no limit. What was fitted is kept then, and the same command goes on from there.
 
     Raises:
@@ -133,13 +131,14 @@ def run_discrepancy(
     require_fit_runs(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.from_model(known, channels, dataset.static)
-    key = _fingerprint([folder, *more], known.robot.model_dump_json(), str(known.values), str(seed), loaded_effects())
-    earlier = None
+    machine = (known.robot.model_dump_json(), str(known.values), loaded_effects())
+    key, earlier = fingerprint([folder, *more], *machine, str(seed)), None
     if baseline is not None:
-        old, more_warnings = checked_dataset(Path(baseline), despite_errors, mends_setup=True)
+        source = BaselineFile.open(Path(baseline))
+        old, more_warnings = checked_dataset(source.folder, despite_errors, mends_setup=True)
         warnings = [*warnings, *more_warnings]
-        earlier = _learn(Question(old, network, noise_of(old), SearchSettings.for_plant(network), seed), progress, out)
-        key = _fingerprint([Path(baseline)], key)
+        question = Question(old, network, noise_of(old), SearchSettings.for_plant(network), seed, progress=progress)
+        earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
     result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     if not result.verdict.setup:
         checked_datasets([folder, *more], despite_errors)  # refuses errors of the set-up that the workflow did not find
@@ -162,13 +161,7 @@ def read_verdict(folder: str | Path) -> Mapping[str, Any]:
     path = Path(folder) / VERDICT
     if not path.is_file():
         raise InputError(f"{path} is not there; valid: the folder that tepm discrepancy wrote (--out)")
-    try:
-        content = json.loads(read_text(path))
-    except ValueError as error:
-        raise InputError(f"{path}: is damaged: {error}; run tepm discrepancy again") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: is damaged; run tepm discrepancy again")
-    return content
+    return read_json(path, "tepm discrepancy")
 
 
 def _seen_from(out: Path, path: str | Path | None) -> str | None:
@@ -215,14 +208,6 @@ def with_law(result: Discovery, folder: Path, progress: Progress = silent) -> In
     return law
 
 
-def _learn(question: Question, progress: Progress, out: Path) -> Baseline:
-    """Fit the model to a baseline and write `baseline.json`."""
-    progress(f"fitting the model to {question.dataset.name}", 0, 0)
-    found = learn_baseline(replace(question, progress=named(progress, "baseline")))
-    write_atomically(out / BASELINE, json.dumps(found.as_json(), indent=2) + "\n")
-    return found
-
-
 def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress, baseline: Path | None, limit: TimeLimit) -> Discovery:
     """Explain a data set of a plant file's machine, see `run_discrepancy`.
 
@@ -232,21 +217,20 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
         file: with the plant.
         seed: of all random draws.
         progress: told of every piece of work.
-        baseline: an earlier data set of the machine; None for none.
+        baseline: an earlier data set of the machine, or its `baseline.json`; None for none.
         limit: of the search.
     """
     plant = load_plant(file)
     dataset = read_trials(folder, plant.signals, plant.static)
     out = output_folder(out)
-    texts = [
-        path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))
-    ]  # it may import those beside it
-    key = _fingerprint([folder], file.name, *texts, str(seed))
-    earlier = None
+    # it may import files beside it
+    machine = (file.name, *(path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))))
+    key, earlier = fingerprint([folder], *machine, str(seed)), None
     if baseline is not None:
-        old = read_trials(baseline, plant.signals, plant.static)
-        earlier = _learn(Question(old, plant, _noise(old, plant), SearchSettings.for_plant(plant), seed), progress, out)
-        key = _fingerprint([baseline], key)
+        source = BaselineFile.open(baseline)
+        old = read_trials(source.folder, plant.signals, plant.static)
+        question = Question(old, plant, _noise(old, plant), SearchSettings.for_plant(plant), seed, progress=progress)
+        earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
     result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
     result = advised(result, Asked(folder, out, plant=file, baseline=baseline, ended_early=bool(limit.untried)))
@@ -279,12 +263,3 @@ def _write(result: Discovery, out: Path, warnings: Sequence[str], limit: TimeLim
     write_atomically(out / VERDICT, json.dumps(content, indent=2) + "\n")
     for kept in () if limit.untried else out.glob(f"{FITS}*"):
         kept.unlink()
-
-
-def _fingerprint(folders: Sequence[Path], *parts: str) -> str:
-    """Changes with the data, these parts and the version of this package."""
-    digest = hashlib.sha256(repr((*parts, version("tepm-opt"))).encode())
-    for path in (each for folder in folders for each in sorted(folder.glob("*"))):
-        if path.is_file():
-            digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()

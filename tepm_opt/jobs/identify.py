@@ -33,10 +33,11 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
 from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.plant import Plant, PredictionError
+from tepm_opt.solvers.prior import JointPrior
 from tepm_opt.solvers.start import predictions
 from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
 
-SUMMARY = "identified.json"
+SUMMARY, POSTERIOR = "identified.json", "posterior.json"
 FAR = 1.5  # times the noise from which on residuals hold what no parameter explains
 STEP = 0.005  # s; longer ones damp a little by themselves, which biases the damping found
 
@@ -123,6 +124,12 @@ class IdentifyRun(Tabular):
         return float(np.sqrt(self.estimate.cost / max(self.estimate.count, 1)))
 
     @property
+    def posterior(self) -> JointPrior:
+        """Joint distribution of the parameters."""
+        free = self.estimate.problem.free
+        return JointPrior(tuple(f.name for f in free), self.estimate.values, self.estimate.covariance, units=tuple(f.unit for f in free))
+
+    @property
     def doubts(self) -> list[str]:
         """What says that the parameters stand in for something that the model lacks, a line each."""
         found = []
@@ -162,7 +169,7 @@ class IdentifyRun(Tabular):
         return {"parameter": np.array(list(found)), **columns}
 
     def save(self, folder: str | Path) -> None:
-        """Write identified.json, and model.toml, for --model of every command, or of a plant values.json.
+        """Write identified.json, posterior.json, and model.toml, for --model of every command, or of a plant values.json.
 
         Raises:
             InputError: the folder cannot be written to.
@@ -173,6 +180,7 @@ class IdentifyRun(Tabular):
         else:
             write_atomically(folder / VALUES, json.dumps(self.estimate.named, indent=2) + "\n")
         write_atomically(folder / SUMMARY, json.dumps(self.summary(), indent=2) + "\n")
+        write_atomically(folder / POSTERIOR, json.dumps(self.posterior.as_json(), indent=2) + "\n")
 
 
 @dataclass(frozen=True)
@@ -184,12 +192,14 @@ class FitOptions:
         profiles: whether to find profile intervals: slower, right where bounds are near.
         robust: whether outliers are weighted down.
         seed: of the random starts.
+        prior: joint distribution of some of the parameters that other data tell, such as an earlier fit's posterior; None for none.
     """
 
     starts: int = 1
     profiles: bool = False
     robust: bool = True
     seed: int = 0
+    prior: JointPrior | None = None
 
 
 def run_identify(
@@ -268,6 +278,11 @@ def _fit(
     """Fit the parameters of a problem and judge them by an error on other runs."""
     if options.starts < 1:
         raise InputError(f"starts {options.starts}; valid: at least 1")
+    if options.prior is not None:
+        fitted = [free.name for free in problem.free]
+        if not set(fitted) & set(options.prior.names):
+            raise unknown_name("parameter", next(iter(options.prior.names), ""), fitted, "prior")
+        problem = replace(problem, joint=options.prior)
     try:
         progress("compiling the motion", 0, 0)
         estimate = multi_start(problem, options.starts, options.seed, progress=progress, executor=executor)

@@ -10,7 +10,7 @@ from tepm_opt.data.python_files import run_file
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.errors import InputError
 
-NEEDED = ("signals", "known", "candidates", "values", "states", "predict", "with_values", "free", "corrected")
+NEEDED = ("signals", "known", "candidates", "values", "states", "predict", "with_values", "free", "corrected_model")
 
 
 def load_plant(path: str | Path) -> SearchablePlant:

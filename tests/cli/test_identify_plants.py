@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -56,3 +57,36 @@ def test_command(tepm: Command, tank: Path) -> None:
 @pytest.mark.parametrize("option", [("--robot", "kang2017"), ("--starts", "2", "--jobs", "2")])
 def test_options_of_robots_are_refused(tepm: Command, tank: Path, option: tuple[str, ...]) -> None:
     assert "--plant excludes --robot" in tepm("identify", str(tank), "--plant", "tank.py", *option).err
+
+
+def test_a_posterior_is_the_prior_of_the_next_fit(tepm: Command, tank: Path) -> None:
+    """Two recordings one after the other tell what both together do."""
+    folder, plant = tank.parent, load_plant(tank.with_name("tank.py"))
+    other = write_tank(folder / "more", runs(3, leak=2.6, seed=9), NOISE)
+    machine = ("--plant", str(folder / "tank.py"))
+    assert tepm("identify", str(tank), *machine, "--out", str(folder / "first")).status == 0
+    prior = ("--prior", str(folder / "first" / "posterior.json"))
+    assert tepm("identify", str(other), *machine, *prior, "--out", str(folder / "second")).status == 0
+    told = json.loads((folder / "second" / "posterior.json").read_text())
+    both = run_identify_plant(plant, open_trials([tank, other], plant)).estimate
+    assert (told["parameters"][0]["name"], told["parameters"][0]["unit"]) == ("leak", "1/s")
+    assert told["parameters"][0]["mean"] == pytest.approx(both.values[0], abs=0.2 * both.std[0])
+    assert told["covariance"][0][0] == pytest.approx(both.covariance[0, 0], rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{", r"posterior\.json: is damaged: .*; run tepm identify again"),
+        ("{}", r"posterior\.json: no posterior: KeyError\('parameters'\); valid: parameters \(name, mean, unit\) and covariance"),
+        ('{"parameters": [{"name": "leak", "mean": 2}], "covariance": [[-1]]}', r"covariance: is none; valid: finite, symmetric, positive"),
+        ('{"parameters": [{"name": "leak", "mean": 2}], "covariance": [[1, 0]]}', r"covariance: \(1, 2\) for 1 parameters"),
+        ('{"parameters": [{"name": "leek", "mean": 2}], "covariance": [[1]]}', r"prior: unknown parameter 'leek': did you mean 'leak'"),
+    ],
+)
+def test_a_posterior_that_is_none_is_refused(tepm: Command, tank: Path, text: str, says: str) -> None:
+    file = tank.with_name("posterior.json")
+    file.write_text(text, encoding="utf-8")
+    done = tepm("identify", str(tank), "--plant", str(tank.with_name("tank.py")), "--prior", str(file), "--out", str(tank.with_name("out")))
+    assert done.status == 2
+    assert re.search(says, done.err)

@@ -186,6 +186,20 @@ class TestCommand:
         assert [each["name"] for each in told["parameters"]] == ["stiffness", "damping", "zero"]
         np.testing.assert_allclose(np.sqrt(np.diag(told["covariance"])), [each["std"] for each in told["parameters"]])
         assert "baseline" not in found.verdict.command or str(old) in found.verdict.command
+        file = tmp_path / "out" / "baseline.json"
+        again = run_discrepancy(new, tmp_path / "again", plant=plant, baseline=file).verdict
+        assert [(e.candidate.label, e.probability) for e in again.effects] == [
+            (e.candidate.label, e.probability) for e in found.verdict.effects
+        ]
+        assert json.loads((tmp_path / "again" / "baseline.json").read_text()) == told
+        (old / "r0.csv").write_text((old / "r1.csv").read_text())
+        with pytest.raises(
+            InputError, match=r"baseline\.json: the data, the model or tepm-opt are not those of then; valid: --baseline .*old"
+        ):
+            run_discrepancy(new, tmp_path / "third", plant=plant, baseline=file)
+        file.write_text("{}")
+        with pytest.raises(InputError, match=r"baseline\.json: names no data; valid: "):
+            run_discrepancy(new, tmp_path / "third", plant=plant, baseline=file)
 
 
 def write(recorded: RunSet, folder: Path) -> Path:

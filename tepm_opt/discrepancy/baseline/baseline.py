@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,14 +27,12 @@ class Baseline:
     Attributes:
         name: of the data set.
         posterior: joint distribution of the known parameters that it tells.
-        units: of these parameters.
         error: of the model there.
         runs: that the model was fitted to.
     """
 
     name: str
     posterior: JointPrior
-    units: tuple[str, ...]
     error: ModelError
     runs: tuple[Run, ...]
 
@@ -81,20 +80,22 @@ class Baseline:
 
     def as_json(self) -> dict[str, Any]:
         """Posterior and model error as plain data, SI."""
-        return {
-            "name": self.name,
-            "parameters": [
-                {"name": name, "mean": mean, "std": std, "unit": unit}
-                for name, mean, std, unit in zip(
-                    self.posterior.names, self.posterior.mean.tolist(), self.posterior.std.tolist(), self.units,
-                    strict=True,
-                )
-            ],
-            "covariance": self.posterior.covariance.tolist(),
-            "model_error": self.error.size[:, 0].tolist(),
-            "lasts_s": self.error.lasts,
-            "independent_blocks": self.error.blocks,
-        }  # fmt: skip
+        return {"name": self.name, **self.posterior.as_json(), "model_error": self.error.as_json()}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any], runs: Sequence[Run], file: Path) -> Baseline:
+        """A baseline that `as_json` wrote.
+
+        Args:
+            content: of the file.
+            runs: that the model was fitted to.
+            file: that it was read from, for messages.
+
+        Raises:
+            InputError: something is missing or no valid number.
+        """
+        posterior, error = JointPrior.from_json(content, file), ModelError.from_json(content.get("model_error"), file)
+        return cls(str(content.get("name", file.parent.name)), posterior, error, tuple(runs))
 
 
 def fit_baseline(name: str, estimate: ParameterEstimate, evidence: Evidence, known: Sequence[str], settings: SearchSettings) -> Baseline:
@@ -118,5 +119,5 @@ def fit_baseline(name: str, estimate: ParameterEstimate, evidence: Evidence, kno
     error = estimate_model_error(again, leave_out(again, settings), name)
     own = [k for k, f in enumerate(free) if f.name in known]  # not those of effects that gauges show: the other recording has its gauges
     names, units = tuple(free[k].name for k in own), tuple(free[k].unit for k in own)
-    posterior = JointPrior(names, again.values[own], again.covariance[np.ix_(own, own)], error.weight)
-    return Baseline(name, posterior, units, error, problem.runs)
+    posterior = JointPrior(names, again.values[own], again.covariance[np.ix_(own, own)], error.weight, units)
+    return Baseline(name, posterior, error, problem.runs)

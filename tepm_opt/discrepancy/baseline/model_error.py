@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +46,32 @@ class ModelError:
     def count_blocks(self, runs: Sequence[Run]) -> int:
         """Independent blocks of time in some runs; rows, where these are equilibria."""
         return int(sum(_seconds(run) / self.lasts if self.lasts > 0 else run.rows for run in runs))
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data, SI."""
+        return asdict(self) | {"size": self.size[:, 0].tolist()}
+
+    @classmethod
+    def from_json(cls, content: Any, file: Path) -> ModelError:
+        """An error that `as_json` wrote.
+
+        Args:
+            content: of the file's part.
+            file: that it was read from, for messages.
+
+        Raises:
+            InputError: something is missing or no valid number.
+        """
+        valid = "valid: model_error as tepm discrepancy --baseline writes it: size, lasts, weight, scatter, blocks"
+        try:
+            size = np.array(content["size"], dtype=float)[:, None]
+            found = cls(size, *(float(content[name]) for name in ("lasts", "weight", "scatter")), int(content["blocks"]))
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise InputError(f"{file}: no model error ({error!r}); {valid}") from error
+        numbers = [*found.size[:, 0], found.weight, found.lasts + 1, found.scatter + 1, found.blocks]
+        if not all(np.isfinite(value) and value > 0 for value in numbers) or found.lasts < 0 or found.scatter < 0:
+            raise InputError(f"{file}: model_error has a number that none can have; {valid}")
+        return found
 
 
 def estimate_model_error(estimate: ParameterEstimate, evidence: Evidence, name: str, settings: BaselineSettings = DEFAULT) -> ModelError:
