@@ -99,9 +99,9 @@ def discover(
         plant, settings = plant.with_values(baseline.values), baseline.adapt(settings, dataset.fit)
     question = Question(dataset, plant, noise, settings, seed, store, key, progress, baseline=baseline, limit=limit or TimeLimit())
     found = run_stages(question, stages)
-    if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not (plant.static or question.limit.is_over):
+    if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
         found = _without_beginnings(question, found, stages)
-    if found.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL) and not question.limit.is_over:
+    if found.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         found = _without_odd_run(question, found, stages)
     return replace(found, verdict=replace(found.verdict, seconds=time.monotonic() - began))
 
@@ -111,6 +111,8 @@ def _without_beginnings(question: Question, found: Discovery, stages: Sequence[C
     shorter, remarks = remove_beginnings(found.dataset, found.predictions["recalibrated"], found.noise)
     if not remarks:
         return found
+    if question.limit.is_over:
+        return _remark(found, "Beginnings of runs that nothing explains are still in the data: there was no time to search without them.")
     question.progress("once more without beginnings that nothing explains", 0, 0)
     again = run_stages(replace(question, dataset=shorter, store=other_store(question.store, "shorter")), stages)
     if not again.verdict.effects:
@@ -129,6 +131,8 @@ def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Call
     if not rest.fit or bool(rest.validation) is not bool(dataset.validation):
         return found
     file = dataset.runs[odd[0]].file
+    if question.limit.is_over:
+        return _remark(found, f"{file} disagrees with all other runs: there was no time to search without it.")
     question.progress(f"once more without {file}", 0, 0)
     again = run_stages(replace(question, dataset=rest, store=other_store(question.store, "without")), stages)
     if again.verdict.status not in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY):
@@ -138,6 +142,11 @@ def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Call
         return found
     status, setup = VerdictStatus.SETUP_ERROR, (*again.verdict.setup, foreign_run(file, still[1]))
     return replace(again, verdict=replace(again.verdict, status=status, setup=setup, next=next_step(status)))
+
+
+def _remark(found: Discovery, sentence: str) -> Discovery:
+    """The outcome with one more note."""
+    return replace(found, verdict=replace(found.verdict, notes=(*found.verdict.notes, sentence)))
 
 
 def run_stages(question: Question, stages: Sequence[Callable[[Any], Any]] = STAGES) -> Discovery:

@@ -173,10 +173,16 @@ def other_store(store: Path | None, name: str) -> Path | None:
 
 
 def _limit(judgement: Judgement, limit: TimeLimit, settings: SearchSettings) -> Judgement:
-    """Take the answer of a search that left sets untried for a part at best; every untried set without an effect is its equal rival."""
-    if not limit.untried:
+    """Take the answer of a search that left something untried for a part at best.
+
+    Every untried set of effects without an effect counts as one more of its rivals, as probable as the most probable of them.
+    """
+    if not limit.was_short:
         return judgement
-    listed = tuple((of, effect, fit, p / (1 + limit.rivals(effect))) for of, effect, fit, p in judgement.listed)
+    most: dict[Candidate, float] = {}
+    for of, _, _, p in judgement.listed:
+        most[of] = max(most.get(of, 0.0), p)
+    listed = tuple((of, effect, fit, p / (1 + limit.rivals(effect) * most[of])) for of, effect, fit, p in judgement.listed)
     remarks = (limit.remark, *judgement.remarks)
     if max((p for *_, p in listed), default=0.0) < settings.min_listed_probability:
         return Judgement(VerdictStatus.UNEXPLAINED, remarks=remarks)

@@ -147,7 +147,7 @@ def run_discrepancy(
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         result = replace(result, law=with_law(result, out / EFFECTS, progress))
-    result = advised(result, replace(asked, ended_early=bool(limit.untried)))
+    result = advised(result, replace(asked, ended_early=limit.was_short))
     _write(result, out, warnings, limit, {"data": [_seen_from(out, each) for each in (folder, *add)], "model": _seen_from(out, model)})
     return result
 
@@ -233,7 +233,7 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
         earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
     result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
-    result = advised(result, Asked(folder, out, plant=file, baseline=baseline, ended_early=bool(limit.untried)))
+    result = advised(result, Asked(folder, out, plant=file, baseline=baseline, ended_early=limit.was_short))
     _write(result, out, [], limit)
     return result
 
@@ -261,5 +261,5 @@ def _write(result: Discovery, out: Path, warnings: Sequence[str], limit: TimeLim
         content["law"] = as_json(result.law)
     content["notes"] += [f"data: {line}" for line in warnings]
     write_atomically(out / VERDICT, json.dumps(content, indent=2) + "\n")
-    for kept in () if limit.untried else out.glob(f"{FITS}*"):
+    for kept in () if limit.was_short else out.glob(f"{FITS}*"):
         kept.unlink()

@@ -85,3 +85,22 @@ def test_rivals_are_untried_sets_without_an_effect() -> None:
     payload, creep = Candidate("payload"), Candidate("creep")
     limit = TimeLimit(untried={(payload,): None, (creep,): None, (creep, payload): None})
     assert (limit.rivals(payload), limit.rivals(Candidate("slack"))) == (1, 3)
+
+
+def test_work_left_out_is_told() -> None:
+    limit = TimeLimit(0.0)
+    assert not limit.was_short
+    assert not limit.allows("screening 7 effects")
+    assert limit.was_short
+    assert "after 0 minutes and left undone: screening 7 effects." in limit.remark
+
+
+@pytest.mark.slow
+def test_without_any_time_nothing_is_decided(late: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The known parameters are fitted, nothing is screened, and the answer does not say that no known effect explains the rest."""
+    monkeypatch.setattr(TimeLimit, "is_over", True)
+    verdict = run_discrepancy(late, tmp_path / "out", plant=tmp_path / "tank.py", minutes=1.0).verdict
+    assert verdict.status is VerdictStatus.UNEXPLAINED
+    assert verdict.paragraph.startswith("Undecided: the search ended before")
+    (note,) = (note for note in verdict.notes if note.startswith("Time:"))
+    assert "undone: screening" in note

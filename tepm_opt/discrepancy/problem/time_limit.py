@@ -21,10 +21,12 @@ class TimeLimit:
     Attributes:
         minutes: from when it was made; infinite for none.
         untried: sets of effects, in the order in which the search asked for them.
+        skipped: other pieces of work that were left out, in words.
     """
 
     minutes: float = float("inf")
     untried: dict[tuple[Candidate, ...], None] = field(default_factory=dict)
+    skipped: dict[str, None] = field(default_factory=dict)
     _began: float = field(default_factory=time.monotonic)
 
     @property
@@ -42,16 +44,29 @@ class TimeLimit:
             self.untried[effects] = None
             raise TimeLimitError(f"the {self.minutes:g} minutes are over")
 
+    def allows(self, work: str) -> bool:
+        """Whether there is time for another piece of work, which is noted in words if not."""
+        if self.is_over:
+            self.skipped[work] = None
+        return not self.is_over
+
+    @property
+    def was_short(self) -> bool:
+        """Whether anything was left out."""
+        return bool(self.untried or self.skipped)
+
     def rivals(self, effect: Candidate) -> int:
         """Number of untried sets that do without an effect."""
         return sum(effect not in effects for effects in self.untried)
 
     @property
     def remark(self) -> str:
-        """Sentence about the sets that were not fitted."""
+        """Sentences about what was left out."""
         names = listed(list(dict.fromkeys(effect.told for effects in self.untried for effect in effects)), 5)
         sets = "one set" if len(self.untried) == 1 else f"{len(self.untried)} sets"
+        left = [f"{sets} of effects unfitted, with {names}"] if self.untried else []
+        left += [f"undone: {listed(list(self.skipped), 3)}"] if self.skipped else []
         return (
-            f"Time: the search ended after {self.minutes:g} minutes and left {sets} of effects unfitted, with {names}. "
-            "None of them is ruled out; the same command with more minutes goes on from there."
+            f"Time: the search ended after {self.minutes:g} minutes and left {'; '.join(left)}. "
+            "Nothing of that is ruled out; the same command with more minutes goes on from there."
         )

@@ -49,8 +49,11 @@ def build_verdict(state: Assessed) -> Verdict:
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
     notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
     answer = sentences.describe_answer(judgement.status, named, errors, state.localisation.sentence, known, explanation, unit)
-    if state.baseline is not None:
+    if judgement.status is VerdictStatus.UNEXPLAINED and state.limit.was_short:
+        answer = ("Undecided: the search ended before all that may explain the structure above the noise was tried.", *answer[1:])
+    elif state.baseline is not None:
         answer = describe_change(answer, judgement.status, state.baseline, explanation.without, state.baseline.moves_alike(dataset.fit))
+    if state.baseline is not None:
         notes = (*notes, describe_model_error(state.baseline, state.settings.chance_excess))
     return Verdict(
         VerdictStatus.SETUP_ERROR if setup else judgement.status,

@@ -209,8 +209,8 @@ def single_effect_reason(explanation: Explanation, hypothesis: Hypothesis) -> st
 def _objections(explanation: Explanation, hypothesis: Hypothesis) -> str:
     """Objections to a hypothesis that closes at least 90 % of the gap: more causes, values it would need, its excess."""
     best, effects = explanation.best, hypothesis.effects
-    if explanation.closes(hypothesis) < 0.9 or hypothesis is best:
-        return ""
+    if explanation.closes(hypothesis) < 0.9 or hypothesis is best or not best.effects:
+        return ""  # where nothing is named, the remarks say why
     if hypothesis.estimate.out_of_reach:
         return "; its fit was ended early, as what it promised would still leave far more than the answer does"
     reasons = []

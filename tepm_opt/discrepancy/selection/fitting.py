@@ -211,9 +211,9 @@ class Fits:
         effects = hypothesis.effects
         if effects not in self.linearised:
             others = [c for c in missing if may_act_beside(c, effects) and (c.smooth or not self.settings.screen_by_fits)]
-            others = [] if self.limit.is_over else others
-            beside = f" beside {', '.join(c.told for c in effects)}" if effects else ""
-            self.progress(f"screening {len(others)} effects{beside}", 0, 0)
+            work = _describe_screening(len(others), effects)
+            others = others if not others or self.limit.allows(work) else []
+            self.progress(work, 0, 0)
             self.linearised[effects] = linearise(hypothesis.estimate, self.problem.free, effects, others, self.settings)
         return self.linearised[effects]
 
@@ -228,6 +228,7 @@ class Fits:
         effects = hypothesis.effects
         if effects not in self.screened:
             bent = [c for c in missing if may_act_beside(c, effects) and not c.smooth and self.settings.screen_by_fits]
+            bent = bent if not bent or self.limit.allows(_describe_screening(len(bent), effects)) else []
             self.screened[effects] = screen(self.linear(hypothesis, missing), self.settings, bent)
         return self.screened[effects]
 
@@ -252,6 +253,12 @@ def _sort(effects: Effects) -> Effects:
 def _describe_fit(effects: Effects) -> str:
     """Text of a fit for progress reports."""
     return f"fitting {', '.join(c.told for c in effects) or 'the known parameters'}"
+
+
+def _describe_screening(count: int, effects: Effects) -> str:
+    """Text of a screening for progress reports."""
+    beside = f" beside {', '.join(c.told for c in effects)}" if effects else ""
+    return f"screening {count} effects{beside}"
 
 
 def may_act_beside(candidate: Candidate, others: Sequence[Candidate]) -> bool:
