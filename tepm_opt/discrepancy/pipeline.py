@@ -50,7 +50,7 @@ def learn_baseline(question: Question) -> Baseline:
         without = fits.fit((), {})
         if without is None:
             raise PredictionError("no motion with any values of the parameters")
-        shown = fits.fit(fits.seen, {**without.estimate.named, **fits.values}) if fits.seen else None
+        shown = fits.fit(fits.gauge_effects, {**without.estimate.named, **fits.values}) if fits.gauge_effects else None
         found = shown or without
         estimate = replace(found.estimate, problem=replace(found.estimate.problem, plant=found.estimate.plant))
         return fit_baseline(question.dataset.name, estimate, found.evidence, question.plant.known, question.settings)

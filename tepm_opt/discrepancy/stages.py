@@ -41,7 +41,7 @@ from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.residuals import independent_after
-from tepm_opt.solvers.start import begun
+from tepm_opt.solvers.start import with_estimated_initial_state
 
 
 def check_setup(state: Question) -> Question:
@@ -66,8 +66,8 @@ def prepare(state: Question) -> Prepared:
         dataset, remarks, missing = dataset.with_runs(devices.runs), [*remarks, f"{devices.note}."], devices.narrow_candidates(missing)
     step = choose_time_step(plain, dataset, nominal, noise, state.settings)
     problem = Problem(plant, dataset.fit, plant.free(plant.known), noise, step=step, derivatives_apart=plant.derivatives_apart)
-    known: dict[str, Any] = vars(state) | {"dataset": dataset}
-    return Prepared(**known, nominal=nominal, missing=missing, devices=devices, problem=problem, remarks=remarks)
+    fields: dict[str, Any] = vars(state) | {"dataset": dataset}
+    return Prepared(**fields, nominal=nominal, open_candidates=missing, devices=devices, problem=problem, remarks=remarks)
 
 
 def recalibrate(state: Prepared) -> Recalibrated:
@@ -81,18 +81,18 @@ def recalibrate(state: Prepared) -> Recalibrated:
         noise, scatters = estimate_noise(noise, problem.runs, fit.estimate.residuals)
         remarks = [*remarks, *describe_noise(scatters, state.noise, state.plant.signals)]
     done = first.done if np.all(noise == problem.noise) else {}
-    shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
+    shown, values = ((), {}) if state.devices is None else (state.devices.gauge_effects, state.devices.values)
     fits = Fits(replace(problem, noise=noise), state.settings, state.store, state.key, state.progress, shown, values, done, state.limit)
-    known: dict[str, Any] = vars(state) | {"noise": noise, "remarks": remarks}
-    return Recalibrated(**known, fits=fits)
+    fields: dict[str, Any] = vars(state) | {"noise": noise, "remarks": remarks}
+    return Recalibrated(**fields, fits=fits)
 
 
 def _constrain(state: Prepared, baseline: Baseline, problem: Problem) -> Recalibrated:
     """The search for what changed: parameters within the baseline's posterior, the model's error there in the place of noise."""
-    shown, values = ((), {}) if state.devices is None else (state.devices.shown, state.devices.values)
+    shown, values = ((), {}) if state.devices is None else (state.devices.gauge_effects, state.devices.values)
     fits = Fits(baseline.constrain(problem), state.settings, state.store, state.key, state.progress, shown, values, limit=state.limit)
-    known: dict[str, Any] = vars(state) | {"missing": baseline.rebase(state.missing)}
-    return Recalibrated(**known, fits=fits)
+    fields: dict[str, Any] = vars(state) | {"open_candidates": baseline.rebase(state.open_candidates)}
+    return Recalibrated(**fields, fits=fits)
 
 
 def screen(state: Recalibrated) -> Screened:
@@ -105,13 +105,13 @@ def screen(state: Recalibrated) -> Screened:
     fits, signals = state.fits, state.plant.signals
     shown = None if state.devices is not None else with_measured_inputs(fits.problem.runs, signals)
     if shown is None:
-        return Screened(**vars(state), candidates=state.missing)
+        return Screened(**vars(state), candidates=state.open_candidates)
     state.progress("with measured inputs, for what happens behind them", 0, 0)
     store = other_store(state.store, "measured")
     behind_them = Fits(replace(fits.problem, runs=shown), state.settings, store, state.key, state.progress, limit=state.limit)
-    body = explain(behind_them, downstream_candidates(state.missing, measured_inputs(fits.problem.runs, signals)), state.seed)
+    body = explain(behind_them, downstream_candidates(state.open_candidates, measured_inputs(fits.problem.runs, signals)), state.seed)
     state.progress("with commanded inputs", 0, 0)
-    return Screened(**vars(state), candidates=exclude_by_measured_inputs(body, state.missing, state.settings))
+    return Screened(**vars(state), candidates=exclude_by_measured_inputs(body, state.open_candidates, state.settings))
 
 
 def select(state: Screened) -> Selected:
@@ -129,10 +129,10 @@ def validate(state: Selected) -> Validated:
     return Validated(
         **vars(state),
         predictions=predictions,
-        bound=compared.bound,
+        black_box=compared.black_box,
         localisation=compared.localisation,
         best=compared.best,
-        errors=validation_errors(dataset, noise, predictions, compared.bound),
+        errors=validation_errors(dataset, noise, predictions, compared.black_box),
         clock_shift=shift,
     )
 
@@ -149,13 +149,13 @@ def assess(state: Validated) -> Assessed:
     if not dropped:
         return Assessed(**vars(state), judgement=judgement)
     predictions = state.predictions | {"corrected": state.predictions["recalibrated"]}
-    known: dict[str, Any] = vars(state) | {
+    fields: dict[str, Any] = vars(state) | {
         "explanation": replace(explanation, best=explanation.without, shares={}, groups={}),
         "predictions": predictions,
         "best": explanation.without.estimate,
-        "errors": validation_errors(state.dataset, state.noise, predictions, state.bound),
+        "errors": validation_errors(state.dataset, state.noise, predictions, state.black_box),
     }
-    return Assessed(**known, judgement=Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks))
+    return Assessed(**fields, judgement=Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks))
 
 
 def report(state: Assessed) -> Discovery:
@@ -196,7 +196,7 @@ def _constancy(state: Validated) -> dict[Candidate, dict[str, SegmentSizes]]:
     if not (state.settings.check_constancy and best.effects):
         return {}
     linear = linearise(best.estimate, state.fits.problem.free, best.effects, (), state.settings)
-    return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in state.explanation.shown}
+    return {effect: effect_size_by_segment(linear, effect) for effect in best.effects if effect not in state.explanation.gauge_effects}
 
 
 def with_initial_states(problem: Problem, settings: SearchSettings) -> Problem:
@@ -204,6 +204,8 @@ def with_initial_states(problem: Problem, settings: SearchSettings) -> Problem:
     if not settings.estimate_beginnings:
         return problem
     found = identify(problem)
-    runs = tuple(begun(found.plant, run, noise, problem.step) for run, noise in zip(problem.runs, problem.noises, strict=True))
+    runs = tuple(
+        with_estimated_initial_state(found.plant, run, noise, problem.step) for run, noise in zip(problem.runs, problem.noises, strict=True)
+    )
     block = problem.block if problem.plant.static else independent_after(found.residuals, runs)
     return replace(problem, runs=runs, block=block)

@@ -64,14 +64,14 @@ class Prepared(Question):
 
     Attributes:
         nominal: predictions of the model as it was, (rows, points, 3) in m a run.
-        missing: candidates that the gauges leave.
+        open_candidates: those that measured inputs do not exclude.
         devices: lag, delay and grid of the regulators where gauges show them.
         problem: with the known parameters free.
         remarks: sentences for the reader.
     """
 
     nominal: list[np.ndarray] = field(kw_only=True)
-    missing: Sequence[Candidate] = field(kw_only=True)
+    open_candidates: Sequence[Candidate] = field(kw_only=True)
     devices: IdentifiedDevices | None = field(kw_only=True)
     problem: Problem = field(kw_only=True)
     remarks: list[str] = field(kw_only=True)
@@ -116,7 +116,7 @@ class Validated(Selected):
 
     Attributes:
         predictions: by "nominal", "recalibrated" and "corrected", (rows, points, 3) in m a run.
-        bound: points of the validation runs as a black box predicts them.
+        black_box: points of the validation runs as a black box predicts them.
         localisation: where the model misses.
         best: the selected fit with the precise time step.
         errors: on validation runs.
@@ -124,7 +124,7 @@ class Validated(Selected):
     """
 
     predictions: dict[str, list[np.ndarray]] = field(kw_only=True)
-    bound: list[np.ndarray] = field(kw_only=True)
+    black_box: list[np.ndarray] = field(kw_only=True)
     localisation: Localisation = field(kw_only=True)
     best: ParameterEstimate = field(kw_only=True)
     errors: Errors = field(kw_only=True)

@@ -203,7 +203,7 @@ class NextRun:
     def summary(self) -> dict[str, Any]:
         """What is told apart and how well, plain data."""
         return {
-            "hypotheses": [[effect.told for effect in hypothesis.effects] for hypothesis in self.hypotheses],
+            "hypotheses": [[effect.full_label for effect in hypothesis.effects] for hypothesis in self.hypotheses],
             "pattern": self.best.pattern.pattern,  # type: ignore[attr-defined]
             "seconds": round(float(self.best.planned.setpoints.time[-1]), 3),
             "sigmas": float(f"{self.best.sigmas:.4g}"),
@@ -222,7 +222,7 @@ class NextRun:
         path = Path(path)
         folder, source = output_folder(path.parent), self.rig.model.source
         robot = source if source in builtin_robots() else Path(os.path.relpath(source, folder)).as_posix()
-        told = " or ".join(" + ".join(e.told for e in h.effects) or "nothing" for h in self.hypotheses)
+        told = " or ".join(" + ".join(e.full_label for e in h.effects) or "nothing" for h in self.hypotheses)
         run = PlannedPattern(self.best.pattern, f"to tell apart: {told} ({self.best.sigmas:.2g} sigmas)")
         text = plan_text(f"{self.dataset.name}, next run", robot, self.rig.rate, [run], noise=self.dataset.position_noise)
         write_atomically(path, text)

@@ -12,7 +12,7 @@ from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import START, Free, Plant
 from tepm_opt.solvers.prior import JointPrior
 from tepm_opt.solvers.residuals import BLOCK, Residual
-from tepm_opt.solvers.start import begun, without_start
+from tepm_opt.solvers.start import with_estimated_initial_state, without_start
 from tepm_opt.solvers.text import listed
 
 
@@ -134,7 +134,7 @@ class Problem:
         own = [START + name for name in plant.states]
 
         def find_residual(measured: tuple[Run, float | np.ndarray]) -> Residual:
-            run, sigma = begun(plant, *measured, self.step), measured[1]
+            run, sigma = with_estimated_initial_state(plant, *measured, self.step), measured[1]
             free = own if run.start == "free" else []
             found = plant.predict(run, [*names, *free], self.step)
             residual = Residual.of(run, found.points, found.by, sigma, block=self.block)

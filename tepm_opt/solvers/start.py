@@ -18,7 +18,7 @@ TINY = 1e-100  # times the noise, per unit of a state: nothing that can be told
 STILL = 0.01, 1e-6  # of the noise's square, and of all squares: a step that promises less is not made; projection takes what it promises
 
 
-def begun(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.inf) -> Run:
+def with_estimated_initial_state(plant: Plant, run: Run, noise: float | np.ndarray, step: float = np.inf) -> Run:
     """The run with the state that explains its first samples best, or all of them where it is free; as it is where it begins at rest.
 
     Args:
@@ -107,4 +107,9 @@ def predictions(plant: Plant, runs: Sequence[Run], noise: float | np.ndarray, st
         noise: of what is measured, 1 sigma.
         step: longest time step in s.
     """
-    return in_parallel(lambda run: plant.predict(begun(plant, run, noise, step), (), step), runs, lambda run: run.rows, plant.concurrent)
+    return in_parallel(
+        lambda run: plant.predict(with_estimated_initial_state(plant, run, noise, step), (), step),
+        runs,
+        lambda run: run.rows,
+        plant.concurrent,
+    )

@@ -79,7 +79,7 @@ def test_grid_lag_and_delay() -> None:
     assert found.values["time_delay.delay"] == pytest.approx(DELAY, abs=1e-3)
     assert found.delay.ranges == {"time_delay.delay": (0.0, pytest.approx(DELAY, abs=2e-3))}
     assert "4500 Pa" in found.note
-    lag, late = found.shown
+    lag, late = found.gauge_effects
     assert late is found.delay
     assert set(found.values) == {*lag.parameters, *late.parameters}
     for name, (low, high) in lag.ranges.items():
@@ -90,7 +90,7 @@ def test_grid_lag_and_delay() -> None:
 @pytest.mark.slow
 def test_without_a_delay_none_is_there() -> None:
     found = seen(gauged(on_grid, delay=0.0))
-    assert len(found.shown) == 1
+    assert len(found.gauge_effects) == 1
     assert found.delay.ranges == {"time_delay.delay": (0.0, pytest.approx(1e-3, abs=1e-3))}
 
 

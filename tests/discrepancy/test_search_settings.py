@@ -45,7 +45,7 @@ class Table:
     gains: dict[str, float]
     uneven: dict[str, float] = field(default_factory=dict)
     again: tuple[Effects, ...] = ()
-    seen: Effects = ()
+    gauge_effects: Effects = ()
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
 
     @property

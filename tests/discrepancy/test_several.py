@@ -105,7 +105,7 @@ def test_what_gauges_have_shown_stays(fits: Fits, found: Hypothesis, missing: tu
     with_idle = fits.fit((*found.effects, idle), found.estimate.named)
     assert with_idle is not None
     assert idle not in prune_insignificant(fits, with_idle, missing)[0].effects
-    kept, shares = prune_insignificant(replace(fits, seen=(idle,)), with_idle, missing)
+    kept, shares = prune_insignificant(replace(fits, gauge_effects=(idle,)), with_idle, missing)
     assert idle in kept.effects
     assert shares[idle] == float("inf")
 

@@ -146,7 +146,7 @@ class TestPlant:
 class TestSearch:
     def test_finds_in_which_runs_a_cause_acts(self, fits: Fits, network: SearchableNetwork, kang: CompiledModel, runs: list[Run]) -> None:
         found = explain(fits, network.candidates, 0)
-        assert [c.told for c in found.best.effects] == ["payload in tip_load.csv"]
+        assert [c.full_label for c in found.best.effects] == ["payload in tip_load.csv"]
         dataset = dataset_of(kang, runs)
         best = found.best.estimate
         assert active_runs(found.best.effects[0], best, dataset, NOISE) == ("tip_load.csv", "mixed.csv")
@@ -183,6 +183,6 @@ class TestSizes:
 
 
 def test_a_candidate_says_where_it_acts() -> None:
-    assert LIMITED.told == "payload in tip_load.csv"
+    assert LIMITED.full_label == "payload in tip_load.csv"
     assert LIMITED != PAYLOAD
     assert isinstance(LIMITED, Candidate)

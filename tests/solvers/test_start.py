@@ -15,7 +15,7 @@ from tepm_opt.discrepancy.adapters.equations import Equations
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.plant import START
 from tepm_opt.solvers.residuals import Residual
-from tepm_opt.solvers.start import begun, first, predictions, without_start
+from tepm_opt.solvers.start import first, predictions, with_estimated_initial_state, without_start
 
 NOISE = 1e-3
 TIME = np.arange(0, 2.0, 0.01)
@@ -63,14 +63,14 @@ def joint(plant: CasadiPlant, runs: list[Run], names: list[str]) -> np.ndarray:
 
 def test_a_run_at_rest_is_left_alone(plant: CasadiPlant) -> None:
     run = swing((0.0, 0.0), "equilibrium")
-    assert begun(plant, run, NOISE) is run
+    assert with_estimated_initial_state(plant, run, NOISE) is run
 
 
 @pytest.mark.parametrize("state", [(0.3, 0.0), (-0.2, 1.5), (0.0, -2.0)])
 @pytest.mark.parametrize(("start", "near"), [("free", 4.0), ("measured", 40.0)])
 def test_the_state_is_found(plant: CasadiPlant, state: tuple[float, float], start: Start, near: float) -> None:
     right = plant.with_values({"spring": 24.0, "damping": 0.7})
-    found = begun(right, swing(state, start), NOISE).state
+    found = with_estimated_initial_state(right, swing(state, start), NOISE).state
     assert found is not None
     np.testing.assert_allclose(found, state, atol=near * NOISE)  # speed from 0.2 s of positions is worth less than from all of them
 
@@ -78,8 +78,10 @@ def test_the_state_is_found(plant: CasadiPlant, state: tuple[float, float], star
 def test_measured_states_do_not_look_at_what_comes_later(plant: CasadiPlant) -> None:
     run = swing((0.3, 0.0), "measured")
     later = replace(run, points=run.points + np.where(np.arange(run.rows) < 20, 0.0, 0.1)[:, None, None])
-    np.testing.assert_array_equal(begun(plant, run, NOISE).state, begun(plant, later, NOISE).state)
-    free = [begun(plant, replace(each, start="free"), NOISE).state for each in (run, later)]
+    np.testing.assert_array_equal(
+        with_estimated_initial_state(plant, run, NOISE).state, with_estimated_initial_state(plant, later, NOISE).state
+    )
+    free = [with_estimated_initial_state(plant, replace(each, start="free"), NOISE).state for each in (run, later)]
     assert np.abs(free[0] - free[1]).max() > 0.01
 
 
@@ -88,13 +90,13 @@ def test_missing_samples_do_not_count(plant: CasadiPlant) -> None:
     gaps = run.points.copy()
     gaps[::3] = np.nan
     right = plant.with_values({"spring": 24.0, "damping": 0.7})
-    np.testing.assert_allclose(begun(right, replace(run, points=gaps), NOISE).state, [0.3, 0.0], atol=5 * NOISE)
+    np.testing.assert_allclose(with_estimated_initial_state(right, replace(run, points=gaps), NOISE).state, [0.3, 0.0], atol=5 * NOISE)
 
 
 def test_a_state_that_shows_in_nothing_stays(plant: CasadiPlant) -> None:
     run = swing((0.3, 0.0), "free")
     empty = replace(run, points=np.full_like(run.points, np.nan))
-    found = begun(plant, empty, NOISE).state
+    found = with_estimated_initial_state(plant, empty, NOISE).state
     assert found is not None
     np.testing.assert_array_equal(found, [0.0, 0.0])
 
@@ -113,7 +115,7 @@ def test_projection_gives_what_a_joint_fit_gives(plant: CasadiPlant, names: list
     expected = joint(plant, runs, names)
     sigma = found.std
     np.testing.assert_allclose(found.values, expected[: len(names)], atol=0.02 * sigma.min(), rtol=1e-6)
-    states = np.array([begun(found.plant, run, NOISE).state for run in runs])
+    states = np.array([with_estimated_initial_state(found.plant, run, NOISE).state for run in runs])
     np.testing.assert_allclose(states.ravel(), expected[len(names) :], atol=1e-4)
     if "damping" in names:
         assert abs(found.named["spring"] - 24.0) < 4 * sigma[names.index("spring")]

@@ -117,7 +117,7 @@ def assess(
     if not best.effects:
         only_noise = explanation.without.only_noise(settings)
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
-    shown, alone = explanation.shown, dict[Candidate, float]()
+    shown, alone = explanation.gauge_effects, dict[Candidate, float]()
     for effect in best.effects:
         holds = laws[effect].effect_probability if effect in laws else 1.0
         steady = constancy_probability(constancy.get(effect, {}), thresholds)
@@ -149,13 +149,17 @@ def assess(
     else:
         status = VerdictStatus.PARTIAL if max(most.values()) >= settings.min_listed_probability else VerdictStatus.UNEXPLAINED
     spoils = "stands in for something: with it in the model the runs kept for validation fit worse."
-    remarks = (*_vague(vague), *_objections(explanation, laws, constancy, thresholds), *(f"{effect.told} {spoils}" for effect in refuted))
+    remarks = (
+        *_vague(vague),
+        *_objections(explanation, laws, constancy, thresholds),
+        *(f"{effect.full_label} {spoils}" for effect in refuted),
+    )
     return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)
 
 
 def _vague(effects: Sequence[Candidate]) -> list[str]:
     """Remarks on effects that the fit needs but whose size is not known to differ from none."""
-    return [f"{e.told} helps the fit, but its size does not differ significantly from none: it is not named." for e in effects]
+    return [f"{e.full_label} helps the fit, but its size does not differ significantly from none: it is not named." for e in effects]
 
 
 def _explains_all(
@@ -168,12 +172,14 @@ def _explains_all(
     clear, best = thresholds.min_named, explanation.best
     if min(probability.values()) < clear:
         little = sum(explanation.shares[effect] for effect, p in probability.items() if p < clear) * best.excess
-        few_left = len(best.effects) > settings.many_effects and little <= settings.max_unsure_share * (explanation.there_was - best.excess)
+        few_left = len(best.effects) > settings.many_effects and little <= settings.max_unsure_share * (
+            explanation.initial_excess - best.excess
+        )
         if not few_left or min(probability.values()) < settings.min_listed_probability:
             return False
     taken = explanation.without.excess - best.excess
     explained = clear * settings.even_odds_ratio * best.excess <= (1 - clear) * taken
-    return best.only_noise(settings) or explained or set(best.effects) != set(explanation.shown)
+    return best.only_noise(settings) or explained or set(best.effects) != set(explanation.gauge_effects)
 
 
 def _objections(
@@ -184,7 +190,7 @@ def _objections(
     for effect, other in laws.items():
         if other.effect_probability < 0.5:
             yield (
-                f"{effect.told} fits as well as anything known, but it stands in for something: "
+                f"{effect.full_label} fits as well as anything known, but it stands in for something: "
                 f"a smooth law {other.law.place.label} in its place, or beside it, predicts left-out data better."
             )
     for effect, by in constancy.items():
@@ -193,7 +199,7 @@ def _objections(
                 files = [run.file for run in explanation.best.estimate.problem.runs]
                 pairs = zip(sizes.parts, sizes.ratio, strict=True)
                 parts = ", ".join(f"{ratio:.2g} {_describe_segment(name, part, files)}" for part, ratio in pairs)
-                yield f"{effect.told} is not of one size: it is {parts} of what it is over all."
+                yield f"{effect.full_label} is not of one size: it is {parts} of what it is over all."
 
 
 def _describe_segment(partition: str, part: Hashable, files: Sequence[str]) -> str:
@@ -219,7 +225,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
     elif len(best.effects) > settings.many_effects:
-        even *= odds(best.excess, explanation.there_was, settings)
+        even *= odds(best.excess, explanation.initial_excess, settings)
     even *= settings.all_runs_odds if effect.runs else 1
     return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))
 

@@ -29,13 +29,13 @@ class Comparison:
 
     Attributes:
         predictions: by "nominal", "recalibrated" and "corrected", (rows, points, 3) in m a run.
-        bound: points of the validation runs as a black box predicts them.
+        black_box: points of the validation runs as a black box predicts them.
         localisation: where the model misses.
         best: the selected fit with the precise time step.
     """
 
     predictions: dict[str, list[np.ndarray]]
-    bound: list[np.ndarray]
+    black_box: list[np.ndarray]
     localisation: Localisation
     best: ParameterEstimate
 
@@ -82,7 +82,7 @@ def compare_models(
 
 
 def validation_errors(
-    dataset: RunSet, noise: float | np.ndarray, predictions: Mapping[str, list[np.ndarray]], bound: Sequence[np.ndarray]
+    dataset: RunSet, noise: float | np.ndarray, predictions: Mapping[str, list[np.ndarray]], black_box: Sequence[np.ndarray]
 ) -> Errors:
     """Errors of the models and of the black box on the validation runs.
 
@@ -90,14 +90,14 @@ def validation_errors(
         dataset: all runs.
         noise: of the measurements, 1 sigma per axis.
         predictions: by model, (rows, points, 3) in m a run.
-        bound: points of the validation runs as a black box predicts them.
+        black_box: points of the validation runs as a black box predicts them.
     """
     judged = _validation_runs(dataset)
     size, alone = (noise, 1.0) if np.ndim(noise) else (1.0, float(noise))  # quantities of different kinds are compared by their noise
     measured = np.concatenate([dataset.runs[k].points for k in judged]) / size
     found = {name: error_over_time(measured, np.concatenate([points[k] for k in judged]) / size) for name, points in predictions.items()}
     floor = float(np.sqrt(axes_measured(measured)) * alone)
-    return Errors(noise_floor=floor, black_box=error_over_time(measured, np.concatenate(bound) / size), **found)
+    return Errors(noise_floor=floor, black_box=error_over_time(measured, np.concatenate(black_box) / size), **found)
 
 
 def _validation_runs(dataset: RunSet) -> list[int]:

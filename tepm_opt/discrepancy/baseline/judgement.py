@@ -54,14 +54,16 @@ def _doubt_several_causes(judgement: Judgement, explanation: Explanation, search
     if len(effects) < 2:
         return judgement
     alone = {h.effects[0]: explanation.closes(h) for h in explanation.tried if len(h.effects) == 1}
-    together = [effect for effect in effects if alone.get(effect, 0.0) < settings.min_main_share and effect not in explanation.shown]
+    together = [
+        effect for effect in effects if alone.get(effect, 0.0) < settings.min_main_share and effect not in explanation.gauge_effects
+    ]
     if not together:
         return judgement
     factor = 1 / (1 + settings.unknown_law_odds * (search.one_cause_odds ** (len(effects) - 1) - 1))
     listed = tuple((of, other, h, p * (factor if of in together else 1.0)) for of, other, h, p in judgement.listed)
     cause = {effect: p * (factor if effect in together else 1.0) for effect, p in judgement.cause.items()}
     remark = (
-        f"{' and '.join(effect.told for effect in effects)} explain the change only together; "
+        f"{' and '.join(effect.full_label for effect in effects)} explain the change only together; "
         "several changes at once are less probable than one that no law of the library describes."
     )
     status = judgement.status

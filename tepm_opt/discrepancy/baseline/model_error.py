@@ -65,7 +65,8 @@ class ModelError:
         valid = "valid: model_error as tepm discrepancy --baseline writes it: size, lasts, weight, scatter, blocks"
         try:
             size = np.array(content["size"], dtype=float)[:, None]
-            found = cls(size, *(float(content[name]) for name in ("lasts", "weight", "scatter")), int(content["blocks"]))
+            lasts, weight, scatter = (float(content[name]) for name in ("lasts", "weight", "scatter"))
+            found = cls(size, lasts, weight, scatter, int(content["blocks"]))
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise InputError(f"{file}: no model error ({error!r}); {valid}") from error
         numbers = [*found.size[:, 0], found.weight, found.lasts + 1, found.scatter + 1, found.blocks]

@@ -150,19 +150,19 @@ def information(plant: SearchablePlant, runs: Sequence[Run], noise: float, candi
     plant = plant.with_values({c.happens: halfway for c in candidates if c.happens})
     known, smooth = plant.free(plant.known), [c for c in candidates if c.smooth]
     names = list(dict.fromkeys([*(f.name for f in known), *(name for c in smooth for name in c.parameters)]))
-    bent = [c for c in candidates if not c.smooth]
-    square, count, taken = np.zeros((len(names) + len(bent),) * 2), 0, np.ones(len(bent), dtype=bool)
+    nonsmooth = [c for c in candidates if not c.smooth]
+    square, count, taken = np.zeros((len(names) + len(nonsmooth),) * 2), 0, np.ones(len(nonsmooth), dtype=bool)
     for run in runs:
         found = plant.predict(run, names, plant.derivatives_apart or np.inf)
-        base = plant.predict(run).points if bent else found.points
-        changed = in_parallel(lambda c, run=run: _predict_probe(plant, c, run), bent, threads=plant.concurrent)
+        base = plant.predict(run).points if nonsmooth else found.points
+        changed = in_parallel(lambda c, run=run: _predict_probe(plant, c, run), nonsmooth, threads=plant.concurrent)
         taken &= np.array([points is not None for points in changed], dtype=bool)
         by = [*found.by, *((np.zeros_like(base) if points is None else points - base) for points in changed)]
         flat = np.stack([part.ravel() for part in by]) / noise
         square += flat @ flat.T
         count += base.size
-    able = [c for c, good in zip(bent, taken, strict=True) if good]
-    columns = {name: k for k, name in enumerate((*names, *(c.label for c in bent)))}
+    able = [c for c, good in zip(nonsmooth, taken, strict=True) if good]
+    columns = {name: k for k, name in enumerate((*names, *(c.label for c in nonsmooth)))}
     moves = [*(move for c in smooth for move in _smooth_moves(plant, c)), *(_move(plant, c, _first_probe(c), {c.label: 1.0}) for c in able)]
     own = {c.label: c.parameters for c in smooth} | {c.label: (c.label,) for c in able}
     return Information(known, tuple(moves), own, columns, square, count)

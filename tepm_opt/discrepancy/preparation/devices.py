@@ -26,22 +26,22 @@ class IdentifiedDevices:
 
     Attributes:
         runs: all runs, with pressures on the grid where gauges show one.
-        shown: candidates that are there: a lag, its values within the range that gauges leave, and, where gauges show one, a delay that is
-            no longer than they do. It may be shorter: a gauge may be late itself.
+        gauge_effects: candidates that act: a lag within the range that gauges leave and, where gauges show one, a delay that is no longer
+            than theirs. It may be shorter: a gauge may be late itself.
         values: of their parameters by full name.
         delay: as a candidate of that range, shown or not.
         note: the result in a sentence.
     """
 
     runs: tuple[Run, ...]
-    shown: tuple[Candidate, ...]
+    gauge_effects: tuple[Candidate, ...]
     values: dict[str, float]
     delay: Candidate
     note: str
 
     def narrow_candidates(self, missing: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Candidates, those of the devices within the ranges that gauges leave."""
-        narrowed = {known: known for known in (*self.shown, self.delay)}
+        narrowed = {known: known for known in (*self.gauge_effects, self.delay)}
         return tuple(narrowed.get(candidate, candidate) for candidate in missing)
 
 

@@ -71,7 +71,7 @@ class Candidate:
         return self.name if self.detail is None else f"{self.name}[{self.detail}]"
 
     @property
-    def told(self) -> str:
+    def full_label(self) -> str:
         """Its label with the runs in which it acts, where that is not all of them."""
         return f"{self.label} in {', '.join(self.runs)}" if self.runs else self.label
 

@@ -62,7 +62,7 @@ class TimeLimit:
     @property
     def remark(self) -> str:
         """Sentences about what was left out."""
-        names = listed(list(dict.fromkeys(effect.told for effects in self.untried for effect in effects)), 5)
+        names = listed(list(dict.fromkeys(effect.full_label for effects in self.untried for effect in effects)), 5)
         sets = "one set" if len(self.untried) == 1 else f"{len(self.untried)} sets"
         left = [f"{sets} of effects unfitted, with {names}"] if self.untried else []
         left += [f"undone: {listed(list(self.skipped), 3)}"] if self.skipped else []

@@ -32,8 +32,10 @@ def build_verdict(state: Assessed) -> Verdict:
     setup = state.setup
     if shift and shift.file:
         setup = (*setup, late_run(shift.file, shift.seconds, 1 - shift.explained))
-    acts: dict[Candidate, tuple[str, ...]] = dict.fromkeys(explanation.shown, ())
-    acts |= {effect: active_runs(effect, best, dataset, noise) for effect in explanation.best.effects if effect not in explanation.shown}
+    acts: dict[Candidate, tuple[str, ...]] = dict.fromkeys(explanation.gauge_effects, ())
+    acts |= {
+        effect: active_runs(effect, best, dataset, noise) for effect in explanation.best.effects if effect not in explanation.gauge_effects
+    }
     named = [
         Named(
             other,

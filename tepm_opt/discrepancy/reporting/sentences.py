@@ -129,7 +129,7 @@ def collect_notes(
     bound = [free.name for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and not free.name.count(".")]
     if bound:
         found.append(f"At the limit of the prior: {', '.join(bound)}. The prior may be too narrow, or an effect takes its place.")
-    narrowed = {name for effect in explanation.shown for name in effect.ranges}  # to what gauges show
+    narrowed = {name for effect in explanation.gauge_effects for name in effect.ranges}  # to what gauges show
     own = [free for free, at in zip(best.problem.free, best.at_bound, strict=True) if at and "." in free.name and not free.refines]
     own = [free for free in own if free.name not in narrowed]
     far = [free.name for free in own if abs(best.named[free.name] - free.high) < abs(best.named[free.name] - free.low)]

@@ -80,7 +80,7 @@ def _shares(
     shares, lost, left = Shares(), dict[Candidate, float](), _excess_left(best, fits.settings)
     for effect, found in without.items():
         shares[effect], lost[effect] = np.inf, np.inf
-        if found is not None and effect not in fits.seen:
+        if found is not None and effect not in fits.gauge_effects:
             taken = lost[effect] = found.excess - best.excess
             wrong = sum(size for other, size in doubt.items() if other != effect)
             stands_out = taken >= form_error_allowance(effect, wrong, taken, left, fits.settings)

@@ -70,7 +70,7 @@ class Hypothesis:
 
 def labels(hypothesis: Hypothesis) -> str:
     """Short text with the effects of a hypothesis."""
-    return listed([effect.told for effect in hypothesis.effects], 3) or "no effect"
+    return listed([effect.full_label for effect in hypothesis.effects], 3) or "no effect"
 
 
 @dataclass(eq=False)
@@ -83,7 +83,7 @@ class Fits:
         store: a file, or None.
         key: identifies the data and the model that the file must have been made from.
         progress: told of every fit.
-        seen: effects that gauges have shown already, and `values` of their parameters by full name to fit from.
+        gauge_effects: effects that gauges have shown already, and `values` of their parameters by full name to fit from.
         limit: after which no further set of effects is fitted, but those that gauges have shown.
     """
 
@@ -92,7 +92,7 @@ class Fits:
     store: Path | None = None
     key: str = ""
     progress: Progress = silent
-    seen: Effects = ()
+    gauge_effects: Effects = ()
     values: Mapping[str, float] = field(default_factory=dict)
     done: dict[Effects, Hypothesis] = field(default_factory=dict)
     limit: TimeLimit = field(default_factory=TimeLimit)
@@ -174,7 +174,7 @@ class Fits:
 
     def _fit_best(self, effects: Effects, starts: Sequence[dict[str, float]], bound: float, stage: str = "fit") -> Hypothesis | None:
         """The best fit from some first values, or from where an earlier one ended; an earlier search's fit as it was kept."""
-        settings, label = self.settings, " ".join(c.told for c in effects)
+        settings, label = self.settings, " ".join(c.full_label for c in effects)
         early = np.isfinite(bound) and f"early {label}" in self._kept
         kept = self._kept.get(f"early {label}" if early else f"{stage} {label}")
         begun = [self.done[effects].estimate.named] if effects in self.done and stage != "anew" else starts
@@ -184,7 +184,7 @@ class Fits:
 
         def tell(stage: str, done: float, of: float) -> None:
             self.progress(_describe_fit(effects), done, of)
-            if set(effects) - set(self.seen):
+            if set(effects) - set(self.gauge_effects):
                 self.limit.check(effects)
 
         for start in [kept] if kept else begun:
@@ -227,9 +227,9 @@ class Fits:
         """First-order gains of the effects a hypothesis does not have."""
         effects = hypothesis.effects
         if effects not in self.screened:
-            bent = [c for c in missing if may_act_beside(c, effects) and not c.smooth and self.settings.screen_by_fits]
-            bent = bent if not bent or self.limit.allows(_describe_screening(len(bent), effects)) else []
-            self.screened[effects] = screen(self.linear(hypothesis, missing), self.settings, bent)
+            nonsmooth = [c for c in missing if may_act_beside(c, effects) and not c.smooth and self.settings.screen_by_fits]
+            nonsmooth = nonsmooth if not nonsmooth or self.limit.allows(_describe_screening(len(nonsmooth), effects)) else []
+            self.screened[effects] = screen(self.linear(hypothesis, missing), self.settings, nonsmooth)
         return self.screened[effects]
 
     def _count_parameters(self, estimate: ParameterEstimate, evidence: Evidence, effects: Effects) -> int:
@@ -247,17 +247,17 @@ class Fits:
 
 
 def _sort(effects: Effects) -> Effects:
-    return tuple(sorted(effects, key=lambda c: c.told))
+    return tuple(sorted(effects, key=lambda c: c.full_label))
 
 
 def _describe_fit(effects: Effects) -> str:
     """Text of a fit for progress reports."""
-    return f"fitting {', '.join(c.told for c in effects) or 'the known parameters'}"
+    return f"fitting {', '.join(c.full_label for c in effects) or 'the known parameters'}"
 
 
 def _describe_screening(count: int, effects: Effects) -> str:
     """Text of a screening for progress reports."""
-    beside = f" beside {', '.join(c.told for c in effects)}" if effects else ""
+    beside = f" beside {', '.join(c.full_label for c in effects)}" if effects else ""
     return f"screening {count} effects{beside}"
 
 

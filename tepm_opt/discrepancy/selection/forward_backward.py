@@ -41,7 +41,7 @@ class Explanation:
         scores: first-order gains of all candidates against `without`, beside what gauges show.
         shares: for each effect of `best`: how many times the structure left only this effect removes.
         groups: for each effect of `best`: hypotheses that have another one in its place, `best` first, and their probabilities.
-        begun: effects that gauges have shown, with which the search began; None where there are none.
+        gauge_fit: fit of the effects that gauges have shown, with which the search began; None where there are none.
         settings: of the search.
     """
 
@@ -52,7 +52,7 @@ class Explanation:
     scores: list[Score]
     shares: Shares
     groups: Groups
-    begun: Hypothesis | None = None
+    gauge_fit: Hypothesis | None = None
     settings: SearchSettings = field(default_factory=SearchSettings)
 
     def __repr__(self) -> str:
@@ -60,14 +60,14 @@ class Explanation:
         return f"Explanation({shortened(labels(self.best), 60)}, closes {self.closes(self.best):.0%}, {len(self.tried)} fits)"
 
     @property
-    def shown(self) -> Effects:
+    def gauge_effects(self) -> Effects:
         """Effects that gauges have shown."""
-        return self.begun.effects if self.begun else ()
+        return self.gauge_fit.effects if self.gauge_fit else ()
 
     @property
-    def there_was(self) -> float:
+    def initial_excess(self) -> float:
         """Excess before anything was looked for: beside what gauges have shown."""
-        return (self.begun or self.without).excess
+        return (self.gauge_fit or self.without).excess
 
     def closes(self, hypothesis: Hypothesis) -> float:
         """Share of the structure left by recalibration that a hypothesis removes."""
@@ -90,7 +90,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     if without is None:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
-    base = (fits.fit(fits.seen, {**without.estimate.named, **fits.values}) if fits.seen else None) or without
+    base = (fits.fit(fits.gauge_effects, {**without.estimate.named, **fits.values}) if fits.gauge_effects else None) or without
     together = fit_by_matching_pursuit(fits, base, missing)
     best = together or _select_forward(fits, base, missing, seed)
     if together is None:
@@ -120,7 +120,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         best, shares, groups = without, {}, {}
     unchanged = settings.chance_excess > 0 and best is without and best.only_noise(settings)
     tried, scores = list(fits.done.values()), [] if unchanged else fits.screen(base, missing)
-    return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.seen else None, settings)
+    return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.gauge_effects else None, settings)
 
 
 def _select_forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> Hypothesis:
@@ -159,7 +159,7 @@ def _eliminate(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed:
         if more and not best.effects:
             alone = [eliminate_backward(fits, fits.complete(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
             best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))
-    return best, shares, {e: [(best, 1.0)] if e in fits.seen else weigh(fits, best, e, missing, seed) for e in best.effects}
+    return best, shares, {e: [(best, 1.0)] if e in fits.gauge_effects else weigh(fits, best, e, missing, seed) for e in best.effects}
 
 
 def _motion(problem: Problem) -> float:

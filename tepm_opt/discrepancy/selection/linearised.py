@@ -42,7 +42,7 @@ class Linearised:
         known: parameters that are fitted whatever acts.
         effects: those of the fit.
         able: candidates that the model can simulate.
-        afar: smooth candidates that are also probed at larger sizes, where their derivatives no longer hold; as probed candidates.
+        far_probed: smooth candidates that are also probed at larger sizes, where their derivatives no longer hold; as probed candidates.
         columns: number of the column by full name of a parameter, or by label of a probed candidate.
         cells: run, half and direction of each cell.
         square, slope: JᵀJ and Jᵀr of every cell, (cells, columns, columns) and (cells, columns).
@@ -53,7 +53,7 @@ class Linearised:
     known: tuple[Free, ...]
     effects: tuple[Candidate, ...]
     able: tuple[Candidate, ...]
-    afar: tuple[Candidate, ...]
+    far_probed: tuple[Candidate, ...]
     columns: dict[str, int]
     cells: tuple[Cell, ...]
     square: np.ndarray
@@ -135,18 +135,18 @@ def linearise(
         missing: the candidates; one that the model cannot simulate is left out.
         settings: of the search.
     """
-    smooth, bent = [c for c in missing if c.smooth], [c for c in missing if not c.smooth]
-    afar = [replace(c, smooth=False, probes=c.probes[1:]) for c in smooth if len(c.probes) > 1 and not settings.screen_by_fits]
+    smooth, nonsmooth = [c for c in missing if c.smooth], [c for c in missing if not c.smooth]
+    far_probed = [replace(c, smooth=False, probes=c.probes[1:]) for c in smooth if len(c.probes) > 1 and not settings.screen_by_fits]
     names = list(dict.fromkeys([*(f.name for f in estimate.problem.free), *(name for c in smooth for name in c.parameters)]))
     names += [f.name for f in known if f.name not in names]
     estimate = apply_suggested_shapes(estimate, missing)
-    estimate = thin_samples(estimate, len(names) + len(bent) + len(afar), settings.max_derivative_bytes)
+    estimate = thin_samples(estimate, len(names) + len(nonsmooth) + len(far_probed), settings.max_derivative_bytes)
     problem, threads = estimate.problem, estimate.problem.plant.concurrent
 
     def slopes() -> list[Residual]:
         return problem.residuals(estimate.values, names)
 
-    variants = [replace(c, probes=(probe,)) for c in (*bent, *afar) for probe in c.probes]
+    variants = [replace(c, probes=(probe,)) for c in (*nonsmooth, *far_probed) for probe in c.probes]
 
     def probes() -> list[list[Residual] | None]:
         return in_parallel(lambda c: simulate_probe(estimate, c.probes[0]), variants, threads=threads)
@@ -171,8 +171,8 @@ def linearise(
         estimate,
         tuple(known),
         tuple(effects),
-        (*smooth, *(c for c, _ in telling if c in bent)),
-        tuple(c for c, _ in telling if c in afar),
+        (*smooth, *(c for c, _ in telling if c in nonsmooth)),
+        tuple(c for c, _ in telling if c in far_probed),
         columns,
         tuple(cells),
         np.array(squares),

@@ -99,17 +99,17 @@ def select_by_matching_pursuit(fits: Fits, base: Hypothesis, missing: Sequence[C
     return tuple(chosen), {**base.estimate.named, **start}
 
 
-def odds(left: float, there_was: float, settings: SearchSettings) -> float:
+def odds(left: float, initial_excess: float, settings: SearchSettings) -> float:
     """Factor on the odds against each of many effects that leave next to nothing of the excess.
 
     What is left comes from the errors of all their forms together, so that each effect is the likelier.
 
     Args:
         left: excess with the effects.
-        there_was: excess without them.
+        initial_excess: excess without them.
         settings: of the search.
     """
-    return float(np.clip(left / max(there_was, 1e-12) / settings.max_share_left, settings.min_odds_factor, 1))
+    return float(np.clip(left / max(initial_excess, 1e-12) / settings.max_share_left, settings.min_odds_factor, 1))
 
 
 def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidate]) -> tuple[Hypothesis, dict[Candidate, float]]:
@@ -126,21 +126,21 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
     """
     settings = fits.settings
     without = fits.fit((), {})
-    begun = fits.fit(fits.seen, {}) or without
-    most, there_was = (found.excess if found else np.inf for found in (without, begun))
+    gauge_fit = fits.fit(fits.gauge_effects, {}) or without
+    most, initial_excess = (found.excess if found else np.inf for found in (without, gauge_fit))
     fitted: dict[Candidate, float] = {}
     stay: set[Candidate] = set()
     while True:
         linear, left = fits.linear(best, missing), best.excess + settings.max_noise_excess / 10
-        even = settings.even_odds_ratio * odds(best.excess, there_was, settings)
+        even = settings.even_odds_ratio * odds(best.excess, initial_excess, settings)
         costs = {effect: fitted.get(effect, excess_without(linear, effect)) for effect in best.effects}
-        for effect in (effect for effect, cost in costs.items() if cost > most and effect not in {*fitted, *fits.seen}):
+        for effect in (effect for effect, cost in costs.items() if cost > most and effect not in {*fitted, *fits.gauge_effects}):
             costs[effect] = fitted[effect] = min(_fit_without(fits, best, effect)[1], most)
         whole = sum(max(cost, 0.0) for cost in costs.values())
         wrong = {effect: settings.form_error_ratio * (whole - max(cost, 0.0)) for effect, cost in costs.items()}
         least = {effect: form_error_allowance(effect, wrong[effect], cost, left, settings) for effect, cost in costs.items()}
-        shares, steady, acts = dict.fromkeys(fits.seen, np.inf), {}, {}
-        for effect in (effect for effect in best.effects if effect not in fits.seen):
+        shares, steady, acts = dict.fromkeys(fits.gauge_effects, np.inf), {}, {}
+        for effect in (effect for effect in best.effects if effect not in fits.gauge_effects):
             shares[effect] = costs[effect] / left if costs[effect] >= least[effect] else 0.0
             steady[effect] = constancy_probability(effect_size_by_segment(linear, effect))
             acts[effect] = steady[effect] * shares[effect] / (shares[effect] + even)

@@ -43,7 +43,7 @@ class Score:
         return f"Score({self.candidate.label}, gain {self.gain:.3g})"
 
 
-def screen(linear: Linearised, settings: SearchSettings, bent: Sequence[Candidate] = ()) -> list[Score]:
+def screen(linear: Linearised, settings: SearchSettings, nonsmooth: Sequence[Candidate] = ()) -> list[Score]:
     """Scores of candidates, largest gain first; they order candidates and decide nothing.
 
     Candidates and free parameters are linearised together, so that what the free parameters could do as well does not count.
@@ -51,11 +51,11 @@ def screen(linear: Linearised, settings: SearchSettings, bent: Sequence[Candidat
     Args:
         linear: a fit to first order in the candidates.
         settings: of the search.
-        bent: further candidates, not smooth, that are screened by fits (`screen_by_fits`).
+        nonsmooth: further candidates, not smooth, that are screened by fits (`screen_by_fits`).
     """
     scores = [Score(c, *linear.gain((*linear.effects, c))) for c in linear.able]
-    scores += [Score(next(a for a in linear.able if a == c), *linear.gain((*linear.effects, c))) for c in linear.afar]
-    probes = [(candidate, probe) for candidate in bent for probe in candidate.probes]
+    scores += [Score(next(a for a in linear.able if a == c), *linear.gain((*linear.effects, c))) for c in linear.far_probed]
+    probes = [(candidate, probe) for candidate in nonsmooth for probe in candidate.probes]
     return _rank([*scores, *(_screen_by_fits(linear.estimate, probes, settings) if probes else [])], settings)
 
 

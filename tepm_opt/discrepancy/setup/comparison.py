@@ -15,7 +15,7 @@ from tepm_opt.discrepancy.setup.settings import DEFAULT, SetupSettings
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.start import begun, predictions
+from tepm_opt.solvers.start import predictions, with_estimated_initial_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,9 @@ class Comparison:
         spread = {free.name: free.spread for free in plain.free(plant.known)} | dict(spreads or {})
         motions, nuisances = [], []
         step = np.inf if still is None else settings.sample_spacing
-        predicted = in_parallel(lambda run: plain.predict(begun(plain, run, noise), plant.known, step), runs, threads=plain.concurrent)
+        predicted = in_parallel(
+            lambda run: plain.predict(with_estimated_initial_state(plain, run, noise), plant.known, step), runs, threads=plain.concurrent
+        )
         for run, at, found in zip(runs, rows, predicted, strict=True):
             motions.append(found.points)
             columns = [spread[name] * by for name, by in zip(plant.known, found.by, strict=True)]
