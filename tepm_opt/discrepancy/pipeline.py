@@ -85,7 +85,7 @@ def discover(
         key: content of `store` is used only if it was made with the same key.
         settings: thresholds of the search.
         progress: told of every piece of work.
-        stages: of the pipeline.
+        stages: of the pipeline; others, or these with more between, may stand in their place.
         baseline: an earlier recording of the machine (`learn_baseline`); the answer then tells what changed since.
         limit: after which no more sets of effects are fitted; the answer says which were not, and is `partial` at best.
 

@@ -54,7 +54,7 @@ class TestIdentify:
     def test_finds_the_parameters(self, tepm: Command, here: Path, data: Path, kang: CompiledModel) -> None:
         done = tepm("identify", "data", "--out", "out")
         assert (done.status, done.err) == (0, "")
-        assert names_in(here / "out") == {"model.toml", "identified.json"}
+        assert names_in(here / "out") == {"model.toml", "identified.json", "posterior.json"}
         found = json.loads((here / "out" / "identified.json").read_text())
         assert found["converged"]
         assert found["residual_over_noise"] == pytest.approx(1.0, abs=0.03)

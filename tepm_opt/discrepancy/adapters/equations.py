@@ -41,7 +41,7 @@ class Equations(MachineDescription):
     Attributes:
         name: of the machine.
         time: its own time in s: of a swing, of a filling; lags worth a try are parts of it.
-        laws: effects that may be missing; all of the library where not said otherwise.
+        laws: effects that may be missing; where absent those of signals, axes, mechanisms and vessels, without drives and pneumatics.
     """
 
     time: float = 1.0
