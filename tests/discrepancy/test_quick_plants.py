@@ -10,6 +10,8 @@ import pytest
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.equations import Equations
+from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.pipeline import discover
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting.sentences import describe_extrapolation
 from tepm_opt.discrepancy.selection.cross_validation import leave_out
@@ -119,3 +121,28 @@ def test_validation_beyond_what_was_fitted_to_is_told() -> None:
     (line,) = describe_extrapolation(RunSet.of("levels", [near, far]), signals)
     assert "r1.csv leaves the range fitted to: level goes 2.1 times as far" in line
     assert describe_extrapolation(RunSet.of("levels", [near, replace(far, points=near.points)]), signals) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        ({"input_gain[inflow].loss": 0.2}, {"input_gain", "sensor_gain"}),  # smooth: by first order
+        ({"input_lag[inflow].time": 0.15}, {"input_lag", "sensor_lag"}),  # found in the runs that it helps
+    ],
+)
+def test_an_effect_that_begins_between_runs_is_told_with_its_runs(values: dict[str, float], names: set[str]) -> None:
+    """Before the tank and behind it are the same to the data: both are told, neither surely."""
+    machine, random = tank().plant(), np.random.default_rng(7)
+    measured = []
+    for k, run in enumerate(runs(8, leak=2.0)):
+        true = machine.with_values(values) if k >= 3 else machine
+        points = true.predict(run).points + NOISE * random.normal(size=run.points.shape)
+        measured.append(replace(run, points=points, role="validation" if k > 5 else "fit"))
+    verdict = discover(RunSet.of("tank", measured), tank().plant(), NOISE).verdict
+    told = {each.candidate.name: each for each in verdict.effects if each.probability > 0.3}
+    assert verdict.status is VerdictStatus.INDISTINGUISHABLE
+    assert set(told) == names
+    assert {each.candidate.runs for each in told.values()} == {("r3.csv", "r4.csv", "r5.csv")}
+    (name,) = values
+    assert told[name.partition("[")[0]].parameters[name.rpartition(".")[2]].value == pytest.approx(values[name], rel=0.05)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +18,7 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import Linearised, linearise
-from tepm_opt.discrepancy.selection.run_subsets import list_run_spans, select_longest_span
+from tepm_opt.discrepancy.selection.run_subsets import list_helped_runs, list_run_spans, select_longest_span
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
@@ -111,6 +112,24 @@ class TestFirstOrder:
 
 
 class TestSpans:
+    @pytest.mark.parametrize(
+        ("after", "expected"),
+        [((2.0, 1.0, 4.0), ("a", "b")), ((2.0, 1.0, 0.5), ()), ((9.0, 9.0, 4.0), ())],
+        ids=["worse in one", "better in all", "worse in all"],
+    )
+    def test_runs_that_an_effect_helps(self, after: tuple[float, ...], expected: tuple[str, ...]) -> None:
+        def fit(squares: Sequence[float]) -> Any:
+            return SimpleNamespace(residuals=[SimpleNamespace(file=f, squares=s, count=1) for f, s in zip("abc", squares, strict=True)])
+
+        assert list_helped_runs(fit((8.0, 4.0, 1.0)), fit(after)) == expected
+
+    def test_a_run_that_did_not_stand_out_does_not_get_its_own_effect(self) -> None:
+        fits: Any = [
+            SimpleNamespace(residuals=[SimpleNamespace(file=f, squares=s, count=1) for f, s in two])
+            for two in ((("a", 1.0), ("b", 4.0)), (("a", 0.5), ("b", 5.0)))
+        ]
+        assert list_helped_runs(*fits) == ()
+
     def test_from_one_on_until_one_or_in_one(self) -> None:
         assert list_run_spans(["a", "b", "c"]) == [("a",), ("a", "b"), ("b",), ("b", "c"), ("c",)]
 

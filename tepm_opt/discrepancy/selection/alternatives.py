@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, may_act_beside
 from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, rank_promising
-from tepm_opt.discrepancy.selection.screening import Score
+from tepm_opt.discrepancy.selection.screening import Score, screen_by_fits
 from tepm_opt.discrepancy.selection.significance import is_significant
 
 
@@ -188,4 +188,8 @@ def _scores(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[C
     linear = fits.linear(rest, missing)
     able = [c for c in linear.able if not is_wide(c)]
     others = [*able, *(replace(c, runs=effect.runs) for c in able)]
-    return sorted((Score(c, *linear.gain((*rest.effects, c))) for c in others), key=lambda score: -score.gain)
+    scores = [Score(c, *linear.gain((*rest.effects, c))) for c in others]
+    if fits.settings.screen_by_fits:
+        nonsmooth = [replace(c, runs=effect.runs) for c in missing if not c.smooth and may_act_beside(c, rest.effects)]
+        scores += screen_by_fits(rest.estimate, nonsmooth, fits.settings)
+    return sorted(scores, key=lambda score: -score.gain)

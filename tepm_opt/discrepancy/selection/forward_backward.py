@@ -20,7 +20,7 @@ from tepm_opt.discrepancy.selection.matching_pursuit import (
     weigh_best_rival,
 )
 from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, most_probable
-from tepm_opt.discrepancy.selection.run_subsets import list_run_spans, select_longest_span
+from tepm_opt.discrepancy.selection.run_subsets import list_helped_runs, list_run_spans, select_longest_span
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
@@ -184,10 +184,14 @@ def _extend(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: in
     if len(base.effects) >= settings.max_effects:
         return []
     narrow = [score for score in fits.screen(base, missing) if not settings.is_wide(score.candidate)]
-    found = better(fit_promising(fits, base, narrow))
-    if found and (not settings.linear_moves or any(h.only_noise(settings) for h in found)):
+    singles = fit_promising(fits, base, narrow)
+    found = better(singles)
+    if any(h.only_noise(settings) for h in found):
         return found
-    return better([*found, *(_fit_other_moves if settings.linear_moves else _fit_pairs)(fits, base, missing)])
+    if settings.linear_moves:
+        return better([*found, *_fit_other_moves(fits, base, missing)])
+    limited = _fit_in_some_runs(fits, base, singles, missing)
+    return better([*found, *limited]) if found or limited else better(_fit_pairs(fits, base, missing))
 
 
 def _fit_other_moves(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
@@ -228,6 +232,34 @@ def _fit_other_moves(fits: Fits, base: Hypothesis, missing: Sequence[Candidate])
     first_of_all = asked[: settings.fits_per_move + 1]
     trials = fits.fit_all([(effects, {**base.estimate.named, **linear.gain(effects)[1]}) for _, effects in first_of_all])
     return list(dict.fromkeys(trial for trial in trials if trial is not None))
+
+
+def _fit_in_some_runs(fits: Fits, base: Hypothesis, singles: Sequence[Hypothesis], missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fit effects that may have begun or ended between runs: smooth ones by first order, others in the runs that they help.
+
+    Args:
+        fits: all fits so far.
+        base: the hypothesis without the effects.
+        singles: hypotheses with one effect more, in all runs.
+        missing: candidates.
+    """
+    settings, linear, asked = fits.settings, fits.linear(base, missing), []
+    spans = list_run_spans([run.file for run in fits.problem.runs])
+    alone = max((1 - h.excess / base.excess for h in singles), default=0.0)
+    limited = [
+        select_longest_span(linear, [(*base.effects, replace(one, runs=runs)) for runs in spans], settings)
+        for one in linear.able
+        if spans and one.smooth
+    ]
+    ranked = sorted(((*linear.gain(effects), effects) for effects in limited), key=lambda each: -each[0])
+    for gain, start, effects in ranked[: settings.fits_per_move]:
+        if gain > alone + settings.min_pair_share * (1 - alone):
+            asked.append((effects, {**base.estimate.named, **start}))
+    for single in sorted(singles, key=lambda h: h.excess)[: settings.fits_per_move]:
+        (effect,) = (c for c in single.effects if c not in base.effects)
+        if not effect.smooth and (runs := list_helped_runs(base.estimate, single.estimate)):
+            asked.append(((*base.effects, replace(effect, runs=runs)), single.estimate.named))
+    return [trial for trial in fits.fit_all(asked) if trial is not None]
 
 
 def _fit_pairs(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:

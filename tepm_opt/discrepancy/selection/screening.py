@@ -7,7 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters, free_candidate_parameters
+from tepm_opt.discrepancy.problem.plant import (
+    Candidate,
+    collect_free_parameters,
+    free_candidate_parameters,
+    restrict_effects_to_runs,
+)
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.linearised import Linearised, scale_from_null, simulate_probe
 from tepm_opt.solvers.identify import ParameterEstimate, identify
@@ -55,8 +60,7 @@ def screen(linear: Linearised, settings: SearchSettings, nonsmooth: Sequence[Can
     """
     scores = [Score(c, *linear.gain((*linear.effects, c))) for c in linear.able]
     scores += [Score(next(a for a in linear.able if a == c), *linear.gain((*linear.effects, c))) for c in linear.far_probed]
-    probes = [(candidate, probe) for candidate in nonsmooth for probe in candidate.probes]
-    return _rank([*scores, *(_screen_by_fits(linear.estimate, probes, settings) if probes else [])], settings)
+    return _rank([*scores, *screen_by_fits(linear.estimate, nonsmooth, settings)], settings)
 
 
 def _rank(scores: Sequence[Score], settings: SearchSettings) -> list[Score]:
@@ -70,15 +74,22 @@ def _rank(scores: Sequence[Score], settings: SearchSettings) -> list[Score]:
     ]
 
 
-def _screen_by_fits(
-    estimate: ParameterEstimate, probes: Sequence[tuple[Candidate, Mapping[str, float]]], settings: SearchSettings
-) -> list[Score]:
+def screen_by_fits(estimate: ParameterEstimate, candidates: Sequence[Candidate], settings: SearchSettings) -> list[Score]:
     """Scores from short fits on some of the runs: a few steps from every probe, and more from the best of each candidate.
 
     A fit begins where the free parameters undo to first order what the probe changes: a spring with memory is a spring, too.
+
+    Args:
+        estimate: fit without the candidates.
+        candidates: all in all runs, or each in some.
+        settings: of the search.
     """
+    probes = [(candidate, probe) for candidate in candidates for probe in candidate.probes]
+    if not probes:
+        return []
     count = len(estimate.problem.runs)
-    some = sorted({round(k) for k in np.linspace(0, count - 1, -(-count // settings.probe_run_stride))})
+    stride = 1 if any(candidate.runs for candidate in candidates) else settings.probe_run_stride
+    some = sorted({round(k) for k in np.linspace(0, count - 1, -(-count // stride))})
     problem = replace(
         estimate.problem,
         runs=tuple(estimate.problem.runs[k] for k in some),
@@ -95,12 +106,13 @@ def _screen_by_fits(
     def fit_from_probe(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
         candidate, at = probe
         added = tuple(replace(f, start=at[f.name]) for f in free_candidate_parameters(problem.plant, candidate))
+        own = replace(problem, plant=restrict_effects_to_runs(problem.plant, [candidate]))
         try:
-            changed = replace(problem, plant=problem.plant.with_values(at)).residuals(values, [])
+            changed = replace(own, plant=own.plant.with_values(at)).residuals(values, [])
             slope = sum(r.by.T @ (c.values - r.values).ravel() for r, c in zip(null, changed, strict=True))
             step, _ = bounded_step(square, np.asarray(slope), problem.low - values, problem.high - values, problem.scale)
             free = tuple(replace(f, start=float(v)) for f, v in zip(problem.free, values + step, strict=True))
-            return score_fit(candidate, identify(replace(problem, free=(*free, *added)), settings.probe_steps))
+            return score_fit(candidate, identify(replace(own, free=(*free, *added)), settings.probe_steps))
         except PredictionError:
             return None
 
@@ -109,7 +121,8 @@ def _screen_by_fits(
 
     def continue_fit(score: Score) -> Score:
         free = collect_free_parameters(problem.free, problem.plant, [score.candidate])
-        begin = replace(problem, free=tuple(replace(f, start=score.start[f.name]) for f in free))
+        plant = restrict_effects_to_runs(problem.plant, [score.candidate])
+        begin = replace(problem, plant=plant, free=tuple(replace(f, start=score.start[f.name]) for f in free))
         return replace(score_fit(score.candidate, identify(begin, settings.best_probe_steps)), also=score.also)
 
     threads = problem.plant.concurrent
