@@ -113,6 +113,19 @@ def test_a_probe_is_judged_by_what_a_few_steps_gain() -> None:
     assert score.start["leak"] == pytest.approx(2.3, rel=0.1), "what is known follows"
 
 
+def test_no_probe_gains_more_than_there_is() -> None:
+    """One of the runs that are simulated holds all of the misfit: shares are of what is there, as those of first order are."""
+    machine = tank().plant()
+    true = machine.with_values({"input_lag[inflow].time": 0.15})
+    first, *others = runs(8, 2.0)
+    measured = (replace(first, points=true.predict(first).points), *others)
+    estimate = identify(Problem(machine, measured, machine.free(machine.known), NOISE))
+    settings = SearchSettings.for_plant(machine)
+    scores = screen(linearise(estimate, estimate.problem.free, (), (), settings), settings, [c for c in machine.candidates if not c.smooth])
+    assert 0.5 < next(score.gain for score in scores if score.candidate.name == "input_lag") <= 1.05
+    assert max(score.gain for score in scores) <= 1.05
+
+
 def test_validation_beyond_what_was_fitted_to_is_told() -> None:
     near, far = runs(2, 2.0)
     signals = Signals.of(["inflow"], ["level"], "m")

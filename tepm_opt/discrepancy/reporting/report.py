@@ -86,7 +86,7 @@ def _share_alone(explanation: Explanation, effect: Candidate, hypothesis: Hypoth
     rest, there = explanation.best_without(effect), max(explanation.without.excess, 1e-12)
     if rest is None and effect in explanation.shares and np.isfinite(explanation.shares[effect]):
         return min(explanation.shares[effect] * hypothesis.excess / there, 1.0)  # to first order
-    return ((rest or explanation.without).excess - hypothesis.excess) / there
+    return min(((rest or explanation.without).excess - hypothesis.excess) / there, 1.0)
 
 
 def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nominal: float) -> Value:

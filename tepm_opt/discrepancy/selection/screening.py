@@ -101,7 +101,8 @@ def screen_by_fits(estimate: ParameterEstimate, candidates: Sequence[Candidate],
     if problem.joint is not None:
         square = square + problem.joint.terms(problem.free)[1]
     squares, coordinates = sum(r.squares for r in null), sum(r.count for r in null)
-    excess = max(estimate.cost - estimate.count, 1e-9 * estimate.count) * coordinates / max(estimate.count, 1)  # as in all other scores
+    beyond = max(estimate.cost - estimate.count, 1e-9 * estimate.count) * coordinates / max(estimate.count, 1)
+    excess = max(squares - coordinates, beyond)  # in these runs, of which a few may hold most of it, or hardly any
 
     def fit_from_probe(probe: tuple[Candidate, Mapping[str, float]]) -> Score | None:
         candidate, at = probe
