@@ -18,6 +18,7 @@ from tepm_opt.data.documents import read_json
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.noise import noise_of
 from tepm_opt.data.trials import Trials, read_trials
+from tepm_opt.discrepancy.adapters.cost import measure_cost
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.pipeline import discover, require_fit_runs
@@ -222,7 +223,12 @@ def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress
     """
     plant = load_plant(file)
     dataset = read_trials(folder, plant.signals, plant.static)
+    require_fit_runs(dataset)
     out = output_folder(out)
+    operations = getattr(plant, "operations", 0)  # of equations
+    progress(f"{plant.name}: building derivatives" + (f" of {operations} operations" if operations else ""), 0, 0)
+    if cost := measure_cost(plant, dataset.fit):
+        progress(f"{plant.name}: {cost.sentence}", 0, 0)
     # it may import files beside it
     machine = (file.name, *(path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))))
     key, earlier = fingerprint([folder], *machine, str(seed)), None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from tepm_opt.data.run import Run
@@ -40,6 +41,12 @@ class CasadiPlant(DescribedPlant):
     def __repr__(self) -> str:
         """The main numbers, in a line."""
         return f"CasadiPlant({self.name}, {len(self.motion.states)} states, {len(self.candidates)} effects)"
+
+    @property
+    def operations(self) -> int:
+        """Arithmetic operations of one evaluation of the rates, without effects."""
+        motion = self._active_motion(())
+        return int(ca.Function("rates", [motion.x, motion.u, motion.theta, motion.h], [motion.rates]).n_instructions())
 
     @property
     def states(self) -> dict[str, float]:
