@@ -1,8 +1,9 @@
 """How often mistakes of set-up are told, and whether any is told where there is none.
 
 `python -m tests.discrepancy.study_setup robot FOLDER [N]` makes N random mistakes in each data set of FOLDER, in turn, and looks at each
-without one; `tepm study blind --data FOLDER` writes such data sets. `… study_setup plants [N]` simulates a two-link arm and a trunk N
-times, each alone and beside an effect. Prints a line for every wrong answer and, last, the rates.
+without one; `tepm study blind --data FOLDER` writes such data sets. `… study_setup network [N]` simulates N robots that are the model,
+every other one with an effect; `… study_setup plants [N]` simulates a two-link arm and a trunk, each alone and beside an effect. Prints
+a line for every wrong answer and, last, the rates.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.plant import PredictionError
+from tests.discrepancy.small import NOISE as SMALL
+from tests.discrepancy.small import planned
 
 Mistake = tuple[str, Callable[[Run], Run]]
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -157,6 +160,24 @@ def study_robot(folder: Path, each: int, seed: int = 0) -> Rates:
     return rates
 
 
+def study_network(count: int, seed: int = 0) -> Rates:
+    """Mistakes around a robot that is the model but for its parameters and, every other time, an effect."""
+    rates, random, mistakes, known = Rates(), np.random.default_rng(seed), robot_mistakes(), Model.of("kang2017")
+    plant, names = SearchableNetwork.from_model(known, channels_of(known.robot)), cycle(random, list(mistakes))
+    for k in range(count):
+        asked = [
+            Run(e.file, e.role, e.setpoints.time, e.setpoints.inputs, e.setpoints.tip_force, np.zeros((len(e.setpoints.time), 4, 3)))
+            for e in planned(seed=k)
+        ]
+        values = draw_effect(plant, random, asked[-1]) if k % 2 else {}
+        true, case = plant.with_values(draw_known(plant, random) | values), "beside an effect" if values else "alone"
+        runs = [replace(run, points=true.predict(run).points + SMALL * random.normal(size=run.points.shape)) for run in asked]
+        rates.judge(f"no mistake, {case}", f"network {k} {list(values)}", plant, runs, SMALL, "")
+        kind, spoil = mistakes[name := next(names)]
+        rates.judge(case, f"network {k} {name} {list(values)}", plant, [spoil(run) for run in runs], SMALL, kind)
+    return rates
+
+
 def cycle(random: np.random.Generator, names: list[str]) -> Iterator[str]:
     """Names in random order, all of them before one comes again."""
     while True:
@@ -171,7 +192,7 @@ def study_plants(count: int, seed: int = 0) -> Rates:
         mistakes = plant_mistakes(plant)
         names = cycle(random, list(mistakes))
         for k in range(count):
-            for case, values in (("alone", {}), ("beside an effect", draw_effect(plant, random, sizes))):
+            for case, values in (("alone", {}), ("beside an effect", draw_effect(plant, random, record(plant, random, sizes, 0.0)))):
                 true = plant.with_values(draw_known(plant, random) | values)
                 runs = [record(true, random, sizes, NOISE[plant.name]) for _ in range(4)]
                 rates.judge(f"{plant.name}, no mistake", f"{plant.name} {k} {list(values)}", plant, runs, NOISE[plant.name], "")
@@ -199,10 +220,10 @@ def draw_known(plant: SearchablePlant, random: np.random.Generator) -> dict[str,
     return {f.name: float(np.clip(drawn[f.name], f.low, f.high)) for f in free}
 
 
-def draw_effect(plant: SearchablePlant, random: np.random.Generator, sizes: np.ndarray) -> dict[str, float]:
-    """Values of a random effect that changes outputs by 3 to 15 % of their motion, its largest probe or a part of it."""
-    run = record(plant, random, sizes, 0.0)
-    motion = float(np.std(run.points - run.points.mean(axis=0)))
+def draw_effect(plant: SearchablePlant, random: np.random.Generator, run: Run) -> dict[str, float]:
+    """Values of a random effect that changes the outputs of a run by 3 to 15 % of their motion, its largest probe or a part of it."""
+    exact = plant.predict(run).points
+    motion = float(np.std(exact - exact.mean(axis=0)))
     while True:
         candidate = plant.candidates[random.integers(len(plant.candidates))]
         probe = candidate.probes[-1]
@@ -210,7 +231,7 @@ def draw_effect(plant: SearchablePlant, random: np.random.Generator, sizes: np.n
             strengths = {n: candidate.null[n] + part * (v - candidate.null[n]) for n, v in probe.items() if n not in candidate.shapes}
             values = {**probe, **strengths}
             try:
-                change = float(np.std(plant.with_values(values).predict(run).points - run.points))
+                change = float(np.std(plant.with_values(values).predict(run).points - exact))
             except PredictionError:
                 continue
             if 0.03 * motion < change < 0.15 * motion:
@@ -230,4 +251,7 @@ def record(plant: SearchablePlant, random: np.random.Generator, sizes: np.ndarra
 
 if __name__ == "__main__":
     what, *more = sys.argv[1:]
-    (study_robot(Path(more[0]), int(more[1]) if more[1:] else 1) if what == "robot" else study_plants(int(more[0]) if more else 4)).show()
+    if what == "robot":
+        study_robot(Path(more[0]), int(more[1]) if more[1:] else 1).show()
+    else:
+        {"network": study_network, "plants": study_plants}[what](int(more[0]) if more else 4).show()

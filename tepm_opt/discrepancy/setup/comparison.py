@@ -120,7 +120,9 @@ class Comparison:
     def motion_mean_square(self) -> float:
         """Mean square over the noise's of the measured places about the mean of each."""
         measured = np.concatenate([run.points for run in self.thinned])
-        return float(np.nanmean(((measured - np.nanmean(measured, axis=0)) / self.noise) ** 2))
+        present = np.isfinite(measured)
+        mean = np.where(present, measured, 0.0).sum(axis=0) / np.maximum(present.sum(axis=0), 1)
+        return float(np.nanmean(((measured - mean) / self.noise) ** 2))
 
     def misfit(self) -> Misfit:
         """Residuals of the runs as recorded."""
