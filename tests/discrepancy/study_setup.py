@@ -1,9 +1,9 @@
 """How often mistakes of set-up are told, and whether any is told where there is none.
 
 `python -m tests.discrepancy.study_setup robot FOLDER [N]` makes N random mistakes in each data set of FOLDER, in turn, and looks at each
-without one; `tepm study blind --data FOLDER` writes such data sets. `… study_setup network [N]` simulates N robots that are the model,
-every other one with an effect; `… study_setup plants [N]` simulates a two-link arm and a trunk, each alone and beside an effect. Prints
-a line for every wrong answer and, last, the rates.
+without one; `tepm study blind --data FOLDER` writes such data sets. `… network [N [SEED]]` simulates N robots that are the model, every
+other one with an effect; `… plants [N [SEED]]` a two-link arm and a trunk, each alone and beside an effect. Prints a line for every
+wrong answer and, last, the rates.
 """
 
 from __future__ import annotations
@@ -254,4 +254,5 @@ if __name__ == "__main__":
     if what == "robot":
         study_robot(Path(more[0]), int(more[1]) if more[1:] else 1).show()
     else:
-        {"network": study_network, "plants": study_plants}[what](int(more[0]) if more else 4).show()
+        count, seed = int(more[0]) if more else 4, int(more[1]) if more[1:] else 0
+        {"network": study_network, "plants": study_plants}[what](count, seed).show()

@@ -15,6 +15,7 @@ from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
 from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.pipeline import discover, learn_baseline
 from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.discrepancy.state import Question
 from tepm_opt.jobs.plants import load_plant
 from tests.measured.prepared import EXAMPLES
@@ -54,6 +55,11 @@ def loaded(plant: CasadiPlant, empty: Baseline, tmp_path_factory: pytest.TempPat
     """Verdicts by payload in g."""
     runs = {grams: recorded(plant, tmp_path_factory.mktemp(f"{grams}g"), grams) for grams in (100, 300)}
     return {grams: discover(run, plant, NOISE, baseline=empty).verdict for grams, run in runs.items()}
+
+
+def test_the_error_of_a_coarse_model_is_no_mistake_of_the_set_up(plant: CasadiPlant, tmp_path: Path) -> None:
+    """Exchanged motors would take 12 % of it away, as the guessed gains are rough."""
+    assert find_setup_errors(plant, recorded(plant, tmp_path, 0).runs, NOISE)[0] == ()
 
 
 def test_nothing_changed_from_the_first_half_to_the_second(plant: CasadiPlant, tmp_path: Path) -> None:

@@ -22,7 +22,12 @@ class SetupSettings:
         min_sigma: standard deviations by which the coefficient must be above 1/2, from which on a mend explains more than it spoils.
         min_removed: mean square over the noise's that a mend must remove.
         max_unexplained: share of the measured motion's square that may be left with the mend; beside effects it was 0.14 at most.
+        max_left: share of the misfit's square that may be left with the mend: a coarse model's own error gives to some mend or other (0.89
+            on a measured trunk); beside effects right mends left 0.38 at most, absolute pressures 0.67.
         max_left_by_clock: share of the misfit on another clock that a mend must leave, where such a clock explains as much as the mend.
+        refitted, refit_steps: mends with which the known parameters of a quick plant are fitted, and steps of these fits, where no mend
+            explains the runs with the guessed values.
+        max_refit_left: share of the squares of the fit to the recorded runs that the fit to the mended ones may leave.
         worth: independent samples that the compared ones are worth, for the odds of mends: neighbours say nearly the same.
         min_listed: probability from which an alternative is told.
         foreign_ratio: mean square that the corrected model leaves in a run over that in every other one, from which the run is odd.
@@ -44,7 +49,11 @@ class SetupSettings:
     min_sigma: float = 2.5
     min_removed: float = 0.1
     max_unexplained: float = 0.3
+    max_left: float = 0.7
     max_left_by_clock: float = 0.7
+    refitted: int = 3
+    refit_steps: int = 20
+    max_refit_left: float = 0.3
     worth: float = 60.0
     min_listed: float = 0.1
     foreign_ratio: float = 5.0
