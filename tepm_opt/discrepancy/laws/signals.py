@@ -12,7 +12,7 @@ def time_constant(name: str, probes: tuple[float, ...] = (0.01, 0.1, 1.0), shape
     return Quantity(name, "time", 0.0, probes, 0.0, 30.0, shape)
 
 
-def _part(name: str, size: str = "1") -> Quantity:
+def _fraction(name: str, size: str = "1") -> Quantity:
     return Quantity(name, size, 0.0, (0.01, 0.1), -1.0, 1.0)
 
 
@@ -88,11 +88,11 @@ INPUT = (
         explains="what acts follows the command like a lag, with another time when it rises than when it falls",
     ),
     Law(
-        "input_gain", "input", (_part("loss"),), lambda at: ((1 - at.p["loss"]) * at.signal, []),
+        "input_gain", "input", (_fraction("loss"),), lambda at: ((1 - at.p["loss"]) * at.signal, []),
         explains="the command acts with another gain", gauge=True,
     ),
     Law(
-        "input_offset", "input", (_part("offset", "signal"),), lambda at: (at.signal + at.p["offset"], []),
+        "input_offset", "input", (_fraction("offset", "signal"),), lambda at: (at.signal + at.p["offset"], []),
         explains="the command's zero is off", gauge=True,
     ),
     Law(
@@ -125,11 +125,11 @@ OUTPUT = (
         explains="the sensor follows like a first-order lag",
     ),
     Law(
-        "sensor_gain", "output", (_part("gain"),), lambda at: ((1 + at.p["gain"]) * at.signal, []),
+        "sensor_gain", "output", (_fraction("gain"),), lambda at: ((1 + at.p["gain"]) * at.signal, []),
         explains="the sensor's gain is off",
     ),
     Law(
-        "sensor_offset", "output", (_part("offset", "signal"),), lambda at: (at.signal + at.p["offset"], []),
+        "sensor_offset", "output", (_fraction("offset", "signal"),), lambda at: (at.signal + at.p["offset"], []),
         explains="the sensor's zero is off",
     ),
     Law(
