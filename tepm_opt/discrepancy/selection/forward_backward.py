@@ -245,7 +245,7 @@ def _fit_in_some_runs(fits: Fits, base: Hypothesis, singles: Sequence[Hypothesis
     """
     settings, linear, asked = fits.settings, fits.linear(base, missing), []
     spans = list_run_spans([run.file for run in fits.problem.runs])
-    alone = max((1 - h.excess / base.excess for h in singles), default=0.0)
+    alone = max((1 - h.excess / max(base.excess, 1e-12) for h in singles), default=0.0)
     limited = [
         select_longest_span(linear, [(*base.effects, replace(one, runs=runs)) for runs in spans], settings)
         for one in linear.able
