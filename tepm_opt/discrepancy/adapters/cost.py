@@ -21,12 +21,10 @@ class PlantCost:
     """Cost of a plant with some data.
 
     Attributes:
-        build: time in s of the first simulation, which builds the derivatives.
         simulation: time in s of one simulation of all runs with derivatives by the known parameters.
         memory: B of these derivatives.
     """
 
-    build: float
     simulation: float
     memory: int
 
@@ -49,16 +47,15 @@ def measure_cost(plant: SearchablePlant, runs: Sequence[Run]) -> PlantCost | Non
     first, plain = min(runs, key=lambda run: run.rows), plant.without_candidates
     part = replace(first, **{name: getattr(first, name)[:ROWS] for name in ("time", "inputs", "tip_force", "points")}, extra={})
     part = replace(part, state=np.array([*plain.states.values()])) if plain.states and part.start != "equilibrium" else part
-    seconds = []
-    for _ in range(2):
+    try:
+        plain.predict(part, plant.known)  # builds the derivatives
         began = time.monotonic()
-        try:
-            plain.predict(part, plant.known)
-        except PredictionError:
-            return None
-        seconds.append(time.monotonic() - began)
+        plain.predict(part, plant.known)
+    except PredictionError:
+        return None
+    seconds = time.monotonic() - began
     rows, values = sum(run.rows for run in runs), sum(run.points.size for run in runs)
-    return PlantCost(seconds[0], seconds[1] * rows / max(part.rows, 1), 8 * len(plant.known) * values)
+    return PlantCost(seconds * rows / max(part.rows, 1), 8 * len(plant.known) * values)
 
 
 def _duration(seconds: float) -> str:
