@@ -61,8 +61,9 @@ def read_json(path: Path, writer: str) -> dict[str, Any]:
     Raises:
         InputError: it cannot be read, or holds no object.
     """
+    text = read_text(path)
     try:
-        content = json.loads(read_text(path))
+        content = json.loads(text)
     except ValueError as error:
         raise InputError(f"{path}: is damaged: {error}; run {writer} again") from error
     if not isinstance(content, dict):

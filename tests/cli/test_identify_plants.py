@@ -90,3 +90,8 @@ def test_a_posterior_that_is_none_is_refused(tepm: Command, tank: Path, text: st
     done = tepm("identify", str(tank), "--plant", str(tank.with_name("tank.py")), "--prior", str(file), "--out", str(tank.with_name("out")))
     assert done.status == 2
     assert re.search(says, done.err)
+
+
+def test_a_posterior_that_is_not_there_is_told_once(tepm: Command, tank: Path) -> None:
+    done = tepm("identify", str(tank), "--plant", str(tank.with_name("tank.py")), "--prior", "no.json", "--out", str(tank.with_name("out")))
+    assert (done.status, done.err.strip()) == (2, "error: no.json: cannot be read: No such file or directory")
