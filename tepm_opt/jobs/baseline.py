@@ -53,7 +53,10 @@ class BaselineFile:
         data = content.get("data")
         if not isinstance(data, str):
             raise InputError(f"{path}: names no data; valid: a {BASELINE} that tepm discrepancy --baseline wrote, or a data set")
-        return cls(path.parent / data, path, content)
+        folder = Path(os.path.normpath(path.parent / data))
+        if not folder.is_dir():
+            raise InputError(f"{path}: its data set {folder} is not there; valid: the file where it was written, or the data set's folder")
+        return cls(folder, path, content)
 
     def learn(self, question: Question, machine: Sequence[str], out: Path) -> Baseline:
         """The baseline, fitted unless it was before; it is written into a folder, too.

@@ -197,6 +197,10 @@ class TestCommand:
             InputError, match=r"baseline\.json: the data, the model or tepm-opt are not those of then; valid: --baseline .*old"
         ):
             run_discrepancy(new, tmp_path / "third", plant=plant, baseline=file)
+        (tmp_path / "out" / "deeper").mkdir()
+        moved = file.rename(tmp_path / "out" / "deeper" / "baseline.json")
+        with pytest.raises(InputError, match=r"baseline\.json: its data set .*old is not there; valid: the file where it was written"):
+            run_discrepancy(new, tmp_path / "third", plant=plant, baseline=moved)
         file.write_text("{}")
         with pytest.raises(InputError, match=r"baseline\.json: names no data; valid: "):
             run_discrepancy(new, tmp_path / "third", plant=plant, baseline=file)
