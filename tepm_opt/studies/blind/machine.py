@@ -12,6 +12,7 @@ import numpy as np
 from tepm_opt.data.documents import validated
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.robot import Robot
@@ -23,6 +24,8 @@ Commands = Callable[[SetPoints], SetPoints]
 """What becomes of commands and known forces before they act."""
 Sight = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """What becomes of points (rows, points, 3) in m, at times (rows,) in s, before they are recorded."""
+Build = Callable[[Any, Body], None]
+"""Changes of a document of MuJoCo (`mujoco.MjSpec`) of a network in numbers."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +36,27 @@ class Deviation:
         imperfections: of the rig, as a rig file has them.
         factors: true parameters over the robot file's.
         before, after: what acts on the commands and on the points besides the rig's imperfections.
+        build: what changes MuJoCo's document of the machine, of the family `engine` only.
     """
 
     imperfections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     before: Commands | None = None
     after: Sight | None = None
+    build: Build | None = None
 
     def __add__(self, other: Deviation) -> Deviation:
         """Both at once: factors multiply, the other's changes act after these."""
         names = self.factors.keys() | other.factors.keys()
         factors = {name: self.factors.get(name, 1.0) * other.factors.get(name, 1.0) for name in sorted(names)}
         before, after, first, last = self.before, self.after, other.before, other.after
+        build, more = self.build, other.build
         return Deviation(
             {**self.imperfections, **other.imperfections},
             factors,
             before if first is None else first if before is None else lambda asked: first(before(asked)),
             after if last is None else last if after is None else lambda time, points: last(time, after(time, points)),
+            build if more is None else more if build is None else lambda spec, body: (build(spec, body), more(spec, body))[0],
         )
 
 

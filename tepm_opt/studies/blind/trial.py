@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -18,17 +18,22 @@ from tepm_opt.errors import unknown_name
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.effects import effects
 from tepm_opt.models.robot import Robot, load_robot
-from tepm_opt.studies.blind.causes import LIBRARY, OTHER_MEANING, Cause, Form
+from tepm_opt.studies.blind import engine
+from tepm_opt.studies.blind.causes import LIBRARY, Cause
 from tepm_opt.studies.blind.excitation import RATE, drawn, thinned
 from tepm_opt.studies.blind.flaws import CLOCKS, POOR, Flaw, corrected, mistaken, spoiled
 from tepm_opt.studies.blind.foreign import FOREIGN
+from tepm_opt.studies.blind.hidden import Experiment, Hidden, describe
 from tepm_opt.studies.blind.machine import Deviation, played, rig_file, together
 from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot
 
-Family = Literal["closed", "open", "wrong", "poor", "null"]
+Family = Literal["closed", "open", "wrong", "poor", "null", "engine"]
 FAMILIES: tuple[Family, ...] = get_args(Family)
 CYCLE: tuple[Family, ...] = tuple(next(one for one in FAMILIES if one[0] == letter) for letter in "cnocwcnpocncowpn")
-"""Families of trials, by their number, where all are wanted: of 16 five closed, four null, three open, two wrong and two poor."""
+"""Families of trials, by their number, where all are wanted: of 16 five closed, four null, three open, two wrong and two poor.
+
+None of them is `engine`, which takes a minute a trial and is only made where it is asked for.
+"""
 
 NOISE = (1.5e-4, 6e-4)  # m per axis
 MISFIT = (0.5, 20.0)  # times the noise, of each cause
@@ -92,48 +97,14 @@ def _robot() -> Robot:
     return load_robot("kang2017")
 
 
-@dataclass(frozen=True, eq=False)
-class Hidden:
-    """A cause that is hidden in a trial.
-
-    Attributes:
-        key: in its table.
-        form: of the cause.
-        size: of the form.
-        misfit: that it leaves alone after recalibration, over the noise.
-    """
-
-    key: str
-    form: Form
-    size: float
-    misfit: float
-
-
-@dataclass(frozen=True, eq=False)
-class Experiment:
-    """What is hidden, and in what kind of data.
-
-    Attributes:
-        pilot: runs of the machine without what is hidden.
-        kind: of what is hidden, for the label.
-        causes: what is hidden.
-        flaw: what is wrong with the data.
-        flaw_key: its name; empty where nothing is.
-        declared: noise that the data set states, over the true one.
-    """
-
-    pilot: Pilot
-    kind: str
-    causes: tuple[Hidden, ...] = ()
-    flaw: Flaw = field(default_factory=Flaw)
-    flaw_key: str = ""
-    declared: float = 1.0
-
-
 def make(trial: Trial) -> Made:
     """The data set of a trial: the same whenever and wherever it is made."""
     random = trial.random
     return _recorded(trial, random, DRAW[trial.family](random))
+
+
+def _engine(random: np.random.Generator) -> Experiment:
+    return engine.draw_experiment(random, lambda seconds: _pilot(random, Flaw(seconds)))
 
 
 def _pilot(random: np.random.Generator, flaw: Flaw | None = None) -> Pilot:
@@ -210,6 +181,7 @@ DRAW: dict[Family, Callable[[np.random.Generator], Experiment]] = {
     "wrong": _wrong,
     "poor": _poor,
     "null": lambda random: Experiment(_pilot(random), "null"),
+    "engine": _engine,
 }
 
 
@@ -228,7 +200,7 @@ def _recorded(trial: Trial, random: np.random.Generator, experiment: Experiment)
             experiment = replace(experiment, causes=experiment.causes[:-1])
     runs = tuple(spoiled(run, flaw, random, pilot.noise) for run in runs)
     dataset = DataSet("experiment", pilot.robot.name, channels_of(pilot.robot), runs, pilot.rate, pilot.noise * experiment.declared)
-    return Made(dataset, _label(experiment, machine, acting))
+    return Made(dataset, describe(experiment, machine, acting))
 
 
 def _acting(random: np.random.Generator, runs: int) -> np.ndarray:
@@ -246,6 +218,8 @@ def _measured(trial: Trial, experiment: Experiment, number: int, machine: Deviat
         number: of the run.
         machine: what differs from the robot file.
     """
+    if trial.family == "engine":
+        return engine.record_run(experiment.pilot, machine, experiment.pilot.runs[number], f"{trial} {number}")
     pilot, noise = experiment.pilot, zlib.crc32(f"{trial} {number}".encode())
     file, planned = rig_file(pilot.robot, machine, pilot.noise, trial.number, pilot.rate), pilot.runs[number]
     run = played(file, machine, planned, noise)
@@ -254,33 +228,3 @@ def _measured(trial: Trial, experiment: Experiment, number: int, machine: Deviat
         for _ in range(PASSES):  # what is measured and what is commanded agree more and more
             run = played(file, machine, replace(planned, setpoints=corrected(planned.setpoints, run.points, goal)), noise)
     return run
-
-
-def _other_meaning(causes: Sequence[Hidden]) -> set[str]:
-    """Parameters of the robot that do not mean the same beside causes of another form than the library's."""
-    return {name for cause in causes for name in OTHER_MEANING.get(cause.key, ())}
-
-
-def _label(experiment: Experiment, machine: Deviation, acting: np.ndarray) -> dict[str, Any]:
-    """What is hidden: plain data with the keys of the labels of shared data sets, and more."""
-    pilot, causes = experiment.pilot, experiment.causes
-    values = pilot.robot.parameters.model_dump()
-    label = {
-        "names": sorted({name for cause in causes for name in cause.form.names}),
-        "allowed": sorted({name for cause in causes for name in cause.form.allowed}),
-        "alike": {name: alike for cause in causes for name in cause.form.names if (alike := cause.form.alike(pilot.runs, acting.tolist()))},
-        "detail": {name: detail for cause in causes for name, detail in cause.form.detail.items()},
-        "kind": experiment.kind,
-        "flaw": experiment.flaw_key,
-        "causes": [{"cause": c.key, "names": c.form.names, "size": float(c.size), "misfit_over_noise": round(c.misfit, 4)} for c in causes],
-        "sizes": {name: size for cause in causes for name, size in cause.form.sizes(cause.size).items()},
-        "true_parameters": {name: values[name] * factor for name, factor in machine.factors.items()},
-        "other_meaning": sorted(set(pilot.robot.priors) if experiment.kind == "foreign" else _other_meaning(causes)),
-        "noise_m": pilot.noise,
-        "declared_over_true_noise": experiment.declared,
-        "files": {run.file: run.role for run in pilot.runs},
-        "seconds": round(float(sum(run.setpoints.time[-1] for run in pilot.runs)), 1),
-    }
-    if not acting.all():
-        label["runs"] = [run.file.removesuffix(".csv") for run, acts in zip(pilot.runs, acting, strict=True) if acts]
-    return label

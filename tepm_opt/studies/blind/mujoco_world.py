@@ -1,0 +1,170 @@
+"""The robot in a world that is not ours: bodies, cables, actuators, dry friction, stops, contacts and the integrator are MuJoCo's.
+
+Only the geometry, masses and springs of the network are the same. A muscle is one cable through its nodes that two actuators act on: the
+bladder pushes its ends apart, the motor pulls them together. Semi-implicit Euler moves the bodies, as MuJoCo solves constraints in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.hw.simulation.equilibrium import find_equilibrium
+from tepm_opt.hw.simulation.imperfections.base import Body
+from tepm_opt.hw.simulation.machine import Diverged
+from tepm_opt.hw.simulation.mujoco_network import network_xml
+from tepm_opt.models.robot import Robot
+from tepm_opt.studies.blind.excitation import COUNT, Excitation
+from tepm_opt.studies.blind.machine import Deviation
+
+STEP = 1e-4  # s; Euler's method bears 0.13 ms but not 0.17 ms, and at this step errs by less than 0.01 mm
+TICK = 40  # steps in which the controls stay, 4 ms
+SETTLING = 4.0  # s for friction, stops and contacts before a run
+BOUND = 20.0  # m, from which the simulation has diverged
+
+
+def name_muscles() -> tuple[str, ...]:
+    """Names of the six cables, in the order of the inputs."""
+    return tuple(f"{module}{muscle}" for module in (1, 2) for muscle in (1, 2, 3))
+
+
+class MujocoWorld:
+    """A robot in MuJoCo, with changes of its document.
+
+    Args:
+        robot: as its file says.
+        machine: factors of the parameters, and what changes MuJoCo's document.
+
+    Attributes:
+        body: the network in numbers.
+        model, data: MuJoCo's own.
+    """
+
+    def __init__(self, robot: Robot, machine: Deviation) -> None:
+        import mujoco
+
+        self._engine: Any = mujoco
+        mujoco.set_mju_user_warning(lambda text: None)  # type: ignore[attr-defined]
+        values = robot.parameters.model_dump()
+        changed = {name: values[name] * factor for name, factor in machine.factors.items()}
+        self.body = Body.of(robot.model_copy(update={"parameters": robot.parameters.model_copy(update=changed)}))
+        spec = mujoco.MjSpec.from_string(network_xml(self.body, STEP))  # type: ignore[attr-defined]
+        self._equip(spec)
+        if machine.build is not None:
+            machine.build(spec, self.body)
+        self.model = spec.compile()
+        self.data: Any = mujoco.MjData(self.model)
+        layout = self.body.layout
+        self._rest = layout.rest_positions(self.body.robot.parameters.r, self.body.robot.parameters.L_0)
+        self._tip = [spec.body(f"b{layout.levels}_{i}").id for i in range(layout.actuators)]
+        self._free = 3 * layout.levels * layout.actuators
+
+    def _equip(self, spec: Any) -> None:
+        """Replace the network's motors by a bladder and a tendon's motor a muscle, and let MuJoCo solve constraints."""
+        engine, layout = self._engine, self.body.layout
+        spec.option.integrator = engine.mjtIntegrator.mjINT_EULER
+        spec.option.disableflags = int(engine.mjtDisableBit.mjDSBL_AUTORESET)
+        for actuator in list(spec.actuators):
+            spec.delete(actuator)
+        for site in spec.sites:
+            if not site.name.startswith("n0_"):
+                site.parent.name = f"b{site.name[1:]}"
+        area = self.body.robot.parameters.A
+        for k, name in enumerate(name_muscles()):
+            module, node = divmod(k, layout.actuators)
+            cable = spec.add_tendon(name=f"muscle_{name}")
+            for level in range(layout.segments + 1):
+                cable.wrap_site(f"n{module * layout.segments + level}_{node}")
+        for kind, gain in (("pressure", area), ("tension", -1.0)):
+            for name in name_muscles():
+                spec.add_actuator(
+                    name=f"{kind}_{name}",
+                    target=f"muscle_{name}",
+                    trntype=engine.mjtTrn.mjTRN_TENDON,
+                    gaintype=engine.mjtGain.mjGAIN_FIXED,
+                    gainprm=[gain] + [0.0] * 9,
+                    biastype=engine.mjtBias.mjBIAS_AFFINE,
+                )
+
+    def settle(self, inputs: np.ndarray, force: np.ndarray) -> None:
+        """Come to rest under constant inputs (12,) in Pa and N and a tip force (3,) in N: without friction first, then with it."""
+        engine, model, data = self._engine, self.model, self.data
+        engine.mj_resetData(model, data)
+        self._command(inputs, force)
+        self._fill(inputs)
+
+        def forces(positions: np.ndarray) -> np.ndarray:
+            found = np.empty((len(positions), self._free))
+            for row, position in zip(found, positions, strict=True):
+                data.qpos[: self._free] = position
+                data.qvel[:] = 0.0
+                engine.mj_forward(model, data)
+                row[:] = data.qfrc_smooth[: self._free]
+            return found
+
+        position = find_equilibrium(forces, np.zeros(self._free))
+        forces(position[None])
+        if data.nefc > data.nf or model.nv > self._free:  # stops, contacts and further bodies have an equilibrium of their own
+            self._advance(round(SETTLING / STEP))
+            data.time = 0.0
+
+    def _fill(self, inputs: np.ndarray) -> None:
+        """Let filters and delays of actuators stand at their inputs."""
+        for k, at in enumerate(self.model.actuator_actadr):
+            if at >= 0:
+                self.data.act[at] = inputs[k]
+            if self.model.actuator_delay[k] > 0:
+                count = self.model.actuator_history[k, 0]
+                times = -self.model.opt.timestep * np.arange(count, 0, -1.0)
+                self._engine.mj_initCtrlHistory(self.model, self.data, k, times, np.full(count, inputs[k]))
+
+    def _command(self, inputs: np.ndarray, force: np.ndarray) -> None:
+        self.data.ctrl[:] = inputs
+        self.data.xfrc_applied[self._tip, :3] = (force + self.body.load[-1]) @ self.body.robot.mount.rotation / len(self._tip)
+
+    def _advance(self, steps: int) -> None:
+        self._engine.mj_step(self.model, self.data, steps)
+
+    def record(self, asked: SetPoints) -> np.ndarray:
+        """Points without noise while inputs and tip force follow set points linearly, (rows, points, 3) in m.
+
+        Raises:
+            NoEquilibriumError, Diverged: the machine does not bear it.
+        """
+        levels = np.hstack([asked.inputs, asked.tip_force])
+        self.settle(levels[0, : 2 * COUNT], levels[0, 2 * COUNT :])
+        found = [self._points()]
+        for seconds, before, after in zip(np.diff(asked.time), levels[:-1], levels[1:], strict=True):
+            ticks = max(round(seconds / (TICK * STEP)), 1)
+            for part in (np.arange(ticks) + 0.5) / ticks:
+                level = before + part * (after - before)
+                self._command(level[: 2 * COUNT], level[2 * COUNT :])
+                self._advance(TICK)
+            found.append(self._points())
+            if not np.abs(self.data.qpos).max() < BOUND:
+                raise Diverged(f"MuJoCo's simulation diverged before {self.data.time:.2f} s")
+        return np.array(found)
+
+    def _points(self) -> np.ndarray:
+        """Reference points in G, (points, 3) in m."""
+        layout, mount = self.body.layout, self.body.robot.mount
+        nodes = self._rest.copy()
+        nodes[1:] += self.data.qpos[: self._free].reshape(layout.levels, layout.actuators, 3)
+        return layout.point_weights @ nodes.mean(axis=1) @ mount.rotation.T + np.array(mount.base_position_m)
+
+
+def simulate(robot: Robot, machine: Deviation, runs: Sequence[Excitation]) -> list[np.ndarray]:
+    """Points of runs without noise, each (rows, points, 3) in m.
+
+    Raises:
+        NoEquilibriumError, Diverged: the machine does not bear it.
+    """
+    world = MujocoWorld(robot, machine)
+    found = []
+    for run in runs:
+        points = world.record(run.setpoints)
+        found.append(points if machine.after is None else machine.after(run.began + run.setpoints.time, points))
+    return found
