@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -11,65 +11,16 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.studies.blind.judged import EVEN, NAMED, NOTHING, Judged
+from tepm_opt.studies.blind.rates import Mean, Rate, average_probability, count_rate, rate_engine, round_number, wilson
+
+__all__ = ["Analysis", "Rate", "Reliability", "analysed", "confusion", "detection", "rates", "reliability", "wilson"]
 
 CLEAR = 2.0  # times the noise, from which a cause should be named
 AS_NOISE = (0.8, 1.25)  # times the noise: what leaves as much as it
 EDGES = (0.35, 0.8, 1.25, 2.0, 3.5, 6.0, 11.0, 25.0)  # of the detection curve, times the noise
 BINS = 5
 DRAWS = 2000  # of the bootstrap
-Z = 1.96
 NO_CAUSE = "nothing"  # in the confusion matrix
-
-
-@dataclass(frozen=True)
-class Rate:
-    """How often something is so, with Wilson's 95 % interval.
-
-    Attributes:
-        name: what is counted.
-        count, of: how often in how many; nothing is known where `of` is 0.
-        least, most: limits that the rate shall keep.
-    """
-
-    name: str
-    count: int
-    of: int
-    least: float = 0.0
-    most: float = 1.0
-
-    @property
-    def value(self) -> float:
-        """Rate, NaN of nothing."""
-        return self.count / self.of if self.of else float("nan")
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval (Wilson, J. Am. Stat. Assoc. 22, 1927, 209)."""
-        return wilson(self.count, self.of)
-
-    @property
-    def kept(self) -> bool | None:
-        """Whether the limits are kept; None where there are none, or nothing to judge by."""
-        if (self.least, self.most) == (0.0, 1.0) or not self.of:
-            return None
-        return self.least <= self.value <= self.most
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain data."""
-        low, high = self.interval
-        return {
-            "name": self.name, "count": self.count, "of": self.of, "rate": _number(self.value), "low": _number(low), "high": _number(high),
-            "least": self.least, "most": self.most, "kept": self.kept,
-        }  # fmt: skip
-
-
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a rate; NaN of nothing."""
-    if not of:
-        return float("nan"), float("nan")
-    share, spread = count / of, Z**2 / of
-    centre, half = (share + spread / 2) / (1 + spread), Z * np.sqrt(share * (1 - share) / of + spread / of / 4) / (1 + spread)
-    return max(float(centre - half), 0.0), min(float(centre + half), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +53,7 @@ class Analysis:
         failed: messages of those whose data could not be made, with how often.
         rates: in the order of the table.
         detection: by the misfit of single library causes: bin's middle, found, right, all of it.
+        truth: mean probability stated of a cause that MuJoCo has, over trials of the family `engine`; None where there are none.
         reliability: of stated probabilities; None where hardly any is stated.
         confusion: by hidden cause, how often what was said.
         closed: parts of the gap closed on validation runs where the answer is right and something is hidden.
@@ -112,6 +64,7 @@ class Analysis:
     failed: Mapping[str, int]
     rates: Sequence[Rate]
     detection: Sequence[tuple[float, Rate, Rate]]
+    truth: Mean | None
     reliability: Reliability | None
     confusion: Mapping[str, Mapping[str, int]]
     closed: np.ndarray
@@ -125,14 +78,17 @@ class Analysis:
             "families": dict(sorted(Counter(each.family for each in self.judged).items())),
             "failed": dict(self.failed),
             "rates": [rate.as_json() for rate in self.rates],
-            "detection": [{"misfit_over_noise": _number(at), "found": a.as_json(), "right": b.as_json()} for at, a, b in self.detection],
+            "detection": [
+                {"misfit_over_noise": round_number(at), "found": a.as_json(), "right": b.as_json()} for at, a, b in self.detection
+            ],
+            "probability_of_truth_by_engine": None if self.truth is None else self.truth.as_json(),
             "calibration": None
             if found is None
             else {
-                "error": _number(found.error),
-                "band": [_number(value) for value in found.band],
-                "stated": [_number(value) for value in found.stated],
-                "acts": [_number(value) for value in found.acts],
+                "error": round_number(found.error),
+                "band": [round_number(value) for value in found.band],
+                "stated": [round_number(value) for value in found.stated],
+                "acts": [round_number(value) for value in found.acts],
                 "counts": found.counts.tolist(),
             },
             "gap_closed": _quantiles(self.closed),
@@ -152,6 +108,7 @@ def analysed(results: Iterable[Mapping[str, Any]]) -> Analysis:
         dict(failed),
         rates(judged),
         detection(judged),
+        average_probability([each for each in judged if each.family == "engine"]),
         reliability(judged),
         confusion(judged),
         np.array([value for value in closed if value is not None]),
@@ -159,22 +116,9 @@ def analysed(results: Iterable[Mapping[str, Any]]) -> Analysis:
     )
 
 
-def _rate(name: str, judged: Iterable[Judged], so: Callable[[Judged], bool], least: float = 0.0, most: float = 1.0) -> Rate:
-    """How often something is so of trials.
-
-    Args:
-        name: what is counted.
-        judged: trials.
-        so: what.
-        least, most: see `Rate`.
-    """
-    every = [so(each) for each in judged]
-    return Rate(name, sum(every), len(every), least, most)
-
-
 def rates(judged: Sequence[Judged]) -> list[Rate]:
     """All rates, with their goals."""
-    of = {name: [each for each in judged if each.family == name] for name in ("closed", "open", "wrong", "poor", "null")}
+    of = {name: [each for each in judged if each.family == name] for name in ("closed", "open", "wrong", "poor", "null", "engine")}
     library = [each for each in of["closed"] if each.causes and each.clear(CLEAR)]
     clear = {k: [each for each in library if len(each.causes) == k] for k in (1, 2, 3, 4)}
     singles = [each for each in of["closed"] if len(each.causes) == 1]
@@ -182,25 +126,26 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
     intervals = [inside for each in judged if each.right for inside in each.covered.items()]
     effects, robot = ([inside for name, inside in intervals if ("." in name) is dotted] for dotted in (True, False))
     return [
-        _rate("a false name above 0.9", judged, lambda each: each.false_above(0.9), most=0.01),
-        _rate("a false name above 0.5", judged, lambda each: each.false_above(EVEN), most=0.03),
-        *(_rate(f"a false name above 0.5: {name}", some, lambda each: each.false_above(EVEN)) for name, some in of.items()),
-        _rate("right: one effect, clear", clear[1], lambda each: each.right, 0.98),
-        _rate("right: two effects, clear", clear[2], lambda each: each.right, 0.95),
-        _rate("right: three effects, clear", clear[3], lambda each: each.right, 0.85),
-        _rate("right: four effects, clear", clear[4], lambda each: each.right),
-        _rate("found: one effect that leaves as much as the noise", small, lambda each: each.found(each.causes[0]), 0.8),
-        _rate("abstained: effects of the library, clear", library, lambda each: each.abstained, most=0.03),
-        _rate("an alarm where nothing is hidden", of["null"], lambda each: each.status != NOTHING, most=0.0),
-        _rate("right: causes outside the library", of["open"], lambda each: each.right),
+        count_rate("a false name above 0.9", judged, lambda each: each.false_above(0.9), most=0.01),
+        count_rate("a false name above 0.5", judged, lambda each: each.false_above(EVEN), most=0.03),
+        *(count_rate(f"a false name above 0.5: {name}", some, lambda each: each.false_above(EVEN)) for name, some in of.items()),
+        count_rate("right: one effect, clear", clear[1], lambda each: each.right, 0.98),
+        count_rate("right: two effects, clear", clear[2], lambda each: each.right, 0.95),
+        count_rate("right: three effects, clear", clear[3], lambda each: each.right, 0.85),
+        count_rate("right: four effects, clear", clear[4], lambda each: each.right),
+        count_rate("found: one effect that leaves as much as the noise", small, lambda each: each.found(each.causes[0]), 0.8),
+        count_rate("abstained: effects of the library, clear", library, lambda each: each.abstained, most=0.03),
+        count_rate("an alarm where nothing is hidden", of["null"], lambda each: each.status != NOTHING, most=0.0),
+        count_rate("right: causes outside the library", of["open"], lambda each: each.right),
         *(
-            _rate(f"right: wrong {kind}", [each for each in of["wrong"] if each.label["kind"] == key], lambda each: each.right)
+            count_rate(f"right: wrong {kind}", [each for each in of["wrong"] if each.label["kind"] == key], lambda each: each.right)
             for kind, key in (("parameter", "prior"), ("declared noise", "noise"), ("clock", "clock"))
         ),
         *(
-            _rate(f"right: poor data, {flaw}", [each for each in of["poor"] if each.label["flaw"] == flaw], lambda each: each.right)
+            count_rate(f"right: poor data, {flaw}", [each for each in of["poor"] if each.label["flaw"] == flaw], lambda each: each.right)
             for flaw in sorted({each.label["flaw"] for each in of["poor"]})
         ),
+        *rate_engine(of["engine"]),
         Rate("95 % intervals of effects that hold the truth", sum(effects), len(effects), 0.9, 0.98),
         Rate("95 % intervals of the robot's parameters that hold the truth", sum(robot), len(robot), 0.9, 0.98),
     ]
@@ -213,8 +158,8 @@ def detection(judged: Sequence[Judged]) -> list[tuple[float, Rate, Rate]]:
     for low, high in pairwise(EDGES):
         some = [each for each in singles if low <= each.causes[0]["misfit_over_noise"] < high]
         name = f"{low:g} … {high:g}"
-        found = _rate(name, some, lambda each: each.found(each.causes[0]))
-        curve.append((float(np.sqrt(low * high)), found, _rate(name, some, lambda each: each.right)))
+        found = count_rate(name, some, lambda each: each.found(each.causes[0]))
+        curve.append((float(np.sqrt(low * high)), found, count_rate(name, some, lambda each: each.right)))
     return curve
 
 
@@ -286,8 +231,4 @@ def _quantiles(values: np.ndarray) -> dict[str, float | None]:
     if not len(values):
         return {}
     at = (("median", 50), ("low", 5), ("high", 95), ("largest", 100))
-    return {name: _number(float(np.percentile(values, part))) for name, part in at}
-
-
-def _number(value: float) -> float | None:
-    return float(f"{value:.4g}") if np.isfinite(value) else None
+    return {name: round_number(float(np.percentile(values, part))) for name, part in at}

@@ -75,6 +75,12 @@ class Judged:
         """Effects that are listed with at least even odds."""
         return {each.name for each in self.listed if each.probability >= EVEN}
 
+    @property
+    def stated_of_truth(self) -> list[float]:
+        """Probabilities stated of what should be named, 0 of each that is not listed."""
+        stated = {self._stands_for(each.name): each.probability for each in self.listed}
+        return [stated.get(name, 0.0) for name in sorted(self.truth, key=str)]
+
     def false_above(self, probability: float) -> bool:
         """Whether an effect that does not act is listed with more than this probability."""
         return any(each.acts is False and each.probability > probability for each in self.listed)

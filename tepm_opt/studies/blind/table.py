@@ -22,6 +22,9 @@ def markdown(analysis: Analysis) -> str:
         "| --- | --- | --- | --- | --- |",
         *(_row(rate) for rate in analysis.rates if rate.of),
     ]
+    if (truth := analysis.truth) is not None:
+        numbers = f"{truth.value:.3f} | {truth.of} | {truth.low:.3f} … {truth.high:.3f}"
+        lines.append(f"| MuJoCo: mean probability stated of a true cause | {numbers} | |")
     found = analysis.reliability
     if found is not None:
         low, high = found.band
