@@ -30,6 +30,7 @@ from scipy.spatial.transform import Rotation
 from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.studies.blind.causes import MUSCLES, Cause, Form, direction, no_sizes
 from tepm_opt.studies.blind.machine import Deviation
+from tepm_opt.studies.blind.mujoco_world import load_mujoco
 
 Change = Callable[[Any, Body, float], None]
 """Changes MuJoCo's document (`mujoco.MjSpec`) of a network, by a size."""
@@ -138,8 +139,7 @@ def _roughen_muscles(random: np.random.Generator) -> Change:
 
 def _filter_pressures(random: np.random.Generator) -> Change:
     def change(spec: Any, body: Body, size: float) -> None:
-        import mujoco
-
+        mujoco = load_mujoco()
         for name in MUSCLES:
             actuator = spec.actuator(f"pressure_{name}")
             actuator.dyntype, actuator.dynprm = mujoco.mjtDyn.mjDYN_FILTEREXACT, [size] + [0.0] * 9
@@ -170,8 +170,7 @@ def _add_reels(random: np.random.Generator) -> Change:
     spring = random.uniform(6.0, 20.0)  # N/m
 
     def change(spec: Any, body: Body, size: float) -> None:
-        import mujoco
-
+        mujoco = load_mujoco()
         layout, value = body.layout, body.robot.parameters
         for k, name in enumerate(MUSCLES):
             module, node = divmod(k, layout.actuators)
@@ -228,8 +227,7 @@ def _add_wall(random: np.random.Generator) -> Change:
     toward = np.append(direction(random, 2), 0.0)
 
     def change(spec: Any, body: Body, size: float) -> None:
-        import mujoco
-
+        mujoco = load_mujoco()
         place = (body.robot.parameters.r + 0.08 - size) * toward
         turn = Rotation.align_vectors([-toward], [[0.0, 0.0, 1.0]])[0].as_quat()
         spec.worldbody.add_geom(

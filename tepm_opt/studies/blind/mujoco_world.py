@@ -17,6 +17,7 @@ from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.machine import Diverged
 from tepm_opt.hw.simulation.mujoco_network import network_xml
 from tepm_opt.models.robot import Robot
+from tepm_opt.studies.blind.causes import MUSCLES
 from tepm_opt.studies.blind.excitation import COUNT, Excitation
 from tepm_opt.studies.blind.machine import Deviation
 
@@ -26,9 +27,11 @@ SETTLING = 4.0  # s for friction, stops and contacts before a run
 BOUND = 20.0  # m, from which the simulation has diverged
 
 
-def name_muscles() -> tuple[str, ...]:
-    """Names of the six cables, in the order of the inputs."""
-    return tuple(f"{module}{muscle}" for module in (1, 2) for muscle in (1, 2, 3))
+def load_mujoco() -> Any:
+    """The package `mujoco`, whose stubs lack most of its names; loaded only where a trial needs it."""
+    import mujoco
+
+    return mujoco
 
 
 class MujocoWorld:
@@ -44,14 +47,12 @@ class MujocoWorld:
     """
 
     def __init__(self, robot: Robot, machine: Deviation) -> None:
-        import mujoco
-
-        self._engine: Any = mujoco
-        mujoco.set_mju_user_warning(lambda text: None)  # type: ignore[attr-defined]
+        self._engine = mujoco = load_mujoco()
+        mujoco.set_mju_user_warning(lambda text: None)
         values = robot.parameters.model_dump()
         changed = {name: values[name] * factor for name, factor in machine.factors.items()}
         self.body = Body.of(robot.model_copy(update={"parameters": robot.parameters.model_copy(update=changed)}))
-        spec = mujoco.MjSpec.from_string(network_xml(self.body, STEP))  # type: ignore[attr-defined]
+        spec = mujoco.MjSpec.from_string(network_xml(self.body, STEP))
         self._equip(spec)
         if machine.build is not None:
             machine.build(spec, self.body)
@@ -73,13 +74,13 @@ class MujocoWorld:
             if not site.name.startswith("n0_"):
                 site.parent.name = f"b{site.name[1:]}"
         area = self.body.robot.parameters.A
-        for k, name in enumerate(name_muscles()):
+        for k, name in enumerate(MUSCLES):
             module, node = divmod(k, layout.actuators)
             cable = spec.add_tendon(name=f"muscle_{name}")
             for level in range(layout.segments + 1):
                 cable.wrap_site(f"n{module * layout.segments + level}_{node}")
         for kind, gain in (("pressure", area), ("tension", -1.0)):
-            for name in name_muscles():
+            for name in MUSCLES:
                 spec.add_actuator(
                     name=f"{kind}_{name}",
                     target=f"muscle_{name}",
