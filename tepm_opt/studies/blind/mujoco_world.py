@@ -7,11 +7,13 @@ bladder pushes its ends apart, the motor pulls them together. Semi-implicit Eule
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
+from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.equilibrium import find_equilibrium
 from tepm_opt.hw.simulation.imperfections.base import Body
 from tepm_opt.hw.simulation.machine import Diverged
@@ -28,9 +30,15 @@ BOUND = 20.0  # m, from which the simulation has diverged
 
 
 def load_mujoco() -> Any:
-    """The package `mujoco`, whose stubs lack most of its names; loaded only where a trial needs it."""
+    """The package `mujoco`, whose stubs lack most of its names; loaded only where a trial needs it.
+
+    Raises:
+        InputError: it is too old for delays of actuators or polynomial stiffness.
+    """
     import mujoco
 
+    if not all(hasattr(mujoco.MjModel, name) for name in ("actuator_delay", "tendon_stiffnesspoly")):  # type: ignore[attr-defined]
+        raise InputError(f"family 'engine': mujoco {version('mujoco')} has no delays of actuators; valid: 4.0 and newer")
     return mujoco
 
 

@@ -22,6 +22,7 @@ from tepm_opt.studies.blind.table import markdown
 from tepm_opt.studies.blind.trial import CYCLE, Trial, make
 from tests.studies.blind.test_analysis import Hidden, result
 
+pytest.importorskip("mujoco", minversion="4.0", reason="older ones have no delays of actuators")
 ROBOT = load_robot("kang2017")
 NULL, SHORT_NULL = 4, 6  # numbers of trials of seed 0 that hide nothing, in runs of the usual length and in short ones
 
