@@ -1,22 +1,6 @@
 """Causes in a robot that MuJoCo moves, by MuJoCo's own means.
 
-| cause | what MuJoCo does | name |
-| --- | --- | --- |
-| heavy_tip | bodies of the tip have more mass | payload |
-| leaning_base | gravity has another direction | base_tilt |
-| pulled_tip | a constant force on the tip's bodies | external_load |
-| dry_muscles | frictionloss of the muscles' tendons, solved as a constraint | structural_friction |
-| filtered_bladders | dyntype `filterexact` of the pressures | regulator_lag |
-| delayed_actuators | `delay` of all actuators | time_delay |
-| weak_bladder, weak_motor | another `gainprm` of an actuator | actuator_gain, tension_gain |
-| prestressed_bladder | a `biasprm` of an actuator | actuator_offset |
-| cubic_muscles | polynomial stiffness of tendons | stiffness_hardening |
-| reeled_tendons | a reel on a slide, and a cable that only pulls once it is taut | tendon_slack |
-| turned_tracker, drifting_tracker | nothing: the points are seen in another frame | sensor_misalignment, tracker_drift |
-| touched_wall | contact of the tip with a plane, with Coulomb friction | none |
-| stopped_muscle | the limited range of a muscle's tendon | none |
-| rubbing_level | frictionloss of the slides of one level | none |
-| viscous_bath | viscosity of the medium | none |
+docs/results/blind.md lists them with their names.
 """
 
 from __future__ import annotations
@@ -48,20 +32,23 @@ Limits = tuple[float, float, float]
 """Usual, smallest and largest size, see `Form`."""
 
 
-def _change_model(name: str | None, limits: Limits, drawn: Callable[[np.random.Generator], Change], **same: float) -> Cause:
+def _change_model(
+    name: str | None, limits: Limits, drawn: Callable[[np.random.Generator], Change], allowed: tuple[str, ...] = (), **same: float
+) -> Cause:
     """A cause in MuJoCo's document, with no detail.
 
     Args:
         name: of the effect that is right; None outside the library.
         limits: of the size.
         drawn: draws what is changed.
+        allowed: names that are not wrong either, see `Form`.
         same: parameters of the effect that are the size times these.
     """
 
     def cause(random: np.random.Generator) -> Form:
         change = drawn(random)
         sizes = (lambda size: {f"{name}.{each}": factor * size for each, factor in same.items()}) if same else no_sizes
-        return Form((name,) if name else (), lambda size: _deviate(change, size), *limits, sizes=sizes)
+        return Form((name,) if name else (), lambda size: _deviate(change, size), *limits, sizes=sizes, allowed=allowed)
 
     return cause
 
@@ -106,12 +93,17 @@ def _load_tip(random: np.random.Generator) -> Change:
 def _tilt_gravity(random: np.random.Generator) -> Form:
     name, about = "base_tilt", direction(random, 2)
 
+    def turn(size: float) -> np.ndarray:
+        return Rotation.from_rotvec(np.deg2rad([*(size * about), 0.0])).as_matrix()
+
     def change(spec: Any, body: Body, size: float) -> None:
         mount = body.robot.mount.rotation
-        tilt = Rotation.from_rotvec(np.deg2rad([*(size * about), 0.0])).as_matrix()
-        spec.option.gravity = mount.T @ tilt.T @ mount @ body.gravity
+        spec.option.gravity = mount.T @ turn(size).T @ mount @ body.gravity
 
-    sizes = lambda size: {f"{name}.{axis}": float(part) for axis, part in zip("xy", np.deg2rad(size * about), strict=True)}  # noqa: E731
+    def sizes(size: float) -> dict[str, float]:
+        up = turn(size)[2]  # seen from the base; the effect turns about y, then about x
+        return {f"{name}.x": float(np.arcsin(up[1])), f"{name}.y": float(np.arctan2(-up[0], up[2]))}
+
     return Form((name,), lambda size: _deviate(change, size), 1.0, 1e-2, 10.0, sizes=sizes)
 
 
@@ -202,8 +194,9 @@ def _turn_tracker(random: np.random.Generator) -> Form:
         return Deviation(after=lambda time, points: points @ turn.T + size * along)
 
     def sizes(size: float) -> dict[str, float]:
-        parts = zip("xyz", np.deg2rad(size * about), size * along, strict=True)
-        return {f"{name}.{kind}_{axis}": float(v) for axis, *both in parts for kind, v in zip(("rotation", "shift"), both, strict=True)}
+        turns = Rotation.from_rotvec(np.deg2rad(size * about)).as_euler("XYZ")  # the effect's order
+        named = {"rotation": turns, "shift": size * along}
+        return {f"{name}.{kind}_{axis}": float(part) for kind, parts in named.items() for axis, part in zip("xyz", parts, strict=True)}
 
     return Form((name,), deviate, 1.0, 1e-2, 10.0, sizes=sizes)
 
@@ -279,7 +272,7 @@ KNOWN: dict[str, Cause] = {
     "weak_motor": _change_actuator("tension_gain", "tension", (0.1, 1e-3, 0.8), "gainprm", -1.0, "loss"),
     "prestressed_bladder": _change_actuator("actuator_offset", "pressure", (4e3, 50.0, 5e4), "biasprm", 1.0, "pressure"),
     "cubic_muscles": _change_model("stiffness_hardening", (100.0, 1.0, 5e3), _harden_muscles, cubic=1.0),
-    "reeled_tendons": _change_model("tendon_slack", (0.03, 1e-3, 0.2), _add_reels),
+    "reeled_tendons": _change_model("tendon_slack", (0.03, 1e-3, 0.2), _add_reels, ("tendon_friction",)),
     "turned_tracker": _turn_tracker,
     "drifting_tracker": _drift_tracker,
 }
