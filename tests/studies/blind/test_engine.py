@@ -95,7 +95,7 @@ def test_a_cause_does_what_the_rig_does_by_other_means(key: str, at: Any) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("key", [*KNOWN, *UNKNOWN])
 def test_every_cause_moves_the_robot(key: str) -> None:
-    run, table = shortened("mixed.csv", 120), KNOWN | UNKNOWN
+    run, table = shortened("mixed.csv", 200), KNOWN | UNKNOWN
     form = table[key](np.random.default_rng(1))
     plain = simulate(ROBOT, Deviation(), [run])[0]
     assert np.abs(simulate(ROBOT, form.at(form.usual), [run])[0] - plain).max() > 5e-4
