@@ -17,6 +17,7 @@ from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, effect_size_
 from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_law_odds
 from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.assessment.stated_set import score_causes
 from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
 from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.baseline.judgement import judge_change
@@ -147,15 +148,16 @@ def assess(state: Validated) -> Assessed:
     judgement = _limit(judgement, state.limit, settings)
     dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
-        return Assessed(**vars(state), judgement=judgement)
+        return Assessed(**vars(state), judgement=judgement, cause_scores=score_causes(explanation, judgement, settings))
     predictions = state.predictions | {"corrected": state.predictions["recalibrated"]}
     fields: dict[str, Any] = vars(state) | {
-        "explanation": replace(explanation, best=explanation.without, shares={}, groups={}),
+        "explanation": (nothing := replace(explanation, best=explanation.without, shares={}, groups={})),
         "predictions": predictions,
         "best": explanation.without.estimate,
         "errors": validation_errors(state.dataset, state.noise, predictions, state.black_box),
     }
-    return Assessed(**fields, judgement=Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks))
+    judgement = Judgement(VerdictStatus.UNEXPLAINED, remarks=judgement.remarks)
+    return Assessed(**fields, judgement=judgement, cause_scores=score_causes(nothing, judgement, settings))
 
 
 def report(state: Assessed) -> Discovery:

@@ -12,6 +12,7 @@ from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy.assessment.credibility import Judgement
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Verdict
+from tepm_opt.discrepancy.assessment.stated_set import CauseScores
 from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.preparation.clock import ClockShift
 from tepm_opt.discrepancy.preparation.devices import IdentifiedDevices
@@ -137,9 +138,11 @@ class Assessed(Validated):
 
     Attributes:
         judgement: status, probabilities and remarks.
+        cause_scores: how far candidates are from being ruled out (`stated_set.score_causes`).
     """
 
     judgement: Judgement = field(kw_only=True)
+    cause_scores: CauseScores = field(kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import casadi as ca
 
 from tepm_opt.models.effect import CLOCK, Effect
 from tepm_opt.models.layout import VERTICAL, Layout
+from tepm_opt.models.memories import Memory
 from tepm_opt.models.model import Model
 from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread, summed
 
@@ -238,8 +239,8 @@ def _edge_pull(writer: Writer, s: Segment, index: int, span: ca.SX, speed: ca.SX
     pull = writer.edge_law(index, edge, s.column)(span)[1] + own["damping"] * speed
     states, rates = [], []
     for kind, parameters, context in writer.effects:
-        memory = kind.edge_memory(edge, span, speed, own, parameters, context)
-        if memory is not None:
+        found = kind.edge_memory(edge, span, speed, own, parameters, context)
+        for memory in (found,) if isinstance(found, Memory) else found or ():
             states.append(ca.SX.sym("y"))
             rates.append(memory.rate(states[-1], step))
             pull += states[-1] + step * rates[-1]

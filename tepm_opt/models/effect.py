@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
@@ -272,8 +272,8 @@ class Effect:
 
     def edge_memory(
         self, edge: Edge, length: ca.SX, rate: ca.SX, properties: Mapping[str, ca.SX], parameters: Mapping[str, ca.SX], context: Context
-    ) -> Memory | None:
-        """Internal state y of an edge, a force in N that pulls its ends together; None for edges the effect leaves alone.
+    ) -> Memory | Sequence[Memory] | None:
+        """Internal state y of an edge, or several, each a force in N that pulls its ends together; None where the effect leaves it alone.
 
         Args:
             edge: which one of a segment.

@@ -165,6 +165,7 @@ class Verdict(Tabular):
         seconds: it took.
         setup: errors of the set-up, with their mends; the answer is about the data with the likeliest of each mended.
         baseline: name of the earlier data set, where the answer is about what changed since; else empty.
+        cause_scores: how far candidates are from being ruled out, 0 to 1, largest first.
     """
 
     status: VerdictStatus
@@ -184,6 +185,12 @@ class Verdict(Tabular):
     command: str = ""
     setup: tuple[SetupError, ...] = ()
     baseline: str = ""
+    cause_scores: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def stated_set(self) -> tuple[str, ...]:
+        """Labels of causes that are not ruled out: all that act are among them in 95 % of trials as it was calibrated on."""
+        return tuple(label for label, score in self.cause_scores if score >= DEFAULT.min_stated)
 
     @property
     def setup_sentences(self) -> tuple[str, ...]:
@@ -249,6 +256,8 @@ class Verdict(Tabular):
                 }
                 for named in self.effects
             ],
+            "stated_set": list(self.stated_set),
+            "scores": {label: _round_number(score) for label, score in self.cause_scores},
             "setup": [error.as_json() for error in self.setup],
             "rivals": [{"name": r.candidate.label, "probability": _round_number(r.probability), "why": r.why} for r in self.rivals],
             "where": [

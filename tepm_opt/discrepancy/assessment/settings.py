@@ -12,6 +12,8 @@ class AssessmentSettings:
     Attributes:
         min_named: probability from which an effect is named: that it is a cause, and it rather than its rivals; 0.5 to 1.
         min_rival: probability from which a rival counts, 0 to 1.
+        min_scored: score from which `stated_set.score_causes` keeps a candidate, 0 to 1.
+        min_stated: score from which a candidate is in the set of causes that are not ruled out; calibrated on blind trials, 0 to 1.
         min_gap_closed: share of the squared gap on runs not used that the effects must close, 0 to 1.
         scatter_even_odds: chance of a pattern at which it is as likely as not that scatter is something else, 0 to 1.
         spring_max_excess: share of the excess that a force by place may leave beside a force of known form for that to be doubted, 0 to 1.
@@ -42,6 +44,8 @@ class AssessmentSettings:
 
     min_named: float = 0.8
     min_rival: float = 0.1
+    min_scored: float = 0.01
+    min_stated: float = 0.1
     min_gap_closed: float = 0.1
     scatter_even_odds: float = 0.002
     spring_max_excess: float = 0.7

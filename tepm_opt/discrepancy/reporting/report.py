@@ -10,6 +10,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.assessment.constancy import active_runs
 from tepm_opt.discrepancy.assessment.residual_locations import error_unit
 from tepm_opt.discrepancy.assessment.result import Named, Rival, Value, Verdict, VerdictStatus
+from tepm_opt.discrepancy.assessment.stated_set import describe_stated_set
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting import sentences
 from tepm_opt.discrepancy.reporting.change import describe_change, describe_model_error
@@ -50,6 +51,8 @@ def build_verdict(state: Assessed) -> Verdict:
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
     notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
+    if state.baseline is None and not plant.quick and judgement.status is not VerdictStatus.NO_DISCREPANCY:
+        notes = (*notes, describe_stated_set(state.cause_scores))
     answer = sentences.describe_answer(judgement.status, named, errors, state.localisation.sentence, known, explanation, unit)
     if judgement.status is VerdictStatus.UNEXPLAINED and state.limit.was_short:
         answer = ("Undecided: the search ended before all that may explain the structure above the noise was tried.", *answer[1:])
@@ -73,6 +76,7 @@ def build_verdict(state: Assessed) -> Verdict:
         next=sentences.next_step(VerdictStatus.SETUP_ERROR if setup else judgement.status, shift is not None),
         setup=setup,
         baseline="" if state.baseline is None else state.baseline.name,
+        cause_scores=state.cause_scores,
     )
 
 

@@ -12,7 +12,8 @@ from tepm_opt.discrepancy.adapters.network import PARAMETER
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis, may_act_beside
+from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
+from tepm_opt.discrepancy.selection.linearised import Linearised
 from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, rank_promising
 from tepm_opt.discrepancy.selection.screening import Score, screen_by_fits
 from tepm_opt.discrepancy.selection.significance import is_significant
@@ -103,10 +104,10 @@ def _start_from_best(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: lis
 def _fit_pair(
     fits: Fits, best: Hypothesis, rest: Hypothesis, effect: Candidate, scores: Sequence[Score], missing: Sequence[Candidate]
 ) -> list[Hypothesis]:
-    """Fit the pair of effects that promises most in the place of one that may be their common work.
+    """Fit the pair of effects that promises most in the place of one that may be their common work; in that of a wide one also a triple.
 
-    In the place of a wide effect it is a pair of single parts, also where only noise is left. Values of the robot file are left out: with
-    one of them nearly every effect does what another one does.
+    In the place of a wide effect it is a pair of single parts, also where only noise is left; the triple is of any effects, one added to
+    another. Values of the robot file are left out: with one of them nearly every effect does what another one does.
 
     Args:
         fits: all fits so far.
@@ -128,9 +129,22 @@ def _fit_pair(
     promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in both if pair[0].form_of != pair[1].form_of]
     gain, start, pair = max(promised, key=lambda each: each[0], default=(-np.inf, {}, ()))
     most = settings.max_wide_pair_share * rest.excess * float(linear.count.sum()) if wide else settings.max_pair_excess * linear.excess
-    if -gain * linear.excess > most:
-        return []
-    return [h for h in fits.fit_all([((*rest.effects, *pair), {**best.estimate.named, **start})], best) if h is not None]
+    sets: list[tuple[float, dict[str, float], Effects]] = [(gain, start, pair)]
+    if wide and not best.only_noise(settings):
+        three = _select_greedily(linear, rest.effects, able, 3)
+        sets.append((*linear.gain((*rest.effects, *three)), three))
+    asked = [((*rest.effects, *few), {**best.estimate.named, **begin}) for less, begin, few in sets if -less * linear.excess <= most]
+    return [h for h in fits.fit_all(asked, best) if h is not None]
+
+
+def _select_greedily(linear: Linearised, effects: Effects, able: Sequence[Candidate], count: int) -> Effects:
+    """Candidates that to first order remove most beside some effects, added one to another."""
+    found: Effects = ()
+    for _ in range(count):
+        beside = [c for c in able if may_act_beside(c, (*effects, *found))]
+        if beside:
+            found = (*found, max(beside, key=lambda c: linear.gain((*effects, *found, c))[0]))
+    return found
 
 
 def _fit_changes_in_pause(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Hypothesis]:

@@ -22,13 +22,16 @@ def eliminate_backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, Shares
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
     An effect stands out where it removes more than form errors of the others may (see `form_error_allowance`), and a share of what is left,
-    and where its size is significant. Fits without an effect end early where it surely stays, until nothing else is to be dropped.
+    and where its size is significant. Forms that are known exactly have no errors, and none can spoil more than there is to explain. Fits
+    without an effect end early where it surely stays, until nothing else is to be dropped.
     """
-    settings = fits.settings
+    settings, nothing = fits.settings, fits.fit((), {})
+    most = np.inf if nothing is None else nothing.excess
     while True:
         several = best.effects if len(best.effects) > 1 else ()  # nothing else's form is wrong beside a single one
-        outputs = in_parallel(partial(_output, best), several, threads=fits.problem.plant.concurrent)
-        doubt = {effect: settings.form_error_ratio * output for effect, output in zip(several, outputs, strict=True)}
+        guessed = [effect for effect in several if not effect.exact]
+        outputs = in_parallel(partial(_output, best), guessed, threads=fits.problem.plant.concurrent)
+        doubt = {effect: settings.form_error_ratio * min(output, most) for effect, output in zip(guessed, outputs, strict=True)}
         stays = max(settings.sure_share * _excess_left(best, settings), settings.min_excess_removed, sum(doubt.values()))
         bound = best.estimate.cost + settings.early_end_ratio * stays * best.estimate.count if several else np.inf
         shares, smaller = _drop_weakest(fits, best, doubt, bound)

@@ -18,7 +18,7 @@ ALIKE = 0.8  # part of a line from which it is one motion of all points
 
 
 class BaseVibration(Effect):
-    """The base plate moves as a sine of one frequency along each axis of the tracker frame G.
+    """The base plate moves as a sine of one frequency along each axis of the tracker frame G, with a second harmonic of the same shape.
 
     Its phase is the session's, or, as of a pump that starts with the recording, begins anew with each run (`restarts` is 1).
 
@@ -37,22 +37,25 @@ class BaseVibration(Effect):
         Parameter("frequency", "Hz", null=3.0, probe=3.0, low=0.1, high=50.0, change=0.01),
         Parameter("restarts", "1", null=0.0, probe=0.0, low=0.0, high=1.0, change=0.1),
         Parameter("inertia", "1", null=1.0, probe=1.0, low=0.0, high=1.0),
+        *(Parameter(f"harmonic_{part}", "1", null=0.0, probe=0.0, low=-1.0, high=1.0, change=0.1) for part in ("sine", "cosine")),
     )
 
     def loads(self, properties: Properties, external: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
         passed = (parameters[CLOCK] - parameters[BEGAN]) / RISE
-        force = parameters["inertia"] * -ca.expm1(-(passed**2)) * (2 * np.pi * parameters["frequency"]) ** 2 * self._motion(parameters)
+        pull = self._wave(parameters, 1) + 4 * self._wave(parameters, 2)
+        force = parameters["inertia"] * -ca.expm1(-(passed**2)) * (2 * np.pi * parameters["frequency"]) ** 2 * pull
         return context.layout.actuators * ca.mtimes(ca.mtimes(ca.DM(context.rotation.T), force), properties.mass.T)
 
     def outputs(self, points: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
-        return points + ca.repmat(self._motion(parameters), 1, context.layout.points)
+        return points + ca.repmat(self._wave(parameters, 1) + self._wave(parameters, 2), 1, context.layout.points)
 
     @staticmethod
-    def _motion(parameters: Mapping[str, ca.SX]) -> ca.SX:
-        """Place of the base in G beside where it rests, (3,) in m."""
-        phase = 2 * np.pi * parameters["frequency"] * (parameters[CLOCK] - parameters["restarts"] * parameters[BEGAN])
+    def _wave(parameters: Mapping[str, ca.SX], order: int) -> ca.SX:
+        """Part of a harmonic, the first or the second, in the place of the base in G beside where it rests, (3,) in m."""
+        phase = order * 2 * np.pi * parameters["frequency"] * (parameters[CLOCK] - parameters["restarts"] * parameters[BEGAN])
         sine, cosine = (ca.vertcat(*(parameters[f"{part}_{axis}"] for axis in "xyz")) for part in ("sine", "cosine"))
-        return sine * ca.sin(phase) + cosine * ca.cos(phase)
+        seen, shifted = sine * ca.sin(phase) + cosine * ca.cos(phase), sine * ca.cos(phase) - cosine * ca.sin(phase)
+        return seen if order == 1 else parameters["harmonic_sine"] * seen + parameters["harmonic_cosine"] * shifted
 
     def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
         """The line that stands out most from its surroundings in the spectrum of all runs together, with phases of either kind.
