@@ -14,6 +14,7 @@ from tepm_opt.discrepancy.assessment import credibility as belief
 from tepm_opt.discrepancy.assessment.constancy import SegmentSizes
 from tepm_opt.discrepancy.assessment.credibility import AlternativeLaw, Judgement, alternative_law_odds, assess
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus
+from tepm_opt.discrepancy.assessment.stated_set import describe_stated_set, score_causes
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import Evidence
@@ -40,6 +41,21 @@ def answer(
     constancy = {effect: {"run": SegmentSizes((0, 1), np.array([0.2, 1.8]), np.ones(2), spread)}}
     law: Any = SimpleNamespace(place=SimpleNamespace(label="axial[12](length)"))
     return assess(found, errors, SETTINGS, True, {} if doubt is None else {effect: AlternativeLaw(doubt, law)}, constancy)
+
+
+@pytest.mark.parametrize(("beside", "score"), [(0.06, 0.56), (0.3, 0.0)])
+def test_what_removes_most_of_what_is_left_is_not_ruled_out(beside: float, score: float) -> None:
+    """A rival counts with its probability, a further effect with the share of the structure left that it removes."""
+    creep, delay = candidate("creep"), candidate("time_delay")
+    best, rival, without = hypothesis((LAG,), 0.2), hypothesis((delay,), 0.2), hypothesis((), 10.0)
+    more, alone = hypothesis((LAG, creep), beside), hypothesis((LOAD,), 9.0)
+    tried = [without, best, rival, more, alone]
+    found = Explanation(without, best, best, tried, [], {LAG: 100.0}, {LAG: [(best, 0.7), (rival, 0.3)]})
+    judgement = assess(found, SHRUNK, SETTINGS, True, {}, {})
+    scores = dict(score_causes(found, judgement, SETTINGS))
+    assert scores == pytest.approx({"regulator_lag": 0.68, "time_delay": 0.3} | ({"creep": score} if score else {}), abs=0.01)
+    assert list(scores)[0] == "regulator_lag"
+    assert ("creep" in describe_stated_set(tuple(scores.items()))) == bool(score)
 
 
 def test_sure_effects_are_named() -> None:

@@ -23,7 +23,7 @@ from tepm_opt.discrepancy.selection.forward_backward import Explanation, explain
 from tepm_opt.discrepancy.selection.screening import Score
 
 BLOCKS, SAMPLES, NOISE = 20, 90, 3e-4
-EFFECTS = {label: candidate("sensor_offset", label) for label in ("s1", "s2", "s3", "s4")}
+EFFECTS = {label: replace(candidate("sensor_offset", label), exact=False) for label in ("s1", "s2", "s3", "s4")}
 ROWS, MOTION = 100, 20.0  # samples, and how many times the noise the measured motion is, RMS
 
 
@@ -171,18 +171,32 @@ class TestRules:
         found, _ = searched({"": 8.0, "s1": 1.0, "s2": 7.0, "s1 s2": left})
         assert [c.detail for c in found.widest.effects] == tried
 
-    @pytest.mark.parametrize(("output", "left", "kept"), [(0.0, 0.3, "s1 s2"), (400.0, 0.3, "s1"), (400.0, 0.05, "s1 s2")])
+    @pytest.mark.parametrize(
+        ("output", "first", "left", "kept"),
+        [(0.0, 900.0, 0.3, "s1 s2"), (400.0, 900.0, 0.3, "s1"), (400.0, 900.0, 0.05, "s1 s2"), (1e4, 80.0, 0.3, "s1 s2")],
+    )
     def test_what_may_mend_another_effects_form_is_dropped(
-        self, monkeypatch: pytest.MonkeyPatch, output: float, left: float, kept: str
+        self, monkeypatch: pytest.MonkeyPatch, output: float, first: float, left: float, kept: str
     ) -> None:
-        """s2 takes away 0.9 beside s1, whose form may be wrong by a four-hundredth of its squared output; no mending leaves nothing."""
+        """s2 takes away 0.9 beside s1, whose form may be wrong by a four-hundredth of its squared output; no mending leaves nothing.
+
+        No form spoils more than a four-hundredth of what there is to explain.
+        """
         monkeypatch.setattr(elimination, "_output", lambda _, effect: output if effect == EFFECTS["s1"] else 0.0)
-        assert named(searched({"": 8.0, "s1": 0.9 + left, "s2": 7.0, "s1 s2": left})[0]) == kept
+        assert named(searched({"": first, "s1": 0.9 + left, "s2": 7.0, "s1 s2": left})[0]) == kept
+
+    @pytest.mark.parametrize(("exact", "kept"), [(True, ["s1", "s2"]), (False, ["s1"])])
+    def test_a_form_that_is_known_exactly_needs_no_mending(self, monkeypatch: pytest.MonkeyPatch, exact: bool, kept: list[str]) -> None:
+        monkeypatch.setattr(elimination, "_output", lambda *_: 400.0)
+        sure = replace(EFFECTS["s1"], exact=exact)
+        table: Any = Table(SearchSettings(), {"": 900.0, "s1": 1.2, "s2": 700.0, "s1 s2": 0.3}, {})
+        best, _ = elimination.eliminate_backward(table, table.fit((sure, EFFECTS["s2"]), {}))
+        assert [c.detail for c in best.effects] == kept
 
     def test_of_two_that_are_not_needed_the_one_that_takes_away_less_goes(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Both stand below the errors of forms; without s2 (the last in order) next to nothing more is left, without s1 much is."""
         monkeypatch.setattr(elimination, "_output", lambda *_: 1e4)
-        table: Any = Table(SearchSettings(), {"": 30.0, "s1": 0.5, "s2": 7.0, "s1 s2": 0.4}, {})
+        table: Any = Table(SearchSettings(), {"": 1e4, "s1": 0.5, "s2": 7.0, "s1 s2": 0.4}, {})
         best, _ = elimination.eliminate_backward(table, table.fit((EFFECTS["s1"], EFFECTS["s2"]), {}))
         assert [c.detail for c in best.effects] == ["s1"]
 
@@ -283,6 +297,23 @@ def test_two_causes_must_say_more_than_one(monkeypatch: pytest.MonkeyPatch, exce
     found = rivals.replacements(table, best, PAYLOAD, [PAYLOAD, *TWO], 0)
     assert [h.effects for h, _ in found] == [best.effects, TWO]
     assert least < found[1][1] <= most
+
+
+@pytest.mark.parametrize(("left", "tried"), [(0.3, True), (0.01, False)])
+def test_three_that_promise_as_much_are_fitted_in_the_place_of_scatter(left: float, tried: bool) -> None:
+    """Each is the one that promises most beside those before it; they may be of any kind, and no two forms of one."""
+    scatter = Candidate("actuator_scatter", None, {f"actuator_scatter.{k}": 0.0 for k in range(13)})
+    three = candidate("base_tilt"), candidate("actuator_gain", "13"), candidate("sensor_misalignment")
+    rest, best = hypothesis((), 400.0), hypothesis((scatter,), left)
+    table: Any = Table(SearchSettings(), {}, {})
+    able = [scatter, candidate("creep"), *three]
+
+    def gain(effects: Effects) -> tuple[float, dict[str, float]]:
+        return -(900.0 - sum(300.0 for c in effects if c in three)) / left, {}
+
+    table.linear = lambda *_: SimpleNamespace(gain=gain, able=able, excess=left, count=np.ones(1))
+    found = rivals._fit_pair(table, best, rest, scatter, [], able)
+    assert [set(h.effects) for h in found] == [set(three)] * tried
 
 
 @pytest.mark.parametrize(("excess", "believed"), [(0.04, True), (0.1, False)])

@@ -110,6 +110,30 @@ def test_muscles_that_are_warm_are_softer_and_a_run_starts_in_their_equilibrium(
     assert expected.lengths.mean() > cold.lengths.mean() + 1e-4
 
 
+def test_a_bend_delays_the_warming_and_hastens_its_end(company):
+    """Half as warm before the time constant, warmer after it; at it all bends are as warm."""
+    softer = {"warm_up.change": -0.1, "warm_up.time_constant": 100.0}
+    inputs = np.full(12, 1e5) * (np.arange(12) < 6)
+
+    def length(bend: float, time: float) -> float:
+        return float(solve_statics(at(company, {**softer, "warm_up.bend": bend}).at_time(time), inputs).lengths.mean())
+
+    assert length(2.0, 100.0) == pytest.approx(length(1.0, 100.0), abs=1e-12)
+    assert length(2.0, 30.0) < length(1.0, 30.0) - 1e-5
+    assert length(2.0, 200.0) > length(1.0, 200.0) + 1e-5
+
+
+def test_a_second_harmonic_is_seen_beside_the_first(company, setpoints):
+    still = SetPoints(setpoints.time, np.tile(setpoints.inputs[:1], (151, 1)), setpoints.tip_force)
+    values = {"base_vibration.sine_x": 1e-3, "base_vibration.frequency": 5.0, "base_vibration.inertia": 0.0}
+    harmonics = {"base_vibration.harmonic_sine": 0.2, "base_vibration.harmonic_cosine": -0.1}
+    rest = solve_statics(company, still.inputs[0]).points
+    moved = simulate(at(company, values | harmonics), still, error=1e-6).points[:, :, 0] - rest[:, 0]
+    turn = 2 * np.pi * 5 * still.time
+    wave = 1e-3 * (np.sin(turn) + 0.2 * np.sin(2 * turn) - 0.1 * np.cos(2 * turn))
+    np.testing.assert_allclose(moved, wave[:, None] * np.ones(4), atol=1e-9)
+
+
 def test_a_base_that_moves_faster_than_the_robot_sways_leaves_the_tip_behind(company, setpoints):
     """Above all resonances masses stand still in space: what the tracker sees at the tip is less than the base's motion."""
     still = SetPoints(setpoints.time, np.tile(setpoints.inputs[:1], (151, 1)), setpoints.tip_force)
