@@ -54,7 +54,7 @@ def test_what_removes_most_of_what_is_left_is_not_ruled_out(beside: float, score
     judgement = assess(found, SHRUNK, SETTINGS, True, {}, {})
     scores = dict(score_causes(found, judgement, SETTINGS))
     assert scores == pytest.approx({"regulator_lag": 0.68, "time_delay": 0.3} | ({"creep": score} if score else {}), abs=0.01)
-    assert list(scores)[0] == "regulator_lag"
+    assert next(iter(scores)) == "regulator_lag"
     assert ("creep" in describe_stated_set(tuple(scores.items()))) == bool(score)
 
 

@@ -316,12 +316,14 @@ def test_three_that_promise_as_much_are_fitted_in_the_place_of_scatter(left: flo
     assert [set(h.effects) for h in found] == [set(three)] * tried
 
 
-@pytest.mark.parametrize(("excess", "believed"), [(0.04, True), (0.1, False)])
-def test_two_parts_that_leave_only_noise_are_no_scatter_of_all(monkeypatch: pytest.MonkeyPatch, excess: float, believed: bool) -> None:
-    """Also where what has a number for every muscle leaves a little less."""
+@pytest.mark.parametrize(("left", "excess", "believed"), [(0.0, 0.04, True), (0.0, 0.1, False), (0.5, 0.6, True), (0.5, 0.7, False)])
+def test_two_parts_that_leave_hardly_more_are_no_scatter_of_all(
+    monkeypatch: pytest.MonkeyPatch, left: float, excess: float, believed: bool
+) -> None:
+    """Where what has a number for every muscle leaves only noise, up to noise; else up to a fiftieth of what it removes."""
     scatter = Candidate("actuator_scatter", None, {f"actuator_scatter.{k}": 0.0 for k in range(13)})
     parts = Candidate("actuator_gain", "13", {"a": 0.0}, part="actuator"), Candidate("actuator_offset", "12", {"b": 0.0}, part="actuator")
-    rest, best, both = hypothesis((), 8.0), hypothesis((scatter,), 0.0), hypothesis(parts, excess)
+    rest, best, both = hypothesis((), 8.0), hypothesis((scatter,), left), hypothesis(parts, excess)
     table: Any = Table(SearchSettings(), {}, {})
     table.done = {h.effects: h for h in (rest, best)}
     monkeypatch.setattr(rivals, "_fit_pair", lambda *_: [both])

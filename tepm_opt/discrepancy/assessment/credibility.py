@@ -215,7 +215,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
     """Probability that an effect is a cause, by the share of the gap that only it closes over the excess left.
 
     Effects whose forms all are known leave nothing, so an excess weighs more against them, the more so the farther it is from chance and
-    from a noise known to half a percent. It hardly weighs against others where it counts as noise. Of many effects that leave next to
+    from a noise known to half a percent. It hardly weighs against others where it counts as noise. Of several effects that leave next to
     nothing, each is the likelier: the excess is the error of all their forms together. An effect of some runs has as many chances to fit.
     """
     best, exact = explanation.best, all(other.exact for other in explanation.best.effects)
@@ -224,7 +224,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         least = max(thresholds.noise_excess, best.by_chance)
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
-    elif len(best.effects) > settings.many_effects:
+    elif len(best.effects) > settings.several_effects:
         even *= odds(best.excess, explanation.initial_excess, settings)
     even *= settings.all_runs_odds if effect.runs else 1
     return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))

@@ -87,6 +87,7 @@ class SearchSettings:
         max_share_left: matching pursuit: share of the excess that many effects may leave to be accepted: else something else acts.
         max_cost_ratio: matching pursuit: share of the squares that first order's values may leave in a simulation, for it to hold.
         max_pursued, max_pursued_at_once: matching pursuit: most effects in all, and most new ones at once.
+        several_effects: effects above which each is the likelier the less they leave together.
         min_odds_factor: matching pursuit: least factor on `even_odds_ratio` where many effects leave next to nothing.
         min_listed_probability: matching pursuit: probability from which an effect is listed.
         max_unsure_share: matching pursuit: share of what many effects remove that unsure or dropped ones may remove.
@@ -100,6 +101,7 @@ class SearchSettings:
         min_rich_parameters: alternatives: parameters from which an effect of the body may do what two others do together.
         rich_pair_candidates: alternatives: candidates, the best alone, that are tried in pairs in the place of such an effect.
         max_wide_pair_share: alternatives: share of the excess without a wide effect that a pair in its place may promise to leave.
+        max_parts_loss: alternatives: share of what a wide effect removes that single parts in its place may leave besides.
         max_pair_excess: alternatives: how many times the excess left a pair in an effect's place may promise to add.
     """
 
@@ -171,6 +173,7 @@ class SearchSettings:
     max_cost_ratio: float = 0.5
     max_pursued: int = 14
     max_pursued_at_once: int = 5
+    several_effects: int = 2
     min_odds_factor: float = 1 / 6
     min_listed_probability: float = 0.3
     max_unsure_share: float = 0.1
@@ -184,6 +187,7 @@ class SearchSettings:
     min_rich_parameters: int = 3
     rich_pair_candidates: int = 3
     max_wide_pair_share: float = 0.1
+    max_parts_loss: float = 0.02
     max_pair_excess: float = 0.5
 
     @staticmethod

@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
 from tepm_opt.discrepancy.selection.linearised import Linearised
-from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, rank_promising
+from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, largest_excess_of_parts, rank_promising
 from tepm_opt.discrepancy.selection.screening import Score, screen_by_fits
 from tepm_opt.discrepancy.selection.significance import is_significant
 
@@ -46,9 +46,9 @@ def replacements(
     if rest is not None and not settings.refit_folds:
         weight = _average_coincident(group, weight, rest, settings, seed)
     weight = _favour_plain(group, weight, settings)
-    most = best.left + settings.max_noise_excess
-    enough = [k for k, h in enumerate(group) if settings.is_wide(effect) and h.left <= most and h is not best]
-    if enough:  # what one or two single parts do but for what counts as noise is no scatter of all
+    most = largest_excess_of_parts(best, rest, effect, settings)
+    enough = [k for k, h in enumerate(group) if h.left <= most and h is not best]
+    if enough:
         weight = np.eye(len(group))[min(enough, key=lambda k: group[k].left)]
     return list(zip(group, weight.tolist(), strict=True))
 

@@ -20,6 +20,7 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
 from tepm_opt.discrepancy.selection.linearised import Linearised
+from tepm_opt.discrepancy.selection.ranking import largest_excess_of_parts
 from tepm_opt.solvers.plant import PredictionError
 
 
@@ -206,6 +207,9 @@ def weigh_best_rival(
     if found is None:
         return [(best, 1.0)]
     group = [best, fits.complete(found)]
+    without = fits.fit(rest, best.estimate.named) if settings.is_wide(effect) else None
+    if group[1].left <= largest_excess_of_parts(best, without, effect, settings):
+        return [(best, 0.0), (group[1], 1.0)]
     return list(zip(group, weights([h.evidence for h in group], seed).tolist(), strict=True))
 
 

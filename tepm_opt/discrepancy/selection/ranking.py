@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis
@@ -98,6 +99,24 @@ def most_probable(hypotheses: Sequence[Hypothesis], seed: int, most: int) -> lis
     """The `most` most probable of some hypotheses, best first."""
     order = np.argsort(-weights([h.evidence for h in hypotheses], seed), kind="stable") if hypotheses else []
     return [hypotheses[k] for k in order[:most]]
+
+
+def largest_excess_of_parts(best: Hypothesis, rest: Hypothesis | None, effect: Candidate, settings: SearchSettings) -> float:
+    """Excess up to which single parts in the place of a wide effect are believed instead, below 0 for another effect.
+
+    Parts that do what it does, but for what counts as noise, are no scatter of all; where more than noise is left, what the errors of all
+    forms leave may hide a small share.
+
+    Args:
+        best: hypothesis with the effect.
+        rest: hypothesis without it; None where the model cannot do the runs.
+        effect: the effect.
+        settings: of the search.
+    """
+    if not settings.is_wide(effect):
+        return -1.0
+    removed = 0.0 if rest is None or best.only_noise(settings) else rest.excess - best.excess
+    return best.left + max(settings.max_noise_excess, settings.max_parts_loss * removed)
 
 
 def beats(one: Hypothesis, other: Hypothesis, seed: int, settings: SearchSettings) -> bool:

@@ -1,4 +1,4 @@
-"""What many blind trials say: rates with intervals, detection against size, reliability of stated probabilities, coverage, confusion."""
+"""Analysis of many blind trials: rates with intervals, detection against size, reliability of probabilities, coverage, confusion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.studies.blind.judged import EVEN, NAMED, NOTHING, Judged
-from tepm_opt.studies.blind.rates import Mean, Rate, average_probability, count_rate, rate_engine, round_number, wilson
+from tepm_opt.studies.blind.rates import Mean, Rate, average_probability, count_rate, rate_engine, rate_stated_set, round_number, wilson
 
 __all__ = ["Analysis", "Rate", "Reliability", "analysed", "confusion", "detection", "rates", "reliability", "wilson"]
 
@@ -126,16 +126,16 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
     intervals = [inside for each in judged if each.right for inside in each.covered.items()]
     effects, robot = ([inside for name, inside in intervals if ("." in name) is dotted] for dotted in (True, False))
     return [
-        count_rate("a false name above 0.9", judged, lambda each: each.false_above(0.9), most=0.01),
-        count_rate("a false name above 0.5", judged, lambda each: each.false_above(EVEN), most=0.03),
+        count_rate("a false name above 0.9", judged, lambda each: each.false_above(0.9), most=0.008),
+        count_rate("a false name above 0.5", judged, lambda each: each.false_above(EVEN), most=0.025),
         *(count_rate(f"a false name above 0.5: {name}", some, lambda each: each.false_above(EVEN)) for name, some in of.items()),
         count_rate("right: one effect, clear", clear[1], lambda each: each.right, 0.98),
-        count_rate("right: two effects, clear", clear[2], lambda each: each.right, 0.95),
+        count_rate("right: two effects, clear", clear[2], lambda each: each.right, 0.92),
         count_rate("right: three effects, clear", clear[3], lambda each: each.right, 0.85),
-        count_rate("right: four effects, clear", clear[4], lambda each: each.right),
+        count_rate("right: four effects, clear", clear[4], lambda each: each.right, 0.7),
         count_rate("found: one effect that leaves as much as the noise", small, lambda each: each.found(each.causes[0]), 0.8),
-        count_rate("abstained: effects of the library, clear", library, lambda each: each.abstained, most=0.03),
-        count_rate("an alarm where nothing is hidden", of["null"], lambda each: each.status != NOTHING, most=0.0),
+        count_rate("abstained: effects of the library, clear", library, lambda each: each.abstained, most=0.04),
+        count_rate("an alarm where nothing is hidden", of["null"], lambda each: each.status != NOTHING, most=1 / 300),
         count_rate("right: causes outside the library", of["open"], lambda each: each.right),
         *(
             count_rate(f"right: wrong {kind}", [each for each in of["wrong"] if each.label["kind"] == key], lambda each: each.right)
@@ -146,6 +146,7 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
             for flaw in sorted({each.label["flaw"] for each in of["poor"]})
         ),
         *rate_engine(of["engine"]),
+        rate_stated_set(library, 0.95),
         Rate("95 % intervals of effects that hold the truth", sum(effects), len(effects), 0.9, 0.98),
         Rate("95 % intervals of the robot's parameters that hold the truth", sum(robot), len(robot), 0.9, 0.98),
     ]

@@ -126,6 +126,18 @@ class Judged:
         return all(cause["misfit_over_noise"] >= misfit for cause in self.causes)
 
     @property
+    def least_score(self) -> float | None:
+        """Smallest score of a hidden cause among those that are not ruled out: the stated set holds all where it begins below it.
+
+        0 where a cause has none; None without a cause that has a name, or without an answer that has scores.
+        """
+        scores = (self.result["verdict"] or {}).get("scores")
+        if scores is None or not self.truth:
+            return None
+        stands = {self._stands_for(_parts(label)): score for label, score in reversed(scores.items())}
+        return min(stands.get(name, 0.0) for name in self.truth)
+
+    @property
     def closed(self) -> float | None:
         """Part of the gap that recalibration leaves on validation runs and the effects close; None where there is none or no answer."""
         if not self.result["verdict"]:
@@ -150,6 +162,11 @@ class Judged:
             if value and value["std"] is not None and value["value"] is not None:
                 found[name] = abs(value["value"] - true) <= 1.96 * value["std"]
         return found
+
+
+def _parts(label: str) -> Name:
+    name, _, detail = label.partition("[")
+    return name, detail.removesuffix("]") or None
 
 
 def _label(name: str, detail: str | None) -> str:

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from tepm_opt import studies
+from tepm_opt.discrepancy.assessment.settings import DEFAULT
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.models.effects import effects
 from tepm_opt.studies.blind.analysis import Rate, analysed, reliability, wilson
 from tepm_opt.studies.blind.causes import LIBRARY
 from tepm_opt.studies.blind.foreign import FOREIGN
 from tepm_opt.studies.blind.judged import Judged
+from tepm_opt.studies.blind.rates import calibrate_stated_set
 from tepm_opt.studies.blind.run import BlindRun
 from tepm_opt.studies.blind.table import markdown
 
@@ -224,3 +226,25 @@ def test_figures(tmp_path: Path) -> None:
         assert set(studies.draw_blind_trials(run, tmp_path)) == names - missing
         assert {path.stem for path in tmp_path.glob("*.png")} == names - missing
         assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["blind"]["trials"] == len(results)
+
+
+def scored(number: int, hidden: list[Hidden], scores: dict[str, float]) -> dict[str, Any]:
+    found = result("closed", hidden, "named", [], number)
+    return {**found, "verdict": found["verdict"] | {"scores": scores}}
+
+
+def test_a_set_holds_all_causes_where_it_begins_below_the_least_of_them() -> None:
+    hidden = [("actuator_gain", "12", 3.0), ("creep", None, 3.0)]
+    assert Judged(scored(1, hidden, {"creep": 0.9, "actuator_gain[12]": 0.3, "actuator_gain[13]": 0.2})).least_score == 0.3
+    assert Judged(scored(1, hidden, {"creep": 0.9, "actuator_gain[13]": 0.2})).least_score == 0.0
+    assert Judged(result("closed", hidden, "named", [])).least_score is None
+
+
+def test_a_threshold_is_calibrated_on_half_of_the_trials_and_judged_on_the_other() -> None:
+    """Of 39 trials of even numbers two may lie below the threshold, as 5 % of 40."""
+    even = [scored(2 * k, GAIN, {"actuator_gain[12]": 0.01 * (k + 1)}) for k in range(39)]
+    odd = [scored(2 * k + 1, GAIN, {"actuator_gain[12]": DEFAULT.min_stated + (0.01 if k else -0.01)}) for k in range(10)]
+    assert calibrate_stated_set(map(Judged, even), 0.95) == pytest.approx(0.02)
+    assert calibrate_stated_set(map(Judged, even[:5]), 0.95) == 0.0
+    rate = next(rate for rate in analysed([*even, *odd]).rates if rate.name.startswith("the stated set"))
+    assert (rate.count, rate.of) == (9, 10)
