@@ -13,7 +13,6 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
-from tepm_opt.discrepancy.selection.linearised import Linearised
 from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, largest_excess_of_parts, rank_promising
 from tepm_opt.discrepancy.selection.screening import Score, screen_by_fits
 from tepm_opt.discrepancy.selection.significance import is_significant
@@ -129,21 +128,34 @@ def _fit_pair(
     promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in both if pair[0].form_of != pair[1].form_of]
     gain, start, pair = max(promised, key=lambda each: each[0], default=(-np.inf, {}, ()))
     most = settings.max_wide_pair_share * rest.excess * float(linear.count.sum()) if wide else settings.max_pair_excess * linear.excess
-    sets: list[tuple[float, dict[str, float], Effects]] = [(gain, start, pair)]
+    sets = [((*rest.effects, *pair), {**best.estimate.named, **start})] if -gain * linear.excess <= most else []
     if wide and not best.only_noise(settings):
-        three = _select_greedily(linear, rest.effects, able, 3)
-        sets.append((*linear.gain((*rest.effects, *three)), three))
-    asked = [((*rest.effects, *few), {**best.estimate.named, **begin}) for less, begin, few in sets if -less * linear.excess <= most]
-    return [h for h in fits.fit_all(asked, best) if h is not None]
+        sets += _propose_triples(fits, best, rest, able, missing)
+    return list(dict.fromkeys(h for h in fits.fit_all(sets, best) if h is not None))
 
 
-def _select_greedily(linear: Linearised, effects: Effects, able: Sequence[Candidate], count: int) -> Effects:
-    """Candidates that to first order remove most beside some effects, added one to another."""
-    found: Effects = ()
-    for _ in range(count):
-        beside = [c for c in able if may_act_beside(c, (*effects, *found))]
-        if beside:
-            found = (*found, max(beside, key=lambda c: linear.gain((*effects, *found, c))[0]))
+def _propose_triples(
+    fits: Fits, best: Hypothesis, rest: Hypothesis, able: Sequence[Candidate], missing: Sequence[Candidate]
+) -> list[tuple[Effects, dict[str, float]]]:
+    """Three effects in the place of a wide one, with values to fit from: by first order at the fit with it and at the one without it.
+
+    Args:
+        fits: all fits so far.
+        best: hypothesis with the wide effect.
+        rest: hypothesis without it.
+        able: effects to choose from.
+        missing: the candidates.
+    """
+    found = []
+    for base in (best, rest):
+        linear = fits.linear(base, missing)
+        effects = rest.effects
+        for _ in range(3):
+            beside = [c for c in able if may_act_beside(c, effects)]
+            effects = max(((*effects, c) for c in beside), key=lambda several: linear.gain(several)[0], default=effects)
+        gain, start = linear.gain(effects)
+        if (1 - gain) * linear.excess <= fits.settings.max_wide_pair_share * rest.excess * float(linear.count.sum()):
+            found.append((effects, {**base.estimate.named, **start}))
     return found
 
 

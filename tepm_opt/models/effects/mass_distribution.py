@@ -22,7 +22,7 @@ class MassDistribution(Effect):
     reference = "lumped masses; Kang et al., Design of a Pneumatic Muscle Based Continuum Robot with Embedded Tendons, IV.B, (3)"
     parameters = (
         Parameter("plates", "1", null=0.0, probe=0.1, low=0.0, high=0.45),
-        Parameter("holders", "1", null=0.0, probe=0.0, low=0.0, high=0.45, change=0.1),
+        Parameter("holders", "1", null=0.0, probe=0.1, low=0.0, high=0.45),
     )
 
     def properties(self, properties: Properties, parameters: Mapping[str, ca.SX], context: Context) -> None:
