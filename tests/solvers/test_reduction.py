@@ -149,7 +149,7 @@ def test_sway_of_the_straight_arm_is_told_along_its_axes(systems):
 def test_memory_is_told_from_motion(systems):
     found = modes(systems["with effects"])
     kinds = [mode.memory for mode in found]
-    assert kinds.count("memory of the muscles") == 36
+    assert kinds.count("memory of the muscles") == 2 * 36  # a quick and a slow part each
     assert kinds.count("memory of the actuation") == 6
     sway = next(mode for mode in found if not mode.memory)
     assert sway.words.startswith("sway: first bending along")
