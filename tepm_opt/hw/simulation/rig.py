@@ -35,6 +35,7 @@ class SimulatedRig:
     Args:
         file: what the rig is made of; a `RigFile`, the name of a built-in one or a path.
         wait: called with the time in s until each next sample, as `time.sleep` where time shall not run faster than real time.
+        watched: whether samples pass the monitor of freshness, as a real rig's do; studies that need raw ones save half of their time.
 
     Attributes:
         file: what the rig is made of.
@@ -46,7 +47,7 @@ class SimulatedRig:
         InputError: as for `load_rig_file` and `machine_of`, or imperfections that do not fit the robot.
     """
 
-    def __init__(self, file: RigFile | str | Path = DEFAULT, wait: Callable[[float], None] = lambda _: None) -> None:
+    def __init__(self, file: RigFile | str | Path = DEFAULT, wait: Callable[[float], None] = lambda _: None, watched: bool = True) -> None:
         self.file = file if isinstance(file, RigFile) else load_rig_file(file)
         self.robot = self.file.nominal
         self.layout = Layout.of(self.robot)
@@ -61,7 +62,7 @@ class SimulatedRig:
         self._delay = round(self.file.imperfections.time_delay.delay_s / self.machine.step)
         self._commands = Timeline(np.zeros(3 * self.machine.network.count), self.machine.step)
         self._forces = Timeline(np.zeros((self.layout.points, 3)), self.machine.step)
-        self._wait = wait
+        self._wait, self._watched = wait, watched
         self._frame = 0
         self._settled = False
 
@@ -227,7 +228,8 @@ class SimulatedRig:
             if np.isnan(sample.points).any():
                 sample = replace(sample, status=f"tracker lost {', '.join(self._lost(sample.points))}")
             pulled = commands[k][half // 2 : half] * commands[k][half:]
-            samples.append(self._freshness.look(sample, np.concatenate([commands[k][: half // 2], pulled])))
+            command = np.concatenate([commands[k][: half // 2], pulled])
+            samples.append(self._freshness.look(sample, command) if self._watched else sample)
         return samples
 
     def _exposed(self, told: list[int]) -> list[int]:

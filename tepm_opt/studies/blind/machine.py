@@ -120,7 +120,7 @@ def played(file: RigFile, deviation: Deviation, run: Excitation, noise: int) -> 
 
 def _seen(file: RigFile, acting: SetPoints, noise: int, began: float) -> np.ndarray:
     """Points as the rig's tracker sees them, (rows, points, 3) in m; for `played`."""
-    rig = SimulatedRig(file)
+    rig = SimulatedRig(file, watched=False)
     rig.reseed(noise, began)
     rig.schedule(acting)
     points = np.array([sample.points for sample in rig.read_many(len(acting.time))])
