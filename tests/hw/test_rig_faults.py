@@ -84,6 +84,16 @@ def test_text_reads_back(tmp_path):
     assert load_rig_file(tmp_path / "rig.toml") == file
 
 
+def test_an_unwatched_rig_gives_what_a_watched_one_withholds() -> None:
+    """A frozen point is read on as it was; all samples before the fault are the same, bit by bit."""
+    file = faulty({"kind": "freeze", "of": "s2", "from_s": 0.5})
+    watched, raw = (SimulatedRig(file, watched=each).read_many(100) for each in (True, False))
+    first = next(k for k, sample in enumerate(watched) if np.isnan(sample.points).any())
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(watched[:first], raw[:first], strict=True))
+    assert 0.5 <= raw[first].time < 0.6
+    assert all(np.array_equal(sample.points[1], raw[first].points[1]) for sample in raw[first:])
+
+
 @pytest.fixture(scope="module")
 def path(kang: CompiledModel) -> Reference:
     """To the circle in 2 s and 1.5 s along it."""
