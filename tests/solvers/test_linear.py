@@ -97,7 +97,7 @@ def test_sticking_friction_is_a_spring():
     assert (abs(np.linalg.eigvals(linear.A)) < 1e-6).sum() == 54
     moving = linear.moving()
     assert len(moving.A) == len(linear.A) - 54
-    assert np.linalg.eigvals(moving.A).real.max() < -0.1
+    assert np.linalg.eigvals(moving.A).real.max() < -0.09  # the slow part of creep forgets in 10 s
     assert not moving.held.any()
     slack, stuck = (of.select("pressure", "s4").gain(scaled=True) for of in (linearise(held("lag")), linear))
     assert np.linalg.norm(stuck) < 0.8 * np.linalg.norm(slack)
@@ -110,7 +110,7 @@ def test_sticking_friction_is_a_spring():
 def test_hysteresis_holds_behind_a_lag():
     linear = linearise(held("hysteresis behind a lag"))
     values = np.linalg.eigvals(linear.moving().A)
-    assert (abs(values) > 0.5).all()
+    assert (abs(values) > 0.09).all()  # the slow part of creep forgets in 10 s
     free = linearise(held("lag")).select("pressure", "s4").gain(scaled=True)
     assert abs(linear.select("pressure", "s4").gain(scaled=True) - 0.75 * free).max() < 1e-6 * abs(free).max()  # 1 - width / distance
 
