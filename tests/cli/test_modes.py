@@ -44,7 +44,7 @@ def test_files(tepm: Command, here: Path) -> None:
     done = tepm("robot", "modes", *BENT, "--model", "m.toml", "--from", "pressure_11,force_s4_x", "--to", "s4,length_11", "--out", "out")
     assert (done.status, done.err) == (0, "")
     assert "54 eigenvalues are 0" in done.out
-    assert "36 modes, memory of the muscles" in done.out
+    assert "72 modes, memory of the muscles" in done.out
     assert "5 ms late" in done.out
     files = names_in(here / "out")
     assert files == {"modes.csv", "state_space.mat", "summary.json", "modes.png", "bode.png", "step.png"}
@@ -64,7 +64,7 @@ def test_files(tepm: Command, here: Path) -> None:
         of: list(space[f"{of.removesuffix('s')}_names"]) for of in ("inputs", "outputs", "states")
     })  # fmt: skip
     assert named.state_labels[0] == "n1_0_x"
-    assert space["A"].shape == (258, 258)  # 312 less 54 that stick
+    assert space["A"].shape == (294, 294)  # 312 less 54 that stick
     assert list(space["input_names"][[0, 11, -1]]) == ["pressure_11", "tension_23", "force_s4_z"]
     assert space["output_names"][-1] == "length_23"
     assert float(space["delay_s"]) == pytest.approx(0.005)

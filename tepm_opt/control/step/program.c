@@ -75,7 +75,7 @@ static void take(program *p, double hessian[NV][NV], const double *scale) {
   for (int i = 0; i < NV; i++) largest = most(largest, hessian[i][i] * scale[i] * scale[i]);
   for (p->status = NOT_CONVEX; p->status && more <= MOST_MORE && largest > 0 && largest < INFINITY; more = most(SINGULAR, 100 * more)) {
     for (int i = 0; i < NV; i++) {
-      for (int j = i; j < NV; j++) H[i][j] = hessian[i][j] * (scale[i] * scale[j]);
+      for (int j = 0; j < NV; j++) H[i][j] = j < i ? 0 : hessian[i][j] * (scale[i] * scale[j]); /* from 0: GCC 12 misaligns from i */
       H[i][i] += more * largest;
     }
     if (!upper(NV, H[0], NV, SINGULAR * largest)) p->status = SOLVED;
