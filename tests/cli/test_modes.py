@@ -64,7 +64,7 @@ def test_files(tepm: Command, here: Path) -> None:
         of: list(space[f"{of.removesuffix('s')}_names"]) for of in ("inputs", "outputs", "states")
     })  # fmt: skip
     assert named.state_labels[0] == "n1_0_x"
-    assert space["A"].shape == (294, 294)  # 312 less 54 that stick
+    assert space["A"].shape == (294, 294)  # 348 less 54 that stick
     assert list(space["input_names"][[0, 11, -1]]) == ["pressure_11", "tension_23", "force_s4_z"]
     assert space["output_names"][-1] == "length_23"
     assert float(space["delay_s"]) == pytest.approx(0.005)
