@@ -14,6 +14,7 @@ from tepm_opt.discrepancy.assessment import credibility as belief
 from tepm_opt.discrepancy.assessment.constancy import SegmentSizes
 from tepm_opt.discrepancy.assessment.credibility import AlternativeLaw, Judgement, alternative_law_odds, assess
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus
+from tepm_opt.discrepancy.assessment.settings import AssessmentSettings
 from tepm_opt.discrepancy.assessment.stated_set import describe_stated_set, score_causes
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -56,6 +57,17 @@ def test_what_removes_most_of_what_is_left_is_not_ruled_out(beside: float, score
     assert scores == pytest.approx({"regulator_lag": 0.68, "time_delay": 0.3} | ({"creep": score} if score else {}), abs=0.01)
     assert next(iter(scores)) == "regulator_lag"
     assert ("creep" in describe_stated_set(tuple(scores.items()))) == bool(score)
+
+
+@pytest.mark.parametrize(("third", "even"), [("creep", 3 * 0.4), ("parameter", 3.0)])
+def test_three_effects_share_the_error_of_their_forms_but_not_with_a_value_of_the_robot(third: str, even: float) -> None:
+    """They leave 2 % of what there was."""
+    effects = (LAG, candidate("structural_friction"), replace(candidate("creep"), name=third))
+    best, without = hypothesis(effects, 0.2), hypothesis((), 10.0)
+    groups = {effect: [(best, 1.0)] for effect in effects}
+    found = Explanation(without, best, best, [without, best], [], dict.fromkeys(effects, 10.0), groups)
+    cause = belief._cause(LAG, found, SETTINGS, AssessmentSettings())
+    assert cause == pytest.approx(10 / (10 + even))
 
 
 def test_sure_effects_are_named() -> None:

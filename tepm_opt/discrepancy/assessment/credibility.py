@@ -216,7 +216,8 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
 
     Effects whose forms all are known leave nothing, so an excess weighs more against them, the more so the farther it is from chance and
     from a noise known to half a percent. It hardly weighs against others where it counts as noise. Of several effects that leave next to
-    nothing, each is the likelier: the excess is the error of all their forms together. An effect of some runs has as many chances to fit.
+    nothing, each is the likelier: the excess is the error of all their forms together; but not beside another value of the robot file,
+    which mends errors of any form. An effect of some runs has as many chances to fit.
     """
     best, exact = explanation.best, all(other.exact for other in explanation.best.effects)
     even = settings.even_odds_exact if exact else settings.even_odds_ratio
@@ -224,7 +225,7 @@ def _cause(effect: Candidate, explanation: Explanation, settings: SearchSettings
         least = max(thresholds.noise_excess, best.by_chance)
         structure = np.clip((best.left - least) / max(settings.max_noise_excess - least, 1e-12), 0, 1) if exact else 0.0
         even = settings.even_odds_noise + structure * (even - settings.even_odds_noise)
-    elif len(best.effects) > settings.several_effects:
+    elif len(best.effects) > settings.several_effects and all(other.name != PARAMETER for other in best.effects):
         even *= odds(best.excess, explanation.initial_excess, settings)
     even *= settings.all_runs_odds if effect.runs else 1
     return float(1 / (1 + even / max(explanation.shares[effect], 1e-9)))
