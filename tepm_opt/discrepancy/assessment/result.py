@@ -189,7 +189,7 @@ class Verdict(Tabular):
 
     @property
     def stated_set(self) -> tuple[str, ...]:
-        """Labels of causes that are not ruled out: all that act are among them in 95 % of trials as it was calibrated on."""
+        """Labels of causes that are not ruled out, see `stated_set.score_causes`; docs/results/blind.md says how often it holds all."""
         return tuple(label for label, score in self.cause_scores if score >= DEFAULT.min_stated)
 
     @property

@@ -13,7 +13,7 @@ class AssessmentSettings:
         min_named: probability from which an effect is named: that it is a cause, and it rather than its rivals; 0.5 to 1.
         min_rival: probability from which a rival counts, 0 to 1.
         min_scored: score from which `stated_set.score_causes` keeps a candidate, 0 to 1.
-        min_stated: score from which a candidate is in the set of causes that are not ruled out; calibrated on blind trials, 0 to 1.
+        min_stated: score from which a candidate is in the set of causes that are not ruled out, 0 to 1; `calibrate_stated_set` finds one.
         min_gap_closed: share of the squared gap on runs not used that the effects must close, 0 to 1.
         scatter_even_odds: chance of a pattern at which it is as likely as not that scatter is something else, 0 to 1.
         spring_max_excess: share of the excess that a force by place may leave beside a force of known form for that to be doubted, 0 to 1.

@@ -64,7 +64,7 @@ def write_blind_page(path: str | Path, run: BlindRun, figures: Mapping[str, Path
 
 def _limits(rate: Rate) -> str:
     """The limits that a rate shall keep."""
-    return ", ".join([f"≥ {100 * rate.least:.0f} %"] * (rate.least > 0) + [f"≤ {100 * rate.most:.0f} %"] * (rate.most < 1))
+    return ", ".join([f"≥ {100 * rate.least:.2g} %"] * (rate.least > 0) + [f"≤ {100 * rate.most:.2g} %"] * (rate.most < 1))
 
 
 def _cells(rate: Rate) -> list[str]:

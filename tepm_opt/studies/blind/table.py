@@ -45,6 +45,6 @@ def markdown(analysis: Analysis) -> str:
 
 def _row(rate: Rate) -> str:
     low, high = rate.interval
-    limits = [f"≥ {rate.least:.0%}"] * (rate.least > 0) + [f"≤ {rate.most:.0%}"] * (rate.most < 1)
+    limits = [f"≥ {100 * rate.least:.2g}%"] * (rate.least > 0) + [f"≤ {100 * rate.most:.2g}%"] * (rate.most < 1)
     wanted = "" if rate.kept is None else f"{', '.join(limits)}, {'kept' if rate.kept else '**missed**'}".replace("%", " %")
     return f"| {rate.name} | {100 * rate.value:.1f} % | {rate.of} | {100 * low:.1f} … {100 * high:.1f} % | {wanted} |"

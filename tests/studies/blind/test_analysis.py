@@ -176,7 +176,7 @@ def test_rates_count_what_they_say() -> None:
     assert [(every.name, every.count, every.of) for _, every, _ in found.detection if every.of] == [("0.8 … 1.25", 1, 1), ("2 … 3.5", 1, 4)]
     text = markdown(found)
     assert "| a false name above 0.9 | 11.1 % | 9 |" in text
-    assert "≤ 1 %, **missed** |" in text
+    assert "≤ 0.8 %, **missed** |" in text
     assert "1 without data: RuntimeError: x." in text
     assert found.summary()["families"] == {"closed": 6, "null": 2, "open": 1}
 
