@@ -49,7 +49,7 @@ def score_causes(
 
 
 def describe_stated_set(scores: CauseScores, thresholds: AssessmentSettings = DEFAULT) -> str:
-    """Sentence with the causes that are not ruled out, and how often such a set held all that acted."""
+    """Sentence with the causes that are not ruled out."""
     stated = [label for label, score in scores if score >= thresholds.min_stated]
     what = f"only {stated[0]}" if len(stated) == 1 else ", ".join(stated) or "no effect of the library"
-    return f"Not ruled out: {what}. Such a set held all effects in 11 of 11 simulated trials with clear ones."
+    return f"Not ruled out: {what}. How often such a set holds all that acts is not calibrated yet."
