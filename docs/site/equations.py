@@ -245,8 +245,11 @@ class Hooks:
         if self.effect.has("edge_memory"):
             edge = next(each for each in self.layout.edges if each.kind == VERTICAL)
             own = {name: self._symbol(shown) for name, shown in OF_EDGE.items()}
-            memory = self.effect.edge_memory(edge, length, rate, {**own, "rest": rest}, self.parameters, self.context)
-            yield from _of_memory("muscle's segment, y being a force that pulls its ends together", memory, 0, value)
+            found = self.effect.edge_memory(edge, length, rate, {**own, "rest": rest}, self.parameters, self.context)
+            parts = (found,) if isinstance(found, Memory) else found or ()
+            for k, memory in enumerate(parts, start=1):
+                of = f", part {k} of {len(parts)}" if len(parts) > 1 else ""
+                yield from _of_memory(f"muscle's segment, y being a force that pulls its ends together{of}", memory, 0, value)
 
     def _others(self) -> Iterator[tuple[str, str, ca.SX]]:
         if self.effect.has("delay"):
