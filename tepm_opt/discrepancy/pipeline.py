@@ -122,9 +122,13 @@ def _without_beginnings(question: Question, found: Discovery, stages: Sequence[C
 
 
 def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Callable[[Any], Any]]) -> Discovery:
-    """The workflow once more without a run that disagrees with all others; what was found before where that does not explain the rest."""
+    """The workflow once more without a run that disagrees with all others; what was found before where that does not explain the rest.
+
+    Effects that stand in for what is different in that run may hide it: the model without effects counts as well.
+    """
     dataset = found.dataset
-    odd = odd_run(dataset.runs, found.predictions["corrected"], found.noise)
+    tried = (odd_run(dataset.runs, found.predictions[model], found.noise) for model in ("corrected", "recalibrated"))
+    odd = next((each for each in tried if each is not None), None)
     if odd is None:
         return found
     rest = dataset.with_runs([run for number, run in enumerate(dataset.runs) if number != odd[0]])
