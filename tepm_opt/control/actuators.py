@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 
 import numpy as np
 
+from tepm_opt.control.regulator_lags import RegulatorLags
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
@@ -26,23 +28,24 @@ class Actuators:
         pressure: (actuators,) in Pa.
         tension: (actuators,) in N.
         command: in force now.
+        lags: of the regulators, as far as monitors have told.
         area: by which pressure pulls, of all muscles or (actuators,) in m².
         pressure_offset, tension_offset: what monitors and dynamometers read above what devices do by their commands alone, on average over
             `LASTING`, (actuators,) in Pa and N. A command is relative to the present tension: taken for the tension's, such a difference
             would add up period by period.
     """
 
-    def __init__(self, devices: Devices, area: float | np.ndarray, command: Command) -> None:
-        self.devices, self.area, self.command = devices, area, command
+    def __init__(self, devices: Devices, area: float | np.ndarray, command: Command, lags: RegulatorLags) -> None:
+        self.devices, self.area, self.command, self.lags = devices, area, command, lags
         self.pressure, self.tension = command.pressures.astype(float), command.tensions * command.enabled
         self.pressure_offset, self.tension_offset = np.zeros(len(self.pressure)), np.zeros(len(self.tension))
         self._told = self.pressure, self.tension  # what devices do by their commands alone
         self._rate, self._late, self._weight, self._spread = np.zeros(len(self.tension)), 0.0, 0.0, 0.0
 
     def copy(self) -> Actuators:
-        """A copy for looking ahead."""
-        other = Actuators(self.devices, self.area, self.command)
-        other.pressure, other.tension = self.pressure.copy(), self.tension.copy()
+        """A copy for looking ahead; arrays are replaced, never changed."""
+        other = copy.copy(self)
+        other.lags = copy.copy(self.lags)
         return other
 
     @property
@@ -50,25 +53,27 @@ class Actuators:
         """F_a = p A − λ, (actuators,) in N."""
         return self.area * self.pressure - self.tension
 
-    def advance(self, duration: float) -> np.ndarray:
-        """Advance by a time in s under the command in force; F_a at its start and end, (2, actuators) in N."""
-        before = self.forces
-        self.pressure, self.tension = self._moved(self.pressure, self.tension, duration)
-        told, self._told = self._told, self._moved(*self._told, duration)
-        self._rate = (self._told[1] - told[1]) / duration
+    def advance(self) -> np.ndarray:
+        """Advance by a control period under the command in force; F_a at its start and end, (2, actuators) in N."""
+        before, period = self.forces, self.lags.period
+        self.pressure, self.tension = self._moved(self.pressure, self.tension)
+        self.lags.advance(self._told[0], self.command.pressures)
+        told, self._told = self._told, self._moved(*self._told)
+        self._rate = (self._told[1] - told[1]) / period
         return np.array([before, self.forces])
 
-    def _moved(self, pressure: np.ndarray, tension: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        command, most = self.command, self.devices.tension_rate * duration
+    def _moved(self, pressure: np.ndarray, tension: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        command, most = self.command, self.devices.tension_rate * self.lags.period
         wound = tension + np.minimum(np.maximum(command.tensions - tension, -most), most)
-        return self.devices.lag(pressure, command.pressures, duration), np.where(
-            command.enabled, wound, 0.0
-        )  # off, a motor lets go at once
+        return self.lags.lag(pressure, command.pressures), np.where(command.enabled, wound, 0.0)  # off, a motor lets go at once
 
     def correct(self, sample: Sample, passed: float) -> None:
         """Take what the rig measures of pressures and tensions, where it does, a time in s after the last sample."""
         share = 1 - math.exp(-passed / LASTING)
         pressure, tension = self._told
+        if sample.pressures is not None:
+            pressure = pressure + self.lags.correct(_missed(sample.pressures, pressure), np.isfinite(sample.pressures), passed)
+            self._told = pressure, tension
         self.pressure_offset = self.pressure_offset + share * _missed(sample.pressures, pressure + self.pressure_offset)
         read = _missed(sample.tensions, tension + self.tension_offset)
         missed = np.minimum(np.maximum(read, -FARTHEST), FARTHEST)

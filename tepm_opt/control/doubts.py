@@ -17,6 +17,7 @@ SLOWEST, LARGEST = 0.5, 6.0  # times the noise declared: bounds of what is belie
 OFF = {"tension": 0.02, "pressure": 0.03}  # of the range: difference between gauge and device that is told
 STAYS = 50  # samples for which it has to stay
 LATE = 12e-3  # s by which commands act later or sooner than declared, that is told
+QUICKER = 2.0  # times quicker or slower than declared, that a regulator's lags are told
 THIRD = np.array([1.0, -3.0, 3.0, -1.0])  # difference that leaves white noise and hardly any motion
 
 
@@ -73,11 +74,12 @@ class Doubts:
         offsets = {"tension": actuators.tension_offset, "pressure": actuators.pressure_offset}
         for kind, offset in offsets.items():
             self._lasting[kind] = np.where(np.abs(offset) > self._limits[kind], self._lasting[kind] + 1, 0)
-        return self.sentences(self._lasting, offsets, (noise.measured, noise.declared), late)
+        return self.sentences(self._lasting, offsets, (noise.measured, noise.declared), late, actuators.lags.quicker)
 
     def sentences(
-        self, lasting: Mapping[str, np.ndarray], offsets: Mapping[str, np.ndarray], noise: tuple[float, float], late: float
-    ) -> Mapping[str, str]:
+        self, lasting: Mapping[str, np.ndarray], offsets: Mapping[str, np.ndarray], noise: tuple[float, float], late: float,
+        quicker: np.ndarray,
+    ) -> Mapping[str, str]:  # fmt: skip
         """What does not make sense, a sentence each.
 
         Args:
@@ -85,6 +87,7 @@ class Doubts:
             offsets: what gauges read above what devices do, (actuators,) each in Pa and N.
             noise: of a tracked coordinate in m, as measured and as declared.
             late: by how much in s commands act later than the robot file says.
+            quicker: declared time constants of the regulators over those found, filling and exhausting, (2, actuators).
         """
         found: dict[str, str] = {}
         for kind, gauge, device, unit, scale in (
@@ -99,6 +102,12 @@ class Doubts:
                     f"{gauge} {name} reads {size:g} {unit} {way}, or {device} {name} gives that much {other} than it is told: "
                     "its readings and its commands do not say which"
                 )
+        for k in np.flatnonzero((np.abs(np.log(quicker)) > np.log(QUICKER)).any(axis=0)).tolist():
+            fills, exhausts = quicker[:, k].tolist()
+            found[f"regulator {self._names[k]}"] = (
+                f"regulator {self._names[k]} fills {fills:.2g} and exhausts {exhausts:.2g} times as quickly as the robot file says; "
+                "the controller goes by its pressure monitor"
+            )
         if abs(late) > LATE:
             way = "later" if late > 0 else "sooner"
             found["command delay"] = f"commands act {1e3 * abs(late):.0f} ms {way} than the robot file says; the controller goes by it"

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.models.devices import Devices
+from tepm_opt.control.regulator_lags import RegulatorLags
 from tepm_opt.models.robot import on_grid
+
+PERIODS = 2  # of control in a stage of the prediction
 
 
 @dataclass(frozen=True)
@@ -44,19 +46,19 @@ class PressurePlanner:
     """Planner of the coarse pressures, period by period.
 
     Args:
-        devices: lags of the regulators.
         limits: largest pressure of each muscle, (actuators,) in Pa.
         step: of the regulators' grid in Pa, 0 where continuous.
-        stage: duration of one in s.
         settings: of the planner.
     """
 
-    def __init__(self, devices: Devices, limits: np.ndarray, step: float, stage: float, settings: PressurePlannerSettings) -> None:
-        self.devices, self.stage, self.settings = devices, stage, settings
+    def __init__(self, limits: np.ndarray, step: float, settings: PressurePlannerSettings) -> None:
+        self.settings = settings
         self.step = step if settings.quantised else 0.0
         self.limits = np.floor(limits / self.step * (1 + 1e-12)) * self.step if self.step else limits
 
-    def plan(self, wanted: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int) -> tuple[np.ndarray, np.ndarray]:
+    def plan(
+        self, wanted: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int, lags: RegulatorLags
+    ) -> tuple[np.ndarray, np.ndarray]:
         """New commands (actuators,) in Pa and the pressures in the muscles that they lead to, (stages, actuators) in Pa.
 
         Args:
@@ -64,16 +66,17 @@ class PressurePlanner:
             command: in force, (actuators,) in Pa.
             pressure: in the muscles, (actuators,) in Pa.
             stages: how far ahead.
+            lags: of the regulators.
         """
-        window, devices = self.settings.slope_window, self.devices
-        slope = (wanted[window:] - wanted[:-window]) / (window * self.stage)
-        lag = np.where(slope > 0, devices.filling, devices.exhausting)
+        window = self.settings.slope_window
+        slope = (wanted[window:] - wanted[:-window]) / (window * PERIODS * lags.period)
+        lag = np.where(slope > 0, *lags.lead)
         lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + lag * slope, 0.0), self.limits)
         new = self._moved(lead[0], command)
         reached = np.empty((stages, len(command)))
         for k in range(stages):  # later moves are not decided yet: they will follow the need
             goal = np.minimum(np.maximum(new + lead[min(k, len(lead) - 1)] - lead[0], 0.0), self.limits)
-            pressure = devices.lag(pressure, goal, self.stage)
+            pressure = lags.lag(pressure, goal, PERIODS)
             reached[k] = pressure
         return new, reached
 

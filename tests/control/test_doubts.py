@@ -12,6 +12,7 @@ from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.doubts import LARGEST, STAYS, Doubts, TrackerNoise
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.reference import Reference
+from tepm_opt.control.regulator_lags import RegulatorLags
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -47,7 +48,8 @@ def test_what_is_believed_has_bounds() -> None:
 
 def test_a_difference_is_told_once_it_stays() -> None:
     """By name, size and way; a short one, or a small one, is not."""
-    actuators = Actuators(Devices(0.0, 0.0, np.inf, 0.0), 5e-5, Command.of(np.zeros(6)))
+    devices = Devices(0.1, 0.1, np.inf, 0.0)
+    actuators = Actuators(devices, 5e-5, Command.of(np.zeros(6)), RegulatorLags(devices, 0.01, np.full(3, 5e5)))
     doubts, noise = Doubts(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
     actuators.tension_offset = np.array([0.0, -0.4, 0.1])
     told = [doubts.told(actuators, noise, 0.0) for _ in range(STAYS + 1)]
@@ -57,6 +59,10 @@ def test_a_difference_is_told_once_it_stays() -> None:
     actuators.tension_offset[:] = 0.0
     assert not doubts.told(actuators, noise, 0.0)
     assert "20 ms later" in doubts.told(actuators, noise, 0.020)["command delay"]
+    actuators.lags.shares = 1 - np.exp(-0.01 / np.array([[0.1, 0.1, 0.025], [0.1, 0.1, 0.1]]))
+    actuators.lags.covariance[0, 0, 2] = 0.01
+    assert list(doubts.told(actuators, noise, 0.0)) == ["regulator 13"]
+    assert "fills 4 and exhausts 1 times as quickly" in doubts.told(actuators, noise, 0.0)["regulator 13"]
     assert "15 ms sooner" in doubts.told(actuators, noise, -0.015)["command delay"]
 
 
@@ -64,6 +70,20 @@ def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:
     rig = SimulatedRig(file)
     rig.reseed(1)
     return close_loop(rig, Mpc(kang, short), kang.robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [0.25, 0.08])
+def test_regulators_quicker_than_the_file_says_are_learned_and_told(
+    kang: CompiledModel, short: Reference, followed: LoopRecord, part: float
+) -> None:
+    """By a controller that took the file's word they threw the arm off its path."""
+    file = load_rig_file()
+    lag = file.imperfections.regulator_lag
+    quick = lag.model_copy(update={"fill_s": part * lag.fill_s, "exhaust_s": part * lag.exhaust_s})
+    done = driven(kang, short, file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})}))
+    assert done.error() < 1.5 * followed.error() + 2e-4
+    assert any(about.startswith("regulator") for about in done.telemetry[-1].doubts)
 
 
 @pytest.mark.slow

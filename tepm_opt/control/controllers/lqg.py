@@ -21,6 +21,7 @@ from tepm_opt.control.forecast import Weights, against, holding
 from tepm_opt.control.mpc_settings import DAMPING
 from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.reference import Reference
+from tepm_opt.control.regulator_lags import RegulatorLags
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
@@ -96,12 +97,13 @@ class Lqg:
         self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
         self._declared = self.ahead
         step, planner = robot.actuation.pressure_step, settings.pressure_planner
-        self._planner = PressurePlanner(self.devices, self._pressure_max, step, 2 * self.period, planner)
+        self._planner = PressurePlanner(self._pressure_max, step, planner)
         self._noise = max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6)
         self._stations = self._scheduled()
         self._dynamic = self._feed_forward()
         first = self.start()
-        self._actuators, self._sent = Actuators(self.devices, self.area, first), Sent(first)
+        lags = RegulatorLags(self.devices, self.period, self._pressure_max)
+        self._actuators, self._sent = Actuators(self.devices, self.area, first, lags), Sent(first)
         self._effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         self._at = self._stations[0]
         self._modes, self._actuated = len(self._at.operating.model.stiffness), half
@@ -135,7 +137,7 @@ class Lqg:
         later = int(self.reference.at(self._row + self.ahead + 1))
         ahead = self.reference.forces[later] + self._dynamic[later] - unknown - self._effects.forces
         most = self.devices.tension_rate * self.period
-        pressure = self.devices.lag(actuators.pressure, pressures, self.period)
+        pressure = actuators.lags.lag(actuators.pressure, pressures)
         tension = np.clip(self.area * pressure - ahead - v - change, actuators.tension - most, actuators.tension + most)
         command = Command(pressures, np.clip(tension, 0.0, self._tension_max), np.ones(self._actuated, dtype=bool))
         self._sent.add(sample.time + self.ahead * self.period, command)
@@ -211,7 +213,7 @@ class Lqg:
         for passed in range(self._row, row):
             start = self._zero + passed * self.period
             self._actuators.command = self._sent.between(start, start + self.period)
-            moved, forces = slice(0, 2 * self._modes), self._actuators.advance(self.period) + self._effects.forces
+            moved, forces = slice(0, 2 * self._modes), self._actuators.advance() + self._effects.forces
             pushed = self._at.operating.advance(np.zeros(2 * self._modes), forces)
             self._state = self._at.A @ self._state
             self._state[moved] += pushed
@@ -239,7 +241,7 @@ class Lqg:
         for at in range(self._row, self._row + self.ahead):
             start = (self._zero or 0.0) + at * self.period
             actuators.command = self._sent.between(start, start + self.period)
-            motion = now.advance(motion, actuators.advance(self.period) + self._effects.forces + unknown)
+            motion = now.advance(motion, actuators.advance() + self._effects.forces + unknown)
         return now.turned(motion, then.operating), actuators
 
     def _beside(self, motion: np.ndarray, at: Station, row: int) -> np.ndarray:
@@ -254,7 +256,7 @@ class Lqg:
         self._slow = self._slow + (1 - np.exp(-self.period / planner.disturbance_time)) * (unknown - self._slow)
         rows = self.reference.at(self._row + self.ahead + 2 * np.arange(1, planner.preview + 1))
         need = self.reference.forces[rows] + self._dynamic[rows] + wanted - self._slow - self._effects.forces + self._tension_max / 2
-        return self._planner.plan(need / self.area, self._sent.last.pressures, actuators.pressure, 1)[0]
+        return self._planner.plan(need / self.area, self._sent.last.pressures, actuators.pressure, 1, actuators.lags)[0]
 
 
 def _gaussian(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Lqg:

@@ -29,9 +29,10 @@ from tepm_opt.control.keep_out import PRESSED, KeepOutRows
 from tepm_opt.control.markers import Markers
 from tepm_opt.control.mpc_settings import MpcSettings, Use
 from tepm_opt.control.nonlinear import NonlinearForecast
-from tepm_opt.control.pressure_planner import PressurePlanner
+from tepm_opt.control.pressure_planner import PERIODS, PressurePlanner
 from tepm_opt.control.program import TensionProgram
 from tepm_opt.control.reference import Reference
+from tepm_opt.control.regulator_lags import RegulatorLags
 from tepm_opt.control.step.compiled import LATE, CompiledStep
 from tepm_opt.control.step.layout import MOST_LATE, kept
 from tepm_opt.control.step.record import Ahead, Prepared, Step, columns_of
@@ -42,7 +43,6 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
-PERIODS = 2  # of control in a stage of the prediction
 SLACK = 0.05  # of a period, by which computing time may go beyond whole ones
 
 
@@ -79,7 +79,7 @@ class Mpc:
         self._ahead = int(max(np.ceil(late / self.period - 1e-9), np.ceil((late + took) / self.period - SLACK)))
         self._declared = self._ahead
         step = robot.actuation.pressure_step
-        self._pressure_planner = PressurePlanner(self.devices, self._pressure_max, step, self.stage, settings.pressure_planner)
+        self._pressure_planner = PressurePlanner(self._pressure_max, step, settings.pressure_planner)
         keep_out = reference.keep_out
         self._keep_out = None if keep_out is None else KeepOutRows(keep_out, reference, settings.stages)
         kept_rows = 0 if self._keep_out is None else self._keep_out.count
@@ -97,7 +97,8 @@ class Mpc:
         first = self.start()
         inputs = np.concatenate([first.pressures, first.tensions])
         self._enabled = first.enabled.copy()
-        self._actuators, self._sent = Actuators(self.devices, self.area, first), Sent(first)
+        lags = RegulatorLags(self.devices, self.period, self._pressure_planner.limits)
+        self._actuators, self._sent = Actuators(self.devices, self.area, first, lags), Sent(first)
         self._effects = InputEffects(model, inputs)
         self._noise = TrackerNoise(max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6))
         self._doubts = Doubts(model.layout.actuator_names, (self._pressure_max, self._tension_max))
@@ -112,8 +113,8 @@ class Mpc:
         self._taken: Sample | None = None  # of which noise and doubts have not been told yet
         self._fresh: Sample | None = None  # of which nobody has looked whether a point slipped
         self.setup = StepSetup(
-            model, reference, settings, self._filter, self._pressure_planner, self._tension_max, self._ahead, self._noise.declared, first,
-            self._point(0).model, self._effects.none,
+            model, reference, settings, self._filter, self.devices, self._pressure_planner, self._tension_max, self._ahead,
+            self._noise.declared, first, self._point(0).model, self._effects.none,
         )  # fmt: skip
         self._compiled = CompiledStep.of(self.setup, self._doubts)
 
@@ -224,11 +225,11 @@ class Mpc:
         """Prepare for a sample at a row of the reference."""
         self._note()
         reference, settings = self.reference, self._filter
-        estimator, actuators = copy.copy(self._estimator), copy.copy(self._actuators)
+        estimator, actuators = copy.copy(self._estimator), self._actuators.copy()
         estimator.noise = self._noise.measured
         for passed in range(self._row, row):
             actuators.command = self._acting(passed)
-            known = actuators.advance(self.period) + self._effects.forces
+            known = actuators.advance() + self._effects.forces
             a, b = reference.at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / self.period
             estimator.predict(known, actuators.tension, rates, self._point(passed + 1))
@@ -267,7 +268,7 @@ class Mpc:
         motion, turning = estimate.motion, estimate.turning
         for at, direction in enumerate(ready.directions, self._row):
             actuators.command = self._acting(at)
-            before, known = actuators.pressure, actuators.advance(self.period)
+            before, known = actuators.pressure, actuators.advance()
             turning = turned(turning, self.area * (actuators.pressure - before), self._filter.hysteresis_width)
             friction = estimate.friction * direction * self._estimator.loaded(actuators.tension) + estimate.hysteresis * turning
             motion = now.advance(motion, known + self._effects.forces + estimate.unknown - friction)
@@ -354,7 +355,7 @@ class Mpc:
         hysteresis, turning = behind
         rises = self.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
         wanted = wanted + hysteresis * course(turning, rises, self._filter.hysteresis_width) / actuators.area
-        return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages)
+        return self._pressure_planner.plan(wanted, now, actuators.pressure, settings.stages, actuators.lags)
 
 
 def _predictive(model: CompiledModel, reference: Reference, settings: ControllerSettings) -> Mpc:

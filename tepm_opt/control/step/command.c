@@ -35,6 +35,11 @@ static void note(step *o) {
     o->out.lasting_tension[j] = fabs(a->offset.tension[j]) > s->tension_off[j] ? o->out.lasting_tension[j] + 1 : 0;
     o->out.lasting_pressure[j] = fabs(a->offset.pressure[j]) > s->pressure_off[j] ? o->out.lasting_pressure[j] + 1 : 0;
   }
+  for (int k = 0; k < 2 * NA; k++) { /* times that are declared over those found */
+    double share = a->share[k / NA][k % NA], declared = k < NA ? s->filling : s->exhausting;
+    int known = a->covariance[k / NA][k / NA][k % NA] < s->lag_known * s->lag_known;
+    o->out.quicker[k] = known ? log1p(-share) / log1p(-declared) : 1;
+  }
   o->out.late[0] = (o->ahead - o->declared) * s->period + lateness(o, a);
   if (o->samples >= NOISE_WINDOW && o->samples % NOISE_EVERY == 0)
     for (int k = 0; k < NOISE_WINDOW - 3; k++)
@@ -51,6 +56,7 @@ static void note(step *o) {
   o->out.noise[0] = o->measured;
   o->out.doubtful[0] = fabs(o->out.late[0]) > s->late_told || o->measured > s->noisy * s->declared_noise;
   for (int j = 0; j < NA; j++) o->out.doubtful[0] += o->out.lasting_tension[j] > s->stays || o->out.lasting_pressure[j] > s->stays;
+  for (int k = 0; k < 2 * NA; k++) o->out.doubtful[0] += fabs(log(o->out.quicker[k])) > s->quicker_told;
 }
 
 /* Prepares for a sample at a row. Returns 0, or 1 where the network cannot be linearised. */
@@ -71,8 +77,9 @@ static int prepare(step *o, long row) {
   for (long passed = o->row; passed < row; passed++) {
     const devices *command = acting(o, passed);
     devices was = a->told;
-    advance(o, &a->now, command, area, forces);
-    advance(o, &a->told, command, area, 0);
+    advance(o, a, &a->now, command, area, forces);
+    slope(a, command);
+    advance(o, a, &a->told, command, area, 0);
     const double *l = c->lengths + at_row(o, passed) * NA, *m = c->lengths + at_row(o, passed + 1) * NA;
     for (int j = 0; j < NA; j++) {
       a->rate[j] = (a->told.tension[j] - was.tension[j]) / s->period;
@@ -118,8 +125,12 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
   const settings *s = &o->set;
   const horizon *h = &o->beyond;
   const double *now = o->sent[o->sents - 1].command.pressure, *mean = o->filters[o->now].mean;
+  const actuators *a = &o->acts[o->now];
   double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
+    double ahead[2]; /* the lags, but no more than is declared */
+    ahead[0] = -s->period / log1p(-most(a->share[0][j], s->filling));
+    ahead[1] = -s->period / log1p(-most(a->share[1][j], s->exhausting));
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {
@@ -139,7 +150,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     }
     for (int k = 0; k < PREVIEW - WINDOW; k++) {
       double slope = (wanted[k + WINDOW] - wanted[k]) / (WINDOW * PERIODS * s->period);
-      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + (slope > 0 ? s->filling : s->exhausting) * slope, 0, o->set.pressure_max[j]);
+      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + ahead[!(slope > 0)] * slope, 0, o->set.pressure_max[j]);
     }
     pressures[j] = lead[0];
     if (s->grid > 0) {
@@ -148,7 +159,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     }
     for (int k = 0; k < STAGES; k++) {
       double goal = within(pressures[j] + lead[k < PREVIEW - WINDOW ? k : PREVIEW - WINDOW - 1] - lead[0], 0, s->pressure_max[j]);
-      reached[k][j] = pressure = lagged(o, pressure, goal, 1);
+      reached[k][j] = pressure = lagged(a, j, pressure, goal, PERIODS);
     }
   }
 }
@@ -259,6 +270,12 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
   o->sent[0].at = -INFINITY;
   for (int j = 0; j < NA; j++) { o->sent[0].command.pressure[j] = pressures[j]; o->sent[0].command.tension[j] = tensions[j]; }
   o->acts[0].now = o->acts[0].told = o->sent[0].command;
+  for (int j = 0; j < NA; j++) {
+    o->acts[0].share[0][j] = set->filling;
+    o->acts[0].share[1][j] = set->exhausting;
+    o->acts[0].covariance[0][0][j] = o->acts[0].covariance[1][1][j] = set->lag_variance;
+    o->acts[0].covariance[2][2][j] = set->lag_offset[j] * set->lag_offset[j];
+  }
   filter *f = &o->filters[0];
   for (int i = 0; i < NS; i++) {
     double spread = i < NX ? 1e-2 : i < STRENGTH ? 0.5 : i < FRICTION ? set->strength_std : i < HYSTERESIS ? set->friction_std
@@ -296,7 +313,7 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
   for (int j = 0; j < NA; j++) area[j] = o->set.area * (1 + f->mean[STRENGTH + j]);
   for (int k = 0; k < o->ahead; k++) {
     devices before = acted;
-    advance(o, &acted, acting(o, row + k), area, forces);
+    advance(o, a, &acted, acting(o, row + k), area, forces);
     for (int j = 0; j < NA; j++) {
       turning[j] = turned(turning[j], o->set.area * (acted.pressure[j] - before.pressure[j]), o->set.width);
       double more = f->mean[FORCE + j] - f->at->forces[j] - f->mean[FRICTION + j] * o->directions[k][j] * loaded(o, acted.tension[j])

@@ -212,7 +212,8 @@ class CompiledStep:
             lasting = {kind: self._out[part[f"lasting_{kind}"]] for kind in ("pressure", "tension")}
             offsets = {kind: self._out[part[f"{kind}_offset"]] for kind in lasting}
             noise = now[part["noise"].start], self._setup.noise
-            doubts = self._doubts.sentences(lasting, offsets, noise, now[part["late"].start])
+            quicker = self._out[part["quicker"]].reshape(2, -1)
+            doubts = self._doubts.sentences(lasting, offsets, noise, now[part["late"].start], quicker)
         return Telemetry(columns, dict(self.fallbacks), doubts)
 
 

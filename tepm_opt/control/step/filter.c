@@ -1,18 +1,44 @@
 /* Regulators, motors and the Kalman filter. */
 
-static double lagged(const step *o, double pressure, double command, int whole_stage) {
-  double more = pressure - command;
-  const settings *s = &o->set;
-  return command + more * (more < 0 ? (whole_stage ? s->fill_stage : s->fill) : (whole_stage ? s->empty_stage : s->empty));
+static double lagged(const actuators *a, int j, double pressure, double command, int periods) {
+  double missing = command - pressure, left = 1 - a->share[!(missing > 0)][j];
+  return command - missing * (periods == 1 ? left : left * left);
 }
 
-/* Devices a control period on under a command; F_a at its start and end with these areas. */
-static void advance(const step *o, devices *d, const devices *command, const double *area, double forces[2][NA]) {
+/* Devices a control period on under a command, with lags as they are known; F_a at its start and end with these areas. */
+static void advance(const step *o, const actuators *known, devices *d, const devices *command, const double *area, double forces[2][NA]) {
   for (int j = 0; j < NA; j++) {
     if (forces) forces[0][j] = area[j] * d->pressure[j] - d->tension[j];
-    d->pressure[j] = lagged(o, d->pressure[j], command->pressure[j], 0);
+    d->pressure[j] = lagged(known, j, d->pressure[j], command->pressure[j], 1);
     d->tension[j] += within(command->tension[j] - d->tension[j], -o->set.pull, o->set.pull);
     if (forces) forces[1][j] = area[j] * d->pressure[j] - d->tension[j];
+  }
+}
+
+/* Slopes of the pressures by commands alone, by the logarithms of the shares, a period on. */
+static void slope(actuators *a, const devices *command) {
+  for (int j = 0; j < NA; j++) {
+    double missing = command->pressure[j] - a->told.pressure[j];
+    int exhausts = !(missing > 0);
+    double share = a->share[exhausts][j];
+    for (int k = 0; k < 2; k++) a->slope[k][j] = (1 - share) * a->slope[k][j] + (k == exhausts ? share * missing : 0);
+  }
+}
+
+/* What a reading says of a regulator's lags, and with them of its pressure by commands alone. */
+static void learn(const step *o, actuators *a, int j, double measured, double passed) {
+  const settings *s = &o->set;
+  double by[3] = {a->slope[0][j], a->slope[1][j], 1}, seen[3] = {0}, all = s->lag_noise[j] * s->lag_noise[j];
+  double missed = measured - a->told.pressure[j] - a->offset_told[j];
+  for (int i = 0; i < 2; i++) a->covariance[i][i][j] += passed * s->lag_drift * s->lag_drift;
+  for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) seen[i] += a->covariance[i][k][j] * by[k];
+  for (int i = 0; i < 3; i++) all += by[i] * seen[i];
+  for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) a->covariance[i][k][j] -= seen[i] * seen[k] / all;
+  a->offset_told[j] += seen[2] / all * missed;
+  for (int k = 0; k < 2; k++) {
+    double moved = seen[k] / all * missed, first = k ? s->exhausting : s->filling;
+    a->share[k][j] = within(a->share[k][j] * exp(moved), s->lag_least * first, 1 - s->at_once);
+    a->told.pressure[j] += by[k] * moved;
   }
 }
 
@@ -42,6 +68,7 @@ static double missed(const double *measured, int j, double expected) {
 static void take_gauges(const step *o, actuators *a, const double *pressures, const double *tensions, double passed) {
   double share = 1 - exp(-passed / o->set.lasting), by = 0, squares = 0, spread = 0;
   for (int j = 0; j < NA; j++) {
+    if (pressures && isfinite(pressures[j])) learn(o, a, j, pressures[j], passed);
     double pressure = missed(pressures, j, a->told.pressure[j] + a->offset.pressure[j]);
     double read = missed(tensions, j, a->told.tension[j] + a->offset.tension[j]);
     double tension = fmin(fmax(read, -o->set.farthest), o->set.farthest);

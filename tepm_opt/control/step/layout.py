@@ -75,7 +75,13 @@ class Sizes:
         each += ("lasting_pressure", "lasting_tension")
         single = ("row", "status", "iterations", "moves", "nis", "seen", "late", "ahead", "noise", "doubtful", "seconds", "refusals")
         sizes = dict.fromkeys(each, self.actuators) | dict.fromkeys(single, 1)
-        more = {"state": self.state, "points": 3 * self.points, "refused": self.points, "plan": self.stages * self.actuators}
+        more = {
+            "quicker": 2 * self.actuators,
+            "state": self.state,
+            "points": 3 * self.points,
+            "refused": self.points,
+            "plan": self.stages * self.actuators,
+        }
         return sizes | more
 
     def source(self, settings: Mapping[str, float | np.ndarray]) -> str:

@@ -12,15 +12,17 @@ from scipy.special import chdtri
 
 from tepm_opt.control.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE
 from tepm_opt.control.contour import FreeReference
-from tepm_opt.control.doubts import LARGEST, LATE, NOISY, OFF, SLOWEST, STAYS
+from tepm_opt.control.doubts import LARGEST, LATE, NOISY, OFF, QUICKER, SLOWEST, STAYS
 from tepm_opt.control.estimator import FilterSettings
 from tepm_opt.control.forecast import NOTHING, RIDGE
 from tepm_opt.control.mpc_settings import MpcSettings, Use
-from tepm_opt.control.pressure_planner import PressurePlanner
+from tepm_opt.control.pressure_planner import PERIODS, PressurePlanner
 from tepm_opt.control.reference import Reference
+from tepm_opt.control.regulator_lags import AT_ONCE, DOUBT, DRIFT, KNOWN, LEAST, OFFSET, READING, RegulatorLags
 from tepm_opt.control.step.layout import Sizes
 from tepm_opt.hw.rig import Command
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.modal_model import NEAR, ModalModel, fixed_part
 
 Told = dict[str, float | np.ndarray]
@@ -42,7 +44,8 @@ class StepSetup:
         model: compiled.
         reference: what is followed.
         controller, filter: settings.
-        planner: of the pressures, with the devices.
+        devices: how fast they are.
+        planner: of the pressures.
         tension_max: of the motors, (actuators,) in N.
         ahead: periods from a sample to when a command acts, as declared.
         noise: of a tracked coordinate as declared in m.
@@ -55,6 +58,7 @@ class StepSetup:
     reference: Reference
     controller: MpcSettings
     filter: FilterSettings
+    devices: Devices
     planner: PressurePlanner
     tension_max: np.ndarray
     ahead: int
@@ -87,7 +91,7 @@ class StepSetup:
         period, rest = self.reference.period, self.controller.mid_range * self.tension_max
         more: Told = {"area": self.model.values["A"], "middle": float(rest[0]), "rest_tension": rest}
         doubts = told_of_doubts(self.model.robot.input_max[: len(rest)], self.tension_max, self.noise)
-        devices = told_of_devices(self.planner, period, self.tension_max)
+        devices = told_of_devices(self.devices, self.planner, period, self.tension_max)
         return devices | told_of_settings(self.controller, self.filter, period) | doubts | more
 
     @property
@@ -109,17 +113,15 @@ class StepSetup:
         return found | {"mapped": np.array([each.mapped for each in at], dtype=ctypes.c_int)}
 
 
-def told_of_devices(planner: PressurePlanner, period: float, tension_max: np.ndarray) -> Told:
+def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, tension_max: np.ndarray) -> Told:
     """How fast devices are, with control periods in s; how far they go, pressures by their planner, tensions (actuators,) in N."""
-
-    def left(duration: float, time: float) -> float:
-        return math.exp(-duration / time) if time > 0 else 0.0
-
-    devices, stage = planner.devices, planner.stage
-    filling, exhausting, rate = devices.filling, devices.exhausting, devices.tension_rate
+    lags, rate = RegulatorLags(devices, period, planner.limits), devices.tension_rate
+    filling, exhausting = lags.shares[:, 0].tolist()
     return {
-        "period": period, "filling": filling, "exhausting": exhausting, "fill": left(period, filling), "empty": left(period, exhausting),
-        "fill_stage": left(stage, filling), "empty_stage": left(stage, exhausting), "pull": rate * period, "pull_stage": rate * stage,
+        "period": period, "filling": filling, "exhausting": exhausting, "lag_variance": DOUBT**2, "lag_drift": DRIFT,
+        "lag_least": LEAST, "lag_noise": READING * planner.limits, "at_once": AT_ONCE, "lag_known": KNOWN,
+        "lag_offset": OFFSET * planner.limits,
+        "pull": rate * period, "pull_stage": PERIODS * rate * period,
         "pressure_max": planner.limits, "grid": planner.step, "tension_max": tension_max,
         "belief": BELIEF, "lasting": LASTING, "telling": TELLING, "whole": WHOLE, "explained": EXPLAINED,
         "farthest": FARTHEST,
@@ -151,5 +153,6 @@ def told_of_doubts(pressure_max: np.ndarray, tension_max: np.ndarray, noise: flo
     """When doubts are told, by ranges of pressures in Pa and tensions in N, (actuators,) each, and the noise declared in m."""
     return {
         "declared_noise": noise, "slowest": SLOWEST, "largest": LARGEST, "late_told": LATE, "noisy": NOISY, "stays": float(STAYS),
+        "quicker_told": math.log(QUICKER),
         "pressure_off": OFF["pressure"] * pressure_max, "tension_off": OFF["tension"] * tension_max,
     }  # fmt: skip

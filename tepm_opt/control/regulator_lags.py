@@ -1,0 +1,93 @@
+"""Lags of the regulators, estimated from their pressure monitors while a controller runs.
+
+A regulator brings its pressure nearer to the command by a share of what is missing in every period, one share while it fills and one
+while it exhausts. The logarithms of both, and what the monitor reads too much, are found by an extended Kalman filter on the pressures
+that commands alone lead to (Ljung, System Identification, 2nd ed., 1999, section 11.4). It begins with the robot file's lags and a doubt
+about them. Without monitors the file's lags stay.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tepm_opt.models.devices import Devices
+
+DOUBT = math.log(2.0)  # of the logarithm of a share before anything was measured, 1 sigma
+DRIFT = 0.1  # of it in 1/√s: how fast a regulator changes
+READING = 0.02  # of the pressure range: 1 sigma by which a reading may be off what lags and offset explain
+LEAST = 0.1  # times the share by the robot file: the least that is believed
+OFFSET = 0.03  # of the pressure range: 1 sigma of what a monitor reads too much
+KNOWN = 0.25  # 1 sigma of the logarithm up to which a lag counts as known
+AT_ONCE = 1e-9  # left of a difference after a period, by a regulator without lag
+
+
+class RegulatorLags:
+    """Shares of what is missing by which pressures near their commands in a period, and how well they are known.
+
+    Arrays are replaced, never changed, so that a shallow copy looks ahead on its own.
+
+    Args:
+        devices: lags as the robot file or the model has them.
+        period: s.
+        ranges: of the pressures, (actuators,) in Pa.
+
+    Attributes:
+        shares: while filling and while exhausting, (2, actuators).
+        offset: of the monitors, (actuators,) in Pa.
+        covariance: of the logarithms of the shares and of the offset, (3, 3, actuators).
+    """
+
+    def __init__(self, devices: Devices, period: float, ranges: np.ndarray) -> None:
+        self.period, count = period, len(ranges)
+        shares = [1 - math.exp(-period / time) if time > 0 else 1 - AT_ONCE for time in (devices.filling, devices.exhausting)]
+        self.shares = np.repeat(np.array(shares)[:, None], count, axis=1)
+        self._declared, self._least, self._noise = self.shares, LEAST * self.shares, (READING * ranges) ** 2
+        doubts, self.offset = np.array([DOUBT, DOUBT, 1.0])[:, None] ** 2 * np.ones(count), np.zeros(count)
+        doubts[2] *= (OFFSET * ranges) ** 2
+        self.covariance = np.eye(3)[:, :, None] * doubts
+        self._slope = np.vstack([np.zeros((2, count)), np.ones(count)])  # of the readings, by commands alone
+
+    @property
+    def lead(self) -> np.ndarray:
+        """Times by which commands go ahead while filling and exhausting, (2, actuators) in s: the lags, but no more than is declared.
+
+        A longer lead answers noise with larger moves than it gains by being right (`docs/results/control.md`).
+        """
+        return -self.period / np.log1p(-np.maximum(self.shares, self._declared))
+
+    @property
+    def quicker(self) -> np.ndarray:
+        """Declared time constants over those found, filling and exhausting, (2, actuators); 1 where they are not known well."""
+        known = np.diagonal(self.covariance).T[:2] < KNOWN**2
+        return np.where(known, np.log1p(-self.shares) / np.log1p(-self._declared), 1.0)
+
+    def lag(self, pressure: np.ndarray, command: np.ndarray, periods: int = 1) -> np.ndarray:
+        """Pressures that constant commands lead to after some periods, (actuators,) in Pa each."""
+        missing = command - pressure
+        return command - missing * (1 - np.where(missing > 0, *self.shares)) ** periods
+
+    def advance(self, pressure: np.ndarray, command: np.ndarray) -> None:
+        """Carry the slopes a period on, from pressures by commands alone, (actuators,) in Pa each."""
+        missing = command - pressure
+        filling = missing > 0
+        share = np.where(filling, *self.shares)
+        self._slope = np.vstack([(1 - share) * self._slope[:2] + share * missing * np.array([filling, ~filling]), np.ones(len(pressure))])
+
+    def correct(self, missed: np.ndarray, measured: np.ndarray, passed: float) -> np.ndarray:
+        """Take readings; returns by what the pressures by commands alone are others with the lags found, (actuators,) in Pa.
+
+        Args:
+            missed: readings less those pressures.
+            measured: where there are readings, (actuators,) of bool.
+            passed: time in s since the last ones.
+        """
+        covariance = self.covariance + measured * passed * DRIFT**2 * np.diag([1.0, 1.0, 0.0])[:, :, None]
+        seen = np.einsum("ijn,jn->in", covariance, self._slope)
+        gain = measured * seen / (self._noise + np.einsum("in,in->n", self._slope, seen))
+        self.covariance = covariance - gain[:, None] * seen[None]
+        moved = gain * np.where(measured, missed - self.offset, 0.0)
+        self.offset = self.offset + moved[2]
+        self.shares = np.minimum(np.maximum(self.shares * np.exp(moved[:2]), self._least), 1 - AT_ONCE)
+        return (self._slope[:2] * moved[:2]).sum(axis=0)
