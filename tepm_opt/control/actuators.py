@@ -150,17 +150,19 @@ class InputEffects:
 
     Attributes:
         forces: extra axial forces now, (actuators,) in N.
+        none: whether the model has no such effect.
+        theta: values of the model's parameters with its lags and delays left out, (parameters,).
     """
 
     def __init__(self, model: CompiledModel, inputs: np.ndarray) -> None:
         self.model = model
         self._area, self._half = model.values["A"], model.layout.inputs // 2
-        self._theta = model.theta_without_devices
+        self.theta = model.theta_without_devices
         self._inputs, self._memory = inputs, np.zeros(model.reference_stepper.dynamics.input_states)
         probes = model.input_max * np.array([[0.1], [0.9]])
-        direct = all(np.array_equal(model.statics.actuation(probe, self._theta), probe) for probe in probes)
+        direct = all(np.array_equal(model.statics.actuation(probe, self.theta), probe) for probe in probes)
         self.none = direct and not len(self._memory)
-        self.forces = self._extra(model.statics.actuation(inputs, self._theta), inputs)
+        self.forces = self._extra(model.statics.actuation(inputs, self.theta), inputs)
 
     def advance(self, actuators: Actuators, duration: float) -> None:
         """Advance to the actuators' present pressures and tensions, a time in s after the last call."""
@@ -168,7 +170,7 @@ class InputEffects:
             return
         inputs = np.concatenate([actuators.pressure, actuators.tension])
         rate = (inputs - self._inputs) / duration
-        found = self.model.reference_stepper.values("input_motion", inputs, rate, self._memory, duration, self._theta)
+        found = self.model.reference_stepper.values("input_motion", inputs, rate, self._memory, duration, self.theta)
         effective, self._memory = (value.ravel() for value in found)
         self._inputs, self.forces = inputs, self._extra(effective, inputs)
 

@@ -16,7 +16,8 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.backends.compiler import find_compiler
-from tepm_opt.models.compile import CompiledModel
+from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.model import Model
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +35,14 @@ def samples(kang: CompiledModel, short: Reference) -> list[Sample]:
 
 
 @pytest.mark.slow
-def test_the_same_commands_without_python(kang: CompiledModel, short: Reference, samples: list[Sample], tmp_path: Path, compiler) -> None:
+@pytest.mark.parametrize("effects", [False, True])
+def test_the_same_commands_without_python(
+    kang: CompiledModel, short: Reference, samples: list[Sample], tmp_path: Path, compiler: str, effects: bool
+) -> None:
     """From the folder alone, without optimisation; commands as those of the step in Python."""
-    controller = Mpc(kang, short, MpcSettings(backend="python"))
+    hysteresis = {"width": 8e3, "distance": 1e4}
+    model = compile_model(Model.of("kang2017").with_effect("pressure_hysteresis", **hysteresis)) if effects else kang
+    controller = Mpc(model, short, MpcSettings(backend="python"))
     export_step(controller.setup, tmp_path / "exported")
     folder = tmp_path / "exported"
     assert {path.name for path in folder.iterdir()} == set(FILES)

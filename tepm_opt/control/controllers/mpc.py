@@ -114,7 +114,7 @@ class Mpc:
         self._fresh: Sample | None = None  # of which nobody has looked whether a point slipped
         self.setup = StepSetup(
             model, reference, settings, self._filter, self.devices, self._pressure_planner, self._tension_max, self._ahead,
-            self._noise.declared, first, self._point(0).model, self._effects.none,
+            self._noise.declared, first, self._point(0).model, self._effects,
         )  # fmt: skip
         self._compiled = CompiledStep.of(self.setup, self._doubts)
 

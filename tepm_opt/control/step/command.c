@@ -84,6 +84,8 @@ static int prepare(step *o, long row) {
     for (int j = 0; j < NA; j++) {
       a->rate[j] = (a->told.tension[j] - was.tension[j]) / s->period;
       rates[j] = (m[j] - l[j]) / s->period;
+      forces[0][j] += a->extra[j];
+      forces[1][j] += a->extra[j];
     }
     const operating *then = point(o, passed + 1);
     if (!then) return 1;
@@ -143,7 +145,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
           need += part * (STAGES > 1 ? 1 - k / (double)(STAGES - 1) : 1) * o->extra[k][j];
         }
       }
-      double plain = (need + still[k][j] + o->factor[k][j] * s->rest_tension[j]) / area[j];
+      double plain = (need - a->extra[j] + still[k][j] + o->factor[k][j] * s->rest_tension[j]) / area[j];
       direction = turned(direction, k ? s->area * (plain - before) : 0, s->width);
       wanted[k] = plain + mean[HYSTERESIS + j] * direction / area[j];
       before = plain;
@@ -186,7 +188,7 @@ static void decide(step *o, const double *motion, const devices *acted, const do
     for (int j = 0; j < NA; j++) still[k][j] = mean[FRICTION + j] * o->courses[k][j] - s->load_share * o->foreseen[k][j];
   plan_pressures(o, acted, area, turning, rest_force, still, command.pressure, reached);
   for (int j = 0; j < NA; j++) {
-    double unknown = mean[FORCE + j], friction = mean[FRICTION + j], hysteresis = mean[HYSTERESIS + j];
+    double unknown = mean[FORCE + j] + o->acts[o->now].extra[j], friction = mean[FRICTION + j], hysteresis = mean[HYSTERESIS + j];
     double way = turning[j], before = acted->pressure[j];
     begin[j] = area[j] * acted->pressure[j] - acted->tension[j] + unknown - h->forces[0][j] - hysteresis * turning[j]
              - friction * direction[j] * loaded(o, acted->tension[j]);
@@ -228,7 +230,7 @@ static void decide(step *o, const double *motion, const devices *acted, const do
     command.tension[j] = within((acted->tension[j] + o->plan[0][j]) / 2, 0, s->tension_max[j]);
     out->pressures[j] = command.pressure[j];
     out->tensions[j] = command.tension[j];
-    out->against[j] = mean[FORCE + j] + s->area * mean[STRENGTH + j] * acted->pressure[j] - mean[FRICTION + j] * direction[j];
+    out->against[j] = mean[FORCE + j] + o->acts[o->now].extra[j] + s->area * mean[STRENGTH + j] * acted->pressure[j] - mean[FRICTION + j] * direction[j];
   }
   out->status[0] = status;
   out->iterations[0] = iterations;
@@ -271,6 +273,9 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
   for (int j = 0; j < NA; j++) { o->sent[0].command.pressure[j] = pressures[j]; o->sent[0].command.tension[j] = tensions[j]; }
   o->acts[0].now = o->acts[0].told = o->sent[0].command;
   for (int j = 0; j < NA; j++) {
+    o->acts[0].entered[j] = pressures[j];
+    o->acts[0].entered[NA + j] = tensions[j];
+    o->acts[0].extra[j] = set->first_extra[j];
     o->acts[0].share[0][j] = set->filling;
     o->acts[0].share[1][j] = set->exhausting;
     o->acts[0].covariance[0][0][j] = o->acts[0].covariance[1][1][j] = set->lag_variance;
@@ -305,6 +310,7 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
   filter *f = &o->filters[o->now];
   actuators *a = &o->acts[o->now];
   take_gauges(o, a, pressures, tensions, passed);
+  affect(o, a);
   correct(o, f, &o->to_do, points);
   o->corrected = 1;
   devices acted = a->now;
@@ -316,7 +322,7 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
     advance(o, a, &acted, acting(o, row + k), area, forces);
     for (int j = 0; j < NA; j++) {
       turning[j] = turned(turning[j], o->set.area * (acted.pressure[j] - before.pressure[j]), o->set.width);
-      double more = f->mean[FORCE + j] - f->at->forces[j] - f->mean[FRICTION + j] * o->directions[k][j] * loaded(o, acted.tension[j])
+      double more = a->extra[j] + f->mean[FORCE + j] - f->at->forces[j] - f->mean[FRICTION + j] * o->directions[k][j] * loaded(o, acted.tension[j])
                   - f->mean[HYSTERESIS + j] * turning[j];
       forces[0][j] += more;
       forces[1][j] += more;

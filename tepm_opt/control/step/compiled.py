@@ -43,7 +43,7 @@ class _Course(ctypes.Structure):
         (name, ctypes.c_void_p)
         for name in (
             *("levels", "inputs", "loads", "forces", "lengths", "tips", "points", "mapped"),
-            *("theta", "masses", "by", "basis", "values"),
+            *("theta", "masses", "by", "basis", "values", "free"),
         )
     ]
 
@@ -97,7 +97,7 @@ class CompiledStep:
         if not setup.fits:
             raise InputError(f"backend 'c': {setup}; valid: {FITS}")
         instead = "the predictive controller steps in Python, with the same commands, some ten times slower"
-        library = compiler.build([compiler.Part("step", setup.sizes.source(setup.told), ccode.FLAGS)], "step", SYMBOLS, instead)
+        library = compiler.build([compiler.Part("step", setup.source, ccode.FLAGS)], "step", SYMBOLS, instead)
         if library is None and insists:
             raise InputError("backend 'c': no working C compiler; install one or use backend 'auto'")
         return CompiledStep(setup, library, doubts) if library else None

@@ -1,7 +1,7 @@
 /* The controller with its data: what controller.h declares. */
 
 void controller_open(void *memory) {
-  static const course way = {ROWS, LEVELS, INPUTS, LOADS, FORCES, LENGTHS, TIPS, POINTS, MAPPED, THETA, MASSES, BY, BASIS, VALUES};
+  static const course way = {ROWS, LEVELS, INPUTS, LOADS, FORCES, LENGTHS, TIPS, POINTS, MAPPED, THETA, MASSES, BY, BASIS, VALUES, FREE};
   settings set;
   memcpy(&set, SETTINGS, sizeof set);
   step_open(memory, &set, &way, modal, FIRST_PRESSURES, FIRST_TENSIONS, AHEAD);

@@ -43,7 +43,7 @@ def export_step(setup: StepSetup, folder: Path) -> None:
     if not setup.fits:
         raise InputError(f"export: {setup}; valid: {FITS}")
     own, sizes = resources.files("tepm_opt.control.step"), setup.sizes
-    step = (sizes.source(setup.told), "linearise modal;", '#include "data.h"', (own / "controller.c").read_text(encoding="utf-8"))
+    step = (setup.source, "linearise modal;", '#include "data.h"', (own / "controller.c").read_text(encoding="utf-8"))
     texts = {
         "network.c": statics_unit(setup.model.network).source,
         "step.c": "\n".join(step),

@@ -42,6 +42,25 @@ static void learn(const step *o, actuators *a, int j, double measured, double pa
   }
 }
 
+/* The model's effects on inputs, a period on to the present pressures and tensions. */
+static void affect(const step *o, actuators *a) {
+#if EFFECTS
+  double now[2 * NA], rate[2 * NA], effective[2 * NA], memory[MEMORY + 1];
+  const double *arg[] = {now, rate, a->memory, &o->set.period, o->way.free};
+  double *res[] = {effective, memory};
+  for (int k = 0; k < 2 * NA; k++) {
+    now[k] = k < NA ? a->now.pressure[k] : a->now.tension[k - NA];
+    rate[k] = (now[k] - a->entered[k]) / o->set.period;
+  }
+  input_motion(arg, res);
+  memcpy(a->entered, now, sizeof now);
+  memcpy(a->memory, memory, MEMORY * sizeof(double));
+  for (int j = 0; j < NA; j++) a->extra[j] = o->set.area * (effective[j] - now[j]) - (effective[NA + j] - now[NA + j]);
+#else
+  (void)o, (void)a;
+#endif
+}
+
 /* The command in force over a period; the oldest one that is known where none was yet. */
 static const devices *acting(const step *o, long row) {
   double start = o->zero + row * o->set.period, middle = (start + (start + o->set.period)) / 2;

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 
+import casadi as ca
 import numpy as np
 
 from tepm_opt.control.doubts import EVERY, WINDOW
-from tepm_opt.models.backends.interface import GUARDS, MODES
+from tepm_opt.models.backends.ccode import Unit
+from tepm_opt.models.backends.interface import GUARDS, MODES, SHARED
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import SWEEPS
 
@@ -28,6 +30,7 @@ class Sizes:
         levels, free: coordinates of all levels and of the free ones.
         stages, preview, window: of the horizon, of the pressures' preview and of its slope.
         ahead: periods from a sample to when a command acts, as declared.
+        memory: internal states of the model's effects on inputs.
     """
 
     actuators: int
@@ -38,9 +41,10 @@ class Sizes:
     preview: int
     window: int
     ahead: int
+    memory: int
 
     @staticmethod
-    def of(model: CompiledModel, stages: int, preview: int, window: int, ahead: int) -> Sizes:
+    def of(model: CompiledModel, stages: int, preview: int, window: int, ahead: int, memory: int) -> Sizes:
         """Sizes for a model.
 
         Args:
@@ -49,9 +53,10 @@ class Sizes:
             preview: stages for which the need of pressure is known ahead.
             window: stages over which its slope is taken.
             ahead: periods from a sample to when a command acts.
+            memory: internal states of its effects on inputs.
         """
         layout, free = model.layout, model.layout.levels * model.layout.block
-        return Sizes(layout.inputs // 2, layout.points, free + layout.block, free, stages, preview, window, ahead)
+        return Sizes(layout.inputs // 2, layout.points, free + layout.block, free, stages, preview, window, ahead, memory)
 
     @property
     def modes(self) -> int:
@@ -84,14 +89,21 @@ class Sizes:
         }
         return sizes | more
 
-    def source(self, settings: Mapping[str, float | np.ndarray]) -> str:
-        """The C text, for settings of these names; their values are told later."""
+    def source(self, settings: Mapping[str, float | np.ndarray], input_motion: ca.Function | None) -> str:
+        """The C text.
+
+        Args:
+            settings: whose names count; their values are told later.
+            input_motion: the model's function of that name (see `models.dynamics`); None without effects on inputs.
+        """
         macros = {
             "NA": self.actuators, "NP": self.points, "NQ": self.modes, "NSHAPE": self.shapes, "NCO": self.free, "NLEVELS": self.levels,
             "STAGES": self.stages, "PREVIEW": self.preview, "WINDOW": self.window, "KEPT": kept(self.ahead),
             "SWEEPS": SWEEPS, "NOISE_WINDOW": WINDOW, "NOISE_EVERY": EVERY, "MOST_LATE": MOST_LATE, "MOST_ITERATIONS": ITERATIONS,
+            "MEMORY": self.memory, "EFFECTS": int(input_motion is not None),
         }  # fmt: skip
-        lines = [f"#define {name} {value}" for name, value in macros.items()]
+        lines = [] if input_motion is None else [Unit({"input_motion": input_motion}, {"LANES": SHARED["LANES"]}, {}, {}, (), ()).source]
+        lines += [f"#define {name} {value}" for name, value in macros.items()]
         lines += [_structure("settings", {name: np.size(value) for name, value in settings.items()})]
         lines += [_structure("outcome", self.results)]
         folder = resources.files("tepm_opt.control.step")

@@ -7,10 +7,11 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from scipy.special import chdtri
 
-from tepm_opt.control.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE
+from tepm_opt.control.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE, InputEffects
 from tepm_opt.control.contour import FreeReference
 from tepm_opt.control.doubts import LARGEST, LATE, NOISY, OFF, QUICKER, SLOWEST, STAYS
 from tepm_opt.control.estimator import FilterSettings
@@ -29,10 +30,7 @@ Told = dict[str, float | np.ndarray]
 """Settings by name: numbers, or an array with one for each actuator."""
 
 
-FITS = (
-    "a model in C without effects on its inputs, both kinds of actuators always on, linear forecast, no corridor, no obstacles, "
-    "a path with time, 2 stages or more"
-)
+FITS = "a model in C, both kinds of actuators always on, linear forecast, no corridor, no obstacles, a path with time, 2 stages or more"
 """What a step in C is for."""
 
 
@@ -51,7 +49,7 @@ class StepSetup:
         noise: of a tracked coordinate as declared in m.
         first: commands under which the robot rests.
         start: modal model about the reference's first equilibrium.
-        direct: whether no effect of the model is on its inputs.
+        effects: of the model on its inputs, at rest under the first commands.
     """
 
     model: CompiledModel
@@ -65,7 +63,7 @@ class StepSetup:
     noise: float
     first: Command
     start: ModalModel
-    direct: bool
+    effects: InputEffects
 
     def __repr__(self) -> str:
         return f"{self.model!r}, {self.controller!r}"
@@ -77,19 +75,31 @@ class StepSetup:
         plain = asked.use is Use.BOTH and not (asked.nonlinear or asked.switching or math.isfinite(asked.corridor))
         reference = self.reference
         plain = plain and reference.keep_out is None and not isinstance(reference, FreeReference)
-        return plain and self.direct and self.model.is_c and asked.stages > 1
+        return plain and self.model.is_c and asked.stages > 1
 
     @property
     def sizes(self) -> Sizes:
         """Sizes of the step."""
         planner = self.controller.pressure_planner
-        return Sizes.of(self.model, self.controller.stages, planner.preview, planner.slope_window, self.ahead)
+        function = self.input_motion
+        memory = 0 if function is None else function.numel_in(2)
+        return Sizes.of(self.model, self.controller.stages, planner.preview, planner.slope_window, self.ahead, memory)
+
+    @property
+    def input_motion(self) -> ca.Function | None:
+        """What the model's effects make of its inputs; None where it has none."""
+        return None if self.effects.none else self.model.reference_stepper.dynamics.functions["input_motion"]
+
+    @property
+    def source(self) -> str:
+        """The C text of the step."""
+        return self.sizes.source(self.told, self.input_motion)
 
     @cached_property
     def told(self) -> Told:
         """Settings by name."""
         period, rest = self.reference.period, self.controller.mid_range * self.tension_max
-        more: Told = {"area": self.model.values["A"], "middle": float(rest[0]), "rest_tension": rest}
+        more: Told = {"area": self.model.values["A"], "middle": float(rest[0]), "rest_tension": rest, "first_extra": self.effects.forces}
         doubts = told_of_doubts(self.model.robot.input_max[: len(rest)], self.tension_max, self.noise)
         devices = told_of_devices(self.devices, self.planner, period, self.tension_max)
         return devices | told_of_settings(self.controller, self.filter, period) | doubts | more
@@ -107,7 +117,7 @@ class StepSetup:
             "levels": [each.x for each in at], "inputs": [each.inputs for each in at], "loads": [each.loads for each in at],
             "forces": reference.forces, "lengths": reference.lengths, "tips": reference.tips, "points": [each.points for each in at],
             "theta": model.theta, "masses": fixed.masses, "by": fixed.observe, "basis": start.basis,
-            "values": np.append(start.stiffness, np.zeros(start.basis.shape[1] - len(start.stiffness))),
+            "values": np.append(start.stiffness, np.zeros(start.basis.shape[1] - len(start.stiffness))), "free": self.effects.theta,
         }  # fmt: skip
         found = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
         return found | {"mapped": np.array([each.mapped for each in at], dtype=ctypes.c_int)}

@@ -33,6 +33,7 @@ typedef struct {
   const double *levels, *inputs, *loads, *forces, *lengths, *tips, *points; /* (rows, …) */
   const int *mapped;
   const double *theta, *masses, *by, *basis, *values; /* basis and values of the first row */
+  const double *free; /* theta without lags and delays */
 } course;
 
 typedef struct {
@@ -49,6 +50,7 @@ typedef struct {
   devices now, told, offset; /* offset: of what measures them */
   double rate[NA], late, weight, spread;
   double share[2][NA], offset_told[NA], covariance[3][3][NA], slope[2][NA]; /* of the regulators, see regulator_lags.py; filling first */
+  double entered[2 * NA], memory[MEMORY + 1], extra[NA]; /* what the model's effects make of pressures and tensions, in N */
 } actuators;
 
 typedef struct {
