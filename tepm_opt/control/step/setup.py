@@ -87,7 +87,7 @@ class StepSetup:
 
     @property
     def input_motion(self) -> ca.Function | None:
-        """What the model's effects make of its inputs; None where it has none."""
+        """The model's function of that name (see `models.dynamics`); None without effects on inputs."""
         return None if self.effects.none else self.model.reference_stepper.dynamics.functions["input_motion"]
 
     @property
