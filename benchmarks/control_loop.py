@@ -7,9 +7,9 @@ import numpy as np
 from benchmarks.goals import Goal, times_real
 from benchmarks.parts import Session
 from benchmarks.timing import Contender, Task
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import LoopRecord, close_loop
-from tepm_opt.control.reference import Reference, along, approach, reference_of
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference, along, approach, reference_of
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel

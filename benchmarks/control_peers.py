@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.control_problem import CHANGE, HIGHEST, RATE, SPREAD, STAGE, STAGES, TIP, Problem, Program
-from tepm_opt.control.qp import QpSolver
+from tepm_opt.control.mpc.qp import QpSolver
 
 Step = Callable[[Program], np.ndarray]
 PRECISE = 1e-7  # of the solvers that approach the answer step by step

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.control.qp import QpSolver
+from tepm_opt.control.mpc.qp import QpSolver
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import solve_trajectory

@@ -1,7 +1,7 @@
 """Names of the package and where each is at home; imported when they are first used."""
 
-from .control.obstacles import Obstacles as Obstacles
-from .control.obstacles import read_obstacles as read_obstacles
+from .control.collision.geometry import Obstacles as Obstacles
+from .control.collision.geometry import read_obstacles as read_obstacles
 from .data.datasets import DataSet as DataSet
 from .data.run import Run as Run
 from .data.setpoints import SetPoints as SetPoints

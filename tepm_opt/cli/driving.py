@@ -13,7 +13,7 @@ from tepm_opt.cli.common import warn
 from tepm_opt.cli.groups import OptionGroup
 
 if TYPE_CHECKING:
-    from tepm_opt.control.timing import PaceSettings
+    from tepm_opt.control.references.time_optimal import PaceSettings
     from tepm_opt.hw.rig import Rig
     from tepm_opt.jobs.closed_loop import LoopSetup
     from tepm_opt.jobs.course import Course
@@ -93,7 +93,7 @@ class DriveOptions(OptionGroup):
         Raises:
             InputError: it is, and the rig is a real one, which begins there.
         """
-        from tepm_opt.control.keep_out import KeepOut
+        from tepm_opt.control.collision.model import KeepOut
 
         if course.keep_out is None or not (inside := KeepOut(model, course.keep_out).at_rest()):
             return
@@ -103,7 +103,7 @@ class DriveOptions(OptionGroup):
 
     def _pace(self) -> PaceSettings | None:
         """Settings of free progress; None where the path's time holds."""
-        from tepm_opt.control.timing import PaceSettings
+        from tepm_opt.control.references.time_optimal import PaceSettings
 
         if not self.free:
             return None

@@ -102,7 +102,7 @@ def plan(
     as_json: JsonOption = False,
 ) -> int:
     """Plan a motion from rest to rest under all limits: set points to play, the tip's reference, figure."""
-    from tepm_opt.control.keep_out import KeepOut
+    from tepm_opt.control.collision.model import KeepOut
     from tepm_opt.jobs.plan import tell_rest_inside
     from tepm_opt.solvers.planning.plan import FASTEST, FOR_LOOPS
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tepm_opt.control.controllers.base import Controller, Prepares, Telemetry
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.controller import Controller, Prepares, Telemetry
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.guard import BLIND_S, MARGIN, STALE_S, Stopped, Watch

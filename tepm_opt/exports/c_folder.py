@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
-from tepm_opt.control.mpc_settings import MpcSettings
-from tepm_opt.control.reference import Reference
-from tepm_opt.control.step.export import FILES as CONTROLLER_FILES
-from tepm_opt.control.step.export import export_step
+from tepm_opt.control.mpc.compiled.export import FILES as CONTROLLER_FILES
+from tepm_opt.control.mpc.compiled.export import export_step
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.mpc.settings import MpcSettings
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.setpoints import input_columns
 from tepm_opt.models.backends.ccode import Unit

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.contour import FreeReference, contour_errors
-from tepm_opt.control.keep_out import DISTANCE, OBSTACLE, POINT, TRUE_DISTANCE
+from tepm_opt.control.collision.model import DISTANCE, OBSTACLE, POINT, TRUE_DISTANCE
 from tepm_opt.control.loop import LoopRecord
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.references.path_following import FreeReference, contour_errors
+from tepm_opt.control.references.reference import Reference
 
 CONTOUR, TRUE_CONTOUR = "contour_error_m", "true_contour_error_m"
 

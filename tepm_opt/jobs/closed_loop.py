@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from tepm_opt.control.controller import ControllerKind, ControllerSettings, Option, Telemetry
 from tepm_opt.control.controllers import DEFAULT, find_controller, settings_of
-from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option, Telemetry
+from tepm_opt.control.diagnostics.monitor import Changed
 from tepm_opt.control.loop import DONE, LoopRecord
-from tepm_opt.control.monitor import Changed
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import FORCE_COLUMNS

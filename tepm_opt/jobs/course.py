@@ -6,12 +6,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from tepm_opt.control.contour import FINE, FreeReference
-from tepm_opt.control.detour import detour
-from tepm_opt.control.keep_out import KeepOut
-from tepm_opt.control.obstacles import Obstacles
-from tepm_opt.control.reference import PERIOD, START_UP, Reference, along, approach, point_by_point, reference_of
-from tepm_opt.control.timing import PaceSettings, retimed
+from tepm_opt.control.collision.elastic_band import detour
+from tepm_opt.control.collision.geometry import Obstacles
+from tepm_opt.control.collision.model import KeepOut
+from tepm_opt.control.references.path_following import FINE, FreeReference
+from tepm_opt.control.references.reference import PERIOD, START_UP, Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.references.time_optimal import PaceSettings, retimed
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, silent

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control import monitor
 from tepm_opt.control.controllers import DEFAULT
+from tepm_opt.control.diagnostics import monitor
 from tepm_opt.control.loop import INTERRUPTED, Guard, LoopRecord, close_loop
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.journal import Journal
 from tepm_opt.data.tables import column_texts

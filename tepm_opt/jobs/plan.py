@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.keep_out import tell_rest
+from tepm_opt.control.collision.model import tell_rest
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import input_columns, point_columns, write_setpoints

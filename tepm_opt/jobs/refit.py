@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tepm_opt.control.monitor import Changed
+from tepm_opt.control.diagnostics.monitor import Changed
 from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.models.channels import channels_of

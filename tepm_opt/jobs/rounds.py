@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.learning import DEFAULT, Learner, LearningSettings
 from tepm_opt.control.loop import Guard
-from tepm_opt.control.reference import Reference, reference_of
+from tepm_opt.control.references.iterative_learning import DEFAULT, Learner, LearningSettings
+from tepm_opt.control.references.reference import Reference, reference_of
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.tables import read_table, write_table
 from tepm_opt.errors import InputError

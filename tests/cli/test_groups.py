@@ -71,7 +71,7 @@ def test_a_setting_of_the_inverse_kinematics_reaches_both_commands(tepm: Command
         assert (done.status, "--tolerance" in done.err) == (2, True)
 
 
-@pytest.mark.parametrize(("command", "solver"), [("ik", "tepm_opt.jobs.ik"), ("mpc", "tepm_opt.control.reference")])
+@pytest.mark.parametrize(("command", "solver"), [("ik", "tepm_opt.jobs.ik"), ("mpc", "tepm_opt.control.references.reference")])
 def test_a_setting_reaches_the_solver(tepm: Command, monkeypatch: pytest.MonkeyPatch, command: str, solver: str) -> None:
     seen = []
 

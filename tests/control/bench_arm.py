@@ -7,8 +7,8 @@ from types import TracebackType
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import MpcSettings
-from tepm_opt.control.reference import PERIOD, Reference, reference_by_forces, rising
+from tepm_opt.control.mpc.controller import MpcSettings
+from tepm_opt.control.references.reference import PERIOD, Reference, reference_by_forces, rising
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.bench import BenchRig

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.control.reference import Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.references.reference import Reference, along, approach, point_by_point, reference_of
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.engine import KINDS
 from tepm_opt.hw.simulation.imperfections import ActuatorOffset, Imperfection, Payload, RegulatorLeak, TendonSlip

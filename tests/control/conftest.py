@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import LoopRecord, close_loop
-from tepm_opt.control.reference import Reference, along, approach, reference_of
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference, along, approach, reference_of
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.trajectories import circle

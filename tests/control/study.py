@@ -12,11 +12,11 @@ from multiprocessing import get_context
 
 import numpy as np
 
+from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.controllers import find_controller
-from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
 from tepm_opt.control.loop import Guard, LoopRecord, close_loop
-from tepm_opt.control.pressure_planner import PressurePlannerSettings
-from tepm_opt.control.reference import Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
+from tepm_opt.control.references.reference import Reference, along, approach, point_by_point, reference_of
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.hw.simulation.rig import SimulatedRig

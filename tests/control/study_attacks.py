@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import LoopRecord, close_loop
+from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig

@@ -9,11 +9,11 @@ import sys
 
 import numpy as np
 
-from tepm_opt.control.contour import contour_errors
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.reference import Reference
-from tepm_opt.control.timing import PaceSettings
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.path_following import contour_errors
+from tepm_opt.control.references.reference import Reference
+from tepm_opt.control.references.time_optimal import PaceSettings
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.course import Course, whole_reference

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
+from tepm_opt.control.diagnostics.monitor import watched
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.monitor import watched
+from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.faults import Fault

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
-from tepm_opt.control.detour import detour
-from tepm_opt.control.keep_out import KeepOut
+from tepm_opt.control.collision.elastic_band import detour
+from tepm_opt.control.collision.geometry import ObstacleFile, Obstacles, SphereObstacle
+from tepm_opt.control.collision.model import KeepOut
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.obstacles import ObstacleFile, Obstacles, SphereObstacle
-from tepm_opt.control.reference import Reference, approach, reference_of
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference, approach, reference_of
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig

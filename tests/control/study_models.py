@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.reference import reference_of
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import reference_of
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
+from tepm_opt.control.diagnostics.monitor import EVIDENCE, Watched, watched
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.monitor import EVIDENCE, Watched, watched
+from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tests.control.changes import KINDS_OF_CHANGE, TASKS, Changing, change_of, path

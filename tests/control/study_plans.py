@@ -13,9 +13,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.reference import PERIOD, Reference, approach, reference_of, rising
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import PERIOD, Reference, approach, reference_of, rising
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file

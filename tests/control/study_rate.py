@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc, MpcSettings
 from tepm_opt.control.loop import LoopRecord, _note, undisturbed
-from tepm_opt.control.reference import along, reference_of
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings
+from tepm_opt.control.references.reference import along, reference_of
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tepm_opt.control.contour import FINE, FreeReference, contour_errors
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.timing import PaceSettings, retimed
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.path_following import FINE, FreeReference, contour_errors
+from tepm_opt.control.references.time_optimal import PaceSettings, retimed
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup

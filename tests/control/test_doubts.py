@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tepm_opt.control.actuators import Actuators
-from tepm_opt.control.controllers.mpc import Mpc
-from tepm_opt.control.doubts import LARGEST, STAYS, Doubts, TrackerNoise
+from tepm_opt.control.actuation.actuators import Actuators
+from tepm_opt.control.actuation.regulator_lags import RegulatorLags
+from tepm_opt.control.diagnostics.sensors import LARGEST, STAYS, Doubts, TrackerNoise
 from tepm_opt.control.loop import LoopRecord, close_loop
-from tepm_opt.control.reference import Reference
-from tepm_opt.control.regulator_lags import RegulatorLags
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig

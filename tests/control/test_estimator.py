@@ -10,9 +10,9 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import chi2
 
-from tepm_opt.control.estimator import Estimator, FilterSettings, Operating, StateEstimate
-from tepm_opt.control.friction import turned
-from tepm_opt.control.reference import PERIOD
+from tepm_opt.control.estimation.dahl_friction import turned
+from tepm_opt.control.estimation.kalman_filter import Estimator, FilterSettings, Operating, StateEstimate
+from tepm_opt.control.references.reference import PERIOD
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import solve_ik

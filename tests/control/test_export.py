@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers.mpc import Mpc, MpcSettings
-from tepm_opt.control.reference import Reference
-from tepm_opt.control.step.export import FILES, export_step
+from tepm_opt.control.mpc.compiled.export import FILES, export_step
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import LoopRecord, close_loop
+from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.hw.board.rig import SerialRig, Tendons
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.control.controllers.mpc import Mpc
-from tepm_opt.control.detour import detour
-from tepm_opt.control.estimator import Operating
-from tepm_opt.control.forecast import LinearForecast, Weights
-from tepm_opt.control.keep_out import KeepOut, KeepOutRows
+from tepm_opt.control.collision.constraints import KeepOutRows
+from tepm_opt.control.collision.elastic_band import detour
+from tepm_opt.control.collision.geometry import BoxObstacle, ObstacleFile, Obstacles, SphereObstacle, TableObstacle, read_obstacles
+from tepm_opt.control.collision.model import KeepOut
+from tepm_opt.control.estimation.kalman_filter import Operating
 from tepm_opt.control.loop import LoopRecord, close_loop
-from tepm_opt.control.obstacles import BoxObstacle, ObstacleFile, Obstacles, SphereObstacle, TableObstacle, read_obstacles
-from tepm_opt.control.reference import Reference, approach, reference_of
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.mpc.prediction import LinearForecast, Weights
+from tepm_opt.control.references.reference import Reference, approach, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig

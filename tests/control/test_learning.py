@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.control.learning import Learner, LearningSettings
+from tepm_opt.control.references.iterative_learning import Learner, LearningSettings
 from tepm_opt.errors import InputError
 
 PERIOD, COUNT = 0.01, 1000

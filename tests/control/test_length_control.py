@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.length_control import LengthController, LengthSettings, LengthTarget, TendonUse, hold
-from tepm_opt.control.lengths import LengthEstimator
-from tepm_opt.control.pid import Gains
+from tepm_opt.control.baselines.length_control import LengthController, LengthSettings, LengthTarget, TendonUse, hold
+from tepm_opt.control.baselines.pid import Gains
+from tepm_opt.control.estimation.lengths import LengthEstimator
 from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.simulation.bench import BenchRig

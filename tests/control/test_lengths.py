@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tepm_opt.control.lengths import LengthEstimator, LengthEstimatorSettings
+from tepm_opt.control.estimation.lengths import LengthEstimator, LengthEstimatorSettings
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.statics import solve_statics
 

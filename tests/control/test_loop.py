@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from tepm_opt.control import controllers as controllers_module
+from tepm_opt.control.baselines.lqg import Lqg
+from tepm_opt.control.baselines.modes import LengthFollower
+from tepm_opt.control.controller import ControllerKind, NoSettings, Telemetry
 from tepm_opt.control.controllers import DEFAULT, controllers, find_controller, register, settings_of
-from tepm_opt.control.controllers.base import ControllerKind, NoSettings, Telemetry
-from tepm_opt.control.controllers.lqg import Lqg
-from tepm_opt.control.controllers.modes import LengthFollower
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import Guard, LoopRecord, close_loop
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.jobs.closed_loop import LoopSetup

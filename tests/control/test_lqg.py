@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tepm_opt.control.baselines.lqg import Lqg, LqgSettings
+from tepm_opt.control.baselines.modes import MODE1
 from tepm_opt.control.controllers import find_controller
-from tepm_opt.control.controllers.lqg import Lqg, LqgSettings
-from tepm_opt.control.controllers.modes import MODE1
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.control.markers import FARTHEST, HALF, Markers
+from tepm_opt.control.diagnostics.marker_slip import FARTHEST, HALF, Markers
 from tepm_opt.hw.rig import Sample
 
 NAMES, NOISE = ("s1", "s2", "s3", "s4"), 6e-4

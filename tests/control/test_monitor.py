@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt.control.causes import BODY, MOTOR, REGULATOR, Weighed, causes
-from tepm_opt.control.change import Coloured, Left, Sums
-from tepm_opt.control.controllers.mpc import Mpc
+from tepm_opt.control.diagnostics.causes import BODY, MOTOR, REGULATOR, Weighed, causes
+from tepm_opt.control.diagnostics.change_detection import Coloured, Left, Sums
+from tepm_opt.control.diagnostics.monitor import DEFAULT, EVIDENCE, Watched, watched
+from tepm_opt.control.diagnostics.signatures import BLOCK, Signatures
 from tepm_opt.control.loop import LoopRecord, close_loop
-from tepm_opt.control.monitor import DEFAULT, EVIDENCE, Watched, watched
-from tepm_opt.control.reference import Reference, approach, point_by_point, reference_of
-from tepm_opt.control.signatures import BLOCK, Signatures
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference, approach, point_by_point, reference_of
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig

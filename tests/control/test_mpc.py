@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
-from tepm_opt.control.estimator import FilterSettings, Operating
-from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
-from tepm_opt.control.pressure_planner import PressurePlannerSettings
-from tepm_opt.control.qp import QpResult
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
+from tepm_opt.control.estimation.kalman_filter import FilterSettings, Operating
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
+from tepm_opt.control.mpc.prediction import Forecast, LinearForecast, Weights
+from tepm_opt.control.mpc.qp import QpResult
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup

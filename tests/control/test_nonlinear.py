@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers.mpc import Mpc, MpcSettings
-from tepm_opt.control.estimator import Operating
-from tepm_opt.control.forecast import Forecast, LinearForecast, Weights
+from tepm_opt.control.estimation.kalman_filter import Operating
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.nonlinear import NonlinearForecast
-from tepm_opt.control.reference import Reference
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings
+from tepm_opt.control.mpc.nonlinear_prediction import NonlinearForecast
+from tepm_opt.control.mpc.prediction import Forecast, LinearForecast, Weights
+from tepm_opt.control.references.reference import Reference
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel

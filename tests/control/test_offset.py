@@ -15,10 +15,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers.mpc import Mpc
-from tepm_opt.control.estimator import Estimator, Operating
+from tepm_opt.control.estimation.kalman_filter import Estimator, Operating
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.reference import Reference, approach, reference_of
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference, approach, reference_of
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tepm_opt.solvers.modal_model import modal_model

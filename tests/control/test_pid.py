@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.pid import Pid
+from tepm_opt.control.baselines.pid import Pid
 
 ONE = np.ones(1)
 WIDE = np.array([[-1e9], [1e9]])

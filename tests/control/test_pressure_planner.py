@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.actuators import Actuators, InputEffects, Sent
-from tepm_opt.control.friction import course, turned
-from tepm_opt.control.pressure_planner import PressurePlanner, PressurePlannerSettings
-from tepm_opt.control.regulator_lags import RegulatorLags
+from tepm_opt.control.actuation.actuators import Actuators, InputEffects, Sent
+from tepm_opt.control.actuation.pressure_planner import PressurePlanner, PressurePlannerSettings
+from tepm_opt.control.actuation.regulator_lags import RegulatorLags
+from tepm_opt.control.estimation.dahl_friction import course, turned
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.devices import Devices

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tepm_opt.control.qp import QpSolver
+from tepm_opt.control.mpc.qp import QpSolver
 from tepm_opt.errors import InputError
 from tepm_opt.outcome import Ending
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.reference import PERIOD, Reference, along, approach, point_by_point, reference_of, rising
+from tepm_opt.control.references.reference import PERIOD, Reference, along, approach, point_by_point, reference_of, rising
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import Trajectory, circle, lissajous

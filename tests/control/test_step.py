@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers.mpc import Mpc, MpcSettings, Use
-from tepm_opt.control.forecast import Weights
-from tepm_opt.control.pressure_planner import PressurePlannerSettings
-from tepm_opt.control.reference import Reference, along, reference_by_forces, reference_of
+from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
+from tepm_opt.control.mpc.prediction import Weights
+from tepm_opt.control.references.reference import Reference, along, reference_by_forces, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig

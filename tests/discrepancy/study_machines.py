@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
+from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.imperfections import Imperfections

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tepm_opt.control.controllers.mpc import Mpc
 from tepm_opt.control.loop import close_loop
-from tepm_opt.control.reference import Reference, along, approach, reference_of
+from tepm_opt.control.mpc.controller import Mpc
+from tepm_opt.control.references.reference import Reference, along, approach, reference_of
 from tepm_opt.data.documents import validated
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.faults import Fault, FaultInjector

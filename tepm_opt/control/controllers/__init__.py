@@ -1,4 +1,4 @@
-"""All kinds of controllers. A module of this folder, an entry point `tepm_opt.controllers` or `register` adds one; no list names them."""
+"""All kinds of controllers. A module of `baselines`, an entry point `tepm_opt.controllers` or `register` adds one; no list names them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 
-from tepm_opt.control.controllers.base import ControllerKind, ControllerSettings, Option
+from tepm_opt.control import baselines
+from tepm_opt.control.controller import ControllerKind, ControllerSettings, Option
+from tepm_opt.control.mpc import controller as mpc
 from tepm_opt.errors import InputError, unknown_name
 
 DEFAULT = "mpc"
@@ -17,7 +19,7 @@ DEFAULT = "mpc"
 
 @cache
 def _registry() -> dict[str, ControllerKind]:
-    modules = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
+    modules = [mpc, *(importlib.import_module(f"{baselines.__name__}.{info.name}") for info in pkgutil.iter_modules(baselines.__path__))]
     kinds = [kind for module in modules for kind in vars(module).values() if isinstance(kind, ControllerKind)]
     kinds += [point.load() for point in entry_points(group="tepm_opt.controllers")]
     return {kind.name: kind for kind in sorted(kinds, key=lambda kind: (kind.name != DEFAULT, kind.name))}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from tepm_opt.control.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
+from tepm_opt.control.baselines.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
 from tepm_opt.hw.rig import Command
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.studies.paper.common import Setting

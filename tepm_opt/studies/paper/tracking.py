@@ -7,8 +7,8 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from tepm_opt.control.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
-from tepm_opt.control.lengths import LengthEstimator
+from tepm_opt.control.baselines.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
+from tepm_opt.control.estimation.lengths import LengthEstimator
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.compile import compile_model
 from tepm_opt.solvers.choices import ActuationMode

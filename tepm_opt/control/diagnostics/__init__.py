@@ -1,0 +1,1 @@
+"""Fault detection while a loop runs: sensors that lie, markers that slip, machines that change."""

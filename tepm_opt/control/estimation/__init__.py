@@ -1,0 +1,1 @@
+"""The arm's motion from tracked points: Kalman filter, Dahl friction, lengths."""

@@ -1,0 +1,1 @@
+"""Model predictive control: prediction, terminal cost, the quadratic program in the tensions, and the same step in C."""

@@ -1,0 +1,51 @@
+"""Modules by their names of version 0.2, which go with version 0.4."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+
+class _RenamedModules(MetaPathFinder, Loader):
+    """Import modules of one package by their old names, with a DeprecationWarning that tells the new one."""
+
+    def __init__(self, package: str, names: Mapping[str, str]) -> None:
+        self._package, self._names = package, names
+
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        return ModuleSpec(fullname, self, is_package=fullname in self._new_packages) if self._new_name(fullname) else None
+
+    @property
+    def _new_packages(self) -> set[str]:
+        """Old names of packages, whose modules have old names, too."""
+        return {f"{self._package}.{old}" for old, new in self._names.items() if new.endswith(".*")}
+
+    def _new_name(self, fullname: str) -> str | None:
+        if not fullname.startswith(f"{self._package}."):
+            return None
+        old = fullname.removeprefix(f"{self._package}.")
+        first, _, rest = old.partition(".")
+        if self._names.get(first, "").endswith(".*"):
+            return ".".join(filter(None, (self._package, self._names[first][:-2], rest)))
+        return f"{self._package}.{self._names[old]}" if old in self._names else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        new = self._new_name(module.__name__)
+        assert new is not None  # as `find_spec` has found
+        warnings.warn(f"{module.__name__} is now {new}; the old name goes with version 0.4", DeprecationWarning, stacklevel=6)
+        module.__dict__.update({name: value for name, value in vars(import_module(new)).items() if not name.startswith("__")})
+
+
+def rename_modules(package: str, names: Mapping[str, str]) -> None:
+    """Let modules of a package be imported by their old names as well.
+
+    Args:
+        package: full name.
+        names: new names by the old ones, both within the package; a new one that ends in `.*` is a package with all its modules.
+    """
+    sys.meta_path.append(_RenamedModules(package, names))
