@@ -15,6 +15,7 @@ from tepm_opt.discrepancy.assessment.result import Errors, Named, Value, Verdict
 from tepm_opt.discrepancy.reporting.effect_table import describe_sizes, effect_rows, with_unit
 from tepm_opt.discrepancy.reporting.sentences import (
     _describe_effects,
+    _describe_groups,
     describe_repeatability,
     next_step,
     not_fitted_reason,
@@ -141,3 +142,16 @@ def test_the_old_name_of_the_gap_closed_warns() -> None:
     errors = Errors(noise_floor=1.0, nominal=5.0, recalibrated=4.0, corrected=2.0, black_box=2.0)
     with pytest.warns(DeprecationWarning, match="gap_closed_fraction"):
         assert errors.closed == errors.gap_closed_fraction == 0.75
+
+
+def test_an_effect_that_is_too_small_to_be_named_has_no_place_in_the_sentence() -> None:
+    """Of the best hypothesis' three effects one is not named; another has a rival."""
+    sure, small, unclear, rival = (candidate(name) for name in ("creep", "payload", "time_delay", "clock_skew"))
+    best, other = (SimpleNamespace(effects=effects) for effects in ((sure, small, unclear), (sure, small, rival)))
+    groups = {sure: [(best, 1.0)], small: [(best, 1.0)], unclear: [(best, 0.6), (other, 0.4)]}
+    named = [SimpleNamespace(candidate=each, probability=p) for each, p in ((sure, 0.9), (unclear, 0.6), (rival, 0.4))]
+    told = _describe_groups(named, SimpleNamespace(groups=groups, best=best))
+    assert told == (
+        "Missing: creep (probability 0.90); besides, time_delay (probability 0.60) or clock_skew (probability 0.40), "
+        "which these runs cannot tell apart"
+    )

@@ -264,13 +264,14 @@ def _describe_effects(named: Sequence[Named]) -> str:
 
 
 def _describe_groups(named: Sequence[Named], explanation: Explanation) -> str:
-    """The sure effects, and those that these runs cannot tell apart."""
+    """The sure effects, and those that these runs cannot tell apart; effects of the best hypothesis that are not named have no place."""
     told = {each.candidate: f"{each.candidate.label} (probability {each.probability:.2f})" for each in named}
     sure, unclear = [], []
     for effect, group in explanation.groups.items():
         sets = [[c for c in hypothesis.effects if c in told and c not in explanation.best.effects] for hypothesis, _ in group]
         others = [" with ".join(told[c] for c in others) for others in sets if others]
-        (unclear if others else sure).append(" or ".join((told[effect], *dict.fromkeys(others))))
+        if either := [*([told[effect]] if effect in told else ()), *dict.fromkeys(others)]:
+            (unclear if others else sure).append(" or ".join(either))
     missing = f"Missing: {' and '.join(sure)}; besides, " if sure else "Missing: "
     return missing + "; ".join(f"{text}, which these runs cannot tell apart" for text in unclear)
 
