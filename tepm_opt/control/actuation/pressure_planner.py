@@ -37,7 +37,7 @@ class PressurePlannerSettings:
     slope_window: int = 2
     deadband: float = 3.0
     quantised: bool = True
-    full_feedback_speed: float = 0.05
+    full_feedback_speed: float = 0.1
     feedback_time: float = 0.05
     disturbance_time: float = 0.3
 
@@ -70,7 +70,7 @@ class PressurePlanner:
         """
         window = self.settings.slope_window
         slope = (wanted[window:] - wanted[:-window]) / (window * PERIODS * lags.period)
-        lag = np.where(slope > 0, *lags.lead)
+        lag = np.where(slope > 0, *lags.times)
         lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + lag * slope, 0.0), self.limits)
         new = self._moved(lead[0], command)
         reached = np.empty((stages, len(command)))

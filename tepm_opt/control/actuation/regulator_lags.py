@@ -15,7 +15,7 @@ import numpy as np
 from tepm_opt.models.devices import Devices
 
 DOUBT = math.log(2.0)  # of the logarithm of a share before anything was measured, 1 sigma
-DRIFT = 0.1  # of it in 1/√s: how fast a regulator changes
+DRIFT = 0.02  # of it in 1/√s: how fast a regulator changes
 READING = 0.02  # of the pressure range: 1 sigma by which a reading may be off what lags and offset explain
 LEAST = 0.1  # times the share by the robot file: the least that is believed
 OFFSET = 0.03  # of the pressure range: 1 sigma of what a monitor reads too much
@@ -50,12 +50,9 @@ class RegulatorLags:
         self._slope = np.vstack([np.zeros((2, count)), np.ones(count)])  # of the readings, by commands alone
 
     @property
-    def lead(self) -> np.ndarray:
-        """Times by which commands go ahead while filling and exhausting, (2, actuators) in s: the lags, but no more than is declared.
-
-        A longer lead answers noise with larger moves than it gains by being right (`docs/results/control.md`).
-        """
-        return -self.period / np.log1p(-np.maximum(self.shares, self._declared))
+    def times(self) -> np.ndarray:
+        """Time constants while filling and while exhausting, (2, actuators) in s."""
+        return -self.period / np.log1p(-self.shares)
 
     @property
     def quicker(self) -> np.ndarray:

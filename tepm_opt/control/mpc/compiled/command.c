@@ -130,9 +130,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
   const actuators *a = &o->acts[o->now];
   double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
-    double ahead[2]; /* the lags, but no more than is declared */
-    ahead[0] = -s->period / log1p(-most(a->share[0][j], s->filling));
-    ahead[1] = -s->period / log1p(-most(a->share[1][j], s->exhausting));
+    double times[2] = {-s->period / log1p(-a->share[0][j]), -s->period / log1p(-a->share[1][j])};
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {
@@ -152,7 +150,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     }
     for (int k = 0; k < PREVIEW - WINDOW; k++) {
       double slope = (wanted[k + WINDOW] - wanted[k]) / (WINDOW * PERIODS * s->period);
-      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + ahead[!(slope > 0)] * slope, 0, o->set.pressure_max[j]);
+      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + times[!(slope > 0)] * slope, 0, o->set.pressure_max[j]);
     }
     pressures[j] = lead[0];
     if (s->grid > 0) {
