@@ -124,11 +124,15 @@ def _without_beginnings(question: Question, found: Discovery, stages: Sequence[C
 def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Callable[[Any], Any]]) -> Discovery:
     """The workflow once more without a run that disagrees with all others; what was found before where that does not explain the rest.
 
-    Effects that stand in for what is different in that run may hide it: the model without effects counts as well.
+    Effects that stand in for what is different in that run may hide it: the model without effects counts as well, where it explains all
+    the others.
     """
-    dataset = found.dataset
-    tried = (odd_run(dataset.runs, found.predictions[model], found.noise) for model in ("corrected", "recalibrated"))
-    odd = next((each for each in tried if each is not None), None)
+    dataset, allowed = found.dataset, {VerdictStatus.NO_DISCREPANCY}
+    odd = odd_run(dataset.runs, found.predictions["corrected"], found.noise)
+    if odd is None:
+        odd = odd_run(dataset.runs, found.predictions["recalibrated"], found.noise)
+    else:
+        allowed.add(VerdictStatus.NAMED)
     if odd is None:
         return found
     rest = dataset.with_runs([run for number, run in enumerate(dataset.runs) if number != odd[0]])
@@ -139,7 +143,7 @@ def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Call
         return _remark(found, f"{file} disagrees with all other runs: there was no time to search without it.")
     question.progress(f"once more without {file}", 0, 0)
     again = run_stages(replace(question, dataset=rest, store=other_store(question.store, "without")), stages)
-    if again.verdict.status not in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY):
+    if again.verdict.status not in allowed:
         return found
     still = odd_run(dataset.runs, predict_runs(again.explanation.best.estimate.plant, dataset, again.noise), again.noise)
     if still is None or still[0] != odd[0]:
