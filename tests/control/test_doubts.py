@@ -60,7 +60,7 @@ def test_a_difference_is_told_once_it_stays() -> None:
     assert not doubts.told(actuators, noise, 0.0)
     assert "20 ms later" in doubts.told(actuators, noise, 0.020)["command delay"]
     actuators.lags.shares = 1 - np.exp(-0.01 / np.array([[0.1, 0.1, 0.025], [0.1, 0.1, 0.1]]))
-    actuators.lags.covariance[0, 0, 2] = 0.01
+    actuators.lags.covariance[0, 0, 2], actuators.lags._misfit = 0.01, np.zeros(3)
     assert list(doubts.told(actuators, noise, 0.0)) == ["regulator 13"]
     assert "fills 4 and exhausts 1 times as quickly" in doubts.told(actuators, noise, 0.0)["regulator 13"]
     assert "15 ms sooner" in doubts.told(actuators, noise, -0.015)["command delay"]

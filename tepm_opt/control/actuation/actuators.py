@@ -58,7 +58,8 @@ class Actuators:
         before, period = self.forces, self.lags.period
         self.pressure, self.tension = self._moved(self.pressure, self.tension)
         self.lags.advance(self._told[0], self.command.pressures)
-        told, self._told = self._told, self._moved(*self._told)
+        told = self._told
+        self._told = self.lags.learned(told[0], self.command.pressures), self._moved(*told)[1]
         self._rate = (self._told[1] - told[1]) / period
         return np.array([before, self.forces])
 

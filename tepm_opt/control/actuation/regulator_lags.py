@@ -3,7 +3,8 @@
 A regulator brings its pressure nearer to the command by a share of what is missing in every period, one share while it fills and one
 while it exhausts. The logarithms of both, and what the monitor reads too much, are found by an extended Kalman filter on the pressures
 that commands alone lead to (Ljung, System Identification, 2nd ed., 1999, section 11.4). It begins with the robot file's lags and a doubt
-about them. Without monitors the file's lags stay.
+about them. The file's lags stay without monitors, and where readings do not fit what was learned: a monitor that lies must not throw the
+arm.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from tepm_opt.models.devices import Devices
 DOUBT = math.log(2.0)  # of the logarithm of a share before anything was measured, 1 sigma
 DRIFT = 0.02  # of it in 1/√s: how fast a regulator changes
 READING = 0.02  # of the pressure range: 1 sigma by which a reading may be off what lags and offset explain
-LEAST = 0.1  # times the share by the robot file: the least that is believed
+LEAST = 0.5  # times the share by the robot file: the least that is believed, for a lead over a lag that is not there is unstable
+MISFIT = 0.01  # of the pressure range: root mean square of readings beside what lags and offset explain, beyond which they do not fit
+FORGOTTEN = 0.5  # s over which that is averaged
 OFFSET = 0.03  # of the pressure range: 1 sigma of what a monitor reads too much
 KNOWN = 0.25  # 1 sigma of the logarithm up to which a lag counts as known
 AT_ONCE = 1e-9  # left of a difference after a period, by a regulator without lag
@@ -34,7 +37,7 @@ class RegulatorLags:
         ranges: of the pressures, (actuators,) in Pa.
 
     Attributes:
-        shares: while filling and while exhausting, (2, actuators).
+        shares: while filling and while exhausting as learned, (2, actuators).
         offset: of the monitors, (actuators,) in Pa.
         covariance: of the logarithms of the shares and of the offset, (3, 3, actuators).
     """
@@ -48,22 +51,34 @@ class RegulatorLags:
         doubts[2] *= (OFFSET * ranges) ** 2
         self.covariance = np.eye(3)[:, :, None] * doubts
         self._slope = np.vstack([np.zeros((2, count)), np.ones(count)])  # of the readings, by commands alone
+        self._most = (MISFIT * ranges) ** 2
+        self._misfit = 2 * self._most  # mean square
+
+    @property
+    def used(self) -> np.ndarray:
+        """Shares that are reckoned with, (2, actuators): as learned where readings fit, else as declared."""
+        return np.where((self._misfit < self._most) & (np.abs(self.offset) ** 2 < 9 * self._most), self.shares, self._declared)
 
     @property
     def times(self) -> np.ndarray:
         """Time constants while filling and while exhausting, (2, actuators) in s."""
-        return -self.period / np.log1p(-self.shares)
+        return -self.period / np.log1p(-self.used)
 
     @property
     def quicker(self) -> np.ndarray:
         """Declared time constants over those found, filling and exhausting, (2, actuators); 1 where they are not known well."""
         known = np.diagonal(self.covariance).T[:2] < KNOWN**2
-        return np.where(known, np.log1p(-self.shares) / np.log1p(-self._declared), 1.0)
+        return np.where(known, np.log1p(-self.used) / np.log1p(-self._declared), 1.0)
 
     def lag(self, pressure: np.ndarray, command: np.ndarray, periods: int = 1) -> np.ndarray:
         """Pressures that constant commands lead to after some periods, (actuators,) in Pa each."""
         missing = command - pressure
-        return command - missing * (1 - np.where(missing > 0, *self.shares)) ** periods
+        return command - missing * (1 - np.where(missing > 0, *self.used)) ** periods
+
+    def learned(self, pressure: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """The same after a period, with the lags as learned whether readings fit or not."""
+        missing = command - pressure
+        return command - missing * (1 - np.where(missing > 0, *self.shares))
 
     def advance(self, pressure: np.ndarray, command: np.ndarray) -> None:
         """Carry the slopes a period on, from pressures by commands alone, (actuators,) in Pa each."""
@@ -84,7 +99,9 @@ class RegulatorLags:
         seen = np.einsum("ijn,jn->in", covariance, self._slope)
         gain = measured * seen / (self._noise + np.einsum("in,in->n", self._slope, seen))
         self.covariance = covariance - gain[:, None] * seen[None]
-        moved = gain * np.where(measured, missed - self.offset, 0.0)
+        off = np.where(measured, missed - self.offset, 0.0)
+        self._misfit = self._misfit + measured * (1 - math.exp(-passed / FORGOTTEN)) * (off**2 - self._misfit)
+        moved = gain * off
         self.offset = self.offset + moved[2]
         self.shares = np.minimum(np.maximum(self.shares * np.exp(moved[:2]), self._least), 1 - AT_ONCE)
         return (self._slope[:2] * moved[:2]).sum(axis=0)

@@ -36,7 +36,7 @@ static void note(step *o) {
     o->out.lasting_pressure[j] = fabs(a->offset.pressure[j]) > s->pressure_off[j] ? o->out.lasting_pressure[j] + 1 : 0;
   }
   for (int k = 0; k < 2 * NA; k++) { /* times that are declared over those found */
-    double share = a->share[k / NA][k % NA], declared = k < NA ? s->filling : s->exhausting;
+    double share = share_of(o, a, k % NA, k / NA), declared = k < NA ? s->filling : s->exhausting;
     int known = a->covariance[k / NA][k / NA][k % NA] < s->lag_known * s->lag_known;
     o->out.quicker[k] = known ? log1p(-share) / log1p(-declared) : 1;
   }
@@ -79,7 +79,11 @@ static int prepare(step *o, long row) {
     devices was = a->told;
     advance(o, a, &a->now, command, area, forces);
     slope(a, command);
-    advance(o, a, &a->told, command, area, 0);
+    double pressures[NA];
+    memcpy(pressures, a->told.pressure, sizeof pressures);
+    advance(o, a, &a->told, command, area, 0); /* of which the tensions count */
+    memcpy(a->told.pressure, pressures, sizeof pressures);
+    follow(a, command);
     const double *l = c->lengths + at_row(o, passed) * NA, *m = c->lengths + at_row(o, passed + 1) * NA;
     for (int j = 0; j < NA; j++) {
       a->rate[j] = (a->told.tension[j] - was.tension[j]) / s->period;
@@ -130,7 +134,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
   const actuators *a = &o->acts[o->now];
   double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
-    double times[2] = {-s->period / log1p(-a->share[0][j]), -s->period / log1p(-a->share[1][j])};
+    double times[2] = {-s->period / log1p(-share_of(o, a, j, 0)), -s->period / log1p(-share_of(o, a, j, 1))};
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {
@@ -159,7 +163,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     }
     for (int k = 0; k < STAGES; k++) {
       double goal = within(pressures[j] + lead[k < PREVIEW - WINDOW ? k : PREVIEW - WINDOW - 1] - lead[0], 0, s->pressure_max[j]);
-      reached[k][j] = pressure = lagged(a, j, pressure, goal, PERIODS);
+      reached[k][j] = pressure = lagged(o, a, j, pressure, goal, PERIODS);
     }
   }
 }
@@ -277,6 +281,7 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
     o->acts[0].share[0][j] = set->filling;
     o->acts[0].share[1][j] = set->exhausting;
     o->acts[0].covariance[0][0][j] = o->acts[0].covariance[1][1][j] = set->lag_variance;
+    o->acts[0].misfit[j] = 2 * set->lag_misfit[j] * set->lag_misfit[j];
     o->acts[0].covariance[2][2][j] = set->lag_offset[j] * set->lag_offset[j];
   }
   filter *f = &o->filters[0];

@@ -1,7 +1,15 @@
 /* Regulators, motors and the Kalman filter. */
 
-static double lagged(const actuators *a, int j, double pressure, double command, int periods) {
-  double missing = command - pressure, left = 1 - a->share[!(missing > 0)][j];
+/* Share of what is missing by which a pressure nears its command in a period: as learned where readings fit, else as declared. */
+static double share_of(const step *o, const actuators *a, int j, int exhausts) {
+  const settings *s = &o->set;
+  double most = s->lag_misfit[j] * s->lag_misfit[j];
+  int fits = a->misfit[j] < most && a->offset_told[j] * a->offset_told[j] < 9 * most;
+  return fits ? a->share[exhausts][j] : exhausts ? s->exhausting : s->filling;
+}
+
+static double lagged(const step *o, const actuators *a, int j, double pressure, double command, int periods) {
+  double missing = command - pressure, left = 1 - share_of(o, a, j, !(missing > 0));
   return command - missing * (periods == 1 ? left : left * left);
 }
 
@@ -9,7 +17,7 @@ static double lagged(const actuators *a, int j, double pressure, double command,
 static void advance(const step *o, const actuators *known, devices *d, const devices *command, const double *area, double forces[2][NA]) {
   for (int j = 0; j < NA; j++) {
     if (forces) forces[0][j] = area[j] * d->pressure[j] - d->tension[j];
-    d->pressure[j] = lagged(known, j, d->pressure[j], command->pressure[j], 1);
+    d->pressure[j] = lagged(o, known, j, d->pressure[j], command->pressure[j], 1);
     d->tension[j] += within(command->tension[j] - d->tension[j], -o->set.pull, o->set.pull);
     if (forces) forces[1][j] = area[j] * d->pressure[j] - d->tension[j];
   }
@@ -25,11 +33,20 @@ static void slope(actuators *a, const devices *command) {
   }
 }
 
+/* What commands alone make of pressures in a period, with the lags as learned. */
+static void follow(actuators *a, const devices *command) {
+  for (int j = 0; j < NA; j++) {
+    double missing = command->pressure[j] - a->told.pressure[j];
+    a->told.pressure[j] = command->pressure[j] - missing * (1 - a->share[!(missing > 0)][j]);
+  }
+}
+
 /* What a reading says of a regulator's lags, and with them of its pressure by commands alone. */
 static void learn(const step *o, actuators *a, int j, double measured, double passed) {
   const settings *s = &o->set;
   double by[3] = {a->slope[0][j], a->slope[1][j], 1}, seen[3] = {0}, all = s->lag_noise[j] * s->lag_noise[j];
   double missed = measured - a->told.pressure[j] - a->offset_told[j];
+  a->misfit[j] += (1 - exp(-passed / s->lag_forgotten)) * (missed * missed - a->misfit[j]);
   for (int i = 0; i < 2; i++) a->covariance[i][i][j] += passed * s->lag_drift * s->lag_drift;
   for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) seen[i] += a->covariance[i][k][j] * by[k];
   for (int i = 0; i < 3; i++) all += by[i] * seen[i];

@@ -13,7 +13,7 @@ from scipy.special import chdtri
 
 from tepm_opt.control.actuation.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE, InputEffects
 from tepm_opt.control.actuation.pressure_planner import PERIODS, PressurePlanner
-from tepm_opt.control.actuation.regulator_lags import AT_ONCE, DOUBT, DRIFT, KNOWN, LEAST, OFFSET, READING, RegulatorLags
+from tepm_opt.control.actuation.regulator_lags import AT_ONCE, DOUBT, DRIFT, FORGOTTEN, KNOWN, LEAST, MISFIT, OFFSET, READING, RegulatorLags
 from tepm_opt.control.diagnostics.sensors import LARGEST, LATE, NOISY, OFF, QUICKER, SLOWEST, STAYS
 from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.compiled.layout import Sizes
@@ -130,6 +130,7 @@ def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, t
     return {
         "period": period, "filling": filling, "exhausting": exhausting, "lag_variance": DOUBT**2, "lag_drift": DRIFT,
         "lag_least": LEAST, "lag_noise": READING * planner.limits, "at_once": AT_ONCE, "lag_known": KNOWN,
+        "lag_misfit": MISFIT * planner.limits, "lag_forgotten": FORGOTTEN,
         "lag_offset": OFFSET * planner.limits,
         "pull": rate * period, "pull_stage": PERIODS * rate * period,
         "pressure_max": planner.limits, "grid": planner.step, "tension_max": tension_max,
