@@ -57,9 +57,8 @@ class Actuators:
         """Advance by a control period under the command in force; F_a at its start and end, (2, actuators) in N."""
         before, period = self.forces, self.lags.period
         self.pressure, self.tension = self._moved(self.pressure, self.tension)
-        self.lags.advance(self._told[0], self.command.pressures)
-        told = self._told
-        self._told = self.lags.learned(told[0], self.command.pressures), self._moved(*told)[1]
+        self.lags.advance(self.command.pressures)
+        told, self._told = self._told, self._moved(*self._told)
         self._rate = (self._told[1] - told[1]) / period
         return np.array([before, self.forces])
 
@@ -73,8 +72,7 @@ class Actuators:
         share = 1 - math.exp(-passed / LASTING)
         pressure, tension = self._told
         if sample.pressures is not None:
-            pressure = pressure + self.lags.correct(_missed(sample.pressures, pressure), np.isfinite(sample.pressures), passed)
-            self._told = pressure, tension
+            self.lags.correct(np.asarray(sample.pressures, dtype=float), passed)
         self.pressure_offset = self.pressure_offset + share * _missed(sample.pressures, pressure + self.pressure_offset)
         read = _missed(sample.tensions, tension + self.tension_offset)
         missed = np.minimum(np.maximum(read, -FARTHEST), FARTHEST)

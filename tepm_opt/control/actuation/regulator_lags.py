@@ -19,7 +19,7 @@ DOUBT = math.log(2.0)  # of the logarithm of a share before anything was measure
 DRIFT = 0.02  # of it in 1/√s: how fast a regulator changes
 READING = 0.02  # of the pressure range: 1 sigma by which a reading may be off what lags and offset explain
 LEAST = 0.5  # times the share by the robot file: the least that is believed, for a lead over a lag that is not there is unstable
-MISFIT = 0.01  # of the pressure range: root mean square of readings beside what lags and offset explain, beyond which they do not fit
+MISFIT = 0.004  # of the pressure range: root mean square of readings beside what lags and offset explain, beyond which they do not fit
 FORGOTTEN = 0.5  # s over which that is averaged
 OFFSET = 0.03  # of the pressure range: 1 sigma of what a monitor reads too much
 KNOWN = 0.25  # 1 sigma of the logarithm up to which a lag counts as known
@@ -35,6 +35,7 @@ class RegulatorLags:
         devices: lags as the robot file or the model has them.
         period: s.
         ranges: of the pressures, (actuators,) in Pa.
+        pressure: at rest, (actuators,) in Pa.
 
     Attributes:
         shares: while filling and while exhausting as learned, (2, actuators).
@@ -42,7 +43,7 @@ class RegulatorLags:
         covariance: of the logarithms of the shares and of the offset, (3, 3, actuators).
     """
 
-    def __init__(self, devices: Devices, period: float, ranges: np.ndarray) -> None:
+    def __init__(self, devices: Devices, period: float, ranges: np.ndarray, pressure: np.ndarray | float = 0.0) -> None:
         self.period, count = period, len(ranges)
         shares = [1 - math.exp(-period / time) if time > 0 else 1 - AT_ONCE for time in (devices.filling, devices.exhausting)]
         self.shares = np.repeat(np.array(shares)[:, None], count, axis=1)
@@ -51,13 +52,14 @@ class RegulatorLags:
         doubts[2] *= (OFFSET * ranges) ** 2
         self.covariance = np.eye(3)[:, :, None] * doubts
         self._slope = np.vstack([np.zeros((2, count)), np.ones(count)])  # of the readings, by commands alone
+        self._path = np.zeros(count) + pressure  # by commands alone, with the lags as learned
         self._most = (MISFIT * ranges) ** 2
         self._misfit = 2 * self._most  # mean square
 
     @property
     def used(self) -> np.ndarray:
         """Shares that are reckoned with, (2, actuators): as learned where readings fit, else as declared."""
-        return np.where((self._misfit < self._most) & (np.abs(self.offset) ** 2 < 9 * self._most), self.shares, self._declared)
+        return np.where((self._misfit < self._most) & (np.abs(self.offset) ** 2 < 36 * self._most), self.shares, self._declared)
 
     @property
     def times(self) -> np.ndarray:
@@ -75,33 +77,24 @@ class RegulatorLags:
         missing = command - pressure
         return command - missing * (1 - np.where(missing > 0, *self.used)) ** periods
 
-    def learned(self, pressure: np.ndarray, command: np.ndarray) -> np.ndarray:
-        """The same after a period, with the lags as learned whether readings fit or not."""
-        missing = command - pressure
-        return command - missing * (1 - np.where(missing > 0, *self.shares))
-
-    def advance(self, pressure: np.ndarray, command: np.ndarray) -> None:
-        """Carry the slopes a period on, from pressures by commands alone, (actuators,) in Pa each."""
-        missing = command - pressure
+    def advance(self, command: np.ndarray) -> None:
+        """Carry what commands alone lead to, (actuators,) in Pa, a period on."""
+        missing = command - self._path
         filling = missing > 0
         share = np.where(filling, *self.shares)
-        self._slope = np.vstack([(1 - share) * self._slope[:2] + share * missing * np.array([filling, ~filling]), np.ones(len(pressure))])
+        self._slope = np.vstack([(1 - share) * self._slope[:2] + share * missing * np.array([filling, ~filling]), np.ones(len(command))])
+        self._path = command - missing * (1 - share)
 
-    def correct(self, missed: np.ndarray, measured: np.ndarray, passed: float) -> np.ndarray:
-        """Take readings; returns by what the pressures by commands alone are others with the lags found, (actuators,) in Pa.
-
-        Args:
-            missed: readings less those pressures.
-            measured: where there are readings, (actuators,) of bool.
-            passed: time in s since the last ones.
-        """
+    def correct(self, readings: np.ndarray, passed: float) -> None:
+        """Take readings of the monitors, (actuators,) in Pa, NaN where there is none, a time in s after the last ones."""
+        measured = np.isfinite(readings)
         covariance = self.covariance + measured * passed * DRIFT**2 * np.diag([1.0, 1.0, 0.0])[:, :, None]
         seen = np.einsum("ijn,jn->in", covariance, self._slope)
         gain = measured * seen / (self._noise + np.einsum("in,in->n", self._slope, seen))
         self.covariance = covariance - gain[:, None] * seen[None]
-        off = np.where(measured, missed - self.offset, 0.0)
+        off = np.where(measured, readings - self._path - self.offset, 0.0)
         self._misfit = self._misfit + measured * (1 - math.exp(-passed / FORGOTTEN)) * (off**2 - self._misfit)
         moved = gain * off
         self.offset = self.offset + moved[2]
         self.shares = np.minimum(np.maximum(self.shares * np.exp(moved[:2]), self._least), 1 - AT_ONCE)
-        return (self._slope[:2] * moved[:2]).sum(axis=0)
+        self._path = self._path + (self._slope[:2] * moved[:2]).sum(axis=0)

@@ -102,7 +102,7 @@ class Lqg:
         self._stations = self._scheduled()
         self._dynamic = self._feed_forward()
         first = self.start()
-        lags = RegulatorLags(self.devices, self.period, self._pressure_max)
+        lags = RegulatorLags(self.devices, self.period, self._pressure_max, first.pressures)
         self._actuators, self._sent = Actuators(self.devices, self.area, first, lags), Sent(first)
         self._effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         self._at = self._stations[0]

@@ -97,7 +97,7 @@ class Mpc:
         first = self.start()
         inputs = np.concatenate([first.pressures, first.tensions])
         self._enabled = first.enabled.copy()
-        lags = RegulatorLags(self.devices, self.period, self._pressure_planner.limits)
+        lags = RegulatorLags(self.devices, self.period, self._pressure_planner.limits, first.pressures)
         self._actuators, self._sent = Actuators(self.devices, self.area, first, lags), Sent(first)
         self._effects = InputEffects(model, inputs)
         self._noise = TrackerNoise(max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6))

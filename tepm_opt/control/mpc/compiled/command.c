@@ -79,10 +79,7 @@ static int prepare(step *o, long row) {
     devices was = a->told;
     advance(o, a, &a->now, command, area, forces);
     slope(a, command);
-    double pressures[NA];
-    memcpy(pressures, a->told.pressure, sizeof pressures);
-    advance(o, a, &a->told, command, area, 0); /* of which the tensions count */
-    memcpy(a->told.pressure, pressures, sizeof pressures);
+    advance(o, a, &a->told, command, area, 0);
     follow(a, command);
     const double *l = c->lengths + at_row(o, passed) * NA, *m = c->lengths + at_row(o, passed + 1) * NA;
     for (int j = 0; j < NA; j++) {
@@ -281,6 +278,7 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
     o->acts[0].share[0][j] = set->filling;
     o->acts[0].share[1][j] = set->exhausting;
     o->acts[0].covariance[0][0][j] = o->acts[0].covariance[1][1][j] = set->lag_variance;
+    o->acts[0].path[j] = pressures[j];
     o->acts[0].misfit[j] = 2 * set->lag_misfit[j] * set->lag_misfit[j];
     o->acts[0].covariance[2][2][j] = set->lag_offset[j] * set->lag_offset[j];
   }

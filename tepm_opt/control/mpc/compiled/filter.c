@@ -4,7 +4,7 @@
 static double share_of(const step *o, const actuators *a, int j, int exhausts) {
   const settings *s = &o->set;
   double most = s->lag_misfit[j] * s->lag_misfit[j];
-  int fits = a->misfit[j] < most && a->offset_told[j] * a->offset_told[j] < 9 * most;
+  int fits = a->misfit[j] < most && a->offset_path[j] * a->offset_path[j] < 36 * most;
   return fits ? a->share[exhausts][j] : exhausts ? s->exhausting : s->filling;
 }
 
@@ -26,7 +26,7 @@ static void advance(const step *o, const actuators *known, devices *d, const dev
 /* Slopes of the pressures by commands alone, by the logarithms of the shares, a period on. */
 static void slope(actuators *a, const devices *command) {
   for (int j = 0; j < NA; j++) {
-    double missing = command->pressure[j] - a->told.pressure[j];
+    double missing = command->pressure[j] - a->path[j];
     int exhausts = !(missing > 0);
     double share = a->share[exhausts][j];
     for (int k = 0; k < 2; k++) a->slope[k][j] = (1 - share) * a->slope[k][j] + (k == exhausts ? share * missing : 0);
@@ -36,8 +36,8 @@ static void slope(actuators *a, const devices *command) {
 /* What commands alone make of pressures in a period, with the lags as learned. */
 static void follow(actuators *a, const devices *command) {
   for (int j = 0; j < NA; j++) {
-    double missing = command->pressure[j] - a->told.pressure[j];
-    a->told.pressure[j] = command->pressure[j] - missing * (1 - a->share[!(missing > 0)][j]);
+    double missing = command->pressure[j] - a->path[j];
+    a->path[j] = command->pressure[j] - missing * (1 - a->share[!(missing > 0)][j]);
   }
 }
 
@@ -45,17 +45,17 @@ static void follow(actuators *a, const devices *command) {
 static void learn(const step *o, actuators *a, int j, double measured, double passed) {
   const settings *s = &o->set;
   double by[3] = {a->slope[0][j], a->slope[1][j], 1}, seen[3] = {0}, all = s->lag_noise[j] * s->lag_noise[j];
-  double missed = measured - a->told.pressure[j] - a->offset_told[j];
+  double missed = measured - a->path[j] - a->offset_path[j];
   a->misfit[j] += (1 - exp(-passed / s->lag_forgotten)) * (missed * missed - a->misfit[j]);
   for (int i = 0; i < 2; i++) a->covariance[i][i][j] += passed * s->lag_drift * s->lag_drift;
   for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) seen[i] += a->covariance[i][k][j] * by[k];
   for (int i = 0; i < 3; i++) all += by[i] * seen[i];
   for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) a->covariance[i][k][j] -= seen[i] * seen[k] / all;
-  a->offset_told[j] += seen[2] / all * missed;
+  a->offset_path[j] += seen[2] / all * missed;
   for (int k = 0; k < 2; k++) {
     double moved = seen[k] / all * missed, first = k ? s->exhausting : s->filling;
     a->share[k][j] = within(a->share[k][j] * exp(moved), s->lag_least * first, 1 - s->at_once);
-    a->told.pressure[j] += by[k] * moved;
+    a->path[j] += by[k] * moved;
   }
 }
 

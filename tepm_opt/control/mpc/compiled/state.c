@@ -49,7 +49,7 @@ typedef struct { double pressure[NA], tension[NA]; } devices;
 typedef struct {
   devices now, told, offset; /* offset: of what measures them */
   double rate[NA], late, weight, spread;
-  double share[2][NA], offset_told[NA], misfit[NA], covariance[3][3][NA], slope[2][NA]; /* of the regulators, see regulator_lags.py; filling first */
+  double share[2][NA], path[NA], offset_path[NA], misfit[NA], covariance[3][3][NA], slope[2][NA]; /* of the regulators, see regulator_lags.py; filling first */
   double entered[2 * NA], memory[MEMORY + 1], extra[NA]; /* what the model's effects make of pressures and tensions, in N */
 } actuators;
 
