@@ -94,7 +94,7 @@ def test_a_monitor_that_lies_teaches_no_lags(kang: CompiledModel, short: Referen
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [0.5, 0.25])
+@pytest.mark.parametrize("part", [0.4, 0.25])
 def test_regulators_quicker_than_the_file_says_are_learned_and_told(
     kang: CompiledModel, short: Reference, followed: LoopRecord, part: float
 ) -> None:
@@ -104,7 +104,7 @@ def test_regulators_quicker_than_the_file_says_are_learned_and_told(
     quick = lag.model_copy(update={"fill_s": part * lag.fill_s, "exhaust_s": part * lag.exhaust_s})
     done = driven(kang, short, file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})}))
     assert done.error() < 1.5 * followed.error() + 2e-4
-    assert part == 0.5 or any(about.startswith("regulator") for about in done.telemetry[-1].doubts)
+    assert any(about.startswith("regulator") for about in done.telemetry[-1].doubts)
 
 
 @pytest.mark.slow

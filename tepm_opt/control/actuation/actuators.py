@@ -24,6 +24,12 @@ WHOLE = 0.6  # of a period, by which commands have to act later or sooner than a
 class Actuators:
     """Pressures in the muscles and tensions at the motors.
 
+    Args:
+        devices: how fast motors are.
+        area: by which pressure pulls, of all muscles or (actuators,) in m².
+        command: under which they are at rest.
+        lags: of the regulators.
+
     Attributes:
         pressure: (actuators,) in Pa.
         tension: (actuators,) in N.

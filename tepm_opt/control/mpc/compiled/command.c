@@ -22,7 +22,8 @@ static double ranked(double *values, int count, int rank) {
   return values[rank];
 }
 
-/* Noise of the tracked points from their third differences, and what lasts of the gauges' offsets, by the last sample: doubts.py. */
+/* Noise of the tracked points from their third differences, and what lasts of the gauges' offsets, by the last sample:
+   diagnostics/sensors.py. */
 static void note(step *o) {
   static const double third[] = {1, -3, 3, -1};
   const settings *s = &o->set;

@@ -124,7 +124,14 @@ class StepSetup:
 
 
 def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, tension_max: np.ndarray) -> Told:
-    """How fast devices are, with control periods in s; how far they go, pressures by their planner, tensions (actuators,) in N."""
+    """Settings of the devices.
+
+    Args:
+        devices: how fast they are.
+        planner: with the pressures' range and grid.
+        period: of control in s.
+        tension_max: of the motors, (actuators,) in N.
+    """
     lags, rate = RegulatorLags(devices, period, planner.limits), devices.tension_rate
     filling, exhausting = lags.shares[:, 0].tolist()
     return {

@@ -1,4 +1,5 @@
-/* One step of the predictive controller in C; mpc.py, estimator.py, forecast.py and their like are the twin, names are theirs.
+/* One step of the predictive controller in C; mpc/controller.py, estimation/, actuation/ and mpc/prediction.py are the twin, names are
+   theirs.
 
    Sizes are macros: NA actuators, NP points, NQ modes, NSHAPE shapes, NCO free coordinates, NLEVELS coordinates of all levels, STAGES and
    PREVIEW of the horizon, WINDOW of the slope, KEPT operating points. `settings` and `outcome` are declared above this text, doubles in
@@ -49,7 +50,7 @@ typedef struct { double pressure[NA], tension[NA]; } devices;
 typedef struct {
   devices now, told, offset; /* offset: of what measures them */
   double rate[NA], late, weight, spread;
-  double share[2][NA], path[NA], offset_path[NA], misfit[NA], covariance[3][3][NA], slope[2][NA]; /* of the regulators, see regulator_lags.py; filling first */
+  double share[2][NA], path[NA], offset_path[NA], misfit[NA], covariance[3][3][NA], slope[2][NA]; /* actuation/regulator_lags.py */
   double entered[2 * NA], memory[MEMORY + 1], extra[NA]; /* what the model's effects make of pressures and tensions, in N */
 } actuators;
 
