@@ -18,12 +18,9 @@ class _RenamedModules(MetaPathFinder, Loader):
         self._package, self._names = package, names
 
     def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        return ModuleSpec(fullname, self, is_package=fullname in self._new_packages) if self._new_name(fullname) else None
-
-    @property
-    def _new_packages(self) -> set[str]:
-        """Old names of packages, whose modules have old names, too."""
-        return {f"{self._package}.{old}" for old, new in self._names.items() if new.endswith(".*")}
+        new = self._new_name(fullname)
+        package = self._names.get(fullname.removeprefix(f"{self._package}."), "").endswith(".*")
+        return ModuleSpec(fullname, self, loader_state=new, is_package=package) if new else None
 
     def _new_name(self, fullname: str) -> str | None:
         if not fullname.startswith(f"{self._package}."):
@@ -35,8 +32,7 @@ class _RenamedModules(MetaPathFinder, Loader):
         return f"{self._package}.{self._names[old]}" if old in self._names else None
 
     def exec_module(self, module: ModuleType) -> None:
-        new = self._new_name(module.__name__)
-        assert new is not None  # as `find_spec` has found
+        new = module.__spec__.loader_state if module.__spec__ else module.__name__
         warnings.warn(f"{module.__name__} is now {new}; the old name goes with version 0.4", DeprecationWarning, stacklevel=6)
         module.__dict__.update({name: value for name, value in vars(import_module(new)).items() if not name.startswith("__")})
 
