@@ -9,8 +9,10 @@ import pytest
 
 from tepm_opt.data.run import Run, RunSet
 from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
-from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import Named, VerdictStatus
 from tepm_opt.discrepancy.pipeline import discover
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.reporting.report import _is_another_machine
 from tepm_opt.discrepancy.setup.foreign import odd_run
 from tests.discrepancy.test_setup import two_masses
 
@@ -49,3 +51,13 @@ def test_what_goes_where_no_other_run_does_is_not_foreign(size: float, number: i
     runs[2] = replace(runs[2], points=runs[2].points * np.where(beyond, 1.2, 1.0)[:, None, None])
     found = odd_run(runs, [plant.predict(run).points for run in runs], NOISE)
     assert (found and found[0]) == number
+
+
+@pytest.mark.parametrize(("probability", "is_told"), [(0.95, True), (0.69, False)])
+def test_a_value_of_its_own_that_is_unclear_blames_no_run(probability: float, is_told: bool) -> None:
+    """A verdict that doubts what differs in a run does not call the run foreign."""
+    plant = two_masses()
+    runs = [recorded(plant, number) for number in range(3)]
+    effect = Candidate("parameter", "spring", {"parameter[spring].value": 40.0}, part="parameter")
+    named = Named(effect, probability, {}, 0.5, ("2.csv",))
+    assert _is_another_machine(named, runs) is is_told

@@ -10,6 +10,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.assessment.constancy import active_runs
 from tepm_opt.discrepancy.assessment.residual_locations import error_unit
 from tepm_opt.discrepancy.assessment.result import Named, Rival, Value, Verdict, VerdictStatus
+from tepm_opt.discrepancy.assessment.settings import DEFAULT as ASSESSMENT
 from tepm_opt.discrepancy.assessment.stated_set import describe_stated_set
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting import sentences
@@ -47,7 +48,8 @@ def build_verdict(state: Assessed) -> Verdict:
         )
         for effect, other, hypothesis, probability in judgement.listed
     ]
-    setup = (*setup, *(foreign_run(each.runs[0], 0.0, each.candidate.label) for each in named if _is_another_machine(each, dataset.runs)))
+    others = [each for each in named if _is_another_machine(each, dataset.runs)]
+    setup = (*setup, *(foreign_run(each.runs[0], 0.0, each.candidate.label, each.probability) for each in others))
     form_error = explanation.best.form_error
     known = {name: _value(best, form_error, name, plant.values[name]) for name in plant.known}
     notes = sentences.collect_notes(dataset, plant.signals, explanation, best, noise, errors)
@@ -81,8 +83,9 @@ def build_verdict(state: Assessed) -> Verdict:
 
 
 def _is_another_machine(named: Named, runs: Sequence[Run]) -> bool:
-    """Whether one of several runs is of a machine whose own value, as of its size or stiffness, is another one."""
-    return named.candidate.part == "parameter" and len(named.runs) == 1 and len(runs) > 2
+    """Whether one of several runs is clearly of a machine whose own value, as of its size or stiffness, is another one."""
+    is_clear = named.probability >= ASSESSMENT.min_named
+    return is_clear and named.candidate.part == "parameter" and len(named.runs) == 1 and len(runs) > 2
 
 
 def _share_alone(explanation: Explanation, effect: Candidate, hypothesis: Hypothesis) -> float:

@@ -77,17 +77,18 @@ def late_run(file: str, seconds: float, left: float) -> SetupError:
     return SetupError("late_run", (file,), mend, 1 - left, left, SetupHypothesis("late_run", (file,), mend, apply, "points"))
 
 
-def foreign_run(file: str, left: float, differs: str = "") -> SetupError:
+def foreign_run(file: str, left: float, differs: str = "", probability: float = 1.0) -> SetupError:
     """The error that a run is from another set-up.
 
     Args:
         file: of the run.
         left: part of the misfit that is left without it.
         differs: value that is another one there, if it is known; the other runs are fitted apart then, and nothing is mended.
+        probability: of the error.
     """
     mend = f"leave {file} out, and look what was different there{f': {differs}' if differs else ' (a tendon or hose off, another robot?)'}"
     nothing = SetupHypothesis("foreign_run", (file,), mend, lambda run: run, "points")
-    return SetupError("foreign_run", (file,), mend, 1.0, left, nothing, is_mended=not differs)
+    return SetupError("foreign_run", (file,), mend, probability, left, nothing, is_mended=not differs)
 
 
 def mend_runs(runs: Sequence[Run], setup: Sequence[SetupError]) -> tuple[Run, ...]:
