@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.outliers import without_strays
+from tepm_opt.discrepancy.assessment.calibration import calibrate_judgement
 from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, effect_size_by_segment
 from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_law_odds
 from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
@@ -146,6 +147,7 @@ def assess(state: Validated) -> Assessed:
     if state.baseline is not None:
         judgement = judge_change(judgement, explanation, settings, state.baseline, state.dataset.fit)
     judgement = _limit(judgement, state.limit, settings)
+    judgement = calibrate_judgement(judgement, explanation.gauge_effects)
     dropped = explanation.best.effects and (state.clock_shift or judgement.status is VerdictStatus.UNEXPLAINED)
     if not dropped:
         return Assessed(**vars(state), judgement=judgement, cause_scores=score_causes(explanation, judgement, settings))

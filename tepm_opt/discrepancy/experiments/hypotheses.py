@@ -47,7 +47,7 @@ def refit_hypotheses(
     best: Effects = tuple(c for c, _ in told if c.label in corrected or (c.detail or "") in corrected)
     if told and not best:
         best = (told[0][0],)
-    sure = {c for c, each in told if each["probability"] >= ASSESSMENT.min_named}
+    sure = {c for c, each in told if each["probability"] >= ASSESSMENT.min_sure}
     rivals = [c for c, _ in told if c not in best]
     if status is not VerdictStatus.INDISTINGUISHABLE or not rivals:
         rivals += [_by_label(name, candidates) for name, _ in others if name not in {c.label for c in (*best, *rivals)}]

@@ -84,7 +84,7 @@ def build_verdict(state: Assessed) -> Verdict:
 
 def _is_another_machine(named: Named, runs: Sequence[Run]) -> bool:
     """Whether one of several runs is clearly of a machine whose own value, as of its size or stiffness, is another one."""
-    is_clear = named.probability >= ASSESSMENT.min_named
+    is_clear = named.probability >= ASSESSMENT.min_sure
     return is_clear and named.candidate.part == "parameter" and len(named.runs) == 1 and len(runs) > 2
 
 

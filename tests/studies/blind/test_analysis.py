@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from tepm_opt import studies
+from tepm_opt.discrepancy.assessment.calibration import calibrate_probability
 from tepm_opt.discrepancy.assessment.settings import DEFAULT
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.models.effects import effects
 from tepm_opt.studies.blind.analysis import Rate, analysed, reliability, wilson
+from tepm_opt.studies.blind.calibration import calibrate_stated_set, fit_calibration
 from tepm_opt.studies.blind.causes import LIBRARY
 from tepm_opt.studies.blind.foreign import FOREIGN
 from tepm_opt.studies.blind.judged import Judged
-from tepm_opt.studies.blind.rates import calibrate_stated_set
 from tepm_opt.studies.blind.run import BlindRun
 from tepm_opt.studies.blind.table import markdown
 
@@ -240,11 +241,29 @@ def test_a_set_holds_all_causes_where_it_begins_below_the_least_of_them() -> Non
     assert Judged(result("closed", hidden, "named", [])).least_score is None
 
 
-def test_a_threshold_is_calibrated_on_half_of_the_trials_and_judged_on_the_other() -> None:
-    """Of 39 trials of even numbers two may lie below the threshold, as 5 % of 40."""
-    even = [scored(2 * k, GAIN, {"actuator_gain[12]": 0.01 * (k + 1)}) for k in range(39)]
-    odd = [scored(2 * k + 1, GAIN, {"actuator_gain[12]": DEFAULT.min_stated + (0.01 if k else -0.01)}) for k in range(10)]
-    assert calibrate_stated_set(map(Judged, even), 0.95) == pytest.approx(0.02)
-    assert calibrate_stated_set(map(Judged, even[:5]), 0.95) == 0.0
-    rate = next(rate for rate in analysed([*even, *odd]).rates if rate.name.startswith("the stated set"))
+def test_a_threshold_promises_a_coverage() -> None:
+    """Of 39 trials for calibration two may lie below the threshold, as 5 % of 40; five are too few for a promise."""
+    some = [scored(k, GAIN, {"actuator_gain[12]": 0.01 * (k + 1)}) for k in range(39)]
+    assert calibrate_stated_set(map(Judged, some), 0.95) == pytest.approx(0.02)
+    assert calibrate_stated_set(map(Judged, some[:5]), 0.95) == 0.0
+
+
+def test_the_stated_set_is_judged_by_its_threshold() -> None:
+    judged = [scored(k, GAIN, {"actuator_gain[12]": DEFAULT.min_stated + (0.01 if k else -0.01)}) for k in range(10)]
+    rate = next(rate for rate in analysed(judged).rates if rate.name.startswith("the stated set"))
     assert (rate.count, rate.of) == (9, 10)
+
+
+def test_coefficients_of_the_calibration_are_recovered() -> None:
+    """Answers of two effects whose frequencies follow the formula, drawn from it."""
+    random, trials = np.random.default_rng(3), []
+    for number in range(3000):
+        own = random.uniform(0.3, 0.999, 2)
+        acts = random.random(2) < calibrate_probability(own, np.full(2, own.min()))
+        hidden = [(name, None, 3.0) for name, does in zip(("creep", "payload"), acts, strict=True) if does]
+        said = [(name, None, p) for name, p in zip(("creep", "payload"), own, strict=True)]
+        trials.append(result("closed", hidden, "named", said, number))
+    found, interval = fit_calibration([Judged(each) for each in trials])
+    true = [DEFAULT.calibration_offset, DEFAULT.calibration_own, DEFAULT.calibration_weakest]
+    assert np.all(np.abs(found - true) < 0.1)
+    assert np.all((interval[0] < found) & (found < interval[1]))
