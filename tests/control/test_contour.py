@@ -84,7 +84,7 @@ class TestClock:
         assert (steps >= 0).all()
         assert (steps[:45] == FINE).all()
         assert steps[-5:].mean() == pytest.approx(PaceSettings().slowest * FINE, abs=0.5)
-        assert reference.passed == [0.0], "another clock of the same path begins at its start"
+        assert reference.clock.passed == [0.0], "another clock of the same path begins at its start"
 
     def test_what_is_decided_stays(self, reference: FreeReference) -> None:
         clock = reference.begun()

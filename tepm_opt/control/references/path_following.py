@@ -18,19 +18,30 @@ FINE = 8  # rows of the path in a control period at full speed
 WINDOW = 0.6  # s of the path about its target in which the nearest point of it is sought
 
 
+@dataclass(eq=False)
+class PathClock:
+    """Progress along a path: rows at control periods so far, and the pace in force.
+
+    Attributes:
+        passed: rows at control periods as far as they are decided; grows.
+        speed: part of the full speed, 0 … 1.
+    """
+
+    passed: list[float] = field(default_factory=lambda: [0.0])
+    speed: float = 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class FreeReference(Reference):
     """A reference whose rows are `FINE` times denser than control periods, passed at a pace that the controller governs.
 
     Attributes:
         pace: settings of the governor.
-        passed: rows at control periods so far, as far as they are decided; grows.
-        speed: the pace in force, 0 … 1, as the only element.
+        clock: progress of the one controller that follows it.
     """
 
     pace: PaceSettings = DEFAULT
-    passed: list[float] = field(default_factory=lambda: [0.0])
-    speed: list[float] = field(default_factory=lambda: [1.0])
+    clock: PathClock = field(default_factory=PathClock)
 
     @property
     def step(self) -> float:
@@ -40,18 +51,19 @@ class FreeReference(Reference):
     @property
     def duration(self) -> float:
         """Time in s that has passed as far as rows are decided, and that the rest takes at full speed."""
-        return self.period * (len(self.passed) - 1) + self.step * (len(self) - 1 - self.passed[-1])
+        passed = self.clock.passed
+        return self.period * (len(passed) - 1) + self.step * (len(self) - 1 - passed[-1])
 
     def begun(self) -> FreeReference:
         """The same path from its start, with a clock of its own."""
-        return replace(self, passed=[0.0], speed=[1.0])
+        return replace(self, clock=PathClock())
 
     def at(self, periods: np.ndarray | int) -> np.ndarray:
         """Row numbers of periods, (…,): those decided, and from there on at the present pace."""
-        periods = np.maximum(periods, 0)
-        last = len(self.passed) - 1
-        known = np.array(self.passed)[np.minimum(periods, last)]
-        ahead = np.maximum(periods - last, 0) * FINE * self.speed[0]
+        periods, passed = np.maximum(periods, 0), self.clock.passed
+        last = len(passed) - 1
+        known = np.array(passed)[np.minimum(periods, last)]
+        ahead = np.maximum(periods - last, 0) * FINE * self.clock.speed
         return np.clip(np.rint(known + ahead), 0, len(self) - 1).astype(int)
 
     def over(self, period: int) -> bool:
@@ -65,13 +77,13 @@ class FreeReference(Reference):
             period: up to which rows are used as they are.
             errors: distances of the tip from its targets over the coming stages in m.
         """
-        while len(self.passed) <= period:
-            self.passed.append(min(self.passed[-1] + FINE * self.speed[0], float(len(self) - 1)))
-        pace = self.pace
+        pace, clock = self.pace, self.clock
+        while len(clock.passed) <= period:
+            clock.passed.append(min(clock.passed[-1] + FINE * clock.speed, float(len(self) - 1)))
         part = (float(errors.max()) - pace.small) / (pace.large - pace.small)
         wanted = 1.0 - (1.0 - pace.slowest) * float(np.clip(part, 0.0, 1.0))
         most = pace.change * self.period
-        self.speed[0] += float(np.clip(wanted - self.speed[0], -most, most))
+        clock.speed += float(np.clip(wanted - clock.speed, -most, most))
 
 
 def contour_errors(reference: Reference, rows: np.ndarray, tips: np.ndarray) -> np.ndarray:
