@@ -42,8 +42,6 @@ class DriveOptions(OptionGroup):
         float | None,
         typer.Option("--sway", min=0.1, max=200.0, metavar="MM", help="How far inertia may bend the arm then.", show_default="10"),
     ] = None
-    nonlinear: Annotated[bool, typer.Option("--nonlinear", help="MPC: linearised along its last plan, not about the reference.")] = False
-    rule: Annotated[bool, typer.Option("--rule", help="MPC: motors on only near the target, as in mode 2.")] = False
     use: Annotated[str | None, typer.Option("--use", help="MPC: both, tension or pressure.", show_default="both")] = None
 
     def check(self, learning: bool = False) -> None:
@@ -72,8 +70,7 @@ class DriveOptions(OptionGroup):
         Raises:
             InputError: no such controller, or a setting that it does not have.
         """
-        given = {"rule": self.rule, "nonlinear": self.nonlinear, "use": self.use or ""}
-        return tepm.LoopSetup.of(self.controller, rig, seed, {name: value for name, value in given.items() if value})
+        return tepm.LoopSetup.of(self.controller, rig, seed, {"use": self.use} if self.use else {})
 
     def course(self, setup: LoopSetup) -> Course:
         """Laps, stays, obstacles and pace of the run.

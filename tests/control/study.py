@@ -147,7 +147,6 @@ ABLATIONS = {
     "no mid-ranging": MpcSettings(mid_ranging=False),
     "tension only": MpcSettings(use=Use.TENSION),
     "pressure only": MpcSettings(use=Use.PRESSURE),
-    "rule of mode 2": MpcSettings(switching=True),
 }
 
 

@@ -52,18 +52,18 @@ def test_a_difference_is_told_once_it_stays() -> None:
     actuators = Actuators(devices, 5e-5, Command.of(np.zeros(6)), RegulatorLags(devices, 0.01, np.full(3, 5e5)))
     doubts, noise = Doubts(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
     actuators.tension_offset = np.array([0.0, -0.4, 0.1])
-    told = [doubts.told(actuators, noise, 0.0) for _ in range(STAYS + 1)]
+    told = [doubts.update(actuators, noise, 0.0) for _ in range(STAYS + 1)]
     assert not any(told[:STAYS])
     assert list(told[-1]) == ["dynamometer 12"]
     assert "dynamometer 12 reads 0.4 N low" in told[-1]["dynamometer 12"]
     actuators.tension_offset[:] = 0.0
-    assert not doubts.told(actuators, noise, 0.0)
-    assert "20 ms later" in doubts.told(actuators, noise, 0.020)["command delay"]
+    assert not doubts.update(actuators, noise, 0.0)
+    assert "20 ms later" in doubts.update(actuators, noise, 0.020)["command delay"]
     actuators.lags.shares = 1 - np.exp(-0.01 / np.array([[0.1, 0.1, 0.025], [0.1, 0.1, 0.1]]))
     actuators.lags.covariance[0, 0, 2], actuators.lags._misfit = 0.01, np.zeros(3)
-    assert list(doubts.told(actuators, noise, 0.0)) == ["regulator 13"]
-    assert "fills 4 and exhausts 1 times as quickly" in doubts.told(actuators, noise, 0.0)["regulator 13"]
-    assert "15 ms sooner" in doubts.told(actuators, noise, -0.015)["command delay"]
+    assert list(doubts.update(actuators, noise, 0.0)) == ["regulator 13"]
+    assert "fills 4 and exhausts 1 times as quickly" in doubts.update(actuators, noise, 0.0)["regulator 13"]
+    assert "15 ms sooner" in doubts.update(actuators, noise, -0.015)["command delay"]
 
 
 def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.control.mpc.compiled.export import FILES, export_step
-from tepm_opt.control.mpc.controller import Mpc, MpcSettings
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Sample
@@ -62,5 +62,5 @@ def test_the_same_commands_without_python(
 
 def test_no_step_in_c_to_export(kang: CompiledModel, short: Reference, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"export: CompiledModel.*; valid: a model in C"):
-        export_step(Mpc(kang, short, MpcSettings(nonlinear=True)).setup, tmp_path / "nothing")
+        export_step(Mpc(kang, short, MpcSettings(use=Use.TENSION)).setup, tmp_path / "nothing")
     assert not (tmp_path / "nothing").exists()

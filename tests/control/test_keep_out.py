@@ -16,7 +16,7 @@ from tepm_opt.control.collision.model import KeepOut
 from tepm_opt.control.estimation.kalman_filter import Operating
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
-from tepm_opt.control.mpc.prediction import LinearForecast, Weights
+from tepm_opt.control.mpc.prediction import Forecast, Weights
 from tepm_opt.control.references.reference import Reference, approach, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Sample
@@ -217,10 +217,10 @@ def test_rows_are_the_distances_by_the_forces(short: Reference, led: Reference, 
     stages, row, random = 6, 395, np.random.default_rng(3)
     operating = Operating.of(modal_model(led.equilibria[row]), led.forces[row], led.period)
     rows = row + 2 * np.arange(-1, stages + 8)
-    forecast = LinearForecast(Weights(), stages)
+    forecast = Forecast(Weights(), stages)
     motion = np.append(2e-3 * random.normal(size=10), np.zeros(10))
     forecast.prepare(operating, led, rows)
-    forecast.about(motion, np.zeros(3))
+    forecast.horizon.about(motion, np.zeros(3))
     bias, begin, plan = 1e-3 * random.normal(size=(4, 3)), 0.1 * random.normal(size=6), 0.1 * random.normal(size=(stages, 6))
     found = KeepOutRows(beside, led, stages)
     R, r = found.about(forecast.horizon, operating.model, rows[2 : stages + 1], bias, begin, plan)

@@ -339,8 +339,10 @@ def test_a_controller_of_ones_own(kang, short):
     try:
         with pytest.raises(InputError, match="exists already"):
             register(kind)
-        with pytest.raises(InputError, match="--rule belongs to the predictive controller; leave it out with --controller counting"):
-            settings_of(kind, {"rule": True})
+        with pytest.raises(InputError, match="--use belongs to the predictive controller; leave it out with --controller counting"):
+            settings_of(kind, {"use": "tension"})
+        with pytest.raises(InputError, match="unknown option 'rule': valid: use"):
+            settings_of(find_controller(DEFAULT), {"rule": True})
         setup = LoopSetup.of("counting", "fake", 0, {})
         loop = run_closed_loop(kang, short, Fake(short), setup, guard=GUARD)
         assert loop.ok

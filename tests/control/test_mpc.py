@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.estimation.kalman_filter import FilterSettings, Operating
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
-from tepm_opt.control.mpc.prediction import Forecast, LinearForecast, Weights
+from tepm_opt.control.mpc.prediction import Forecast, Weights
 from tepm_opt.control.mpc.qp import QpResult
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.commands import check_command
@@ -43,10 +43,10 @@ def forecast_of(
     """About a point of a reference, from a random motion and with a random bias of the tip; with the program's H."""
     random = np.random.default_rng(seed)
     rows = np.full(stages + 9, ROW) if still else ROW + 2 * np.arange(-1, stages + 8)
-    forecast = LinearForecast(WEIGHTS, stages)
+    forecast = Forecast(WEIGHTS, stages)
     motion = np.append(4e-3 * random.normal(size=10), 1e-2 * random.normal(size=10))
     hessian = forecast.prepare(operating, reference, rows)
-    forecast.about(motion, 2e-3 * random.normal(size=3))
+    forecast.horizon.about(motion, 2e-3 * random.normal(size=3))
     return forecast, hessian
 
 
@@ -110,7 +110,7 @@ def test_value_beyond_the_horizon_converges(short, operating):
     """From the value about a point further on, by a step a period, to that of scipy about the one at which the robot stays."""
     rows = np.full(STAGES + 9, ROW)
     far = Operating.of(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
-    forecast = LinearForecast(WEIGHTS, STAGES)
+    forecast = Forecast(WEIGHTS, STAGES)
     forecast.prepare(far, short, rows)
     wanted, off = riccati(operating), []
     for _ in range(200):
@@ -132,10 +132,10 @@ def test_horizon_does_not_matter_without_limits(short, operating):
 
 def test_forces_at_rest_undo_the_bias(short, operating):
     """The static answer of the tip to `rest_force`, exactly, is minus its bias."""
-    forecast = LinearForecast(WEIGHTS, STAGES)
+    forecast = Forecast(WEIGHTS, STAGES)
     bias = np.array([2e-3, -1e-3, 3e-3])
     forecast.prepare(operating, short, np.full(STAGES + 9, ROW))
-    forecast.about(np.zeros(20), bias)
+    forecast.horizon.about(np.zeros(20), bias)
     assert operating.model.gain[-3:] @ forecast.horizon.rest_force == pytest.approx(-bias)
 
 
@@ -153,7 +153,7 @@ def in_order(command: Command) -> None:
 
 def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, ending: Ending, when) -> SimpleNamespace:
     """The quadratic program fails when asked to; counts how often."""
-    solve, count = controller._program._solver.solve, SimpleNamespace(failed=0)
+    solve, count = controller._step._program._solver.solve, SimpleNamespace(failed=0)
 
     def unreliable(*args) -> QpResult:
         if not when():
@@ -161,7 +161,7 @@ def failing(controller: Mpc, monkeypatch: pytest.MonkeyPatch, ending: Ending, wh
         count.failed += 1
         return QpResult(outcome=Outcome(ending))
 
-    monkeypatch.setattr(controller._program._solver, "solve", unreliable)
+    monkeypatch.setattr(controller._step._program._solver, "solve", unreliable)
     return count
 
 
@@ -233,21 +233,6 @@ def test_horizon_and_preview_are_settings(kang, short):
     assert controller.last.plan.shape == (8, 6)
 
 
-@pytest.mark.slow
-def test_motors_are_switched_by_the_length_error(kang, short):
-    """By the rule of mode 2: on while the estimated lengths are near, off where they are far; thresholds decide."""
-    on = {}
-    for thresholds in ((3e-3, 4e-3), (1.0, 2.0), (1e-9, 2e-9)):
-        settings = MpcSettings(switching=True, enable_below=thresholds[0], disable_above=thresholds[1])
-        controller = Mpc(kang, short, settings)
-        for row in range(30):
-            off = np.array([50e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4
-            command = controller.command(Sample(short.period * row, short.equilibria[row].points + off))
-        on[thresholds] = int(command.enabled.sum())
-    assert list(on.values()) == [on[3e-3, 4e-3], 6, 0]
-    assert 0 < on[3e-3, 4e-3] < 6
-
-
 def held_off(kang: CompiledModel, short: Reference, settings: MpcSettings, first: int, count: int) -> np.ndarray:
     """Pressures (steps, actuators) in Pa while the arm is pushed 10 mm aside, from a row of the reference on."""
     path = dataclasses.replace(
@@ -284,7 +269,7 @@ def test_pressures_take_over_what_goes_on(kang, short, row, quick, slow):
 @pytest.mark.parametrize("seed", range(2))
 def test_any_points_make_commands_within_the_limits(kang, short, use, seed):
     """From random states, points of any size, some or all of them lost, measured inputs too, frames left out: for 80 steps."""
-    controller, random = Mpc(kang, short, MpcSettings(use=use, switching=seed == 1)), np.random.default_rng(seed)
+    controller, random = Mpc(kang, short, MpcSettings(use=use)), np.random.default_rng(seed)
     check_command(controller.start(), ROBOT)
     row = 0
     for k in range(80):
@@ -336,7 +321,7 @@ def test_results_say_in_one_line_what_they_are(kang, short, followed):
     controller.command(sample_at(short, 0, np.random.default_rng(1)))
     assert repr(short) == "Reference(4.49 s, 450 periods, counted=100, targets=1)"
     assert repr(followed) == "LoopRecord(done, samples=450, until=4.49 s)"
-    assert repr(controller).startswith(f"Mpc(kang2017, linear in {'C' if controller.is_c else 'Python'}, Reference(")
+    assert repr(controller).startswith(f"Mpc(kang2017 in {'C' if controller.is_c else 'Python'}, Reference(")
     assert repr(controller.last).startswith("Step(solved, period=0, moves=")
     assert repr(controller.last.estimate).startswith("StateEstimate(tip=(")
     loop = ClosedLoop.of(followed, kang, LoopSetup(rig="sim <one>"))
@@ -346,21 +331,6 @@ def test_results_say_in_one_line_what_they_are(kang, short, followed):
     assert "<th>controller</th><td>MPC</td>" in table
     assert "sim &lt;one&gt;" in table
     assert f"{1e3 * followed.error():.3g} mm rms" in table
-
-
-@pytest.mark.slow
-def test_soft_corridor_pulls_the_tip_in(kang, short):
-    """From 8 mm beside it and with the error itself cheap: less is planned beyond a corridor that cannot be kept at once; nothing fails."""
-    beyond = {}
-    for corridor in (np.inf, 1e-3):
-        controller = Mpc(kang, short, MpcSettings(weights=Weights(tip=1e-2), corridor=corridor, backend="python"))
-        for k in range(60):
-            controller.command(Sample(k * short.period, short.equilibria[k].points + np.array([8e-3, 0, 0]) * np.arange(1, 5)[:, None] / 4))
-        horizon = controller._forecast.horizon
-        planned = (horizon.tip_free + horizon.tip_answer @ controller._planned.ravel()).reshape(-1, 3)
-        beyond[corridor] = float(np.maximum(np.abs(planned) - 1e-3, 0).sum())
-        assert controller.fallbacks == {}
-    assert beyond[1e-3] < 0.7 * beyond[np.inf]
 
 
 @pytest.mark.parametrize(("probability", "refused"), [(1e-6, [2]), (0.0, [])])
@@ -377,7 +347,7 @@ def test_the_filter_takes_its_settings(kang, short, probability, refused):
 def test_friction_of_the_model_is_where_the_filter_starts_and_nothing_else(kang, short):
     """0.03 N and a quarter of the tension are 0.9 N at the middle; nothing is foreseen of it by reversals of commands."""
     known = compile_model(kang.model.with_effect("tendon_friction", constant=0.03, share=0.25))
-    controller = Mpc(known, short)
+    controller = Mpc(known, short, PYTHON)
     sample = sample_at(short, 0, np.random.default_rng(1))
     sample.points[:] = np.nan  # nothing is learned
     controller.command(sample)
@@ -385,9 +355,9 @@ def test_friction_of_the_model_is_where_the_filter_starts_and_nothing_else(kang,
     for row in range(1, 40):
         sample = sample_at(short, row, np.random.default_rng(1))
         controller.command(sample)
-    assert not controller._effects.forces.any()
+    assert not controller._step._state.effects.forces.any()
     nothing = compile_model(kang.model.with_effect("tendon_friction", constant=0.0, share=0.0))
-    assert Mpc(nothing, short)._filter == MpcSettings().filter
+    assert Mpc(nothing, short).setup.filter == MpcSettings().filter
 
 
 @pytest.mark.slow

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.actuation.actuators import Actuators, InputEffects, Sent
+from tepm_opt.control.actuation.actuators import Actuators, InputEffects
+from tepm_opt.control.actuation.delay_line import MOST_LATE, CommandDelayLine
 from tepm_opt.control.actuation.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.estimation.dahl_friction import course, turned
@@ -194,19 +195,36 @@ def test_a_gauge_that_jumps_further_than_a_motor_can_is_not_believed():
     assert actuators.tension == pytest.approx(2.0)
 
 
-def test_commands_on_their_way():
-    """What is in force in an interval, before, between and after commands; what was forgotten does not change that."""
-    sent = Sent(np.array([0.0]))
-    sent.add(0.10, np.array([1.0]))
-    sent.add(0.20, np.array([2.0]))
+def numbered(line: CommandDelayLine, rows: range) -> list[float]:
+    """Pressures of the commands in force over periods."""
+    return [float(line.acting(row).pressures[0]) for row in rows]
 
-    def force() -> list[float]:
-        return [float(sent.between(time, time + 0.01)[0]) for time in (0.15, 0.19, 0.20, 0.90)]
 
-    assert sent.between(0.0, 0.01) == 0.0
-    assert force() == [1.0, 1.0, 2.0, 2.0]
-    sent.forget(0.15)
-    assert force() == [1.0, 1.0, 2.0, 2.0]
+def test_commands_on_their_way() -> None:
+    """Each acts two periods after its sample, from the first sample's time on; those that act no more are forgotten."""
+    line = CommandDelayLine(Command.of(np.zeros(2)), 0.01, 2)
+    assert line.take_time(5.0) == 0
+    for row in range(20):
+        assert line.take_time(5.0 + 0.01 * row) == row
+        line.send(5.0 + 0.01 * row, Command.of(np.array([row + 1.0, 0.0])))
+    assert line.last.pressures[0] == 20.0
+    assert numbered(line, range(18, 23)) == [17.0, 18.0, 19.0, 20.0, 20.0]
+    assert len(line._entries) == MOST_LATE + 3
+
+
+def test_commands_that_act_later_than_was_thought() -> None:
+    """By three periods: sent ones and those to come; never by more than is allowed, nor before a period has passed."""
+    line = CommandDelayLine(Command.of(np.zeros(2)), 0.01, 2)
+    line.take_time(0.0)
+    line.send(0.0, Command.of(np.array([1.0, 0.0])))
+    line.postpone(3)
+    line.send(0.01, Command.of(np.array([2.0, 0.0])))
+    assert numbered(line, range(4, 8)) == [0.0, 1.0, 2.0, 2.0]
+    assert line.late == pytest.approx(0.03)
+    line.postpone(100)
+    assert line.ahead == 2 + MOST_LATE
+    line.postpone(-100)
+    assert line.ahead == 1
 
 
 def test_no_effects_no_extra_forces(kang):

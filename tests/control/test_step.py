@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
-from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
+from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use, make_mpc
 from tepm_opt.control.mpc.prediction import Weights
 from tepm_opt.control.references.reference import Reference, along, reference_by_forces, reference_of
 from tepm_opt.errors import InputError
@@ -217,7 +217,7 @@ def test_late_steps_go_on_with_the_last_plan(kang, quick, recorded):
     assert pair[0].fallbacks == {"late": 5}
 
 
-@pytest.mark.parametrize("settings", [MpcSettings(nonlinear=True), MpcSettings(corridor=1e-2), MpcSettings(use=Use.TENSION)])
+@pytest.mark.parametrize("settings", [MpcSettings(stages=1), MpcSettings(use=Use.PRESSURE), MpcSettings(use=Use.TENSION)])
 def test_other_settings_step_in_python(kang, quick, settings):
     assert not Mpc(kang, quick, settings).is_c
     with pytest.raises(InputError, match=r"backend 'c': .*; valid: a model in C, both kinds"):
@@ -227,7 +227,7 @@ def test_other_settings_step_in_python(kang, quick, settings):
 @pytest.mark.slow
 def test_a_model_in_python_steps_in_python(kang_python, kang, short, compiler):
     assert not Mpc(kang_python, short).is_c
-    assert repr(Mpc(kang, short)).startswith("Mpc(kang2017, linear in C, ")
+    assert repr(Mpc(kang, short)).startswith("Mpc(kang2017 in C, ")
 
 
 def test_points_of_another_robot(kang, short, compiler):
@@ -240,4 +240,7 @@ def test_computing_time_is_a_delay_in_real_time(kang, short):
     assert Mpc(kang, short).ahead == 2
     assert [Mpc(kang, short, MpcSettings(computing=each)).ahead for each in (4e-4, 6e-4, 12e-3)] == [2, 3, 4]
     assert MpcSettings().in_real_time(0.01).computing is None
-    assert Mpc(kang, short, MpcSettings().in_real_time(0.01)).ahead in (2, 3)
+    assert make_mpc(kang, short, MpcSettings().in_real_time(0.01)).ahead in (2, 3)
+    with pytest.raises(InputError, match="computing: None; valid: a time in s"):
+        Mpc(kang, short, MpcSettings(computing=None))
+    assert Mpc(kang, short, MpcSettings(computing=None), 12e-3).ahead == 4

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections import deque
 
 import numpy as np
 
@@ -99,8 +98,8 @@ class Actuators:
         explains = self._late**2 >= EXPLAINED * self._weight * self._spread
         return self._late / self._weight if self._weight > TELLING and explains else 0.0
 
-    def later(self, period: float) -> int:
-        """Number of periods in s by which commands act later than assumed, which is taken for known from now on."""
+    def adopt_delay(self, period: float) -> int:
+        """Take for known from now on by how many periods in s commands act later than assumed; the number."""
         count = round(self.late / period) if abs(self.late) > WHOLE * period else 0
         if count:
             self._late = self._weight = self._spread = 0.0
@@ -115,36 +114,6 @@ def _missed(measured: np.ndarray | None, expected: np.ndarray) -> np.ndarray:
 def _corrected(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray) -> np.ndarray:
     """Believed values moved towards measured ones less the gauges' offsets, where there are any, (actuators,) each; never below zero."""
     return np.maximum(believed + BELIEF * _missed(measured, believed + offset), 0.0)
-
-
-class Sent:
-    """Commands on their way: what was sent, and from when on it acts."""
-
-    def __init__(self, first: Command) -> None:
-        self._entries: deque[tuple[float, Command]] = deque([(-np.inf, first)])
-
-    @property
-    def last(self) -> Command:
-        """The command sent last, whether it acts yet or not."""
-        return self._entries[-1][1]
-
-    def add(self, acts_at: float, command: Command) -> None:
-        """A command that acts from a time in s on."""
-        self._entries.append((acts_at, command))
-
-    def shift(self, later: float) -> None:
-        """Let all commands act later by a time in s than was thought when they were added."""
-        self._entries = deque((at + later, command) for at, command in self._entries)
-
-    def between(self, start: float, end: float) -> Command:
-        """The command in force at the middle of an interval in s; the oldest one that is known where none was yet."""
-        middle = (start + end) / 2
-        return next((command for at, command in reversed(self._entries) if at <= middle), self._entries[0][1])
-
-    def forget(self, before: float) -> None:
-        """Drop what a time in s from `before` on does not need."""
-        while len(self._entries) > 1 and self._entries[1][0] <= before:
-            self._entries.popleft()
 
 
 class InputEffects:

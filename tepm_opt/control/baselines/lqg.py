@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tepm_opt.control.actuation.actuators import Actuators, InputEffects, Sent
+from tepm_opt.control.actuation.actuators import Actuators, InputEffects
+from tepm_opt.control.actuation.delay_line import CommandDelayLine
 from tepm_opt.control.actuation.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.controller import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value, own_settings
@@ -28,7 +29,6 @@ from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.modal_model import modal_model
 
 SPACING = 10  # periods between the reference's points at which gains are taken
-MOST_LATE = 8  # periods by which commands may act later than the robot file says
 WINDOW = 2  # periods on each side over which the reference is differentiated
 
 
@@ -94,8 +94,6 @@ class Lqg:
         self.area, self.devices, self.period = model.values["A"], Devices.of(model), reference.period
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
         age = robot.tracker.latency_s if robot.tracker else 0.0
-        self.ahead = int(np.ceil((age + self.devices.delay) / self.period - 1e-9))
-        self._declared = self.ahead
         step, planner = robot.actuation.pressure_step, settings.pressure_planner
         self._planner = PressurePlanner(self._pressure_max, step, planner)
         self._noise = max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6)
@@ -103,12 +101,12 @@ class Lqg:
         self._dynamic = self._feed_forward()
         first = self.start()
         lags = RegulatorLags(self.devices, self.period, self._pressure_max, first.pressures)
-        self._actuators, self._sent = Actuators(self.devices, self.area, first, lags), Sent(first)
+        self._actuators = Actuators(self.devices, self.area, first, lags)
+        self._sent = CommandDelayLine(first, self.period, int(np.ceil((age + self.devices.delay) / self.period - 1e-9)))
         self._effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         self._at = self._stations[0]
         self._modes, self._actuated = len(self._at.operating.model.stiffness), half
         self._state, self._slow = np.zeros(len(self._at.A)), np.zeros(half)
-        self._zero: float | None = None
         self._row = 0
 
     def __repr__(self) -> str:
@@ -124,24 +122,23 @@ class Lqg:
     def command(self, sample: Sample) -> Command:
         """Set points for a sample, always within the limits."""
         self._observe(sample)
-        then = self._station(self._row + self.ahead)
+        then = self._station(self._row + self._sent.ahead)
         motion, actuators = self._look_ahead(then)
         unknown, bias = self._state[2 * self._modes :][: self._actuated], self._state[-3:]
-        row = int(self.reference.at(self._row + self.ahead))
+        row = int(self.reference.at(self._row + self._sent.ahead))
         deviation, rest = self._beside(motion, then, row), then.rest @ bias
         wanted_force, wanted = rest[: self._actuated], rest[self._actuated :]
         known = self.reference.forces[row] + self._dynamic[row]
         v = actuators.forces + self._effects.forces + unknown - known
         pressures = self._pressures(unknown, wanted_force, actuators)
         change = -then.feedback @ np.concatenate([deviation - wanted, v - wanted_force])
-        later = int(self.reference.at(self._row + self.ahead + 1))
+        later = int(self.reference.at(self._row + self._sent.ahead + 1))
         ahead = self.reference.forces[later] + self._dynamic[later] - unknown - self._effects.forces
         most = self.devices.tension_rate * self.period
         pressure = actuators.lags.lag(actuators.pressure, pressures)
         tension = np.clip(self.area * pressure - ahead - v - change, actuators.tension - most, actuators.tension + most)
         command = Command(pressures, np.clip(tension, 0.0, self._tension_max), np.ones(self._actuated, dtype=bool))
-        self._sent.add(sample.time + self.ahead * self.period, command)
-        self._sent.forget(sample.time - MOST_LATE * self.period)
+        self._sent.send(sample.time, command)
         return command
 
     def telemetry(self) -> Telemetry:
@@ -208,11 +205,9 @@ class Lqg:
 
     def _observe(self, sample: Sample) -> None:
         """Bring filter and actuators up to the sample; a point that is not there corrects nothing."""
-        self._zero = sample.time if self._zero is None else self._zero
-        row = round((sample.time - self._zero) / self.period)
+        row = self._sent.take_time(sample.time)
         for passed in range(self._row, row):
-            start = self._zero + passed * self.period
-            self._actuators.command = self._sent.between(start, start + self.period)
+            self._actuators.command = self._sent.acting(passed)
             moved, forces = slice(0, 2 * self._modes), self._actuators.advance() + self._effects.forces
             pushed = self._at.operating.advance(np.zeros(2 * self._modes), forces)
             self._state = self._at.A @ self._state
@@ -220,8 +215,7 @@ class Lqg:
             self._turn(self._station(passed + 1))
         passed, self._row = max(row - self._row, 0), max(row, self._row)
         self._actuators.correct(sample, passed * self.period)
-        before, self.ahead = self.ahead, min(max(self.ahead + self._actuators.later(self.period), 1), self._declared + MOST_LATE)
-        self._sent.shift((self.ahead - before) * self.period)
+        self._sent.postpone(self._actuators.adopt_delay(self.period))
         self._effects.advance(self._actuators, self.period)
         model, bias = self._at.operating.model, self._state[2 * self._modes + self._actuated :]
         expected = model.equilibrium.points.ravel() + model.observe @ self._state[: self._modes] + bias
@@ -238,9 +232,8 @@ class Lqg:
         """Motion [q, q'] about the station and actuators when a new command can act."""
         motion, actuators, now = self._state[: 2 * self._modes], self._actuators.copy(), self._at.operating
         unknown = self._state[2 * self._modes :][: self._actuated]
-        for at in range(self._row, self._row + self.ahead):
-            start = (self._zero or 0.0) + at * self.period
-            actuators.command = self._sent.between(start, start + self.period)
+        for at in range(self._row, self._row + self._sent.ahead):
+            actuators.command = self._sent.acting(at)
             motion = now.advance(motion, actuators.advance() + self._effects.forces + unknown)
         return now.turned(motion, then.operating), actuators
 
@@ -254,7 +247,7 @@ class Lqg:
         """Commands of the pressures, (actuators,) in Pa: what is needed of the forces with the tensions in their middle."""
         planner = self.settings.pressure_planner
         self._slow = self._slow + (1 - np.exp(-self.period / planner.disturbance_time)) * (unknown - self._slow)
-        rows = self.reference.at(self._row + self.ahead + 2 * np.arange(1, planner.preview + 1))
+        rows = self.reference.at(self._row + self._sent.ahead + 2 * np.arange(1, planner.preview + 1))
         need = self.reference.forces[rows] + self._dynamic[rows] + wanted - self._slow - self._effects.forces + self._tension_max / 2
         return self._planner.plan(need / self.area, self._sent.last.pressures, actuators.pressure, 1, actuators.lags)[0]
 

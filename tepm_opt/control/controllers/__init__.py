@@ -49,11 +49,13 @@ def settings_of(kind: ControllerKind, options: Mapping[str, Option]) -> Controll
         options: those that were given, by name.
 
     Raises:
-        InputError: an option that belongs to another controller, or a value that it does not have.
+        InputError: an option that belongs to another controller or to none, or a value that it does not have.
     """
     for option in options:
         if option not in kind.options:
             owners = " or the ".join(other.description for other in controllers() if option in other.options)
+            if not owners:
+                raise unknown_name("option", option, kind.options)
             raise InputError(f"--{option} belongs to the {owners}; leave it out with --controller {kind.name}")
     return kind.settings(options)
 

@@ -63,7 +63,7 @@ class Doubts:
         self._limits = {"pressure": OFF["pressure"] * ranges[0], "tension": OFF["tension"] * ranges[1]}
         self._lasting = {kind: np.zeros(len(names), dtype=int) for kind in self._limits}
 
-    def told(self, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
+    def update(self, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
         """What does not make sense now, a sentence each.
 
         Args:

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Literal
 
-import numpy as np
-
 from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.controller import Option
 from tepm_opt.control.estimation.kalman_filter import FilterSettings
@@ -36,19 +34,13 @@ class MpcSettings:
         weights: cost of errors and efforts.
         mid_range: tension to which mid-ranging lets the motors return, as part of their range.
         mid_ranging: whether the pressures take over what the tensions do for longer; else they only follow the reference.
-        switching: whether a motor is enabled only while its muscle's length is near the reference's, as in the paper's mode 2; else always.
-        enable_below: length error in m below which `switching` enables a motor.
-        disable_above: length error in m above which `switching` disables it again.
         use: which actuators move; those left out keep still.
-        corridor: half width in m, along each axis, of the tube about the reference beyond which the tip's error costs a hundred times as
-            much: a soft constraint; infinite for none.
         damping: times the model's damping that filter and program reckon with; with 1 the circle on twelve random machines is 8 % worse,
             with 2 some machines without any friction are twice as far off.
-        nonlinear: whether the program is linearised along its own last plan (real-time iteration) instead of about the reference.
         pressure_planner: settings of the pressures.
         filter: settings of the state estimator.
         deadline: duration of a step in s after which its program is not used and the last plan goes on.
-        computing: time in s from a sample to its command, which counts as delay; None to measure it when the controller is made.
+        computing: time in s from a sample to its command, which counts as delay; None for what `make_mpc` measures.
         backend: "auto" steps in C where model, settings and compiler allow it; "c" insists on it; "python" never does: the same commands.
     """
 
@@ -56,13 +48,8 @@ class MpcSettings:
     weights: Weights = field(default_factory=Weights)
     mid_range: float = 0.5
     mid_ranging: bool = True
-    switching: bool = False
-    enable_below: float = 3e-3
-    disable_above: float = 4e-3
     use: Use = Use.BOTH
-    corridor: float = np.inf
     damping: float = DAMPING
-    nonlinear: bool = False
     pressure_planner: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
     filter: FilterSettings = field(default_factory=FilterSettings)
     deadline: float = math.inf
@@ -72,7 +59,7 @@ class MpcSettings:
     @property
     def asked(self) -> dict[str, Option]:
         """What the options of the command line say of these settings."""
-        return {"use": self.use.value, "rule": self.switching, "nonlinear": self.nonlinear}
+        return {"use": self.use.value}
 
     def in_real_time(self, period: float) -> MpcSettings:
         """Settings with which a step that takes longer than a control period in s is late, and with which what it takes is a delay."""
@@ -80,7 +67,7 @@ class MpcSettings:
 
     @staticmethod
     def of(options: Mapping[str, Option]) -> MpcSettings:
-        """Settings for options of the command line: "use", "rule", "nonlinear", those that were given.
+        """Settings for options of the command line: "use", where it was given.
 
         Raises:
             InputError: no such use.
@@ -88,4 +75,4 @@ class MpcSettings:
         use, known = str(options.get("use", Use.BOTH.value)), [kind.value for kind in Use]
         if use not in known:
             raise unknown_name("use", use, known)
-        return MpcSettings(use=Use(use), switching=bool(options.get("rule", False)), nonlinear=bool(options.get("nonlinear", False)))
+        return MpcSettings(use=Use(use))

@@ -266,7 +266,7 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
   o->way = *way;
   o->modal = modal;
   o->ahead = o->declared = ahead;
-  o->measured = set->declared_noise;
+  o->measured = o->out.noise[0] = set->declared_noise;
   for (int k = 0; k < KEPT; k++) o->kept[k].row = -1;
   o->sents = 1;
   o->sent[0].at = -INFINITY;
@@ -361,9 +361,6 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
   o->out.seconds[0] = since(&began);
   return 0;
 }
-
-/* Brings what is told of noise and doubts up to the last sample. */
-void step_note(step *o) { note(o); }
 
 /* Basis (NCO, NSHAPE), values, damping, drive, points and gain of the operating point of the estimate, then A, start and end. */
 void step_point(const step *o, double **to) {

@@ -9,6 +9,7 @@ from importlib import resources
 import casadi as ca
 import numpy as np
 
+from tepm_opt.control.actuation.delay_line import MOST_LATE
 from tepm_opt.control.diagnostics.sensors import EVERY, WINDOW
 from tepm_opt.models.backends.ccode import Unit
 from tepm_opt.models.backends.interface import GUARDS, MODES, SHARED
@@ -16,8 +17,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import SWEEPS
 
 FILES = ("state.c", "points.c", "filter.c", "horizon.c", "program.c", "command.c")
-SYMBOLS = ("step_size", "step_outcome", "step_open", "step_prepare", "step_feedback", "step_note", "step_point")
-MOST_LATE = 8  # periods by which commands may act later than the robot file says
+SYMBOLS = ("step_size", "step_outcome", "step_open", "step_prepare", "step_feedback", "step_point")
 ITERATIONS = 1000  # changes of the active set
 
 

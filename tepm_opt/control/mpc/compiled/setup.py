@@ -1,4 +1,4 @@
-"""What a compiled step is made of, and its settings by the names they have in C."""
+"""What a step of the predictive controller is made of, and its settings by the names they have in C."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.modal_model import NEAR, ModalModel, fixed_part
+from tepm_opt.solvers.modal_model import NEAR, ModalModel, fixed_part, modal_model
 
+SLACK = 0.05  # of a period, by which computing time may go beyond whole ones
 Told = dict[str, float | np.ndarray]
 """Settings by name: numbers, or an array with one for each actuator."""
 
 
-FITS = "a model in C, both kinds of actuators always on, linear forecast, no corridor, no obstacles, a path with time, 2 stages or more"
+FITS = "a model in C, both kinds of actuators, no obstacles, a path with time, 2 stages or more"
 """What a step in C is for."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepSetup:
-    """What a compiled step is made of.
+    """What a step in C or in Python is made of.
 
     Attributes:
         model: compiled.
@@ -65,17 +66,43 @@ class StepSetup:
     start: ModalModel
     effects: InputEffects
 
+    @staticmethod
+    def of(model: CompiledModel, reference: Reference, settings: MpcSettings, computing: float) -> StepSetup:
+        """What follows from a model and settings for a reference that has not begun.
+
+        Args:
+            model: compiled.
+            reference: targets of the tip.
+            settings: of the controller.
+            computing: time in s from a sample to its command, which counts as delay.
+        """
+        robot, half, reference = model.robot, model.layout.inputs // 2, reference.begun()
+        devices, tracker, period = Devices.of(model), robot.tracker, reference.period
+        pressure_max, tension_max = robot.input_max[:half], robot.input_max[half:]
+        late = (tracker.latency_s if tracker else 0.0) + devices.delay
+        ahead = int(max(np.ceil(late / period - 1e-9), np.ceil((late + computing) / period - SLACK)))
+        noise = max((tracker.noise_rms_m if tracker else 1e-3) / np.sqrt(3), 1e-6)
+        first = _first_command(model, reference.forces[0], settings)
+        start = modal_model(reference.equilibria[0]).damped(settings.damping)
+        filtering = settings.filter.knowing(model.tendon_friction, settings.mid_range * float(tension_max[0]))
+        planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)
+        effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
+        return StepSetup(model, reference, settings, filtering, devices, planner, tension_max, ahead, noise, first, start, effects)
+
     def __repr__(self) -> str:
         return f"{self.model!r}, {self.controller!r}"
+
+    @property
+    def area(self) -> float:
+        """Area by which pressure pulls in m²."""
+        return self.model.values["A"]
 
     @property
     def fits(self) -> bool:
         """Whether there is a step in C for it."""
         asked = self.controller
-        plain = asked.use is Use.BOTH and not (asked.nonlinear or asked.switching or math.isfinite(asked.corridor))
-        reference = self.reference
-        plain = plain and reference.keep_out is None and not isinstance(reference, FreeReference)
-        return plain and self.model.is_c and asked.stages > 1
+        plain = self.reference.keep_out is None and not isinstance(self.reference, FreeReference)
+        return plain and asked.use is Use.BOTH and self.model.is_c and asked.stages > 1
 
     @property
     def sizes(self) -> Sizes:
@@ -98,8 +125,8 @@ class StepSetup:
     @cached_property
     def told(self) -> Told:
         """Settings by name."""
-        period, rest = self.reference.period, self.controller.mid_range * self.tension_max
-        more: Told = {"area": self.model.values["A"], "middle": float(rest[0]), "rest_tension": rest, "first_extra": self.effects.forces}
+        period, rest = self.reference.period, rest_tension(self.controller, self.tension_max)
+        more: Told = {"area": self.area, "middle": float(rest[0]), "rest_tension": rest, "first_extra": self.effects.forces}
         doubts = told_of_doubts(self.model.robot.input_max[: len(rest)], self.tension_max, self.noise)
         devices = told_of_devices(self.devices, self.planner, period, self.tension_max)
         return devices | told_of_settings(self.controller, self.filter, period) | doubts | more
@@ -121,6 +148,20 @@ class StepSetup:
         }  # fmt: skip
         found = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
         return found | {"mapped": np.array([each.mapped for each in at], dtype=ctypes.c_int)}
+
+
+def rest_tension(settings: MpcSettings, tension_max: np.ndarray) -> np.ndarray:
+    """Tensions to which mid-ranging returns, (actuators,) in N; 0 without motors."""
+    return settings.mid_range * tension_max if settings.use is not Use.PRESSURE else np.zeros(len(tension_max))
+
+
+def _first_command(model: CompiledModel, forces: np.ndarray, settings: MpcSettings) -> Command:
+    """Set points under which the robot rests at forces, (actuators,) in N."""
+    half, area = len(forces), model.values["A"]
+    pressure_max, tension_max = model.robot.input_max[:half], model.robot.input_max[half:]
+    pressure = np.clip((forces + rest_tension(settings, tension_max)) / area, 0.0, pressure_max)
+    pressure, on = model.robot.actuation.pressures_on_grid(pressure), settings.use is not Use.PRESSURE
+    return Command(pressure, np.clip(area * pressure - forces, 0.0, tension_max) * on, np.full(half, on))
 
 
 def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, tension_max: np.ndarray) -> Told:

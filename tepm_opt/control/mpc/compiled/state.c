@@ -1,4 +1,4 @@
-/* One step of the predictive controller in C; mpc/controller.py, estimation/, actuation/ and mpc/prediction.py are the twin, names are
+/* One step of the predictive controller in C; mpc/python_step.py, estimation/, actuation/ and mpc/prediction.py are the twin, names are
    theirs.
 
    Sizes are macros: NA actuators, NP points, NQ modes, NSHAPE shapes, NCO free coordinates, NLEVELS coordinates of all levels, STAGES and

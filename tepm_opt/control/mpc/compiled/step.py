@@ -14,8 +14,8 @@ from tepm_opt.control.controller import Telemetry, Value
 from tepm_opt.control.diagnostics.sensors import Doubts
 from tepm_opt.control.estimation.kalman_filter import Operating, StateEstimate
 from tepm_opt.control.mpc.compiled.layout import SYMBOLS
-from tepm_opt.control.mpc.compiled.record import Step
 from tepm_opt.control.mpc.compiled.setup import FITS, StepSetup
+from tepm_opt.control.mpc.record import LATE, Step
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.backends import ccode, compiler
@@ -32,7 +32,6 @@ OUTCOMES = (
 )  # fmt: skip
 """By the status of a program; the last one was solved too late."""
 ALIGNED = 64  # bytes
-LATE = "late"  # why a plan that was found is not used
 _NOWHERE = "no stable equilibrium to linearise about: its stiffness matrix has a negative eigenvalue"
 
 
@@ -59,7 +58,6 @@ class CompiledStep:
         # calls that keep the interpreter's lock: a thread that has it for long (the journal's) would make the command late
         takes = {"step_prepare": [p], "step_feedback": [p, d, d, p, p, p]}
         self._prepare, self._feedback = (ctypes.PYFUNCTYPE(ctypes.c_int, *kinds)(_address(library, name)) for name, kinds in takes.items())
-        self._note = ctypes.PYFUNCTYPE(None, p)(_address(library, "step_note"))
         self._point = ctypes.PYFUNCTYPE(None, p, p)(_address(library, "step_point"))
         self._memory = np.zeros(library.step_size() + ALIGNED, np.uint8)
         begin = -self._memory.ctypes.data % ALIGNED
@@ -103,20 +101,12 @@ class CompiledStep:
         return CompiledStep(setup, library, doubts) if library else None
 
     def prepare(self) -> None:
-        """Do what the next sample is not needed for.
-
-        Raises:
-            InputError: an equilibrium of the reference is not stable.
-        """
+        """See `ControlStep`."""
         if self._prepare(self._at):
             raise InputError(_NOWHERE)
 
     def feedback(self, sample: Sample, deadline: float) -> Command:
-        """Command for a sample; after a deadline in s the last plan goes on.
-
-        Raises:
-            InputError: points of another shape, or an equilibrium of the reference is not stable.
-        """
+        """See `ControlStep`."""
         if sample.points.shape != self._points.shape:
             raise InputError(f"points: shape {sample.points.shape}; valid: {self._points.shape}")
         self._points[:] = sample.points
@@ -143,17 +133,17 @@ class CompiledStep:
 
     @property
     def noise(self) -> float:
-        """Measured noise of a tracked coordinate in m; the declared one before the first step."""
-        return float(self._out[self._part["noise"]][0]) if self._seen is not None else self._setup.noise
+        """See `ControlStep`."""
+        return float(self._out[self._part["noise"]][0])
 
     @property
     def ahead(self) -> int:
-        """Periods from a sample to when a new command acts."""
+        """See `ControlStep`."""
         return int(self._out[self._part["ahead"]][0]) if self._seen is not None else self._setup.sizes.ahead
 
     @property
     def last(self) -> Step | None:
-        """Record of the last step; None before the first one."""
+        """See `ControlStep`."""
         if self._seen is None:
             return None
         get = {name: self._seen[part] for name, part in self._part.items()}
@@ -200,10 +190,9 @@ class CompiledStep:
         return list(columns), itemgetter(*columns.values())
 
     def telemetry(self) -> Telemetry:
-        """See `Mpc.telemetry`; the program's time is that of the whole feedback."""
+        """See `ControlStep`; the program's time is that of the whole feedback."""
         if self._seen is None:
             return Telemetry()
-        self._note(self._at)
         now, part = self._out.tolist(), self._part
         columns: dict[str, Value] = dict(zip(self._names, self._picked(now), strict=True))
         columns["program"] = OUTCOMES[int(now[part["status"].start])].ending.value

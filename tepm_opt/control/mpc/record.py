@@ -1,16 +1,20 @@
-"""What one step of the predictive controller did, what was ready before it, and what it looks ahead to."""
+"""Steps of the predictive controller: what each offers, and the record that it leaves."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators
-from tepm_opt.control.controller import Value
-from tepm_opt.control.estimation.kalman_filter import Estimator, Operating, StateEstimate
+from tepm_opt.control.controller import Telemetry, Value
+from tepm_opt.control.estimation.kalman_filter import StateEstimate
+from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.outcome import Outcome
+
+LATE = "late"  # why a plan that was found is not used
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,41 +49,46 @@ class Step:
         return f"Step({self.outcome}, period={self.period}, moves={self.moves}, iterations={self.iterations}, took={took})"
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """What is ready before a sample.
+class ControlStep(Protocol):
+    """The step of one controller: prepared without a sample, then fed with one; in C or in Python, with the same commands."""
 
-    Attributes:
-        row: of the reference, at which the sample is expected; `ahead` periods later a new command can act.
-        ahead: as of then.
-        rows: of the reference at stages −1, 0, 1, …, (preview + 3,).
-        estimator, actuators: brought up to the sample's time.
-        then: operating point when a new command can act.
-        directions: which way friction pulls after each period until then, (ahead, actuators).
-        courses: and over the coming stages, (preview, actuators).
-        foreseen: friction there as far as known before the sample, (preview, actuators) in N.
-        factor: of the tensions by it, (preview, actuators).
-    """
+    fallbacks: dict[str, int]
+    """Number of steps that went on with an older plan, by the reason."""
 
-    row: int
-    ahead: int
-    rows: np.ndarray
-    estimator: Estimator
-    actuators: Actuators
-    then: Operating
-    directions: np.ndarray
-    courses: np.ndarray
-    foreseen: np.ndarray
-    factor: np.ndarray
+    def prepare(self) -> None:
+        """Do what the next sample is not needed for, should it come a period after the last one.
 
+        Raises:
+            InputError: an equilibrium of the reference is not stable.
+        """
+        ...
 
-@dataclass(frozen=True, eq=False)
-class Ahead:
-    """What will be when a new command can act: [q, q'] about the operating point, the actuators, which way hysteresis pulls."""
+    def feedback(self, sample: Sample, deadline: float) -> Command:
+        """Command for a sample; a plan found later than a deadline in s is not used. What is not prepared is prepared first.
 
-    motion: np.ndarray
-    actuators: Actuators
-    turning: np.ndarray
+        Raises:
+            InputError: points of another shape, or an equilibrium of the reference is not stable.
+        """
+        ...
+
+    def telemetry(self) -> Telemetry:
+        """Record of the last step for the log, with noise and doubts as of the last preparation."""
+        ...
+
+    @property
+    def last(self) -> Step | None:
+        """Record of the last step; None before the first one."""
+        ...
+
+    @property
+    def ahead(self) -> int:
+        """Periods from a sample to when a new command acts, as far as is known."""
+        ...
+
+    @property
+    def noise(self) -> float:
+        """Measured noise of a tracked coordinate in m; the declared one at first."""
+        ...
 
 
 def columns_of(step: Step, names: Sequence[str], actuators: Actuators) -> dict[str, Value]:
