@@ -8,12 +8,13 @@ from types import TracebackType
 import numpy as np
 
 from tepm_opt.control.mpc.controller import MpcSettings
-from tepm_opt.control.references.reference import PERIOD, Reference, reference_by_forces, rising
+from tepm_opt.control.references.reference import PERIOD, Reference, rising
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import Robot
+from tepm_opt.solvers.statics import Equilibrium, equilibrium
 
 MUSCLES = 3
 
@@ -42,6 +43,18 @@ def guided(robot: Robot) -> Robot:
         "tracker": tracker,
     }
     return robot.model_copy(update=parts)
+
+
+def reference_by_forces(model: CompiledModel, forces: np.ndarray, period: float = PERIOD) -> Reference:
+    """Equilibria of axial forces, (periods, actuators) in N, a control period in s apart; targets are their tips."""
+    found: list[Equilibrium] = []
+    for row in forces:
+        effective = np.concatenate([row / model.values["A"], np.zeros(len(row))])
+        found.append(equilibrium(model, effective, model.check_loads(None), found[-1] if found else None, mapped=True))
+        assert found[-1].solved, found[-1].outcome
+    count = len(forces)
+    tips = np.array([at.tip for at in found])
+    return Reference(tips, np.array(forces), found, np.ones(count, dtype=bool), np.zeros(count, dtype=int), period)
 
 
 def length_reference(model: CompiledModel, lengths: np.ndarray, stay: float, move: float = 0.5, period: float = PERIOD) -> Reference:

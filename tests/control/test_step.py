@@ -11,13 +11,14 @@ import pytest
 from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use, make_mpc
 from tepm_opt.control.mpc.prediction import Weights
-from tepm_opt.control.references.reference import Reference, along, reference_by_forces, reference_of
+from tepm_opt.control.references.reference import Reference, along, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.trajectories import lissajous
+from tests.control.bench_arm import reference_by_forces
 from tests.tools import variant
 
 CLOSE = 1e-9  # N, and m

@@ -52,12 +52,12 @@ class KeepOutRows:
             begin: deviation of the forces at stage 0, (actuators,) in N.
             plan: about which distances are linearised: deviations at stages 1 …, (stages, actuators) in N; None where there is none.
         """
-        pulses = horizon.pulses()
+        first, pulses = horizon.pulses()
         modes, count = len(modal.stiffness), len(rows)
         observe = self.keep_out.observe(modal)
-        free = horizon.free[1 : count + 1, :modes] + pulses.first[:count, :modes] @ begin
+        free = horizon.free[1 : count + 1, :modes] + first[:count, :modes] @ begin
         lags = np.arange(count)[:, None] - np.arange(horizon.stages)
-        later = np.where((lags >= 0)[:, :, None, None], pulses.later[np.maximum(lags, 0), :modes], 0.0)  # (stage, of stage, modes, inputs)
+        later = np.where((lags >= 0)[:, :, None, None], pulses[np.maximum(lags, 0), :modes], 0.0)  # (stage, of stage, modes, inputs)
         moved = free if plan is None else free + np.einsum("ksmi,si->km", later, plan)
         places = self._reference[rows] + self.keep_out.offsets(bias) + np.einsum("pxm,km->kpx", observe, moved)
         distances, normals = self.keep_out.obstacles.nearest(places.reshape(-1, 3))

@@ -44,19 +44,6 @@ def against(model: ModalModel, bias: np.ndarray) -> np.ndarray:
     return -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
 
 
-@dataclass(frozen=True, eq=False)
-class Pulses:
-    """States at stages 1 … after a pulse of the forces at one stage, (stages, 2 · modes, actuators) in 1/N.
-
-    Attributes:
-        first: of a pulse at stage 0.
-        later: of a pulse at a later stage: what it is that many stages and one after the stage before.
-    """
-
-    first: np.ndarray
-    later: np.ndarray
-
-
 class Horizon:
     """Reference over the coming stages, the arm's free motion beside it, and the terminal cost.
 
@@ -147,8 +134,9 @@ class Horizon:
         value = cost + full.T @ (forward - value @ by @ gain)
         self.value, self._before = (value + value.T) / 2, operating
 
-    def pulses(self) -> Pulses:
-        """States after pulses of the forces, with the modal model at stage 0."""
+    def pulses(self) -> tuple[np.ndarray, np.ndarray]:
+        """States at stages 1 … after a pulse of the forces, (stages, 2 · modes, actuators) in 1/N: of one at stage 0, and of one at a later
+        stage, counted from the stage before it."""
         states, inputs = self.by_start.shape
         first, later = np.empty((self.stages, states, inputs)), np.empty((self.stages, states, inputs))
         first[0], later[0] = self.by_start, self.by_end
@@ -156,7 +144,7 @@ class Horizon:
             first[k], later[k] = self.stage.A @ first[k - 1], self.stage.A @ later[k - 1]
             if k == 1:
                 later[k] += self.by_start
-        return Pulses(first, later)
+        return first, later
 
     def rows(self) -> np.ndarray:
         """Weighted errors of the points by modal deviations, (3 · points, modes), the tip's first."""
@@ -228,11 +216,10 @@ class Forecast:
         """Weighted errors, and state and deviation of the forces at the last stage, by the deviations at stages 1 …"""
         horizon = self.horizon
         stages, (states, inputs) = horizon.stages, horizon.by_start.shape
-        pulses = horizon.pulses()
-        answer = horizon.rows() @ pulses.later[: stages - 1, : states // 2]
+        self._first, later = horizon.pulses()
+        answer = horizon.rows() @ later[: stages - 1, : states // 2]
         seen = np.where(self._later[:, :, None, None], answer[self._lags], 0.0)  # (stage, of stage, outputs, inputs)
         self._errors = seen.transpose(0, 2, 1, 3).reshape(-1, stages * inputs)
         self._end = np.zeros((states + inputs, stages * inputs))
-        self._end[:states] = pulses.later[::-1].transpose(1, 0, 2).reshape(states, -1)
+        self._end[:states] = later[::-1].transpose(1, 0, 2).reshape(states, -1)
         self._end[states:, -inputs:] = np.eye(inputs)
-        self._first = pulses.first

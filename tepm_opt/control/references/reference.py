@@ -14,7 +14,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, counted, silent
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import IkSettings, each_configuration
-from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
+from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 
 if TYPE_CHECKING:
@@ -138,28 +138,6 @@ def reference_of(
     counts = np.ones(len(tips), dtype=bool) if counts is None else counts
     point = np.zeros(len(tips), dtype=int) if point is None else point
     return Reference(tips, np.array([at.forces for at in found]), [at.equilibrium for at in found], counts, point, period)
-
-
-def reference_by_forces(model: CompiledModel, forces: np.ndarray, period: float = PERIOD) -> Reference:
-    """Equilibria of axial forces that are a control period apart; targets are their tips.
-
-    Args:
-        model: the controller's.
-        forces: (periods, actuators) in N.
-        period: s.
-
-    Raises:
-        InputError: forces without a stable equilibrium; names the time and why.
-    """
-    found: list[Equilibrium] = []
-    for k, row in enumerate(forces):
-        effective = np.concatenate([row / model.values["A"], np.zeros(len(row))])
-        found.append(equilibrium(model, effective, model.check_loads(None), found[-1] if found else None, mapped=True))
-        if not found[-1].solved:
-            raise InputError(f"reference: at {k * period:.2f} s: {found[-1].outcome.message}")
-    count = len(forces)
-    tips = np.array([at.tip for at in found])
-    return Reference(tips, np.array(forces), found, np.ones(count, dtype=bool), np.zeros(count, dtype=int), period)
 
 
 def approach(model: CompiledModel, target: np.ndarray, seconds: float, period: float = PERIOD) -> np.ndarray:

@@ -59,12 +59,12 @@ class CompiledStep:
         takes = {"step_prepare": [p], "step_feedback": [p, d, d, p, p, p]}
         self._prepare, self._feedback = (ctypes.PYFUNCTYPE(ctypes.c_int, *kinds)(_address(library, name)) for name, kinds in takes.items())
         self._point = ctypes.PYFUNCTYPE(None, p, p)(_address(library, "step_point"))
-        self._memory = np.zeros(library.step_size() + ALIGNED, np.uint8)
-        begin = -self._memory.ctypes.data % ALIGNED
-        self._at = self._memory.ctypes.data + begin
+        memory = np.zeros(library.step_size() + ALIGNED, np.uint8)
+        begin = -memory.ctypes.data % ALIGNED
+        self._at = memory.ctypes.data + begin
         first = begin + library.step_outcome()
         ends: list[int] = np.cumsum([0, *sizes.results.values()]).tolist()
-        self._out = self._memory[first : first + 8 * ends[-1]].view(float)
+        self._out = memory[first : first + 8 * ends[-1]].view(float)  # keeps all of the memory
         self._part = {name: slice(*pair) for name, pair in zip(sizes.results, pairwise(ends), strict=True)}
         self._held, settings = setup.course(), setup.values
         course = _Course(len(setup.reference), **{name: array.ctypes.data for name, array in self._held.items()})
@@ -74,13 +74,11 @@ class CompiledStep:
             self._at, settings.ctypes.data, ctypes.addressof(course), modal, *(part.ctypes.data for part in begin_at), sizes.ahead
         )
         self._points = np.zeros((sizes.points, 3))
-        self._gauges = np.zeros(sizes.actuators), np.zeros(sizes.actuators)
+        self._gauges = np.zeros((2, sizes.actuators))
         self._addresses = self._points.ctypes.data, self._gauges[0].ctypes.data, self._gauges[1].ctypes.data
-        self._enabled = np.ones(sizes.actuators, dtype=bool)
         self._seen: np.ndarray | None = None  # results of the last step
-        self._status, self._pressures, self._tensions = (self._part[name] for name in ("status", "pressures", "tensions"))
         self.fallbacks: dict[str, int] = {}
-        self._names, self._picked = self._columns()
+        self._picked = self._columns()
 
     @staticmethod
     def of(setup: StepSetup, doubts: Doubts) -> CompiledStep | None:
@@ -121,15 +119,11 @@ class CompiledStep:
             self._gauges[1][:] = sample.tensions
         if self._feedback(self._at, sample.time, deadline, points, pressures, tensions):
             raise InputError(_NOWHERE)
-        self._seen = seen = self._out.copy()
-        if seen[self._status][0]:
-            self._fall_back(int(seen[self._status][0]))
-        return Command(seen[self._pressures], seen[self._tensions], self._enabled.copy())
-
-    def _fall_back(self, status: int) -> None:
-        outcome = OUTCOMES[status]
-        reason = LATE if outcome.solved else outcome.ending.value
-        self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
+        self._seen, part = self._out.copy(), self._part
+        if status := int(self._seen[part["status"]][0]):
+            reason = LATE if OUTCOMES[status].solved else OUTCOMES[status].ending.value
+            self.fallbacks[reason] = self.fallbacks.get(reason, 0) + 1
+        return Command(self._seen[part["pressures"]], self._seen[part["tensions"]], self._setup.first.enabled.copy())
 
     @property
     def noise(self) -> float:
@@ -193,8 +187,8 @@ class CompiledStep:
         """See `ControlStep`; the program's time is that of the whole feedback."""
         if self._seen is None:
             return Telemetry()
-        now, part = self._out.tolist(), self._part
-        columns: dict[str, Value] = dict(zip(self._names, self._picked(now), strict=True))
+        now, part, (names, pick) = self._out.tolist(), self._part, self._picked
+        columns: dict[str, Value] = dict(zip(names, pick(now), strict=True))
         columns["program"] = OUTCOMES[int(now[part["status"].start])].ending.value
         doubts: Mapping[str, str] = {}
         if now[part["doubtful"].start]:
