@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -46,24 +47,30 @@ def test_what_is_believed_has_bounds() -> None:
     assert noise.measured == pytest.approx(LARGEST * 1e-4)
 
 
+def told_now(doubts: Doubts, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
+    """Sentences after one more sample."""
+    doubts.count(actuators.offsets)
+    return doubts.sentences(doubts.lasting, actuators.offsets, (noise.measured, noise.declared), late, actuators.lags.quicker)
+
+
 def test_a_difference_is_told_once_it_stays() -> None:
     """By name, size and way; a short one, or a small one, is not."""
     devices = Devices(0.1, 0.1, np.inf, 0.0)
     actuators = Actuators(devices, 5e-5, Command.of(np.zeros(6)), RegulatorLags(devices, 0.01, np.full(3, 5e5)))
     doubts, noise = Doubts(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
     actuators.tension_offset = np.array([0.0, -0.4, 0.1])
-    told = [doubts.update(actuators, noise, 0.0) for _ in range(STAYS + 1)]
+    told = [told_now(doubts, actuators, noise, 0.0) for _ in range(STAYS + 1)]
     assert not any(told[:STAYS])
     assert list(told[-1]) == ["dynamometer 12"]
     assert "dynamometer 12 reads 0.4 N low" in told[-1]["dynamometer 12"]
     actuators.tension_offset[:] = 0.0
-    assert not doubts.update(actuators, noise, 0.0)
-    assert "20 ms later" in doubts.update(actuators, noise, 0.020)["command delay"]
+    assert not told_now(doubts, actuators, noise, 0.0)
+    assert "20 ms later" in told_now(doubts, actuators, noise, 0.020)["command delay"]
     actuators.lags.shares = 1 - np.exp(-0.01 / np.array([[0.1, 0.1, 0.025], [0.1, 0.1, 0.1]]))
     actuators.lags.covariance[0, 0, 2], actuators.lags._misfit = 0.01, np.zeros(3)
-    assert list(doubts.update(actuators, noise, 0.0)) == ["regulator 13"]
-    assert "fills 4 and exhausts 1 times as quickly" in doubts.update(actuators, noise, 0.0)["regulator 13"]
-    assert "15 ms sooner" in doubts.update(actuators, noise, -0.015)["command delay"]
+    assert list(told_now(doubts, actuators, noise, 0.0)) == ["regulator 13"]
+    assert "fills 4 and exhausts 1 times as quickly" in told_now(doubts, actuators, noise, 0.0)["regulator 13"]
+    assert "15 ms sooner" in told_now(doubts, actuators, noise, -0.015)["command delay"]
 
 
 def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:

@@ -58,6 +58,11 @@ class Actuators:
         """F_a = p A − λ, (actuators,) in N."""
         return self.area * self.pressure - self.tension
 
+    @property
+    def offsets(self) -> dict[str, np.ndarray]:
+        """Offsets of monitors ("pressure", Pa) and dynamometers ("tension", N), (actuators,) each."""
+        return {"pressure": self.pressure_offset, "tension": self.tension_offset}
+
     def advance(self) -> np.ndarray:
         """Advance by a control period under the command in force; F_a at its start and end, (2, actuators) in N."""
         before, period = self.forces, self.lags.period

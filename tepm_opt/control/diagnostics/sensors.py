@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tepm_opt.control.actuation.actuators import Actuators
-
 WINDOW = 100  # samples over which the tracker's noise is taken
 EVERY = 20  # samples between looks at it
 NOISY = 1.6  # times the noise declared, that is told
@@ -56,25 +54,20 @@ class Doubts:
     Args:
         names: of the actuators.
         ranges: of their pressures in Pa and of their tensions in N, (actuators,) each.
+
+    Attributes:
+        lasting: samples for which offsets of "pressure" and "tension" have been beyond their limits, (actuators,) each.
     """
 
     def __init__(self, names: Sequence[str], ranges: tuple[np.ndarray, np.ndarray]) -> None:
         self._names = names
         self._limits = {"pressure": OFF["pressure"] * ranges[0], "tension": OFF["tension"] * ranges[1]}
-        self._lasting = {kind: np.zeros(len(names), dtype=int) for kind in self._limits}
+        self.lasting = {kind: np.zeros(len(names), dtype=int) for kind in self._limits}
 
-    def update(self, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
-        """What does not make sense now, a sentence each.
-
-        Args:
-            actuators: with what gauges read beside them.
-            noise: of the tracker.
-            late: by how much in s commands act later than the robot file says.
-        """
-        offsets = {"tension": actuators.tension_offset, "pressure": actuators.pressure_offset}
-        for kind, offset in offsets.items():
-            self._lasting[kind] = np.where(np.abs(offset) > self._limits[kind], self._lasting[kind] + 1, 0)
-        return self.sentences(self._lasting, offsets, (noise.measured, noise.declared), late, actuators.lags.quicker)
+    def count(self, offsets: Mapping[str, np.ndarray]) -> None:
+        """Take a sample's offsets of "pressure" and "tension", (actuators,) each in Pa and N."""
+        for kind, limit in self._limits.items():
+            self.lasting[kind] = np.where(np.abs(offsets[kind]) > limit, self.lasting[kind] + 1, 0)
 
     def sentences(
         self, lasting: Mapping[str, np.ndarray], offsets: Mapping[str, np.ndarray], noise: tuple[float, float], late: float,

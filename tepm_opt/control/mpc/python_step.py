@@ -102,15 +102,18 @@ class PythonStep:
         if self._keep_out is not None:
             columns |= self._keep_out.keep_out.columns(step.estimate)
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
-        return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), state.doubts)
+        noise, offsets = (state.noise.measured, state.noise.declared), state.actuators.offsets
+        doubts = self._doubts.sentences(self._doubts.lasting, offsets, noise, state.late, state.quicker)
+        return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), doubts)
 
     def _note(self) -> None:
         """Update noise of the tracker and doubts by the last sample."""
         state = self._state
         if state.taken is not None:
             state.noise.add(state.taken.points)
-            late = state.sent.late + state.actuators.late
-            state.doubts, state.taken = self._doubts.update(state.actuators, state.noise, late), None
+            self._doubts.count(state.actuators.offsets)
+            state.late, state.quicker = state.sent.late + state.actuators.late, state.actuators.lags.quicker
+            state.taken = None
 
     def _prepared(self, row: int) -> Prepared:
         """What is ready for a sample at a row of the reference."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,8 +57,9 @@ class MpcState:
         plan: tensions of the coming stages, (stages, actuators) in N; None before the first plan.
         planned: deviations of the forces that it leads to, likewise; None while an older plan goes on.
         pressed: whether the arm presses into a margin, so that pressures help at once.
-        doubts: sentences about gauges, devices and tracker as of the last preparation, by what they are about.
-        taken: sample of which noise and doubts have not been told yet.
+        quicker: declared time constants of the regulators over those found, (2, actuators), as of the last preparation.
+        late: time in s by which commands act later than declared, likewise.
+        taken: sample that noise and doubts have not been updated by.
     """
 
     estimator: Estimator
@@ -69,11 +69,12 @@ class MpcState:
     noise: TrackerNoise
     slow: np.ndarray
     extra: np.ndarray
+    quicker: np.ndarray
+    late: float = 0.0
     row: int = 0
     plan: np.ndarray | None = None
     planned: np.ndarray | None = None
     pressed: bool = False
-    doubts: Mapping[str, str] = field(default_factory=dict)
     taken: Sample | None = None
 
     @staticmethod
@@ -81,11 +82,11 @@ class MpcState:
         """The state before the first sample, at an operating point."""
         first, period, settings = setup.first, setup.reference.period, setup.controller
         lags = RegulatorLags(setup.devices, period, setup.planner.limits, first.pressures)
-        slow, extra = np.zeros(len(setup.tension_max)), np.zeros((settings.stages, len(setup.tension_max)))
+        count = len(setup.tension_max)
         return MpcState(
             Estimator(operating, setup.noise, settings.mid_range * float(setup.tension_max[0]), setup.filter),
             Actuators(setup.devices, setup.area, first, lags), copy.copy(setup.effects), CommandDelayLine(first, period, setup.ahead),
-            TrackerNoise(setup.noise), slow, extra,
+            TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)), np.ones((2, count)),
         )  # fmt: skip
 
 
