@@ -159,7 +159,7 @@ class PythonStep:
         state, setup, horizon = self._state, self._setup, self._forecast.horizon
         stages, share, width = setup.controller.stages, setup.filter.load_share, setup.filter.hysteresis_width
         actuators, direction, on = ahead.actuators, ready.directions[-1], setup.first.enabled
-        self._forecast.horizon.about(ahead.motion, estimate.bias[-1])
+        horizon.about(ahead.motion, estimate.bias[-1])
         # friction over the coming stages: what is foreseen of it in proportion to the tension, all else as at the tension's middle
         pulled, factor = estimate.friction * ready.courses, ready.factor
         still = pulled - share * ready.foreseen
