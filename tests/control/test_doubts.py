@@ -101,7 +101,7 @@ def test_a_monitor_that_lies_teaches_no_lags(kang: CompiledModel, short: Referen
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [0.4, 0.25])
+@pytest.mark.parametrize("part", [0.4, 0.25, 0.08, 0.0])
 def test_regulators_quicker_than_the_file_says_are_learned_and_told(
     kang: CompiledModel, short: Reference, followed: LoopRecord, part: float
 ) -> None:

@@ -53,6 +53,15 @@ def test_pressure_moves_only_when_it_is_worth_a_move(steps, moves):
     assert new == pytest.approx((20 + round(steps)) * STEP if moves else command)
 
 
+@pytest.mark.parametrize(("filling", "steps", "moves"), [(0.005, 1.4, True), (0.005, 0.9, False), (0.03, 1.4, False), (0.03, 1.6, True)])
+def test_quick_regulators_move_by_less(filling: float, steps: float, moves: bool) -> None:
+    """One step of the grid for a lag of 5 ms, one and a half for 30 ms: half the lag of a whole deadband."""
+    lags = RegulatorLags(Devices(filling, 0.24, 10.0, 0.005), STAGE / 2, LIMITS)
+    command = np.full(6, 20 * STEP)
+    new, _ = planner().plan(np.full((29, 6), (20 + steps) * STEP), command, command, 15, lags)
+    assert (new != command).all() == moves
+
+
 def test_continuous_pressures_move_freely():
     """Without the grid to what is needed, to the Pa."""
     new, _ = planner(quantised=False).plan(np.full((29, 6), 12345.6), np.zeros(6), np.zeros(6), 15, LAGS)

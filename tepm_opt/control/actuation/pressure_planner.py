@@ -26,6 +26,8 @@ class PressurePlannerSettings:
         preview: stages for which the need is known ahead.
         slope_window: stages over which the slope of the need is taken, for the lead over the regulators' lag.
         deadband: steps of the regulator by which a pressure has to be off before it moves.
+        slow_lag: time constant in s from which that deadband is whole. It shrinks in proportion below, down to one step: the force of a
+            whole deadband comes too suddenly for the motors then, whose 10 N/s make up for 0.6 N of it in 0.06 s.
         quantised: whether the regulators' grid is known and moves are spared; else pressures are continuous and move in every period.
         full_feedback_speed: speed of the reference's tip in m/s from which the pressures take their whole part in the planned feedback, in
             proportion below; where the reference stands, the tensions alone react and the regulators are spared.
@@ -36,6 +38,7 @@ class PressurePlannerSettings:
     preview: int = 26
     slope_window: int = 2
     deadband: float = 3.0
+    slow_lag: float = 0.06
     quantised: bool = True
     full_feedback_speed: float = 0.1
     feedback_time: float = 0.05
@@ -72,7 +75,7 @@ class PressurePlanner:
         slope = (wanted[window:] - wanted[:-window]) / (window * PERIODS * lags.period)
         lag = np.where(slope > 0, *lags.times)
         lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + lag * slope, 0.0), self.limits)
-        new = self._moved(lead[0], command)
+        new = self._moved(lead[0], command, lags)
         reached = np.empty((stages, len(command)))
         for k in range(stages):  # later moves are not decided yet: they will follow the need
             goal = np.minimum(np.maximum(new + lead[min(k, len(lead) - 1)] - lead[0], 0.0), self.limits)
@@ -80,8 +83,10 @@ class PressurePlanner:
             reached[k] = pressure
         return new, reached
 
-    def _moved(self, wanted: np.ndarray, command: np.ndarray) -> np.ndarray:
+    def _moved(self, wanted: np.ndarray, command: np.ndarray, lags: RegulatorLags) -> np.ndarray:
         if not self.step:
             return wanted
+        most, lag = self.settings.deadband, np.where(wanted > command, *lags.times)
+        deadband = np.minimum(np.maximum(most * lag / self.settings.slow_lag, min(most, 1.0)), most)
         rounded = on_grid(wanted, self.step, self.limits)
-        return np.where(np.abs(wanted - command) > self.settings.deadband * self.step, rounded, command)
+        return np.where(np.abs(wanted - command) > deadband * self.step, rounded, command)

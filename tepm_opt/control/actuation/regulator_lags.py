@@ -15,9 +15,10 @@ import numpy as np
 
 from tepm_opt.models.devices import Devices
 
-DOUBT = math.log(2.0)  # of the logarithm of a share before anything was measured, 1 sigma
+DOUBT = math.log(4.0)  # of the logarithm of a share before anything was measured, 1 sigma; regulators may be 12 times quicker
 DRIFT = 0.02  # of it in 1/√s: how fast a regulator changes
-READING = 0.02  # of the pressure range: 1 sigma by which a reading may be off what lags and offset explain
+READING = 0.005  # of the pressure range: 1 sigma by which a reading may be off what lags and offset explain
+JUMP = 1.0  # most by which a reading moves the logarithm of a share, for its slope holds nearby only
 LEAST = 0.5  # times the share by the robot file: the least that is believed, for a lead over a lag that is not there is unstable
 MISFIT = 0.004  # of the pressure range: root mean square of readings beside what lags and offset explain, beyond which they do not fit
 FORGOTTEN = 0.5  # s over which that is averaged
@@ -90,11 +91,12 @@ class RegulatorLags:
         measured = np.isfinite(readings)
         covariance = self.covariance + measured * passed * DRIFT**2 * np.diag([1.0, 1.0, 0.0])[:, :, None]
         seen = np.einsum("ijn,jn->in", covariance, self._slope)
+        off = np.where(measured, readings - self._path - self.offset, 0.0)
         gain = measured * seen / (self._noise + np.einsum("in,in->n", self._slope, seen))
         self.covariance = covariance - gain[:, None] * seen[None]
-        off = np.where(measured, readings - self._path - self.offset, 0.0)
         self._misfit = self._misfit + measured * (1 - math.exp(-passed / FORGOTTEN)) * (off**2 - self._misfit)
         moved = gain * off
+        moved[:2] = np.minimum(np.maximum(moved[:2], -JUMP), JUMP)
         self.offset = self.offset + moved[2]
         self.shares = np.minimum(np.maximum(self.shares * np.exp(moved[:2]), self._least), 1 - AT_ONCE)
         self._path = self._path + (self._slope[:2] * moved[:2]).sum(axis=0)

@@ -157,7 +157,8 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     pressures[j] = lead[0];
     if (s->grid > 0) {
       double steps = within(rint(lead[0] / s->grid), 0, floor(s->pressure_max[j] / s->grid * (1 + 1e-12)));
-      pressures[j] = fabs(lead[0] - now[j]) > s->deadband * s->grid ? steps * s->grid : now[j];
+      double deadband = within(s->deadband * times[!(lead[0] > now[j])] / s->slow_lag, least(s->deadband, 1), s->deadband);
+      pressures[j] = fabs(lead[0] - now[j]) > deadband * s->grid ? steps * s->grid : now[j];
     }
     for (int k = 0; k < STAGES; k++) {
       double goal = within(pressures[j] + lead[k < PREVIEW - WINDOW ? k : PREVIEW - WINDOW - 1] - lead[0], 0, s->pressure_max[j]);

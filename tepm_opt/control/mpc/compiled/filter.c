@@ -53,7 +53,7 @@ static void learn(const step *o, actuators *a, int j, double measured, double pa
   for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) a->covariance[i][k][j] -= seen[i] * seen[k] / all;
   a->offset_path[j] += seen[2] / all * missed;
   for (int k = 0; k < 2; k++) {
-    double moved = seen[k] / all * missed, first = k ? s->exhausting : s->filling;
+    double moved = within(seen[k] / all * missed, -s->lag_jump, s->lag_jump), first = k ? s->exhausting : s->filling;
     a->share[k][j] = within(a->share[k][j] * exp(moved), s->lag_least * first, 1 - s->at_once);
     a->path[j] += by[k] * moved;
   }

@@ -13,7 +13,19 @@ from scipy.special import chdtri
 
 from tepm_opt.control.actuation.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE, InputEffects
 from tepm_opt.control.actuation.pressure_planner import PERIODS, PressurePlanner
-from tepm_opt.control.actuation.regulator_lags import AT_ONCE, DOUBT, DRIFT, FORGOTTEN, KNOWN, LEAST, MISFIT, OFFSET, READING, RegulatorLags
+from tepm_opt.control.actuation.regulator_lags import (
+    AT_ONCE,
+    DOUBT,
+    DRIFT,
+    FORGOTTEN,
+    JUMP,
+    KNOWN,
+    LEAST,
+    MISFIT,
+    OFFSET,
+    READING,
+    RegulatorLags,
+)
 from tepm_opt.control.diagnostics.sensors import LARGEST, LATE, NOISY, OFF, QUICKER, SLOWEST, STAYS
 from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.compiled.layout import Sizes
@@ -178,7 +190,7 @@ def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, t
     return {
         "period": period, "filling": filling, "exhausting": exhausting, "lag_variance": DOUBT**2, "lag_drift": DRIFT,
         "lag_least": LEAST, "lag_noise": READING * planner.limits, "at_once": AT_ONCE, "lag_known": KNOWN,
-        "lag_misfit": MISFIT * planner.limits, "lag_forgotten": FORGOTTEN,
+        "lag_misfit": MISFIT * planner.limits, "lag_jump": JUMP, "lag_forgotten": FORGOTTEN,
         "lag_offset": OFFSET * planner.limits,
         "pull": rate * period, "pull_stage": PERIODS * rate * period,
         "pressure_max": planner.limits, "grid": planner.step, "tension_max": tension_max,
@@ -202,7 +214,7 @@ def told_of_settings(settings: MpcSettings, filtering: FilterSettings, period: f
         "gate": float(chdtri(3, filtering.gate_probability)), "most_rejections": float(filtering.most_rejections),
         "tip": weights.tip, "shape": weights.shape, "force": weights.force, "change": weights.change,
         "ridge": RIDGE, "nothing": NOTHING, "near": NEAR, "damping": settings.damping,
-        "mid_ranging": float(settings.mid_ranging), "deadband": planner.deadband,
+        "mid_ranging": float(settings.mid_ranging), "deadband": planner.deadband, "slow_lag": planner.slow_lag,
         "full_feedback_speed": planner.full_feedback_speed, "slow_share": 1 - math.exp(-period / planner.disturbance_time),
         "feedback_share": 1 - math.exp(-period / planner.feedback_time),
     }  # fmt: skip
