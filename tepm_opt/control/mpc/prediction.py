@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -22,15 +22,21 @@ class Weights:
 
     Attributes:
         tip: error of the tip in m.
+        blind_tip: the same while the tip is lost, whose estimate is noisier and later then.
         shape: error of the other reference points in m.
         force: deviation of an axial force from the reference's in N.
         change: of that deviation from stage to stage in N.
     """
 
     tip: float = 1e-3
+    blind_tip: float = 3e-3
     shape: float = 2e-2
     force: float = 2.0
     change: float = 0.18
+
+    def of(self, is_blind: bool) -> Weights:
+        """These weights, or those while the tip is lost."""
+        return replace(self, tip=self.blind_tip) if is_blind else self
 
 
 def holding(model: ModalModel) -> np.ndarray:
