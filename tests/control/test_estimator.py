@@ -216,7 +216,7 @@ def test_tip_is_lost_only_while_other_points_are_tracked(here):
         assert filtered.is_blind == (20 <= k < 30), k
 
 
-def test_what_was_learned_stays_while_the_tip_is_lost(here):
+def test_learned_parameters_stay_while_the_tip_is_lost(here):
     """Biases fade and strength becomes less certain while the tip is seen; neither once it is lost."""
     bias, strength = slice(-12, -3), slice(26, 32)
     for lost in (False, True):

@@ -217,12 +217,12 @@ class Mpc:
             self._doubted, self._taken = self._doubts.told(self._actuators, self._noise, late), None
 
     def _acting(self, row: int) -> Command:
-        """The command that is in force over a period."""
+        """The command in force over a period."""
         start = (self._zero or 0.0) + row * self.period
         return self._sent.between(start, start + self.period)
 
     def _prepared(self, row: int) -> Prepared:
-        """Prepare for a sample at a row of the reference."""
+        """Prepare for a row's sample."""
         self._note()
         reference, settings = self.reference, self._filter
         estimator, actuators = copy.copy(self._estimator), self._actuators.copy()
@@ -243,7 +243,7 @@ class Mpc:
         courses = course(directions[-1], np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.presliding_distance)
         foreseen = seen.friction * courses
         factor = 1 + settings.load_share / estimator.middle * foreseen
-        self._forecast.horizon.weights = self.settings.weights.of(estimator.is_blind)
+        self._forecast.horizon.is_blind = estimator.is_blind
         self._program.prepare(self._forecast.prepare(then, reference, rows), factor[:stages])
         return Prepared(row, self._ahead, rows, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
 

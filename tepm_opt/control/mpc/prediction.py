@@ -34,10 +34,6 @@ class Weights:
     force: float = 2.0
     change: float = 0.18
 
-    def of(self, is_blind: bool) -> Weights:
-        """These weights, or those while the tip is lost."""
-        return replace(self, tip=self.blind_tip) if is_blind else self
-
 
 def holding(model: ModalModel) -> np.ndarray:
     """Forces that hold the points where they are displaced to, (actuators, 3 · points) in N/m."""
@@ -82,6 +78,7 @@ class Horizon:
     """The reference over the coming stages, the arm's free motion beside it, and the cost of forces with what lies beyond the last stage.
 
     Attributes:
+        is_blind: whether the tip is lost; set before `prepare`.
         forces: axial forces of the reference at stages 0 …, (stages and preview, actuators) in N.
         dynamic: forces that accelerate the arm along the reference at stages 1 …, (preview, actuators) in N.
         speed: speed of the reference's tip over the stages in m/s.
@@ -104,9 +101,14 @@ class Horizon:
             weights: of the cost.
             stages: how many.
         """
-        self.weights, self.stages = weights, stages
+        self._weights, self.stages, self.is_blind = weights, stages, False
         self.value = np.zeros(0)
         self._before: Operating | None = None
+
+    @property
+    def weights(self) -> Weights:
+        """Weights of the cost while the tip is seen, or while it is lost."""
+        return replace(self._weights, tip=self._weights.blind_tip) if self.is_blind else self._weights
 
     def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> None:
         """Take a new present, of which no sample has been seen yet.
