@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.control.loop import LoopRecord, close_loop
+from tepm_opt.control.loop import Guard, LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
-from tests.control.study import APPROACH, DISTURBANCES, PAUSE, disturbed, model, reference
+from tests.control.study import APPROACH, DISTURBANCES, PAUSE, WIDE, disturbed, model, reference
 
 NOISES = (1, 2)
 LATER = APPROACH + PAUSE + 2.0  # s, when something begins that does not begin with the run
@@ -36,11 +36,13 @@ class Attack:
         file: the rig with it; the rig as it is where absent.
         lie: what is read instead; what was read where absent.
         begins: at which time of the run in s.
+        guard: of the closed loop; the usual one where absent.
     """
 
     file: Callable[[RigFile], RigFile] | None = None
     lie: Lie | None = None
     begins: float = 0.0
+    guard: Guard | None = None
 
 
 class Lying(SimulatedRig):
@@ -96,6 +98,11 @@ def _slipped(which: int, by: tuple[float, float, float]) -> Lie:
     return _points(changed)
 
 
+def _tipless(points: np.ndarray, since: float, random: np.random.Generator) -> np.ndarray:
+    points[-1] = np.nan
+    return points
+
+
 ATTACKS: dict[str, Attack] = {
     "nothing": Attack(),
     "dynamometers 0.4 N low": Attack(_gauges(dynamometer={"offset_N": -0.4})),
@@ -117,12 +124,13 @@ ATTACKS: dict[str, Attack] = {
     "tip point lost half the time": Attack(
         lie=_points(lambda points, since, random: np.where((np.arange(len(points)) == len(points) - 1)[:, None] & (random.random() < 0.5),
                                                            np.nan, points)), begins=LATER),
+    "tip point lost": Attack(lie=_points(_tipless), begins=LATER, guard=WIDE),
 }  # fmt: skip
 
 
 def attacked(file: RigFile, attack: Attack, seed: int) -> LoopRecord:
     """The circle on a rig."""
-    return close_loop(Lying(file, attack, seed), Mpc(model(), reference("circle")), model().robot)
+    return close_loop(Lying(file, attack, seed), Mpc(model(), reference("circle")), model().robot, attack.guard)
 
 
 def told(done: LoopRecord, begins: float) -> tuple[str, float]:

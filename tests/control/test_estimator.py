@@ -206,6 +206,35 @@ def test_dropout_of_half_a_second(here):
     assert np.linalg.norm(estimate.points[-1] - arm.points[-1]) < 4 * certain
 
 
+def test_tip_is_lost_only_while_other_points_are_tracked(here):
+    """Blind after more than `most_rejections` frames without the tip; frames without any point do not count, one with the tip ends it."""
+    arm, filtered = settled(here)
+    for k, points in enumerate(run(arm, filtered, 40)):
+        points[-1] = np.nan if k < 30 else points[-1]
+        points[:] = np.nan if 5 <= k < 15 else points
+        filtered.update(points)
+        assert filtered.is_blind == (20 <= k < 30), k
+
+
+def test_learned_parameters_stay_while_the_tip_is_lost(here):
+    """Biases fade and strength becomes less certain while the tip is seen; neither once it is lost."""
+    bias, strength = slice(-12, -3), slice(26, 32)
+    for lost in (False, True):
+        filtered = Estimator(here, NOISE, MIDDLE, KNOWN)
+        for points in run(Arm(here, KNOWN), filtered, 12):
+            points[-1] = np.nan if lost else points[-1]
+            filtered.update(points)
+        assert filtered.is_blind == lost
+        filtered.mean[bias] = 3e-3
+        certain = np.diag(filtered.covariance)[strength]
+        for _ in range(100):
+            filtered.predict(np.tile(here.forces, (2, 1)), TENSION, RATES, here)
+        kept = 1.0 if lost else np.exp(-100 * PERIOD / KNOWN.bias_correlation_time)
+        np.testing.assert_allclose(filtered.mean[bias], 3e-3 * kept)
+        grown = np.diag(filtered.covariance)[strength] - certain
+        np.testing.assert_allclose(grown, 0.0 if lost else 100 * PERIOD * KNOWN.strength_drift**2, atol=1e-12)
+
+
 @pytest.mark.parametrize("point", [0, 3])
 def test_outlier_of_one_frame_is_refused(here, point):
     """30 mm in one point: the estimate is off by less than a twentieth of what it would be without the gate, and forgets it."""

@@ -137,6 +137,18 @@ def test_the_same_whatever_is_measured(kang, quick, recorded):
 
 
 @pytest.mark.slow
+def test_the_same_without_the_tip(kang, quick, recorded):
+    """The tip is lost for half a second and found again: both become blind, and see again."""
+    lost = [replace(sample, points=np.vstack([sample.points[:-1], np.full((1, 3), np.nan)])) for sample in recorded]
+    pair = both(kang, quick, MpcSettings())
+    compared(pair, iter([*recorded[:30], *lost[30:80]]))
+    assert pair[1].last.estimate.seen == 9
+    blind = compared(pair, iter(recorded[80:110]))
+    seeing = compared(both(kang, quick, MpcSettings()), iter(recorded[:110]))[-30:]
+    assert np.abs(blind[0].tensions - seeing[0].tensions).max() > 0.01
+
+
+@pytest.mark.slow
 def test_the_same_without_time_to_prepare(kang, quick, recorded):
     """All of it when the sample is there; the same commands as prepared."""
     lazy = compared(both(kang, quick, MpcSettings()), iter(recorded[:60]), prepares=False)

@@ -45,8 +45,11 @@ class FilterSettings:
         bias_drift: intensity of its random walk in m/√s.
         bias_correlation_time: time in s over which the bias of all points but the tip fades (Gauss-Markov process).
         tip_bias_drift: intensity of the random walk of the tip's bias, which does not fade, in m/√s.
+        blind_force_drift: `force_drift` while the tip is lost but other points are tracked.
+        blind_force_correlation_time: `force_correlation_time` in s then.
+        blind_bias_drift: `bias_drift` then; biases do not fade then, so that the other points say where the tip is.
         gate_probability: probability, by chi-square, of a larger innovation of a good point below which a point is refused as an outlier.
-        most_rejections: frames in a row for which a point is refused; after them it is believed.
+        most_rejections: frames in a row for which a point is refused; after them it is believed. A tip that is missing for longer is lost.
     """
 
     force_drift: float = 1.2
@@ -68,6 +71,9 @@ class FilterSettings:
     bias_drift: float = 2e-3
     bias_correlation_time: float = 10.0
     tip_bias_drift: float = 1e-3
+    blind_force_drift: float = 0.6
+    blind_force_correlation_time: float = 2.0
+    blind_bias_drift: float = 2e-4
     gate_probability: float = 1e-6
     most_rejections: int = 10
 
@@ -82,6 +88,13 @@ class FilterSettings:
             return self
         whole = friction[0] + friction[1] * middle
         return replace(self, friction=whole, friction_std=min(self.friction_std, whole / 2))
+
+    def without_tip(self) -> FilterSettings:
+        """Settings while the tip is lost: muscles stay as they were learned, biases do not fade."""
+        return replace(
+            self, force_drift=self.blind_force_drift, force_correlation_time=self.blind_force_correlation_time, strength_drift=0.0,
+            friction_drift=0.0, hysteresis_drift=0.0, bias_drift=self.blind_bias_drift, bias_correlation_time=np.inf,
+        )  # fmt: skip
 
 
 DEFAULT = FilterSettings()
@@ -230,10 +243,7 @@ class Estimator:
         spread[self._strength], spread[self._hysteresis] = settings.strength_std, settings.hysteresis_std
         spread[self._bias], spread[self._tip] = settings.bias_std, 1e-3
         self.covariance = np.diag(spread**2)
-        self._drift = np.zeros(ends[-1])
-        self._drift[self._unknown], self._drift[self._friction] = settings.force_drift, settings.friction_drift
-        self._drift[self._strength], self._drift[self._hysteresis] = settings.strength_drift, settings.hysteresis_drift
-        self._drift[self._bias], self._drift[self._tip] = settings.bias_drift, settings.tip_bias_drift
+        self._settings_without_tip, self._tip_missing = settings.without_tip(), 0  # frames in a row in which other points were seen
         self._direction, self._deviation, self._turning = np.zeros(actuators), np.zeros(actuators), np.zeros(actuators)
         self._tension: np.ndarray | None = None  # at the last prediction
         self._outlying = np.zeros(outputs // 3, dtype=int)
@@ -262,7 +272,8 @@ class Estimator:
 
     def _transition(self, forces: np.ndarray, tension: np.ndarray, turning: np.ndarray, then: Operating) -> Transition:
         """Transition over one period in which frictions turned over by `turning`, (actuators,) of 0 … 2."""
-        settings, now, size, modes = self.settings, self.operating, len(self.mean), self._modes
+        settings = self._settings_without_tip if self.is_blind else self.settings
+        now, size, modes = self.operating, len(self.mean), self._modes
         drive, period = now.model.drive, now.period
         by_force, pushed = (now.start + now.end) @ drive, (forces - now.forces) @ drive.T
         A, push = np.eye(size), np.zeros(size)
@@ -275,7 +286,7 @@ class Estimator:
         A[self._unknown, self._unknown] *= np.exp(-period / settings.force_correlation_time)
         A[others, others] *= np.exp(-period / settings.bias_correlation_time)
         push[self._motion] = now.start @ pushed[0] + now.end @ pushed[1]
-        variance = period * self._drift**2
+        variance = period * self._drift(settings) ** 2
         variance[self._unknown] += settings.reversal_noise**2 * turning
         kick = np.zeros((size, len(turning) + size - 2 * modes))
         kick[modes : 2 * modes, : len(turning)] = np.sqrt(period) * settings.force_noise * drive
@@ -285,6 +296,19 @@ class Estimator:
             A[part], push[part], kick[part] = turn @ A[part], turn @ push[part], turn @ kick[part]
         push[:modes] += shift
         return Transition(A, push, kick)
+
+    def _drift(self, settings: FilterSettings) -> np.ndarray:
+        """Intensities of the states' random walks, (states,)."""
+        drift = np.zeros(len(self.mean))
+        drift[self._unknown], drift[self._friction] = settings.force_drift, settings.friction_drift
+        drift[self._strength], drift[self._hysteresis] = settings.strength_drift, settings.hysteresis_drift
+        drift[self._bias], drift[self._tip] = settings.bias_drift, settings.tip_bias_drift
+        return drift
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the tip is lost: missing for more than `most_rejections` frames in which other points were taken."""
+        return self._tip_missing > self.settings.most_rejections
 
     @property
     def direction(self) -> np.ndarray:
@@ -315,6 +339,7 @@ class Estimator:
         rows = np.repeat(good, 3)
         self._nis, self._seen = np.nan, int(rows.sum())
         if rows.any():
+            self._tip_missing = 0 if good[-1] else self._tip_missing + 1
             C, S, innovation = C[rows], S[np.ix_(rows, rows)], innovation[rows]
             inverse = np.linalg.inv(S)
             gain = (self.covariance @ C.T) @ inverse

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sla
@@ -21,12 +21,14 @@ class Weights:
 
     Attributes:
         tip: error of the tip in m.
+        blind_tip: the same while the tip is lost, whose estimate is noisier and later then.
         shape: error of the other reference points in m.
         force: deviation of an axial force from the reference's in N.
         change: of that deviation from stage to stage in N.
     """
 
     tip: float = 1e-3
+    blind_tip: float = 3e-3
     shape: float = 2e-2
     force: float = 2.0
     change: float = 0.18
@@ -48,6 +50,7 @@ class Horizon:
     """Reference over the coming stages, the arm's free motion beside it, and the terminal cost.
 
     Attributes:
+        is_blind: whether the tip is lost; set before `prepare`.
         forces: axial forces of the reference at stages 0 …, (stages and preview, actuators) in N.
         dynamic: forces that accelerate the arm along the reference at stages 1 …, (preview, actuators) in N.
         speed: speed of the reference's tip over the stages in m/s.
@@ -66,9 +69,14 @@ class Horizon:
             weights: of the cost.
             stages: how many.
         """
-        self.weights, self.stages = weights, stages
+        self._weights, self.stages, self.is_blind = weights, stages, False
         self.value = np.zeros(0)
         self._before: Operating | None = None
+
+    @property
+    def weights(self) -> Weights:
+        """Weights of the cost while the tip is seen, or while it is lost."""
+        return replace(self._weights, tip=self._weights.blind_tip) if self.is_blind else self._weights
 
     def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> None:
         """Take a new present, of which no sample has been seen yet.

@@ -137,6 +137,7 @@ class PythonStep:
         courses = course(directions[-1], np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.presliding_distance)
         foreseen = seen.friction * courses
         factor = 1 + settings.load_share / estimator.middle * foreseen
+        self._forecast.horizon.is_blind = estimator.is_blind
         self._program.prepare(self._forecast.prepare(then, reference, rows), factor[:stages])
         return Prepared(row, self.ahead, rows, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
 

@@ -168,11 +168,13 @@ static void predict(const step *o, filter *f, double forces[2][NA], const double
     for (int j = 0; j < NQ; j++) mean[i] += turn[i % NQ][j] * push[i / NQ * NQ + j];
     for (int j = 0; j < NM; j++) mean[i] += B[i][j] * f->mean[j];
   }
+  int blind = is_blind(s, f);
   double keep[NS], grown[NS];
   for (int i = NX; i < NS; i++) {
-    keep[i] = i < STRENGTH ? s->force_keeps : i >= BIAS && i < NS - 3 ? s->bias_keeps : 1;
+    keep[i] = i < STRENGTH ? (blind ? s->blind_force_keeps : s->force_keeps) : i >= BIAS && i < NS - 3 && !blind ? s->bias_keeps : 1;
     double drift = i < STRENGTH ? s->force_drift : i < FRICTION ? s->strength_drift : i < HYSTERESIS ? s->friction_drift
                    : i < BIAS ? s->hysteresis_drift : i < NS - 3 ? s->bias_drift : s->tip_bias_drift;
+    if (blind && i < NS - 3) drift = i < STRENGTH ? s->blind_force_drift : i < BIAS ? 0 : s->blind_bias_drift;
     grown[i] = s->period * drift * drift + (i < STRENGTH ? s->reversal_noise * s->reversal_noise * over[i - FORCE] : 0);
     f->mean[i] *= keep[i];
   }
@@ -235,6 +237,7 @@ static void correct(step *o, filter *f, correction *c, const double *points) {
   o->out.seen[0] = count;
   o->out.nis[0] = NAN;
   if (!count) return;
+  f->tip_missing = c->good[NP - 1] ? 0 : f->tip_missing + 1;
   for (int i = 0; i < count; i++) {
     for (int j = i; j < count; j++) S[i][j] = c->S[which[i]][which[j]];
     left[i][0] = off[which[i]];

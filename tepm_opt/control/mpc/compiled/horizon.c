@@ -139,7 +139,7 @@ static void look_from(step *o, const operating *at, long period) {
 
   memset(h->Q, 0, sizeof h->Q);
   for (int p = 0; p < NY; p++) {
-    double weight = p < NY - 3 ? s->shape : s->tip;
+    double weight = p < NY - 3 ? s->shape : is_blind(s, &o->filters[!o->now]) ? s->blind_tip : s->tip;
     for (int i = 0; i < NQ; i++) for (int j = 0; j < NQ; j++) h->Q[i][j] += at->observe[p][i] * at->observe[p][j] / (weight * weight);
   }
   value(o, h, before);

@@ -205,14 +205,16 @@ def told_of_settings(settings: MpcSettings, filtering: FilterSettings, period: f
     same = (
         *("force_drift", "strength_std", "strength_drift", "friction", "friction_std", "friction_drift", "reversal_noise", "load_share"),
         *("hysteresis_std", "hysteresis_drift", "bias_std", "bias_drift", "tip_bias_drift"),
+        *("blind_force_drift", "blind_bias_drift"),
     )
     return {
         **{name: float(getattr(filtering, name)) for name in same},
         "presliding": filtering.presliding_distance, "width": filtering.hysteresis_width,
         "rate_share": 1 - math.exp(-period / filtering.rate_time), "force_keeps": math.exp(-period / filtering.force_correlation_time),
+        "blind_force_keeps": math.exp(-period / filtering.blind_force_correlation_time),
         "bias_keeps": math.exp(-period / filtering.bias_correlation_time), "kick": math.sqrt(period) * filtering.force_noise,
         "gate": float(chdtri(3, filtering.gate_probability)), "most_rejections": float(filtering.most_rejections),
-        "tip": weights.tip, "shape": weights.shape, "force": weights.force, "change": weights.change,
+        "tip": weights.tip, "blind_tip": weights.blind_tip, "shape": weights.shape, "force": weights.force, "change": weights.change,
         "ridge": RIDGE, "nothing": NOTHING, "near": NEAR, "damping": settings.damping,
         "mid_ranging": float(settings.mid_ranging), "deadband": planner.deadband, "slow_lag": planner.slow_lag,
         "full_feedback_speed": planner.full_feedback_speed, "slow_share": 1 - math.exp(-period / planner.disturbance_time),

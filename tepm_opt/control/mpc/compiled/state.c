@@ -57,7 +57,7 @@ typedef struct {
 typedef struct {
   const operating *at;
   double mean[NS], covariance[NS][NS], direction[NA], deviation[NA], turning[NA], tension[NA], noise;
-  int begun, outlying[NP];
+  int begun, outlying[NP], tip_missing;
 } filter;
 
 typedef struct {
@@ -95,6 +95,7 @@ typedef struct {
   outcome out;
 } step;
 
+static inline int is_blind(const settings *s, const filter *f) { return f->tip_missing > s->most_rejections; }
 static inline double least(double a, double b) { return a < b ? a : b; }
 static inline double most(double a, double b) { return a > b ? a : b; }
 static inline double within(double x, double low, double high) { return least(most(x, low), high); }
