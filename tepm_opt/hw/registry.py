@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from tepm_opt.data.datasets import DESCRIPTION, read_description
@@ -10,7 +13,24 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import Robot, load_robot
 
-VALID = "sim, sim:FILE, sim:FILE@ENGINE, bench, bench:FILE, replay:FILE, serial:PORT"
+
+@dataclass(frozen=True)
+class RigKind:
+    """A kind of rig: built in, or an entry point `tepm_opt.rigs` of an installed package.
+
+    Attributes:
+        name: before the colon of `--rig NAME:TARGET`.
+        forms: how it is written, for messages: "sim, sim:FILE".
+        open: opens one by what stands after the colon (empty where there is no colon) for a robot that shall be there; None: the rig's own.
+        robot: the robot of a target, built in or the path of its file, without opening it.
+        description: in a few words.
+    """
+
+    name: str
+    forms: str
+    open: Callable[[str, Robot | None], Rig]
+    robot: Callable[[str], str] = lambda _: "kang2017"
+    description: str = ""
 
 
 def open_rig(text: str, robot: Robot | None = None) -> Rig:
@@ -29,11 +49,10 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
     kind, colon, target = text.partition(":")
     if kind.startswith("sim@") and not colon:
         kind, target = "sim", kind.removeprefix("sim")
-    if kind not in _OPENERS:
-        raise unknown_name("rig", text, VALID.split(", "))
+    found = _find(kind, text)
     if colon and not target:
-        raise InputError(f"rig {text!r}: a file is missing after the colon; valid: {VALID}")
-    return _OPENERS[kind](target, robot)
+        raise InputError(f"rig {text!r}: nothing stands after the colon; valid: {found.forms}")
+    return found.open(target, robot)
 
 
 def robot_of(text: str) -> str:
@@ -43,15 +62,34 @@ def robot_of(text: str) -> str:
         InputError: not a rig, or its file is wrong.
     """
     kind, _, target = text.partition(":")
-    if kind.partition("@")[0] not in _OPENERS:
-        raise unknown_name("rig", text, VALID.split(", "))
-    if kind == "replay" and target:
-        return _recorded_robot(Path(target).parent)
-    if kind.partition("@")[0] != "sim":
-        return "kang2017"
-    from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
+    return _find(kind.partition("@")[0], text).robot(target)
 
-    return str(load_rig_file(_named(target)[0] or DEFAULT).robot)
+
+def rig_kinds() -> tuple[RigKind, ...]:
+    """All kinds of rigs."""
+    return tuple(_registry().values())
+
+
+def register(kind: RigKind) -> None:
+    """Add a kind at run time (the same as an entry point `tepm_opt.rigs` of an installed package).
+
+    Raises:
+        InputError: the name is taken.
+    """
+    if kind.name in _registry():
+        raise InputError(f"rig {kind.name!r} exists already")
+    _registry()[kind.name] = kind
+
+
+def _find(name: str, text: str) -> RigKind:
+    if name not in _registry():
+        raise unknown_name("rig", text, [form for kind in rig_kinds() for form in kind.forms.split(", ")])
+    return _registry()[name]
+
+
+@cache
+def _registry() -> dict[str, RigKind]:
+    return {kind.name: kind for kind in (*BUILT_IN, *(point.load() for point in entry_points(group="tepm_opt.rigs")))}
 
 
 def _named(target: str) -> tuple[str, str]:
@@ -81,6 +119,12 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
         if (error.name or "").partition(".")[0] != "mujoco":
             raise
         raise InputError("rigs of MuJoCo's engine need it, and it is not installed: pip install mujoco") from error
+
+
+def _simulated_robot(target: str) -> str:
+    from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
+
+    return str(load_rig_file(_named(target)[0] or DEFAULT).robot)
 
 
 def _bench(target: str, robot: Robot | None) -> Rig:
@@ -113,9 +157,15 @@ def _recorded_robot(folder: Path) -> str:
     return str(folder / name) if (folder / name).is_file() else name
 
 
-_OPENERS: Mapping[str, Callable[[str, Robot | None], Rig]] = {
-    "sim": _simulated,
-    "bench": _bench,
-    "replay": _replay,
-    "serial": _serial,
-}
+BUILT_IN = (
+    RigKind("sim", "sim, sim:FILE, sim:FILE@ENGINE", _simulated, _simulated_robot, "simulated robot"),
+    RigKind("bench", "bench, bench:FILE", _bench, description="simulated bench of one actuator"),
+    RigKind(
+        "replay",
+        "replay:FILE",
+        _replay,
+        lambda target: _recorded_robot(Path(target).parent) if target else "kang2017",
+        "a run of a data set, played again",
+    ),
+    RigKind("serial", "serial:PORT", _serial, description="the real robot behind its control board"),
+)

@@ -12,7 +12,8 @@ from pyigtl import StringMessage
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.tracker import OFFSET_RISE, SETTLING_FRAMES, IgtlTracker
+from tepm_opt.hw.trackers import open_link
+from tepm_opt.hw.trackers.frames import OFFSET_RISE, SETTLING_FRAMES
 from tests.hw.igtl import AHEAD, DELAY, DEVICES, PERIOD, RATE, Feed, PlusServer, SteppedServer, link, read_for, still
 
 
@@ -223,7 +224,7 @@ def test_every_sample_arrives_in_order():
 @pytest.mark.study
 def test_240_hz_without_loss_and_under_a_millisecond():
     """Ten seconds of real time, 4 sensors, on a quiet machine: no sample is lost, and the median age from the server's stamp is 1 ms."""
-    with PlusServer(RATE) as server, IgtlTracker(link(port=server.port)) as tracker:
+    with PlusServer(RATE) as server, open_link(link(port=server.port)) as tracker:
         frames, ages = [tracker.first()], []
         end = time.monotonic() + 10
         while time.monotonic() < end:
@@ -305,7 +306,7 @@ def test_only_other_names():
     """A device that nobody sends: the error names it and what there is."""
     with (
         PlusServer(RATE) as server,
-        IgtlTracker(link(port=server.port, devices=[*DEVICES[:3], "TopToTracker"])) as tracker,
+        open_link(link(port=server.port, devices=[*DEVICES[:3], "TopToTracker"])) as tracker,
         pytest.raises(InputError, match=rf"127.0.0.1:{server.port}: no poses of TopToTracker within 0.5 s; valid: .*{DEVICES[3]}"),
     ):
         tracker.first(0.5)
@@ -317,8 +318,8 @@ def test_nobody_there():
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
         with (
-            IgtlTracker(link(port=port)) as tracker,
-            pytest.raises(InputError, match=f"{port}: nothing listens there; valid: host and port"),
+            open_link(link(port=port)) as tracker,
+            pytest.raises(InputError, match=f"{port}: nothing listens there .*refused.*; valid: host and port"),
         ):
             tracker.first(0.3)
 
@@ -338,7 +339,7 @@ def test_messages_in_pieces_and_of_other_kinds():
 def test_closing_while_messages_come():
     """It ends within moments, also at a rate at which pyigtl's own client never looks whether it shall stop; twice does nothing."""
     with PlusServer(RATE) as server:
-        tracker = IgtlTracker(link(port=server.port), stale_periods=60)
+        tracker = open_link(link(port=server.port), stale_periods=60)
         tracker.first()
         tracker.close()
         tracker.close()
