@@ -271,17 +271,17 @@ def fit_delay(times: np.ndarray, points: np.ndarray, known: np.ndarray, moved: n
     if seen.sum(axis=0).max(initial=0) < FEWEST:
         raise InputError(f"the tracker gave fewer than {FEWEST} positions while the arm moved; valid: sensors in sight of the tracker")
 
-    def left(delay: float) -> float:
+    def squares_left(delay: float) -> float:
         return sum(
             _squares_left(measured[seen[:, k], k], np.interp(times[late][seen[:, k]] - delay, known, modelled[:, k])) for k in coordinates
         )
 
     delays: Sequence[float] = np.arange(-LARGEST_S, LARGEST_S + STEP_S / 2, STEP_S).tolist()
-    near = min(delays, key=left)
+    near = min(delays, key=squares_left)
     bounds = near - STEP_S, near + STEP_S
-    best = float(minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-6}).x)  # type: ignore[attr-defined]
-    variance = left(best) / max(int(seen.sum()) - 2 * points[0].size - 1, 1)
-    curvature = (left(best + STEP_S / 2) - 2 * left(best) + left(best - STEP_S / 2)) / (STEP_S / 2) ** 2
+    best = float(minimize_scalar(squares_left, bounds=bounds, method="bounded", options={"xatol": 1e-6}).x)  # type: ignore[attr-defined]
+    variance = squares_left(best) / max(int(seen.sum()) - 2 * points[0].size - 1, 1)
+    curvature = (squares_left(best + STEP_S / 2) - 2 * squares_left(best) + squares_left(best - STEP_S / 2)) / (STEP_S / 2) ** 2
     return best, float(np.sqrt(2 * variance / max(curvature, 1e-30))), float(np.sqrt(variance))
 
 
