@@ -47,6 +47,7 @@ class TrackerKind:
         options: type of `options` of `[hardware.tracker]`.
         port: default port.
         units_per_m: default units of its positions.
+        needs: module of another package that it imports; empty: none.
     """
 
     name: str
@@ -56,6 +57,7 @@ class TrackerKind:
     options: type[Section] = NoOptions
     port: int = 0
     units_per_m: float = 1.0
+    needs: str = ""
 
     def complete_link(self, link: TrackerLink) -> TrackerLink:
         """The link with this kind's defaults for what the robot file leaves open."""
