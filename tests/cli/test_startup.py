@@ -82,7 +82,10 @@ def test_help_of_every_command() -> None:
         "hw limits",
         "hw ports",
         "hw calibrate base",
+        "hw emulate",
         "hw measure tracker",
+        "hw new-tracker",
+        "hw trackers",
         "hw rig new",
     ]
     done = subprocess.run(
