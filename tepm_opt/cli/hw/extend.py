@@ -24,7 +24,7 @@ def trackers(as_json: JsonOption = False) -> int:
     """List the kinds of trackers, and whether the package that each needs is installed."""
     from tepm_opt.hw.trackers import tracker_kinds
 
-    kinds = [(kind, _missing(kind.needs)) for kind in tracker_kinds()]
+    kinds = [(kind, _find_missing(kind.needs)) for kind in tracker_kinds()]
     if as_json:
         found = [
             {"kind": kind.name, "description": kind.description, "installed": not missing, "port": kind.port} for kind, missing in kinds
@@ -39,7 +39,7 @@ def trackers(as_json: JsonOption = False) -> int:
     return SOLVED
 
 
-def _missing(module: str) -> str:
+def _find_missing(module: str) -> str:
     """The module's name where it is not installed, else nothing."""
     return module if module and find_spec(module.partition(".")[0]) is None else ""
 

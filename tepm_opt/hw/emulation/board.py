@@ -67,10 +67,10 @@ class EmulatedBoard:
         self._session, self._sequence, self._began, self._heard = self._starts << 16 | 1, 0, now, now
         self.state, self._decoder, self._told = State.IDLE, Decoder(TO_BOARD), 0
         self._refused = self._stale = 0
-        self._off()
+        self._switch_off()
         self._pressures = np.zeros(self._count)
 
-    def _off(self) -> None:
+    def _switch_off(self) -> None:
         """Motors off; pressure falls in `outputs`."""
         self._goal, self._tensions, self._enabled = np.zeros(self._count), np.zeros(self._count), np.zeros(self._count, dtype=bool)
 
@@ -78,7 +78,7 @@ class EmulatedBoard:
         """Another state, and with it another session."""
         self.state, self._sequence = state, 0
         self._session = self._session & 0xFFFF0000 | self._session + 1 & 0xFFFF
-        self._off()
+        self._switch_off()
 
     def receive(self, data: bytes, now: float) -> bytes:
         """Take bytes of the host at a time in s, and give what the board answers at once."""
