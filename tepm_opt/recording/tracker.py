@@ -35,7 +35,7 @@ _LINE = np.linalg.pinv(np.column_stack([np.ones(len(PERIODS_S)), PERIODS_S]))
 
 @dataclass(frozen=True, eq=False)
 class TrackerRecording:
-    """What a tracker said while the arm rested and while it swung.
+    """Samples of a tracker while the arm rested and while it swung.
 
     Attributes:
         rest_times, rest: of the samples at rest in s, and their points, (samples, points, 3) in m.
