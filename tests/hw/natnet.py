@@ -1,4 +1,4 @@
-"""A stand-in for OptiTrack's Motive: NatNet 4.0 over UDP on the loopback, packets packed by hand (PacketClient.cpp of the NatNet SDK)."""
+"""A stand-in for OptiTrack's Motive: NatNet over UDP on the loopback, packets packed by hand (PacketClient.cpp of the NatNet SDK)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation
 
 CONNECT, SERVER_INFO, REQUEST_MODELDEF, MODELDEF, FRAME, KEEP_ALIVE = 0, 1, 4, 5, 7, 10
 """Messages of the protocol."""
-VERSION = (4, 0, 0, 0)
 TICKS = 10_000_000  # a second, of the high-resolution clock
 FORGOTTEN_S = 1.0
 """A client that sends nothing for so long is no longer served."""
+UNSEEN = np.array([[-1.0, 0, 0, 0.1], [0, -1, 0, 0.1], [0, 0, 1, 0.1], [0, 0, 0, 1]])
+"""Pose that is sent of a lost body."""
 Poses = Callable[[], "Sequence[np.ndarray | None]"]
 
 
@@ -32,39 +33,51 @@ def text(word: str) -> bytes:
     return word.encode() + b"\0"
 
 
-def server_info(data_port: int) -> bytes:
-    """Answer to CONNECT: application, its version, that of NatNet, clock, and the data port; unicast."""
-    return packet(SERVER_INFO, b"Motive".ljust(256, b"\0") + bytes([3, 0, 0, 0, *VERSION]) + struct.pack("<QH?4x", TICKS, data_port, False))
+def counted(items: Sequence[bytes], minor: int) -> bytes:
+    """Items with their number, and from 4.1 on with their size in bytes."""
+    body = b"".join(items)
+    return struct.pack("<I", len(items)) + (struct.pack("<I", len(body)) if minor >= 1 else b"") + body
 
 
-def model_definitions(bodies: Sequence[str], markers: Sequence[str]) -> bytes:
+def server_info(data_port: int, minor: int) -> bytes:
+    """Answer to CONNECT: application, its version, that of NatNet (4.minor), clock, and the data port; unicast."""
+    words = b"Motive".ljust(256, b"\0") + bytes([3, 0, 0, 0, 4, minor, 0, 0])
+    return packet(SERVER_INFO, words + struct.pack("<QH?4x", TICKS, data_port, False))
+
+
+def model_definitions(bodies: Sequence[str], markers: Sequence[str], minor: int) -> bytes:
     """Names: rigid bodies by their numbers from 1, and a marker set "Arm"."""
-    sets = struct.pack("<I", 0) + text("Arm") + struct.pack("<I", len(markers)) + b"".join(map(text, markers))
-    body = struct.pack("<I", 1 + len(bodies)) + sets
+    parts = [(0, text("Arm") + struct.pack("<I", len(markers)) + b"".join(map(text, markers)))]
     for number, name in enumerate(bodies, 1):
-        body += struct.pack("<I", 1) + text(name) + struct.pack("<Ii3fI", number, -1, 0.0, 0.0, 0.0, 1)
-        body += struct.pack("<3fI", 0.01, 0.0, 0.0, 0) + text("Marker1")
-    return packet(MODELDEF, body)
+        turn = struct.pack("<4f", 0.0, 0.0, 0.0, 1.0) if minor >= 2 else b""
+        markers_of_body = struct.pack("<I3fI", 1, 0.01, 0.0, 0.0, 0) + text("Marker1")
+        parts.append((1, text(name) + struct.pack("<Ii3f", number, -1, 0.0, 0.0, 0.0) + turn + markers_of_body))
+    sized = [struct.pack("<I", kind) + (struct.pack("<I", len(part)) if minor >= 1 else b"") + part for kind, part in parts]
+    return packet(MODELDEF, struct.pack("<I", len(sized)) + b"".join(sized))
 
 
-def frame(number: int, poses: Sequence[np.ndarray | None], markers: Sequence[np.ndarray | None], stamp: float, param: int = 0) -> bytes:
+def frame(
+    number: int, poses: Sequence[np.ndarray | None], markers: Sequence[np.ndarray | None], stamp: float, param: int, minor: int
+) -> bytes:
     """A frame of data.
 
     Args:
         number: of the frame.
-        poses: of the rigid bodies in m, (4, 4) each; None where one is lost: it stays where it was last, with its flag cleared.
+        poses: of the rigid bodies in m, (4, 4) each; None where one is lost: its flag is cleared, whatever its pose says.
         markers: of the set "Arm" in m, (3,) each; None where one is lost: zeros.
         stamp: on the server's clock in s.
         param: 2: the models have changed.
+        minor: of the protocol 4.minor.
     """
     places = [np.zeros(3) if place is None else place for place in markers]
-    body = struct.pack("<II", number, 1) + text("Arm") + struct.pack("<I", len(places))
-    body += b"".join(struct.pack("<3f", *place) for place in places) + struct.pack("<II", 0, len(poses))
+    arm = text("Arm") + struct.pack("<I", len(places)) + b"".join(struct.pack("<3f", *place) for place in places)
+    bodies = []
     for each, pose in enumerate(poses, 1):
-        shown = np.diag([-1.0, -1.0, 1.0, 1.0]) if pose is None else pose
-        body += struct.pack("<I7f", each, *shown[:3, 3] + 0.001 * (pose is None), *Rotation.from_matrix(shown[:3, :3]).as_quat())
-        body += struct.pack("<fH", 1e-4, pose is not None)
-    body += struct.pack("<IIII", 0, 0, 0, 0)  # skeletons, labelled markers, force plates, devices
+        shown = UNSEEN if pose is None else pose
+        placed = struct.pack("<I7f", each, *shown[:3, 3], *Rotation.from_matrix(shown[:3, :3]).as_quat())
+        bodies.append(placed + struct.pack("<fH", 1e-4, pose is not None))
+    body = struct.pack("<I", number) + counted([arm], minor) + counted([], minor) + counted(bodies, minor)
+    body += counted([], minor) * (5 if minor >= 1 else 4)  # skeletons, assets from 4.1 on, labelled markers, force plates, devices
     ticks = int(stamp * TICKS)
     return packet(FRAME, body + struct.pack("<IId3QHI", 0, 0, stamp, ticks, ticks, ticks, param, 0))
 
@@ -77,17 +90,21 @@ class Motive:
         bodies, markers: names of rigid bodies, and of the markers of the set "Arm".
         poses: of the rigid bodies now, in m; of markers, their positions are used.
         to_data_port: send to the port that the server info tells, not to the one that the client asked from.
+        minor: of the protocol 4.minor: Motive 2.2 and 3.0 have 4.0, Motive 3.1 has 4.1.
 
     Attributes:
         port, data_port: the same after each `start`.
         bodies: names that are told from the next request on.
         param: of the frames: 2 while the models have changed.
+        damaged: set it, and one packet comes that is no frame.
     """
 
-    def __init__(self, rate: float, bodies: Sequence[str], markers: Sequence[str], poses: Poses, to_data_port: bool = False) -> None:
-        self.rate, self.bodies, self.markers, self.poses, self.param = rate, bodies, markers, poses, 0
+    def __init__(
+        self, rate: float, bodies: Sequence[str], markers: Sequence[str], poses: Poses, to_data_port: bool = False, minor: int = 0
+    ) -> None:
+        self.rate, self.bodies, self.markers, self.poses, self.param, self.damaged = rate, bodies, markers, poses, 0, False
         self.port, self.data_port, self._to_data_port = _free_port(), _free_port(), to_data_port
-        self._client, self._heard = None, 0.0
+        self.minor, self._client, self._heard = minor, None, 0.0
         self._stop, self._thread = threading.Event(), None
 
     def start(self) -> None:
@@ -121,16 +138,19 @@ class Motive:
         request, sender = commands.recvfrom(1 << 12)
         message, self._heard = struct.unpack_from("<H", request)[0], time.monotonic()
         if message == CONNECT:
-            commands.sendto(server_info(self.data_port), sender)
+            commands.sendto(server_info(self.data_port, self.minor), sender)
         elif message == REQUEST_MODELDEF:
-            commands.sendto(model_definitions(self.bodies, self.markers), sender)
+            commands.sendto(model_definitions(self.bodies, self.markers, self.minor), sender)
             self._client = (sender[0], self.data_port) if self._to_data_port else sender
 
     def _send(self, commands: socket.socket, number: int) -> None:
         poses = list(self.poses())
         bodies, markers = poses[: len(self.bodies)], [None if pose is None else pose[:3, 3] for pose in poses[-len(self.markers) :]]
         with contextlib.suppress(OSError):  # the client is gone
-            commands.sendto(frame(number, bodies, markers, time.monotonic() + 1000.0, self.param), self._client)
+            if self.damaged:
+                self.damaged = False
+                commands.sendto(packet(FRAME, b"\xff" * 9), self._client)
+            commands.sendto(frame(number, bodies, markers, time.monotonic() + 1000.0, self.param, self.minor), self._client)
 
 
 def _free_port() -> int:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import socket
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.trackers import open_link
 from tepm_opt.hw.trackers.receiver import require_package
 from tepm_opt.models.hardware import TrackerLink
-from tepm_opt.testing import TrackerContract
+from tepm_opt.testing import TrackerContract, motion_of_arm
 from tepm_opt.testing.trackers import PATIENCE_S, Motion
 from tests.hw.natnet import Motive
 from tests.hw.test_tracker_contracts import RATE, Sensors
@@ -26,11 +28,15 @@ BODIES = ("Base", "Low", "High", "Tip")
 
 
 class OptiTrackStandIn(Sensors):
-    """Motive as libmotioncapture hears it: frames come to the data port; lost bodies are left out, stamps are not told."""
+    """Motive as libmotioncapture hears it: frames come to the data port; lost bodies are left out, stamps are not told.
 
-    def __init__(self) -> None:
+    Args:
+        minor: of the protocol 4.minor.
+    """
+
+    def __init__(self, minor: int = 0) -> None:
         super().__init__()
-        self._motive = Motive(RATE, BODIES, ("m1",), self.poses, to_data_port=True)
+        self._motive = Motive(RATE, BODIES, ("m1",), self.poses, to_data_port=True, minor=minor)
         self.link = TrackerLink(
             kind="motioncapture", devices=BODIES, port=self._motive.port, rate_hz=RATE, options={"system": "optitrack"}
         )  # fmt: skip
@@ -51,7 +57,27 @@ class TestOptiTrack(TrackerContract):
 
     def stand_in(self) -> OptiTrackStandIn:
         """Not started yet."""
-        return OptiTrackStandIn()
+        return OptiTrackStandIn(minor=1)
+
+    def test_a_crash_of_the_library_is_told(self) -> None:
+        """Version 1.1 misreads names of NatNet 4.2 and crashes, in its own process; docs/how-to/trackers.md warns of it."""
+        server = OptiTrackStandIn(minor=2)
+        server.start(motion_of_arm())
+        try:
+            with self._open(server) as tracker, pytest.raises(InputError, match="motioncapture ended with status -"):
+                tracker.first(3.0)
+        finally:
+            server.stop()
+
+    def test_the_older_protocol(self) -> None:
+        """NatNet 4.0."""
+        server = OptiTrackStandIn(minor=0)
+        server.start(motion_of_arm())
+        try:
+            with self._open(server) as tracker:
+                assert np.isfinite(tracker.first(PATIENCE_S).points).all()
+        finally:
+            server.stop()
 
 
 def mock(**settings: object) -> TrackerLink:
@@ -95,6 +121,25 @@ def test_a_server_that_never_answers_does_not_stop_this_process(silent_port: int
         ended.set()
         ticking.join()
     assert np.diff(gaps).max() < 1.5
+
+
+@pytest.mark.slow
+def test_the_process_ends_with_its_host() -> None:
+    """A host that is killed leaves none behind: writing to it fails, or the alarm rings."""
+    program = (
+        "import time; from tests.hw.test_motion_capture import mock; from tepm_opt.hw.trackers import open_link\n"
+        "tracker = open_link(mock(), stale_periods=60); tracker.first(20.0); print('on', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"on\n"
+        children = Path(f"/proc/{host.pid}/task").glob("*/children")
+        (child,) = [int(each) for path in children for each in path.read_text().split()]
+        host.kill()
+    end = time.monotonic() + PATIENCE_S
+    while Path(f"/proc/{child}/cmdline").exists() and Path(f"/proc/{child}/cmdline").read_bytes():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 def test_a_port_that_is_left_out_is_told() -> None:

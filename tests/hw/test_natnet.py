@@ -22,16 +22,17 @@ BODIES, MARKERS = ("Base", "Low", "High", "Tip"), ("m1", "m2", "m3", "m4")
 
 
 class MotiveStandIn(Sensors):
-    """Motive: NatNet 4.0, unicast, in m; a lost body has its flag cleared, a lost marker is at the origin.
+    """Motive: unicast, in m; a lost body has its flag cleared, a lost marker is at the origin.
 
     Args:
         devices: rigid bodies, or markers "Arm/m1".
+        minor: of the protocol 4.minor.
     """
 
-    def __init__(self, devices: tuple[str, ...] = BODIES) -> None:
+    def __init__(self, devices: tuple[str, ...] = BODIES, minor: int = 0) -> None:
         super().__init__()
         self.rotations = devices == BODIES
-        self.motive = Motive(RATE, BODIES, MARKERS, self.poses)
+        self.motive = Motive(RATE, BODIES, MARKERS, self.poses, minor=minor)
         self.link = TrackerLink(kind="natnet", devices=devices, port=self.motive.port, rate_hz=RATE)
 
     def start(self, motion: Motion) -> None:
@@ -50,7 +51,7 @@ class TestRigidBodies(TrackerContract):
 
     def stand_in(self) -> MotiveStandIn:
         """Not started yet."""
-        return MotiveStandIn()
+        return MotiveStandIn(minor=1)
 
     def test_rotations_are_those_of_the_bodies(self) -> None:
         """Of the last one, which turns most: within the angle that it turns by in a tenth of a second."""
@@ -74,6 +75,30 @@ class TestRigidBodies(TrackerContract):
                 self._until(tracker, lambda frame: bool(np.isnan(frame.points[0]).all()))
                 server.motive.bodies, server.motive.param = devices, 2
                 self._until(tracker, lambda frame: bool(np.isfinite(frame.points).all()))
+        finally:
+            server.stop()
+
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+    def test_a_damaged_packet_is_survived(self) -> None:
+        """It ends the client's thread; poses come again over a new connection."""
+        server = self.stand_in()
+        server.start(motion_of_arm())
+        try:
+            with self._open(server) as tracker:
+                tracker.first(PATIENCE_S)
+                server.motive.damaged = True
+                self._until(tracker, lambda _: tracker.statistics.reconnects > 0)
+        finally:
+            server.stop()
+
+    @pytest.mark.parametrize("minor", [0, 2])
+    def test_other_versions(self, minor: int) -> None:
+        """Versions 4.0 and 4.2, whose messages differ, tell the same names and poses."""
+        server = MotiveStandIn(minor=minor)
+        server.start(motion_of_arm())
+        try:
+            with self._open(server) as tracker:
+                assert np.isfinite(tracker.first(PATIENCE_S).points).all()
         finally:
             server.stop()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -58,21 +59,33 @@ def connection_settings(link: TrackerLink, options: MotionCaptureOptions, addres
 
 
 class _Stream:
-    """Frames of the process.
+    """Frames of the process; VRPN's bodies come when they like, elsewhere a body that is missing from a frame is lost.
 
     Args:
         line: the process writes to it.
-        tells_loss: whether a body that is missing from a frame is lost; VRPN sends each body when it likes.
+        process: started.
+        tells_loss: whether a missing body is lost.
     """
 
-    def __init__(self, line: Connection, tells_loss: bool) -> None:
-        self._line, self._tells_loss, self._known = line, tells_loss, set[str]()
+    def __init__(self, line: Connection, process: subprocess.Popen[bytes], tells_loss: bool) -> None:
+        self._line, self._process, self._tells_loss, self._known = line, process, tells_loss, set[str]()
+
+    def connect(self) -> None:
+        """Wait until it is connected.
+
+        Raises:
+            ConnectionError: it is not, and why.
+        """
+        if not self._line.poll(START_S):
+            raise ConnectionError(f"motioncapture did not start within {START_S:g} s")
+        if trouble := self._receive():
+            raise ConnectionError(trouble)
 
     def poll(self, timeout: float) -> list[Pose]:
         """See `Stream`."""
         poses = list[Pose]()
         while self._line.poll(timeout):
-            arrival, bodies = _receive_from(self._line)
+            arrival, bodies = self._receive()
             timeout = 0.0
             poses += [Pose(name, rigid_body_pose(each[:3], each[3:]), arrival) for name, each in bodies.items()]
             if self._tells_loss:
@@ -80,17 +93,18 @@ class _Stream:
                 self._known.update(bodies)
         return poses
 
+    def _receive(self) -> Any:
+        """The next message.
 
-def _receive_from(line: Connection) -> Any:
-    """The next message of the process.
-
-    Raises:
-        ConnectionError: it has ended.
-    """
-    try:
-        return line.recv()
-    except EOFError as error:
-        raise ConnectionError(f"no answer within {ANSWER_S:g} s") from error
+        Raises:
+            ConnectionError: the process has ended.
+        """
+        try:
+            return self._line.recv()
+        except EOFError as error:
+            status = self._process.wait()
+            silent = status == -signal.SIGALRM
+            raise ConnectionError(f"no answer within {ANSWER_S:g} s" if silent else f"motioncapture ended with status {status}") from error
 
 
 @contextmanager
@@ -101,19 +115,17 @@ def _connect(link: TrackerLink, options: MotionCaptureOptions) -> Iterator[_Stre
     """
     settings = connection_settings(link, options, socket.gethostbyname(link.host))
     ours, theirs = Pipe(duplex=False)
-    command = [sys.executable, "-P", str(Path(motion_capture_process.__file__)), str(theirs.fileno()), options.system]
+    command = [sys.executable, "-P", str(Path(motion_capture_process.__file__)), str(theirs.fileno()), options.system, json.dumps(settings)]
     with ours, theirs:
         process = subprocess.Popen(
-            [*command, json.dumps(settings)], pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, start_new_session=True,
+            command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )  # fmt: skip
         try:
             theirs.close()
-            if not ours.poll(START_S):
-                raise TimeoutError(f"motioncapture did not start within {START_S:g} s")
-            if trouble := _receive_from(ours):
-                raise ConnectionError(trouble)
-            yield _Stream(ours, options.system != "vrpn")
+            stream = _Stream(ours, process, options.system != "vrpn")
+            stream.connect()
+            yield stream
         finally:
             process.kill()
             process.wait()
