@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 
+from tepm_opt.errors import InputError
 from tepm_opt.hw.trackers.frames import WAIT_PERIODS, FrameAssembler
 
 WATCHDOG_S, CONNECT_S, RETRY_S = 1.0, 1.0, 0.05
@@ -132,3 +135,20 @@ class StreamReceiver:
                     self._inbox.arrived.notify_all()
             if now - frames.progress > WATCHDOG_S:
                 raise ConnectionError(f"no usable pose came for {WATCHDOG_S:g} s")
+
+
+def require_package(module: str, extra: str, kind: str) -> ModuleType:
+    """Import the package that a kind of tracker needs.
+
+    Args:
+        module: as it is imported, and installed.
+        extra: of this package that installs it.
+        kind: of tracker, for the message.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(f"tracker {kind} needs {module}, which is not installed: pip install 'tepm-opt[{extra}]'") from error
