@@ -18,10 +18,14 @@ from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
     from tepm_opt.hw.rig import Rig
+    from tepm_opt.hw.ros.publishing import RunPublisher
     from tepm_opt.models.robot import Robot
 
 RigOption = Annotated[
     str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the robot simulated, a rig file's (tepm hw rig new), a recording.")
+]
+RosOption = Annotated[
+    str | None, typer.Option("--ros", metavar="HOST:PORT", help="Publish it to ROS 2, by the rosbridge there; /tepm/stop stops it.")
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, help="Of the noise on a simulated rig.")]
 
@@ -48,8 +52,30 @@ def robot_there(robot: str | None, model: Path | None, rig: str) -> str | None:
     return robot if robot or model else robot_of(rig)
 
 
-def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:
+@contextmanager
+def publisher(address: str | None) -> Iterator[RunPublisher | None]:
+    """Publishes to the ROS that --ros names, where it is given.
+
+    Raises:
+        InputError: nobody answers there, or websocket-client is not installed.
+    """
+    if address is None:
+        yield None
+        return
+    from tepm_opt.hw.ros.publishing import RunPublisher
+
+    with RunPublisher(address) as found:
+        yield found
+
+
+def opener(text: str, robot: Robot, seed: int, ros: RunPublisher | None = None) -> Callable[[int], Rig]:
     """Opens the rig that --rig names; what it is called with makes the noise of its devices another one, where they are simulated.
+
+    Args:
+        text: of --rig.
+        robot: that shall be there.
+        seed: of --seed.
+        ros: publishes what goes over the rig.
 
     Raises:
         InputError: when called: no such rig; or --seed is given and the rig has nothing to seed.
@@ -61,7 +87,7 @@ def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:
             simulated.reseed(noise)
         elif seed:
             raise InputError(f"--seed {seed}: rig {text!r} has no noise that can be seeded; leave the option out")
-        return rig
+        return rig if ros is None else ros.watch(rig)
 
     return open_seeded
 
