@@ -25,6 +25,8 @@ CONTENTS: dict[str, tuple[str, ...]] = {
             "what_changed",
             "any_machine",
             "hardware",
+            "trackers",
+            "ros2",
             "studio",
             "pages",
             "exporting",

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.data.files import write_atomically
@@ -78,7 +79,7 @@ def _joint(
     return joint
 
 
-def _add(parent: Xml.Element, tag: str, **attributes: object) -> Xml.Element:
+def _add(parent: Xml.Element, tag: str, **attributes: ArrayLike) -> Xml.Element:
     texts = {
         name: value if isinstance(value, str) else " ".join(f"{each:.12g}" for each in np.ravel(value))
         for name, value in attributes.items()

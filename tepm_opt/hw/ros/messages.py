@@ -42,7 +42,7 @@ def header(stamp: float, frame: str = FRAME) -> Message:
     return {"stamp": {"sec": whole, "nanosec": nanoseconds}, "frame_id": frame}
 
 
-def labelled(values: np.ndarray, label: str) -> Message:
+def number_array(values: np.ndarray, label: str) -> Message:
     """A std_msgs/Float64MultiArray of one dimension, (n,); its label says the unit and what the numbers are of."""
     size = len(values)
     return {"layout": {"dim": [{"label": label, "size": size, "stride": size}], "data_offset": 0}, "data": values.tolist()}
@@ -116,14 +116,14 @@ class RunMessages:
             found[JOINTS] = {"header": header(stamp), **joints}
         for topic, values, label in zip((PRESSURES, TENSIONS), (sample.pressures, sample.tensions), self._labels, strict=True):
             if values is not None:
-                found[topic] = labelled(values, label)
+                found[topic] = number_array(values, label)
         return found
 
     def of_command(self, command: Command) -> dict[str, Message]:
         """Messages by topic."""
         values = command.pressures, command.tensions
         topics = PRESSURE_COMMANDS, TENSION_COMMANDS
-        return {topic: labelled(each, label) for topic, each, label in zip(topics, values, self._labels, strict=True)}
+        return {topic: number_array(each, label) for topic, each, label in zip(topics, values, self._labels, strict=True)}
 
 
 def _vector(place: np.ndarray) -> Message:

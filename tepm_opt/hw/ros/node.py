@@ -120,7 +120,7 @@ class RosNode:
     def _take(self, line: Rosbridge, found: Message) -> None:
         if found.get("op") == "publish" and found.get("topic") in self._subscriptions:
             self._subscriptions[found["topic"]][1](found["msg"])
-        elif found.get("op") == "call_service" and (service := found.get("service")) in self._triggers:
+        elif found.get("op") == "call_service" and (service := str(found.get("service"))) in self._triggers:
             values = {"success": True, "message": ""}
             line.send("service_response", id=found.get("id"), service=service, values=values, result=True)
             self._triggers[service]()

@@ -16,7 +16,7 @@ from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.freshness import FreshnessMonitor
 from tepm_opt.hw.rig import Command, Rig, Sample
 from tepm_opt.hw.ros.bridge import Message
-from tepm_opt.hw.ros.messages import labelled
+from tepm_opt.hw.ros.messages import number_array
 from tepm_opt.hw.ros.node import RosNode, parse_address
 from tepm_opt.hw.trackers import open_link
 from tepm_opt.models.hardware import TrackerLink
@@ -112,7 +112,7 @@ class RosRig:
         self._publish(np.zeros(3 * self._layout.inputs // 2))
 
     def _publish(self, values: np.ndarray) -> None:
-        self._node.publish(lambda: {COMMAND: labelled(values, "Pa, N, enabled")})
+        self._node.publish(lambda: {COMMAND: number_array(values, "Pa, N, enabled")})
 
     def _take(self, message: Message) -> None:
         """Gauges, in the node's thread; rosbridge sends null for NaN."""
