@@ -18,7 +18,7 @@ from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, 
 from tepm_opt.cli.driving import DriveOptions
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, OptionGroup, TrajectoryOptions, WorkerOptions
 from tepm_opt.cli.progress import shown
-from tepm_opt.cli.rigs import RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
+from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
 
 if TYPE_CHECKING:
     import numpy as np
@@ -203,6 +203,7 @@ def mpc(
     ] = None,
     view: Annotated[bool, typer.Option("--view", help="Watch it in the browser: a page that shows and has nothing to press.")] = False,
     ros: RosOption = None,
+    foxglove: FoxgloveOption = None,
     seed: SeedOption = 0,
     robot: RobotOption = None,
     model: ModelOption = None,
@@ -217,15 +218,15 @@ def mpc(
     from tepm_opt.jobs.closed_loop import LOG
 
     if older.given:
-        if rig != "sim" or view or ros or learn is not None or learned is not None:
-            raise tepm.InputError("--machines simulates rigs of its own; leave --rig, --view, --ros, --learn and --learned out")
+        if rig != "sim" or view or ros or foxglove is not None or learn is not None or learned is not None:
+            raise tepm.InputError("--machines simulates rigs of its own; leave --rig, --view, --ros, --foxglove, --learn and --learned out")
         shared: dict[str, Any] = {"seed": seed, "robot": robot, "model": model, "as_json": as_json}
         return older.run_study(path, which=which, kinematics=kinematics, drive=drive, out=out, **shared)
     drive.check(learning=learn is not None or learned is not None)
     setup = drive.setup(rig, seed)
     which.trajectory(path)  # a wrong one is told before anything is compiled
     known = None if learned is None else tepm.read_correction(learned)
-    with folder_for(out) as folder, publisher(ros) as shows:
+    with folder_for(out) as folder, publisher(ros, foxglove) as shows:
         compiled = load(robot_there(robot, model, rig), model)
         targets, driven = which.trajectory(path, compiled), drive.course(setup)
         opened = opener(rig, compiled.robot, seed, shows)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,9 +15,9 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.hw.registry import open_rig, robot_of
 from tepm_opt.hw.rig import Command, Rig, Sample
-from tepm_opt.hw.ros.messages import RunMessages
+from tepm_opt.hw.ros.messages import TOPICS, RunMessages
 from tepm_opt.hw.ros.node import parse_address
-from tepm_opt.hw.ros.publishing import STOP, RunPublisher
+from tepm_opt.hw.ros.publishing import STOP, to_foxglove, to_ros
 from tepm_opt.hw.ros.rig import COMMAND, GAUGES, POINTS
 from tepm_opt.models.robot import load_robot
 from tepm_opt.testing import RigContract, motion_of_arm
@@ -127,7 +129,7 @@ def test_a_rosbridge_that_ends_is_an_error_for_who_commands(bridge: RosbridgeSta
 
 def test_a_run_is_published(bridge: RosbridgeStandIn) -> None:
     """Every sample and command, what is wrong, and the target; the rig's own members stay."""
-    with RunPublisher(f"127.0.0.1:{bridge.port}") as ros, ros.watch(open_rig("sim")) as rig:
+    with to_ros(f"127.0.0.1:{bridge.port}") as ros, ros.watch(open_rig("sim")) as rig:
         command = Command.of(0.1 * rig.robot.input_max)
         rig.apply(command)
         samples = [rig.read() for _ in range(5)]
@@ -167,7 +169,7 @@ def test_lost_points_and_gauges_that_there_are_not(bridge: RosbridgeStandIn) -> 
 
 def test_a_rosbridge_that_stalls_delays_nobody(bridge: RosbridgeStandIn) -> None:
     """What it does not take is dropped, oldest first, and counted; when it goes on so does the publisher."""
-    with RunPublisher(f"127.0.0.1:{bridge.port}") as ros, ros.watch(open_rig("sim:perfect")) as rig:
+    with to_ros(f"127.0.0.1:{bridge.port}") as ros, ros.watch(open_rig("sim:perfect")) as rig:
         rig.apply(Command.of(0.1 * rig.robot.input_max))
         messages, sample = RunMessages(rig.robot), rig.read()
         wait(lambda: bridge.messages["/tepm/tip"])
@@ -187,7 +189,7 @@ def test_a_rosbridge_that_stalls_delays_nobody(bridge: RosbridgeStandIn) -> None
 
 def test_the_service_stops(bridge: RosbridgeStandIn) -> None:
     """It is answered, and acts as Ctrl-C does in the main thread, also after rosbridge was away."""
-    with RunPublisher(f"127.0.0.1:{bridge.port}") as ros:
+    with to_ros(f"127.0.0.1:{bridge.port}") as ros:
         bridge.stop()
         wait(lambda: ros.node.trouble)
         bridge.types.clear()
@@ -224,3 +226,30 @@ def test_nobody_answers() -> None:
     assert robot_of(f"ros2:127.0.0.1:{bridge.port}") == "kang2017"
     with pytest.raises(InputError, match=r"nobody answers .*rosbridge"):
         open_rig(f"ros2:127.0.0.1:{bridge.port}")
+
+
+def test_foxglove_gets_the_same_topics_and_stops() -> None:
+    """A client of its protocol (foxglove.websocket.v1, little endian) reads a pose in Foxglove's own schema and calls the service."""
+    pytest.importorskip("foxglove")
+    websocket, stopped = pytest.importorskip("websocket"), threading.Event()
+    with to_foxglove(0, stopped.set) as ros, ros.watch(open_rig("sim:perfect")) as rig:
+        line = websocket.create_connection(f"ws://127.0.0.1:{ros.node.port}", timeout=PATIENCE, subprotocols=["foxglove.sdk.v1"])
+        channels, services = dict[str, dict[str, Any]](), dict[str, int]()
+        while len(channels) < len(TOPICS) or not services:
+            told = json.loads(line.recv())
+            channels |= {each["topic"]: each for each in told.get("channels", ())}
+            services |= {each["name"]: each["id"] for each in told.get("services", ())}
+        assert channels["/tepm/tip"]["schemaName"] == "foxglove.PoseInFrame"
+        line.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channels["/tepm/tip"]["id"]}]}))
+        time.sleep(0.2)
+        rig.apply(Command.of(0.1 * rig.robot.input_max))
+        sample = rig.read()
+        data = line.recv()
+        assert (data[0], struct.unpack("<I", data[1:5])[0]) == (1, 7)
+        pose = json.loads(data[13:])
+        assert pose["pose"]["position"] == dict(zip("xyz", sample.points[-1].tolist(), strict=True))
+        assert abs(pose["timestamp"]["sec"] - time.time()) < 60
+        line.send_binary(struct.pack("<BIII", 2, services[STOP], 1, 4) + b"json{}")
+        assert json.loads(line.recv()[17:]) == {"success": True, "message": ""}
+        assert stopped.wait(PATIENCE)
+        line.close()

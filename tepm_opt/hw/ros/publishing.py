@@ -13,6 +13,7 @@ import numpy as np
 
 from tepm_opt.hw.rig import Command, Rig, Sample, Simulated
 from tepm_opt.hw.ros.bridge import Message
+from tepm_opt.hw.ros.foxglove import FoxgloveServer
 from tepm_opt.hw.ros.messages import DIAGNOSTICS, ERROR, OK, TARGET, TOPICS, WARN, RunMessages, diagnostics, pose_stamped
 from tepm_opt.hw.ros.node import RosNode
 
@@ -30,15 +31,11 @@ class RunPublisher:
     """Publishes runs on rigs. Use it as a context manager.
 
     Args:
-        address: `HOST:PORT` of rosbridge.
-        stop: what the service /tepm/stop does; the default is what Ctrl-C does.
-
-    Raises:
-        InputError: as for `RosNode`.
+        node: takes the messages; see `to_ros` and `to_foxglove`.
     """
 
-    def __init__(self, address: str, stop: Callable[[], None] = interrupt) -> None:
-        self.node = RosNode(address, TOPICS, triggers={STOP: stop})
+    def __init__(self, node: RosNode | FoxgloveServer) -> None:
+        self.node = node
         self._faults = dict[str, str]()
         self._known, self._told, self._due = dict[str, None](), ("", {}), 0.0
 
@@ -82,6 +79,32 @@ class RunPublisher:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Close."""
         self.close()
+
+
+def to_ros(address: str, stop: Callable[[], None] = interrupt) -> RunPublisher:
+    """A publisher to a rosbridge.
+
+    Args:
+        address: its `HOST:PORT`.
+        stop: what the service /tepm/stop does.
+
+    Raises:
+        InputError: as for `RosNode`.
+    """
+    return RunPublisher(RosNode(address, TOPICS, triggers={STOP: stop}))
+
+
+def to_foxglove(port: int, stop: Callable[[], None] = interrupt) -> RunPublisher:
+    """A publisher to whatever Foxglove connects to this port.
+
+    Args:
+        port: of this machine.
+        stop: what the service /tepm/stop does.
+
+    Raises:
+        InputError: as for `FoxgloveServer`.
+    """
+    return RunPublisher(FoxgloveServer(port, STOP, stop))
 
 
 class _WatchedRig:
