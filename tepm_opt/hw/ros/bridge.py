@@ -27,15 +27,14 @@ class Rosbridge:
 
     Args:
         host, port: of rosbridge.
-        user: what needs it, for the message where websocket-client is not installed.
 
     Raises:
         InputError: websocket-client is not installed.
         Exception: nobody answers within a second, here and in all methods: as websocket-client and sockets do.
     """
 
-    def __init__(self, host: str, port: int, user: str = "ros2") -> None:
-        websocket = require_package("websocket", "ros2", user)
+    def __init__(self, host: str, port: int) -> None:
+        websocket = require_package("websocket", "ros2", "ros2")
         address = f"[{host}]" if ":" in host else host
         options = ((socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),)
         self._socket = websocket.create_connection(f"ws://{address}:{port}", timeout=CONNECT_S, sockopt=options)
