@@ -27,6 +27,7 @@ CONTENTS: dict[str, tuple[str, ...]] = {
             "bench",
             "hardware",
             "trackers",
+            "ros2",
             "studio",
             "pages",
             "exporting",

@@ -39,7 +39,7 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
     Args:
         text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), either with `@compiled` or `@mujoco`
             after it for that engine whatever the file says, `bench` or `bench:FILE` (the single-actuator bench of such a rig),
-            `replay:FILE` (a run of a data set), `serial:PORT` or `serial:PORT@BAUD` (the real robot).
+            `replay:FILE` (a run of a data set), `serial:PORT` or `serial:PORT@BAUD` (the real robot), `ros2:HOST:PORT` (topics of ROS).
         robot: that shall be there: built-in rigs are scaled to it, a rig file must have one of its kind. The default is the rig's own, what
             `dataset.toml` beside a recording says, or kang2017.
 
@@ -149,6 +149,12 @@ def _serial(target: str, robot: Robot | None) -> Rig:
     return open_serial(target, robot or load_robot("kang2017"))
 
 
+def _ros(target: str, robot: Robot | None) -> Rig:
+    from tepm_opt.hw.ros.rig import open_ros
+
+    return open_ros(target, robot)
+
+
 def _recorded_robot(folder: Path) -> str:
     """The robot that the data set in a folder names, where there is one."""
     if not (folder / DESCRIPTION).is_file():
@@ -168,4 +174,5 @@ BUILT_IN = (
         "a run of a data set, played again",
     ),
     RigKind("serial", "serial:PORT", _serial, description="the real robot behind its control board"),
+    RigKind("ros2", "ros2, ros2:HOST:PORT", _ros, description="a robot behind nodes of ROS 2, by rosbridge"),
 )

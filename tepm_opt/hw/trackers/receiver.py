@@ -19,6 +19,23 @@ WATCHDOG_S, CONNECT_S, RETRY_S = 1.0, 1.0, 0.05
 """Without a usable pose for so long the connection is made anew; for how long that is tried; pause between two attempts."""
 
 
+def require_package(module: str, extra: str, kind: str) -> ModuleType:
+    """Import an optional package.
+
+    Args:
+        module: its name in Python.
+        extra: of this package that installs it.
+        kind: of the tracker that needs it.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise InputError(f"tracker {kind} needs {module}, which is not installed: pip install 'tepm-opt[{extra}]'") from error
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
     """What a server says about one sensor.
@@ -135,20 +152,3 @@ class StreamReceiver:
                     self._inbox.arrived.notify_all()
             if now - frames.progress > WATCHDOG_S:
                 raise ConnectionError(f"no usable pose came for {WATCHDOG_S:g} s")
-
-
-def require_package(module: str, extra: str, kind: str) -> ModuleType:
-    """Import the package that a kind of tracker needs.
-
-    Args:
-        module: as it is imported, and installed.
-        extra: of this package that installs it.
-        kind: of tracker, for the message.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise InputError(f"tracker {kind} needs {module}, which is not installed: pip install 'tepm-opt[{extra}]'") from error
