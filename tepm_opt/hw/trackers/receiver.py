@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from tepm_opt.errors import InputError
 from tepm_opt.hw.trackers.frames import WAIT_PERIODS, FrameAssembler
 
 WATCHDOG_S, CONNECT_S, RETRY_S = 1.0, 1.0, 0.05
@@ -132,3 +134,20 @@ class StreamReceiver:
                     self._inbox.arrived.notify_all()
             if now - frames.progress > WATCHDOG_S:
                 raise ConnectionError(f"no usable pose came for {WATCHDOG_S:g} s")
+
+
+def require_package(module: str, extra: str, kind: str) -> Any:
+    """A module of a package that only one kind of tracker needs.
+
+    Args:
+        module: its name.
+        extra: of this package that installs it.
+        kind: name of the kind, for the message.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(f"tracker {kind} needs {module}, which is not installed: pip install 'tepm-opt[{extra}]'") from error
