@@ -192,6 +192,8 @@ def test_a_tool_without_a_cable_is_defined_by_its_file(tmp_path: Path) -> None:
     finally:
         server.stop()
     assert bytes(server.memory[:752]) == content
+    with pytest.raises(InputError, match=r"other\.rom: cannot be read"):
+        open_link(server.link.model_copy(update={"options": {**options, "roms": "other.rom"}}))
 
 
 def test_poses_of_tools_by_network() -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.data.documents import Section
+from tepm_opt.errors import InputError
 from tepm_opt.hw.trackers.receiver import CONNECT_S, Inbox, Pose, StreamReceiver, require_package
 from tepm_opt.hw.trackers.tracker import TrackerKind
 from tepm_opt.models.hardware import TrackerLink
@@ -21,6 +23,9 @@ PAUSE_S = 1e-3
 """Until a system that has no new frame yet is asked again."""
 MOST_ROUNDS = 4
 """Of making tools ready: one that has two sensors shows the second only once the first is."""
+
+ROM_BYTES, ROM_CHUNK = 1024, 64
+"""Of a tool's definition; sent with one command."""
 
 
 class NdiOptions(Section):
@@ -43,14 +48,15 @@ class _System:
     Args:
         ndi: the module ndicapy.
         device: as `ndi` opened it.
-        options: baud rate of a serial port, ROM files.
+        options: baud rate of a serial port.
+        roms: definitions of tools, each `ROM_BYTES` long.
 
     Raises:
         OSError: it does not answer, or refuses a command.
-        ConnectionError: a ROM file cannot be sent; no tool is there.
+        ConnectionError: no tool is there.
     """
 
-    def __init__(self, ndi: Any, device: Any, options: NdiOptions) -> None:
+    def __init__(self, ndi: Any, device: Any, options: NdiOptions, roms: Sequence[bytes]) -> None:
         self._ndi, self._device, self._frame = ndi, device, -1
         try:
             ndi.ndiINIT(device)
@@ -62,10 +68,11 @@ class _System:
             ndi.ndiCOMM(device, speed, ndi.NDI_8N1, ndi.NDI_NOHANDSHAKE)
         for handle in self._handles(1):  # those that are to be freed
             ndi.ndiCommand(device, f"PHF:{handle:02X}")
-        for path in filter(None, map(str.strip, options.roms.split(","))):
+        for rom in roms:
             ndi.ndiCommand(device, "PHRQ:*********1****")
-            if ndi.ndiPVWRFromFile(device, ndi.ndiGetPHRQHandle(device), path):
-                raise ConnectionError(f"{path} cannot be read or sent; valid: a tool's definition, a .rom file")
+            handle = ndi.ndiGetPHRQHandle(device)
+            for at in range(0, ROM_BYTES, ROM_CHUNK):  # ndiPVWRFromFile would keep all other threads of Python waiting
+                ndi.ndiCommand(device, f"PVWR:{handle:02X}{at:04X}{rom[at : at + ROM_CHUNK].hex().upper()}")
         for _ in range(MOST_ROUNDS):
             for handle in self._handles(2):
                 ndi.ndiCommand(device, f"PINIT:{handle:02X}")
@@ -119,14 +126,27 @@ def _pose(transform: tuple[float, ...] | str) -> np.ndarray | None:
     return pose
 
 
+def _read_rom(path: str) -> bytes:
+    """A tool's definition.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        return Path(path).read_bytes()[:ROM_BYTES].ljust(ROM_BYTES, b"\0")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; valid: a tool's definition, a .rom file") from error
+
+
 def _receive(link: TrackerLink, options: Section, inbox: Inbox) -> StreamReceiver:
     """Begin to receive.
 
     Raises:
-        InputError: ndicapi is not installed.
+        InputError: ndicapi is not installed; a ROM file cannot be read.
     """
     assert isinstance(options, NdiOptions)
     ndi = require_package("ndicapy", "ndi", "ndi")
+    roms = [_read_rom(path) for path in filter(None, map(str.strip, options.roms.split(",")))]
 
     @contextmanager
     def connect() -> Iterator[_System]:
@@ -138,7 +158,7 @@ def _receive(link: TrackerLink, options: Section, inbox: Inbox) -> StreamReceive
         if not device:
             raise ConnectionError(f"{options.device or link.host} does not open")
         try:
-            system = _System(ndi, device, options)
+            system = _System(ndi, device, options, roms)
             try:
                 yield system
             finally:
