@@ -25,6 +25,7 @@ CONTENTS: dict[str, tuple[str, ...]] = {
             "what_changed",
             "any_machine",
             "hardware",
+            "trackers",
             "studio",
             "pages",
             "exporting",

@@ -82,6 +82,7 @@ def test_help_of_every_command() -> None:
         "hw limits",
         "hw ports",
         "hw calibrate base",
+        "hw calibrate camera",
         "hw rig new",
     ]
     done = subprocess.run(
