@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.hw.service.camera import CharucoBoard
+from tepm_opt.hw.service.camera import CharucoBoard, Views
 from tepm_opt.hw.trackers.camera import read_calibration
 from tests.cli.conftest import *  # noqa: F403  its fixtures
 from tests.cli.conftest import Command
@@ -51,6 +51,17 @@ def test_a_camera_comes_back_from_a_folder(tepm: Command, tmp_path: Path) -> Non
     again = tepm(*arguments, "--out", str(tmp_path / "camera.toml"))
     assert again.status == 2
     assert "exists" in again.err
+
+
+def test_a_view_that_does_not_fit_is_left_out() -> None:
+    """One that is squeezed, as by a bent board, would make the focal length wrong."""
+    seen, taken = Views(BOARD), views(10, 2)
+    squeezed = cv2.resize(taken[0], (560, 480), interpolation=cv2.INTER_AREA)
+    for image in [*taken[1:], np.pad(squeezed, ((0, 0), (40, 40)), constant_values=140)]:
+        assert seen.add(image)
+    calibration, notes = seen.calibrate()
+    assert "9 views, 1 left out" in notes[0]
+    np.testing.assert_allclose(calibration.matrix[[0, 1], [0, 1]], CAMERA.focal, rtol=0.01)
 
 
 def test_the_written_board_is_the_one_that_is_looked_for(tepm: Command, tmp_path: Path) -> None:

@@ -14,13 +14,13 @@ from tepm_opt.errors import InputError
 from tepm_opt.hw.trackers.camera import CameraCalibration, load_opencv, open_camera
 
 DICTIONARY, TAG_SHARE = "DICT_5X5_100", 0.75
-"""Of the tags in the white squares; their edge in squares."""
+"""Family of the tags in the white squares, and their edge in squares."""
 FEWEST_CORNERS, FEWEST_VIEWS = 8, 6
 """Corners that a view has to show, and views that have to be taken: fewer do not tell distortion from perspective."""
 STRAY = 3.0
 """A view that fits so many times worse than the median one is left out: it was moved while it was taken, or the board was bent."""
 MOVED_SHARE = 0.08
-"""Of the image's width: a board that moved less on average, compared with each view so far, tells nothing new."""
+"""Share of the image's width: a board that moved less on average, compared with each view so far, tells nothing new."""
 DOTS_PER_INCH, MM_PER_INCH = 300, 25.4
 ENDINGS = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
@@ -49,6 +49,25 @@ class CharucoBoard:
         rim = pixels // 2
         board = self.opencv_board(load_opencv())
         return board.generateImage((self.columns * pixels + 2 * rim, self.rows * pixels + 2 * rim), marginSize=rim)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A fitted camera.
+
+    Attributes:
+        rms: root mean square of the reprojection errors in px.
+        matrix: (3, 3) in px.
+        distortion: (5,).
+        focal_std: standard deviations of both focal lengths in px, (2,).
+        errors: rms of each view in px, (views,).
+    """
+
+    rms: float
+    matrix: np.ndarray
+    distortion: np.ndarray
+    focal_std: np.ndarray
+    errors: np.ndarray
 
 
 class Views:
@@ -109,22 +128,27 @@ class Views:
         if len(self) < FEWEST_VIEWS or self.size is None:
             raise InputError(f"the board was found in {len(self)} images; valid: at least {FEWEST_VIEWS}, from different sides")
         kept = np.arange(len(self))
-        for attempt in range(2):
-            points = [self._board.matchImagePoints(self._corners[k][:, None], self._numbers[k][:, None]) for k in kept]
-            objects, images = [point[0] for point in points], [point[1] for point in points]
-            rms, matrix, distortion, _, _, stds, _, errors = self._cv2.calibrateCameraExtended(objects, images, self.size, None, None)
-            good = errors.ravel() <= STRAY * np.median(errors)
-            if attempt or good.all() or good.sum() < FEWEST_VIEWS:
-                break
+        fit = self._fit(kept)
+        good = fit.errors <= STRAY * np.median(fit.errors)
+        if FEWEST_VIEWS <= good.sum() < len(kept):
             kept = kept[good]
-        rows = tuple(tuple(float(value) for value in row) for row in matrix)
-        content = {"width_px": self.size[0], "height_px": self.size[1], "matrix_px": rows, "reprojection_px": float(rms)}
-        lens = tuple(float(value) for value in distortion.ravel())
+            fit = self._fit(kept)
+        rows = tuple(tuple(float(value) for value in row) for row in fit.matrix)
+        content = {"width_px": self.size[0], "height_px": self.size[1], "matrix_px": rows, "reprojection_px": fit.rms}
+        lens = tuple(float(value) for value in fit.distortion)
+        corners = sum(len(self._numbers[k]) for k in kept)
         notes = [
-            f"{len(kept)} views, {len(self) - len(kept)} left out, {sum(map(len, images))} corners, reprojection error {rms:.3f} px rms",
-            f"focal length {matrix[0, 0]:.1f} x {matrix[1, 1]:.1f} px (± {stds[0, 0]:.1f}, ± {stds[1, 0]:.1f})",
+            f"{len(kept)} views, {len(self) - len(kept)} left out, {corners} corners, reprojection error {fit.rms:.3f} px rms",
+            f"focal length {rows[0][0]:.1f} x {rows[1][1]:.1f} px (± {fit.focal_std[0]:.1f}, ± {fit.focal_std[1]:.1f})",
         ]
         return CameraCalibration.model_validate({**content, "distortion": lens}), notes
+
+    def _fit(self, kept: np.ndarray) -> _Fit:
+        """The camera that fits some views best."""
+        pairs = [self._board.matchImagePoints(self._corners[k][:, None], self._numbers[k][:, None]) for k in kept]
+        objects, images = zip(*pairs, strict=True)
+        rms, matrix, distortion, _, _, stds, _, errors = self._cv2.calibrateCameraExtended(objects, images, self.size, None, None)
+        return _Fit(float(rms), matrix, distortion.ravel(), stds.ravel()[:2], errors.ravel())
 
 
 def read_images(folder: Path) -> Iterator[tuple[Path, np.ndarray]]:

@@ -22,10 +22,10 @@ from tepm_opt.models.hardware import TrackerLink
 PAUSE_S = 1e-3
 """Until a system that has no new frame yet is asked again."""
 MOST_ROUNDS = 4
-"""Of making tools ready: one that has two sensors shows the second only once the first is."""
+"""Rounds of making tools ready: one that has two sensors shows the second only once the first is."""
 
 ROM_BYTES, ROM_CHUNK = 1024, 64
-"""Of a tool's definition; sent with one command."""
+"""Length of a tool's definition, and of the part that one command sends."""
 
 
 class NdiOptions(Section):
