@@ -93,7 +93,7 @@ def open_camera(cv2: Any, camera: int | str, size: tuple[int, int] | None = None
 
 
 def load_opencv() -> Any:
-    """OpenCV, told to say nothing on the error stream about a camera that is away.
+    """OpenCV, told to say nothing on the error stream about a camera that is away, and to leave the other cores to the controller.
 
     Raises:
         InputError: it is not installed.
@@ -101,4 +101,5 @@ def load_opencv() -> Any:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     cv2 = require_package("cv2", "webcam", "webcam")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    cv2.setNumThreads(1)
     return cv2

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ from pydantic import Field
 
 from tepm_opt.data.documents import Section, between
 from tepm_opt.hw.trackers.camera import CameraCalibration, load_opencv, open_camera, read_calibration
-from tepm_opt.hw.trackers.receiver import Inbox, Pose, StreamReceiver
+from tepm_opt.hw.trackers.receiver import CONNECT_S, Inbox, Pose, StreamReceiver
 from tepm_opt.hw.trackers.tags import UPRIGHT, TagFinder
 from tepm_opt.hw.trackers.tracker import TrackerKind
 from tepm_opt.models.hardware import TrackerLink
@@ -37,24 +38,51 @@ class WebcamOptions(Section):
 
 
 class _Video:
-    """Poses of the tags in each image as it comes; a tag that was seen since the start and is not in an image is lost."""
+    """Poses of the tags in the newest image; a tag that was seen since the start and is not in it is lost.
+
+    A thread of its own takes images as they come. Images wait in the network while tags are looked for, and would get older and older.
+    """
 
     def __init__(self, capture: Any, finder: TagFinder, calibration: CameraCalibration) -> None:
         self._capture, self._finder, self._size = capture, finder, (calibration.height_px, calibration.width_px)
-        self._names = set[str]()
+        self._names, self._newest = set[str](), None
+        self._changed, self._ended = threading.Condition(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tracker camera", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        """Take images until they end, or nobody wants more; then let go of the camera."""
+        while not self._ended.is_set() and self._capture.grab():
+            stamp = time.monotonic()
+            decoded, image = self._capture.retrieve()
+            if decoded:
+                with self._changed:
+                    self._newest = (stamp, image)
+                    self._changed.notify_all()
+        self._capture.release()
+        with self._changed:
+            self._ended.set()
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Let go of the camera once it has given the image that it is waited for, if that is soon."""
+        self._ended.set()
+        self._thread.join(CONNECT_S)
 
     def poll(self, timeout: float) -> list[Pose]:
-        """See `Stream`. The camera's own patience stands for the timeout; the time stamp is when the image has come, before it is decoded.
+        """See `Stream`. The time stamp is when the image has come.
 
         Raises:
             ConnectionError: no more images, or of another size than the calibration's.
         """
-        if not self._capture.grab():
-            raise ConnectionError("the camera gives no more images")
-        stamp = time.monotonic()
-        decoded, image = self._capture.retrieve()
-        if not decoded:
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest or self._ended.is_set(), timeout)
+            newest, self._newest = self._newest, None
+        if newest is None:
+            if self._ended.is_set():
+                raise ConnectionError("the camera gives no more images")
             return []
+        stamp, image = newest
         if image.shape[:2] != self._size:
             (height, width), size = self._size, image.shape
             raise ConnectionError(f"images have {size[1]} x {size[0]} px; valid: {width} x {height} as in the calibration")
@@ -77,11 +105,9 @@ def _receive(link: TrackerLink, options: Section, inbox: Inbox) -> StreamReceive
 
     @contextmanager
     def connect() -> Iterator[_Video]:
-        capture = open_camera(cv2, options.camera, size, link.rate_hz)
-        try:
-            yield _Video(capture, finder, calibration)
-        finally:
-            capture.release()
+        video = _Video(open_camera(cv2, options.camera, size, link.rate_hz), finder, calibration)
+        with closing(video):
+            yield video
 
     return StreamReceiver(connect, inbox)
 
