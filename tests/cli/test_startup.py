@@ -86,6 +86,7 @@ def test_help_of_every_command() -> None:
         "hw measure tracker",
         "hw new-tracker",
         "hw trackers",
+        "hw calibrate camera",
         "hw rig new",
     ]
     done = subprocess.run(

@@ -146,4 +146,4 @@ def test_a_wrong_option_is_refused() -> None:
 def test_a_package_that_is_missing() -> None:
     """The message says how to install it."""
     with pytest.raises(InputError, match=r"tracker ros2 needs no_such_module, .* pip install 'tepm-opt\[ros2\]'"):
-        require_package("no_such_module", "ros2", "ros2")
+        require_package("no_such_module", "ros2", "tracker ros2")

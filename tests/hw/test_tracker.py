@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from tepm_opt.errors import InputError
 from tepm_opt.hw.trackers import open_link
 from tepm_opt.hw.trackers.frames import OFFSET_RISE, SETTLING_FRAMES
+from tepm_opt.models.hardware import TrackerLink
 from tests.hw.igtl import AHEAD, DELAY, DEVICES, PERIOD, RATE, Feed, PlusServer, SteppedServer, link, read_for, still
 
 
@@ -346,3 +349,13 @@ def test_closing_while_messages_come():
         assert "tracker" not in {thread.name for thread in threading.enumerate()}
         read_for(tracker, 0.1)
         assert tracker.read(0.2) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "module", "options"), [("webcam", "cv2", {"calibration": "none.toml", "tag_m": 0.03}), ("ndi", "ndicapy", {})]
+)
+def test_a_package_that_is_not_installed_is_named(kind: str, module: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the extra that installs it; the kind itself can be listed without."""
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf"tracker {kind} needs {module}, which is not installed: pip install 'tepm-opt\[{kind}\]'"):
+        open_link(TrackerLink(kind=kind, options=options, devices=("tag 0",)))

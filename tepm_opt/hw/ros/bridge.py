@@ -34,7 +34,7 @@ class Rosbridge:
     """
 
     def __init__(self, host: str, port: int) -> None:
-        websocket = require_package("websocket", "ros2", "ros2")
+        websocket = require_package("websocket", "ros2", "ROS 2")
         address = f"[{host}]" if ":" in host else host
         options = ((socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),)
         self._socket = websocket.create_connection(f"ws://{address}:{port}", timeout=CONNECT_S, sockopt=options)

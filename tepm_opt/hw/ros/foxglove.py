@@ -38,7 +38,7 @@ class FoxgloveServer:
     """
 
     def __init__(self, port: int, service: str, stop: Callable[[], None]) -> None:
-        foxglove, websocket = (require_package(name, "foxglove", "foxglove") for name in ("foxglove", "foxglove.websocket"))
+        foxglove, websocket = (require_package(name, "foxglove", "--foxglove") for name in ("foxglove", "foxglove.websocket"))
 
         def handle(request: Any) -> bytes:
             threading.Timer(0.0, stop).start()  # once it is answered

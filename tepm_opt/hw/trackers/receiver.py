@@ -7,8 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,21 +18,21 @@ WATCHDOG_S, CONNECT_S, RETRY_S = 1.0, 1.0, 0.05
 """Without a usable pose for so long the connection is made anew; for how long that is tried; pause between two attempts."""
 
 
-def require_package(module: str, extra: str, kind: str) -> ModuleType:
+def require_package(module: str, extra: str, wanted: str) -> Any:
     """Import an optional package.
 
     Args:
         module: its name in Python.
         extra: of this package that installs it.
-        kind: of the tracker that needs it.
+        wanted: the part that needs it, for the message: "tracker natnet", "--foxglove".
 
     Raises:
         InputError: it is not installed.
     """
     try:
         return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise InputError(f"tracker {kind} needs {module}, which is not installed: pip install 'tepm-opt[{extra}]'") from error
+    except ImportError as error:
+        raise InputError(f"{wanted} needs {module}, which is not installed: pip install 'tepm-opt[{extra}]'") from error
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,6 +48,7 @@ class TrackerKind:
         port: default port.
         units_per_m: default units of its positions.
         needs: module of another package that it imports; empty: none.
+        place: names where a link's tracker is, for messages; None where it has no other place than host and port.
     """
 
     name: str
@@ -58,6 +59,7 @@ class TrackerKind:
     port: int = 0
     units_per_m: float = 1.0
     needs: str = ""
+    place: Callable[[TrackerLink], str | None] = lambda _: None
 
     def complete_link(self, link: TrackerLink) -> TrackerLink:
         """The link with this kind's defaults for what the robot file leaves open."""
@@ -117,11 +119,13 @@ class LiveTracker:
                 self._check_holders()
                 return frame
         with self._arrived:
-            where, seen = f"tracker at {self.link.host}:{self.link.port}", sorted(self._frames.seen)
-        trouble = self._receiver.trouble
+            seen = sorted(self._frames.seen)
+        place, trouble = self.kind.place(self.link), self._receiver.trouble
+        where = f"tracker at {place or f'{self.link.host}:{self.link.port}'}"
         if not self._receiver.connections:
             why = f" ({trouble})" if trouble else ""
-            raise InputError(f"{where}: nothing listens there{why}; valid: host and port of {self.kind.server}")
+            valid = self.kind.server if place else f"host and port of {self.kind.server}"
+            raise InputError(f"{where}: nothing {'is' if place else 'listens'} there{why}; valid: {valid}")
         if missing := [name for name in self.link.devices if name not in seen]:
             ended = f"; the connection ended: {trouble}" if trouble else ""
             heard = ", ".join(seen) or "none is sent"

@@ -134,7 +134,7 @@ def _connect(link: TrackerLink, options: MotionCaptureOptions) -> Iterator[_Stre
 def _receive(link: TrackerLink, options: Section, inbox: Inbox) -> StreamReceiver:
     """Begin to receive."""
     assert isinstance(options, MotionCaptureOptions)
-    require_package("motioncapture", "motioncapture", "motioncapture")
+    require_package("motioncapture", "motioncapture", "tracker motioncapture")
     usual = PORTS.get(options.system)
     if usual and link.port == TrackerLink.model_fields["port"].default:
         raise InputError(f"hardware.tracker.port: {link.port} is not for {options.system}; valid: the server's port, usually {usual}")
@@ -142,5 +142,10 @@ def _receive(link: TrackerLink, options: Section, inbox: Inbox) -> StreamReceive
 
 
 MOTION_CAPTURE = TrackerKind(
-    "motioncapture", "Vicon, OptiTrack, Qualisys or VRPN, by libmotioncapture", _receive, "the camera system's server", MotionCaptureOptions
+    "motioncapture",
+    "Vicon, OptiTrack, Qualisys or VRPN, by libmotioncapture",
+    _receive,
+    "the camera system's server",
+    MotionCaptureOptions,
+    needs="motioncapture",
 )

@@ -99,8 +99,8 @@ def _connect(natnet: ModuleType, link: TrackerLink, options: NatNetOptions) -> I
 def _receive(link: TrackerLink, options: Section, inbox: Inbox) -> StreamReceiver:
     """Begin to receive."""
     assert isinstance(options, NatNetOptions)
-    natnet = require_package("natnet", "natnet", "natnet")
+    natnet = require_package("natnet", "natnet", "tracker natnet")
     return StreamReceiver(lambda: _connect(natnet, link, options), inbox)
 
 
-NATNET = TrackerKind("natnet", "OptiTrack by NatNet", _receive, "Motive with NatNet streaming on", NatNetOptions, port=1510)
+NATNET = TrackerKind("natnet", "OptiTrack by NatNet", _receive, "Motive with NatNet streaming on", NatNetOptions, port=1510, needs="natnet")

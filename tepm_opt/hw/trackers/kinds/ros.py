@@ -102,8 +102,8 @@ def _receive(link: TrackerLink, options: Section, inbox: Inbox) -> StreamReceive
         InputError: websocket-client is not installed.
     """
     assert isinstance(options, RosOptions)
-    require_package("websocket", "ros2", "ros2")
+    require_package("websocket", "ros2", "tracker ros2")
     return StreamReceiver(lambda: _Topics(link, options), inbox)
 
 
-ROS2 = TrackerKind("ros2", "topics of ROS 2, by rosbridge", _receive, SERVER, RosOptions, PORT)
+ROS2 = TrackerKind("ros2", "topics of ROS 2, by rosbridge", _receive, SERVER, RosOptions, PORT, needs="websocket")
