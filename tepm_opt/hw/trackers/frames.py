@@ -47,7 +47,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class TrackerStatistics:
-    """What came in so far."""
+    """Counts of all that came in so far."""
 
     received: int = 0  # messages of the robot's sensors
     frames: int = 0  # made of them
@@ -101,7 +101,7 @@ class ServerClock:
 
 @dataclass
 class _Sensor:
-    """Where a sensor's point was last believed to be, and the new place it may have jumped to."""
+    """Place at which a sensor's point was last believed to be, and the new place it may have jumped to."""
 
     place: list[float] | None = None
     time: float = 0.0
@@ -109,7 +109,7 @@ class _Sensor:
     count: int = 0
 
     def judge(self, point: list[float], now: float, step: float, period: float) -> float | None:
-        """How far the point moved if that is believed (0 for an ordinary motion), None for a jump; lengths in m, times in s."""
+        """Distance that the point moved if that is believed (0 for an ordinary motion), None for a jump; lengths in m, times in s."""
         missed = min(max(round((now - self.time) / period), 1), MISSED_FRAMES)
         moved = math.dist(point, self.place or point)
         if moved > step * missed:
@@ -252,7 +252,7 @@ class FrameAssembler:
 
 
 def _are_poses(transforms: np.ndarray) -> np.ndarray:
-    """Which of (points, 4, 4) are poses, (points,): finite, with a rotation, and not the identity that is sent in place of a pose."""
+    """Mask of those of (points, 4, 4) that are poses, (points,): finite, with a rotation, and not the identity that is sent in place of a pose."""
     finite = np.isfinite(transforms)
     rotations = np.where(finite, transforms, 0.0)[:, :3, :3]
     skew = np.abs(rotations.transpose(0, 2, 1) @ rotations - IDENTITY[:3, :3]).max(axis=(1, 2))

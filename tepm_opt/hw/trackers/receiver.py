@@ -37,7 +37,7 @@ def require_package(module: str, extra: str, wanted: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """What a server says about one sensor.
+    """A server's message about one sensor.
 
     Attributes:
         device: name of the sensor, rigid body or marker.
@@ -68,7 +68,7 @@ Connect = Callable[[], AbstractContextManager[Stream]]
 
 @dataclass(frozen=True, eq=False)
 class Inbox:
-    """Where a receiver puts poses.
+    """Place to which a receiver brings poses.
 
     Attributes:
         frames: make frames of them.

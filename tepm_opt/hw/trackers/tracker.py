@@ -150,7 +150,7 @@ class LiveTracker:
 
     @property
     def statistics(self) -> TrackerStatistics:
-        """What came in so far."""
+        """Counts of all that came in so far."""
         with self._arrived:
             counts, offset = dict(self._frames.counts), self._frames.clock.offset
         return TrackerStatistics(**counts, reconnects=max(self._receiver.connections - 1, 0), clock_offset=float(offset))

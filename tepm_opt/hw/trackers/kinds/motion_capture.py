@@ -33,7 +33,7 @@ class MotionCaptureOptions(Section):
     """Options of motioncapture."""
 
     system: Literal["vicon", "optitrack", "qualisys", "vrpn", "mock"]
-    """Of cameras, as the package names it; "mock" has the devices stand still without any."""
+    """System of cameras, as the package names it; "mock" has the devices stand still without any."""
     interface: str = "0.0.0.0"
     """This machine's address towards OptiTrack's cameras, where it has several."""
 
