@@ -17,7 +17,7 @@ from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import output_folder
 
 app = typer.Typer(
-    help="What other programs read: C, CasADi, MuJoCo, MCAP. (State space: tepm robot modes --out; tables: to_frame() in Python.)",
+    help="What other programs read: C, CasADi, MuJoCo, ROS, MCAP. (State space: tepm robot modes --out; tables: to_frame() in Python.)",
     no_args_is_help=True,
 )
 
@@ -73,6 +73,19 @@ def mjcf(
     return _told([path], as_json, "controls are pressures in Pa, then tensions in N; the world is the tracker's frame G", left_out)
 
 
+def urdf(
+    out: Annotated[Path, typer.Option("--out", help="Folder for robot.urdf.")] = Path("robot_urdf"),
+    robot: RobotOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Write the robot for ROS: rods through its reference points, for display."""
+    from tepm_opt.exports.urdf import export_urdf
+
+    path = output_folder(out) / "robot.urdf"
+    export_urdf(tepm.load_robot(robot or "kang2017"), path)
+    return _told([path], as_json, "examples/ros2 has a package that shows it; --ros of tepm mpc publishes its /joint_states")
+
+
 def controller(
     path: Annotated[str, typer.Argument(metavar="TRAJ", help=TRAJECTORY_HELP)],
     which: TrajectoryOptions,
@@ -103,5 +116,5 @@ def mcap(
     return _told(tepm.export_mcap(source, out), as_json, "topics: /log with all columns, /points where there are reference points")
 
 
-for command in (c, casadi, mjcf, controller, mcap):
+for command in (c, casadi, mjcf, urdf, controller, mcap):
     app.command(command.__name__)(spread(command))

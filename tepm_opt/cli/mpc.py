@@ -18,12 +18,13 @@ from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, 
 from tepm_opt.cli.driving import DriveOptions
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, OptionGroup, TrajectoryOptions, WorkerOptions
 from tepm_opt.cli.progress import shown
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
+from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
 
 if TYPE_CHECKING:
     import numpy as np
 
     from tepm_opt.hw.rig import Command, Rig, Sample
+    from tepm_opt.hw.ros.publishing import RunPublisher
     from tepm_opt.jobs.closed_loop import ClosedLoop
     from tepm_opt.jobs.mpc import Observer
     from tepm_opt.jobs.rounds import RoundsRun
@@ -31,14 +32,19 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def live(wanted: bool, rig: Rig) -> Iterator[Observer | None]:
-    """The live view in the browser, where it is wanted.
+def live(wanted: bool, rig: Rig, ros: RunPublisher | None = None) -> Iterator[Observer | None]:
+    """The live view in the browser, where it is wanted, and targets and doubts published to ROS.
 
     Raises:
         InputError: viser is not installed.
     """
+
+    def publish(sample: Sample, command: Command, target: np.ndarray) -> None:
+        if ros is not None:
+            ros.aim(target, sample.faults)
+
     if not wanted:
-        yield None
+        yield publish if ros is not None else None
         return
     from tepm_opt.studio.live import LiveView
 
@@ -48,6 +54,7 @@ def live(wanted: bool, rig: Rig) -> Iterator[Observer | None]:
                 view.wait_for_somebody()
 
         def observer(sample: Sample, command: Command, target: np.ndarray) -> None:
+            publish(sample, command, target)
             view.show(sample, command, target, nodes=None if rig.simulated is None else rig.simulated.true_nodes)
 
         yield observer
@@ -195,6 +202,8 @@ def mpc(
         Path | None, typer.Option("--learned", metavar="FILE", help="Begin with what was learned of this path: an earlier learned.csv.")
     ] = None,
     view: Annotated[bool, typer.Option("--view", help="Watch it in the browser: a page that shows and has nothing to press.")] = False,
+    ros: RosOption = None,
+    foxglove: FoxgloveOption = None,
     seed: SeedOption = 0,
     robot: RobotOption = None,
     model: ModelOption = None,
@@ -209,18 +218,18 @@ def mpc(
     from tepm_opt.jobs.closed_loop import LOG
 
     if older.given:
-        if rig != "sim" or view or learn is not None or learned is not None:
-            raise tepm.InputError("--machines simulates rigs of its own; leave --rig, --view, --learn and --learned out")
+        if rig != "sim" or view or ros or foxglove is not None or learn is not None or learned is not None:
+            raise tepm.InputError("--machines simulates rigs of its own; leave --rig, --view, --ros, --foxglove, --learn and --learned out")
         shared: dict[str, Any] = {"seed": seed, "robot": robot, "model": model, "as_json": as_json}
         return older.run_study(path, which=which, kinematics=kinematics, drive=drive, out=out, **shared)
     drive.check(learning=learn is not None or learned is not None)
     setup = drive.setup(rig, seed)
     which.trajectory(path)  # a wrong one is told before anything is compiled
     known = None if learned is None else tepm.read_correction(learned)
-    with folder_for(out) as folder:
+    with folder_for(out) as folder, publisher(ros, foxglove) as shows:
         compiled = load(robot_there(robot, model, rig), model)
         targets, driven = which.trajectory(path, compiled), drive.course(setup)
-        opened = opener(rig, compiled.robot, seed)
+        opened = opener(rig, compiled.robot, seed, shows)
         device = opened(seed)
         drive.check_rest(compiled, driven, device)
         with shown(as_json) as bars:
@@ -231,9 +240,9 @@ def mpc(
                 every = (lambda number: opened(seed + number) if number else device), setup, learn or 1, folder, known
                 return tepm.run_rounds(compiled, reference, *every, kinematics.settings(), progress=bars, observer=observer)
 
-            return _learned(rounds, live(view, device), out, folder, as_json)
+            return _learned(rounds, live(view, device, shows), out, folder, as_json)
         try:
-            with stopped_by_signals(), live(view, device) as observer, shown(as_json) as bars:
+            with stopped_by_signals(), live(view, device, shows) as observer, shown(as_json) as bars:
                 loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, observer=observer)
         except (RuntimeError, OSError) as error:
             return failed(error, "nothing was finished")

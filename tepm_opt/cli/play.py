@@ -13,7 +13,7 @@ import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, RobotOption, folder_for, stdout, warn
 from tepm_opt.cli.progress import shown
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
+from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
 from tepm_opt.progress import named
 
 MEASURED = "measured.csv"
@@ -25,6 +25,8 @@ def play(
     out: Annotated[Path, typer.Option("--out", help="Folder for measured.csv, or a CSV file; never overwritten.")] = Path("played"),
     rate: Annotated[float, typer.Option("--rate", min=0.1, max=10000, help="Samples kept a second, Hz.")] = 50.0,
     seed: SeedOption = 0,
+    ros: RosOption = None,
+    foxglove: FoxgloveOption = None,
     robot: RobotOption = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -39,8 +41,9 @@ def play(
     file = out if out.suffix == ".csv" else out / MEASURED
     left = f"what was measured is in {file.with_suffix('')}-….{UNFINISHED}.csv"
     try:
-        with folder_for(file.parent), stopped_by_signals(), shown(as_json) as progress:
-            measured = tepm.play(opener(rig, found, seed)(seed), setpoints, found, file, rate, named(progress, inputs.name))
+        with folder_for(file.parent), stopped_by_signals(), publisher(ros, foxglove) as shows, shown(as_json) as progress:
+            opened = opener(rig, found, seed, shows)(seed)
+            measured = tepm.play(opened, setpoints, found, file, rate, named(progress, inputs.name))
     except KeyboardInterrupt:
         warn(f"interrupted: the rig is stopped; {left}")
         return INTERRUPTED

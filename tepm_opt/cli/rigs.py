@@ -18,10 +18,18 @@ from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
     from tepm_opt.hw.rig import Rig
+    from tepm_opt.hw.ros.publishing import RunPublisher
     from tepm_opt.models.robot import Robot
 
 RigOption = Annotated[
     str, typer.Option("--rig", help="sim, sim:FILE, replay:FILE, …: the robot simulated, a rig file's (tepm hw rig new), a recording.")
+]
+RosOption = Annotated[
+    str | None, typer.Option("--ros", metavar="HOST:PORT", help="Publish it to ROS 2, by the rosbridge there; /tepm/stop stops it.")
+]
+FoxgloveOption = Annotated[
+    int | None,
+    typer.Option("--foxglove", min=0, max=65535, metavar="PORT", help="Serve it to Foxglove at ws://localhost:PORT; 8765 is its default."),
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, help="Of the noise on a simulated rig.")]
 
@@ -48,8 +56,32 @@ def robot_there(robot: str | None, model: Path | None, rig: str) -> str | None:
     return robot if robot or model else robot_of(rig)
 
 
-def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:
+@contextmanager
+def publisher(ros: str | None, foxglove: int | None) -> Iterator[RunPublisher | None]:
+    """Publishes to the ROS that --ros names, or at the port of --foxglove, where one is given.
+
+    Raises:
+        InputError: both are given, nobody answers there, the port is taken, or a package is not installed.
+    """
+    if ros is None and foxglove is None:
+        yield None
+        return
+    if ros is not None and foxglove is not None:
+        raise InputError("--ros and --foxglove: give one; Foxglove reads topics of ROS, too")
+    from tepm_opt.hw.ros.publishing import to_foxglove, to_ros
+
+    with to_foxglove(foxglove) if foxglove is not None else to_ros(ros or "") as found:
+        yield found
+
+
+def opener(text: str, robot: Robot, seed: int, live: RunPublisher | None = None) -> Callable[[int], Rig]:
     """Opens the rig that --rig names; what it is called with makes the noise of its devices another one, where they are simulated.
+
+    Args:
+        text: of --rig.
+        robot: that shall be there.
+        seed: of --seed.
+        live: publishes what goes over the rig.
 
     Raises:
         InputError: when called: no such rig; or --seed is given and the rig has nothing to seed.
@@ -61,7 +93,7 @@ def opener(text: str, robot: Robot, seed: int) -> Callable[[int], Rig]:
             simulated.reseed(noise)
         elif seed:
             raise InputError(f"--seed {seed}: rig {text!r} has no noise that can be seeded; leave the option out")
-        return rig
+        return rig if live is None else live.watch(rig)
 
     return open_seeded
 

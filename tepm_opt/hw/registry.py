@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from tepm_opt.data.datasets import DESCRIPTION, read_description
@@ -10,7 +13,24 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import Robot, load_robot
 
-VALID = "sim, sim:FILE, sim:FILE@ENGINE, bench, bench:FILE, replay:FILE, serial:PORT"
+
+@dataclass(frozen=True)
+class RigKind:
+    """A kind of rig: built in, or an entry point `tepm_opt.rigs` of an installed package.
+
+    Attributes:
+        name: before the colon of `--rig NAME:TARGET`.
+        forms: how it is written, for messages: "sim, sim:FILE".
+        open: opens one by what stands after the colon (empty where there is no colon) for a robot that shall be there; None: the rig's own.
+        robot: the robot of a target, built in or the path of its file, without opening it.
+        description: in a few words.
+    """
+
+    name: str
+    forms: str
+    open: Callable[[str, Robot | None], Rig]
+    robot: Callable[[str], str] = lambda _: "kang2017"
+    description: str = ""
 
 
 def open_rig(text: str, robot: Robot | None = None) -> Rig:
@@ -19,7 +39,7 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
     Args:
         text: `sim` (the virtual prototype), `sim:FILE` (a rig file, or the name of a built-in one), either with `@compiled` or `@mujoco`
             after it for that engine whatever the file says, `bench` or `bench:FILE` (the single-actuator bench of such a rig),
-            `replay:FILE` (a run of a data set), `serial:PORT` or `serial:PORT@BAUD` (the real robot).
+            `replay:FILE` (a run of a data set), `serial:PORT` or `serial:PORT@BAUD` (the real robot), `ros2:HOST:PORT` (topics of ROS).
         robot: that shall be there: built-in rigs are scaled to it, a rig file must have one of its kind. The default is the rig's own, what
             `dataset.toml` beside a recording says, or kang2017.
 
@@ -29,11 +49,10 @@ def open_rig(text: str, robot: Robot | None = None) -> Rig:
     kind, colon, target = text.partition(":")
     if kind.startswith("sim@") and not colon:
         kind, target = "sim", kind.removeprefix("sim")
-    if kind not in _OPENERS:
-        raise unknown_name("rig", text, VALID.split(", "))
+    found = _find(kind, text)
     if colon and not target:
-        raise InputError(f"rig {text!r}: a file is missing after the colon; valid: {VALID}")
-    return _OPENERS[kind](target, robot)
+        raise InputError(f"rig {text!r}: nothing stands after the colon; valid: {found.forms}")
+    return found.open(target, robot)
 
 
 def robot_of(text: str) -> str:
@@ -43,15 +62,34 @@ def robot_of(text: str) -> str:
         InputError: not a rig, or its file is wrong.
     """
     kind, _, target = text.partition(":")
-    if kind.partition("@")[0] not in _OPENERS:
-        raise unknown_name("rig", text, VALID.split(", "))
-    if kind == "replay" and target:
-        return _recorded_robot(Path(target).parent)
-    if kind.partition("@")[0] != "sim":
-        return "kang2017"
-    from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
+    return _find(kind.partition("@")[0], text).robot(target)
 
-    return str(load_rig_file(_named(target)[0] or DEFAULT).robot)
+
+def rig_kinds() -> tuple[RigKind, ...]:
+    """All kinds of rigs."""
+    return tuple(_registry().values())
+
+
+def register(kind: RigKind) -> None:
+    """Add a kind at run time (the same as an entry point `tepm_opt.rigs` of an installed package).
+
+    Raises:
+        InputError: the name is taken.
+    """
+    if kind.name in _registry():
+        raise InputError(f"rig {kind.name!r} exists already")
+    _registry()[kind.name] = kind
+
+
+def _find(name: str, text: str) -> RigKind:
+    if name not in _registry():
+        raise unknown_name("rig", text, [form for kind in rig_kinds() for form in kind.forms.split(", ")])
+    return _registry()[name]
+
+
+@cache
+def _registry() -> dict[str, RigKind]:
+    return {kind.name: kind for kind in (*BUILT_IN, *(point.load() for point in entry_points(group="tepm_opt.rigs")))}
 
 
 def _named(target: str) -> tuple[str, str]:
@@ -83,6 +121,12 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
         raise InputError("rigs of MuJoCo's engine need it, and it is not installed: pip install mujoco") from error
 
 
+def _simulated_robot(target: str) -> str:
+    from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
+
+    return str(load_rig_file(_named(target)[0] or DEFAULT).robot)
+
+
 def _bench(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.bench import BenchRig
 
@@ -105,6 +149,12 @@ def _serial(target: str, robot: Robot | None) -> Rig:
     return open_serial(target, robot or load_robot("kang2017"))
 
 
+def _ros(target: str, robot: Robot | None) -> Rig:
+    from tepm_opt.hw.ros.rig import open_ros
+
+    return open_ros(target, robot)
+
+
 def _recorded_robot(folder: Path) -> str:
     """The robot that the data set in a folder names, where there is one."""
     if not (folder / DESCRIPTION).is_file():
@@ -113,9 +163,16 @@ def _recorded_robot(folder: Path) -> str:
     return str(folder / name) if (folder / name).is_file() else name
 
 
-_OPENERS: Mapping[str, Callable[[str, Robot | None], Rig]] = {
-    "sim": _simulated,
-    "bench": _bench,
-    "replay": _replay,
-    "serial": _serial,
-}
+BUILT_IN = (
+    RigKind("sim", "sim, sim:FILE, sim:FILE@ENGINE", _simulated, _simulated_robot, "simulated robot"),
+    RigKind("bench", "bench, bench:FILE", _bench, description="simulated bench of one actuator"),
+    RigKind(
+        "replay",
+        "replay:FILE",
+        _replay,
+        lambda target: _recorded_robot(Path(target).parent) if target else "kang2017",
+        "a run of a data set, played again",
+    ),
+    RigKind("serial", "serial:PORT", _serial, description="the real robot behind its control board"),
+    RigKind("ros2", "ros2, ros2:HOST:PORT", _ros, description="a robot behind nodes of ROS 2, by rosbridge"),
+)

@@ -30,7 +30,8 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.measure import GOOD, STATUS, journal_path
 
 Observer = Callable[[Sample, Command, np.ndarray], None]
-"""Callback of a live view: takes every sample, what was commanded then, and the tip's target, (3,) in m."""
+"""Callback of a live view: takes every sample, what was commanded then, and the tip's target, (3,) in m. The controller's doubts are among
+the sample's faults."""
 
 GATHER = 0.05
 """Seconds for which rows of the journal are gathered: that much is lost at most where the program is killed."""
@@ -147,7 +148,7 @@ def run_closed_loop(
             statuses.append(sample.status)
             keep(len(done.rows) - 1)
             if observer is not None:
-                observer(sample, done.commands[-1], target)
+                observer(replace(sample, faults=done.telemetry[-1].doubts), done.commands[-1], target)
 
         try:
             close_loop(rig, controller, model.robot, guard, progress, watched, done)

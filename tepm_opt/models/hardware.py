@@ -56,12 +56,15 @@ class TensionLines(Section):
 
 
 class TrackerLink(Section):
-    """Where the tracker's poses come from (OpenIGTLink, as PlusServer gives them) and how the sensors sit on the robot.
+    """Source of the tracker's poses, and how the sensors sit on the robot.
 
     A reference point is R h + t of its sensor's pose (R, t) in G: `holders_m` has an h for each point, from the base to the tip.
     `holders_m` absent: the sensors sit on the reference points.
     """
 
+    kind: Annotated[str, Field(min_length=1)] = "openigtlink"
+    options: Annotated[dict[str, bool | int | float | str], Field(default_factory=dict)]
+    """Options of this kind of tracker."""
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[int, Field(strict=True, ge=1, le=65535, description="1 … 65535")] = 18944
     devices: Annotated[tuple[str, ...], Field(description="names of the transforms, from the base to the tip")]

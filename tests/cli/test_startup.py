@@ -82,6 +82,11 @@ def test_help_of_every_command() -> None:
         "hw limits",
         "hw ports",
         "hw calibrate base",
+        "hw emulate",
+        "hw measure tracker",
+        "hw new-tracker",
+        "hw trackers",
+        "hw calibrate camera",
         "hw rig new",
     ]
     done = subprocess.run(

@@ -87,8 +87,8 @@ def test_random_machines(tepm: Command, here: Path, command: tuple[str, ...]) ->
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("mpc", *SHORT, "--machines", 2, "--rig", "sim:perfect"), "leave --rig, --view, --learn and --learned out"),
-        (("mpc", *SHORT, "--learn", 2, "--machines", 2), "leave --rig, --view, --learn and --learned out"),
+        (("mpc", *SHORT, "--machines", 2, "--rig", "sim:perfect"), "leave --rig, --view, --ros, --foxglove, --learn and --learned out"),
+        (("mpc", *SHORT, "--learn", 2, "--machines", 2), "leave --rig, --view, --ros, --foxglove, --learn and --learned out"),
         (("mpc", *SHORT, "--noises", 2), "--noises: an option of tepm study machines"),
         (("study", "machines", *SHORT, "--machines", 0), "--machines"),
         (("study", "machines", *SHORT, "--sway", 5), "--sway belongs to --free-progress"),

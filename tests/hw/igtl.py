@@ -15,7 +15,8 @@ import numpy as np
 from pyigtl import TransformMessage
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.hw.tracker import Frame, FrameAssembler, IgtlTracker
+from tepm_opt.hw.trackers import LiveTracker, open_link
+from tepm_opt.hw.trackers.frames import Frame, FrameAssembler
 from tepm_opt.models.hardware import TrackerLink
 
 DEVICES = ("BaseToTracker", "LowToTracker", "HighToTracker", "TipToTracker")
@@ -196,9 +197,9 @@ class SteppedServer:
         """The host's time in s."""
         return self.now
 
-    def tracker(self, **settings: object) -> IgtlTracker:
+    def tracker(self, **settings: object) -> LiveTracker:
         """A tracker that is connected."""
-        tracker = IgtlTracker(link(port=self.port, rate_hz=1 / self.period, **settings), self.clock)
+        tracker = open_link(link(port=self.port, rate_hz=1 / self.period, **settings), self.clock)
         self.accept()
         return tracker
 
@@ -208,7 +209,7 @@ class SteppedServer:
         self.client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.connections += 1
 
-    def sample(self, tracker: IgtlTracker, pieces: Sequence[int] = (), garbage: bytes = b"") -> list[Frame]:
+    def sample(self, tracker: LiveTracker, pieces: Sequence[int] = (), garbage: bytes = b"") -> list[Frame]:
         """Let a period pass, send a sample and return the frames that are ready then.
 
         Args:
@@ -235,7 +236,7 @@ class SteppedServer:
         )
         return list(iter(lambda: tracker.read(0), None))
 
-    def samples(self, tracker: IgtlTracker, count: int) -> list[Frame]:
+    def samples(self, tracker: LiveTracker, count: int) -> list[Frame]:
         """The frames of so many samples."""
         return [frame for _ in range(count) for frame in self.sample(tracker)]
 
@@ -270,7 +271,7 @@ def wait_until(true: Callable[[], bool]) -> None:
         time.sleep(1e-4)
 
 
-def read_for(tracker: IgtlTracker, seconds: float) -> list[Frame]:
+def read_for(tracker: LiveTracker, seconds: float) -> list[Frame]:
     """All frames of some time."""
     end, frames = time.monotonic() + seconds, []
     while (left := end - time.monotonic()) > 0:

@@ -18,8 +18,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pyigtl import TransformMessage
 
-from tepm_opt.hw.igtl import LARGEST_POSE, Client
-from tepm_opt.hw.tracker import LARGEST_CROWD, FrameAssembler, IgtlTracker
+from tepm_opt.hw.trackers import open_link
+from tepm_opt.hw.trackers.frames import LARGEST_CROWD, FrameAssembler
+from tepm_opt.hw.trackers.kinds.openigtlink import LARGEST_POSE, Client
+from tepm_opt.hw.trackers.receiver import Inbox
 from tests.hw.igtl import AHEAD, DELAY, DEVICES, PERIOD, Feed, PlusServer, link, stamped, still
 
 MEGABYTE = 1 << 20
@@ -110,7 +112,7 @@ def unstarted(frames: FrameAssembler, clock: Callable[[], float] = lambda: 0.0) 
     """A client without a thread: the test calls what its thread would."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(threading.Thread, "start", lambda _: None)
-        return Client("", 0, frames, threading.Condition(), clock)
+        return Client("", 0, Inbox(frames, threading.Condition(), clock))
 
 
 @pytest.mark.slow
@@ -146,7 +148,7 @@ def test_a_length_is_not_believed(head, says, unraised):
     with Script(does) as script:
         tracemalloc.start()
         try:
-            with IgtlTracker(link(port=script.port), stale_periods=60) as tracker:
+            with open_link(link(port=script.port), stale_periods=60) as tracker:
                 reasons, frame, end = set(), None, time.monotonic() + 15
                 while frame is None and time.monotonic() < end:
                     frame = tracker.read(0.05)
@@ -192,7 +194,7 @@ def test_a_trickle_is_silence(where, unraised):
             if select.select([client], [], [], 0.02)[0] and not client.recv(100):
                 return None
 
-    with Script(does) as script, IgtlTracker(link(port=script.port), stale_periods=60) as tracker:
+    with Script(does) as script, open_link(link(port=script.port), stale_periods=60) as tracker:
         frame = tracker.read(6.0)
     assert frame is not None
     assert 0.9 < times[1] - times[0] < 3.0
@@ -230,7 +232,7 @@ def test_names_are_bounded_and_can_be_printed(unraised):
         for k in range(4_000):
             client.sendall(pose(f"Device{k}") if k % 2 else pose("\x1b[2J\r"))
 
-    with Script(does) as script, IgtlTracker(link(port=script.port)) as tracker:
+    with Script(does) as script, open_link(link(port=script.port)) as tracker:
         end = time.monotonic() + 20
         while tracker.statistics.malformed < 1000 and time.monotonic() < end:
             time.sleep(0.05)
@@ -279,7 +281,7 @@ def test_poses_of_nonsense_over_the_wire(value, unraised):
         while not script.over.wait(PERIOD):
             client.sendall(stamped(data, time.monotonic()))
 
-    with Script(does) as script, IgtlTracker(link(port=script.port), stale_periods=60) as tracker:
+    with Script(does) as script, open_link(link(port=script.port), stale_periods=60) as tracker:
         frame = tracker.read(10.0)
     assert frame is not None
     assert "tracker lost s2" in frame.status
@@ -328,7 +330,7 @@ def test_noise_and_then_a_server(unraised):
             good(client, script.over)
 
     start = time.monotonic()
-    with Script(does) as script, IgtlTracker(link(port=script.port), stale_periods=60) as tracker:
+    with Script(does) as script, open_link(link(port=script.port), stale_periods=60) as tracker:
         while time.monotonic() < start + 2:
             tracker.read(0.1)
         end, frame = time.monotonic() + 15, None

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tepm_opt.hw.igtl import is_valid
-from tepm_opt.hw.tracker import FrameAssembler
+from tepm_opt.hw.trackers.frames import FrameAssembler
+from tepm_opt.hw.trackers.kinds.openigtlink import is_valid
 from tests.hw.igtl import DEVICES, link, pose_message, still
 from tests.hw.test_hostile_tracker import Fed, unstarted
 

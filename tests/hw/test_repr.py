@@ -11,7 +11,7 @@ from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.service.calibrate import Counts, fit_line
 from tepm_opt.hw.service.registration import Registration
 from tepm_opt.hw.simulation.bench import BenchRig
-from tepm_opt.hw.tracker import Frame
+from tepm_opt.hw.trackers.frames import Frame
 from tepm_opt.recording.drive import Row
 from tests.hw.rigs import bar
 

@@ -18,7 +18,7 @@ from tepm_opt.hw.board.linklog import RECEIVED, SENT, LinkLog, PlaybackPort, rea
 from tepm_opt.hw.board.protocol import DISARM, HELLO, SET, State
 from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.rig import Command
-from tepm_opt.hw.tracker import Frame
+from tepm_opt.hw.trackers.frames import Frame
 from tepm_opt.models.robot import Robot, load_robot
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import LockstepPort, World

@@ -174,7 +174,7 @@ def test_rigs_by_name(tmp_path):
     assert default.file.name == "virtual prototype"
     for text, message in {
         "sin": "unknown rig 'sin': did you mean 'sim'? valid: bench, bench:FILE, replay:FILE, serial:PORT, sim, sim:FILE",
-        "sim:": "a file is missing after the colon; valid: sim, sim:FILE, sim:FILE@ENGINE, bench, bench:FILE",
+        "sim:": "nothing stands after the colon; valid: sim, sim:FILE, sim:FILE@ENGINE",
         "replay": "needs the CSV file of a run: replay:FILE",
         "sim:nowhere.toml": "rig 'nowhere.toml' is neither a file nor built in; built in: perfect, virtual_prototype",
         "replay:nowhere.csv": "nowhere.csv: cannot be read",

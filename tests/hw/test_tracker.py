@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from pyigtl import StringMessage
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.tracker import OFFSET_RISE, SETTLING_FRAMES, IgtlTracker
+from tepm_opt.hw.trackers import open_link
+from tepm_opt.hw.trackers.frames import OFFSET_RISE, SETTLING_FRAMES
+from tepm_opt.models.hardware import TrackerLink
 from tests.hw.igtl import AHEAD, DELAY, DEVICES, PERIOD, RATE, Feed, PlusServer, SteppedServer, link, read_for, still
 
 
@@ -223,7 +227,7 @@ def test_every_sample_arrives_in_order():
 @pytest.mark.study
 def test_240_hz_without_loss_and_under_a_millisecond():
     """Ten seconds of real time, 4 sensors, on a quiet machine: no sample is lost, and the median age from the server's stamp is 1 ms."""
-    with PlusServer(RATE) as server, IgtlTracker(link(port=server.port)) as tracker:
+    with PlusServer(RATE) as server, open_link(link(port=server.port)) as tracker:
         frames, ages = [tracker.first()], []
         end = time.monotonic() + 10
         while time.monotonic() < end:
@@ -305,7 +309,7 @@ def test_only_other_names():
     """A device that nobody sends: the error names it and what there is."""
     with (
         PlusServer(RATE) as server,
-        IgtlTracker(link(port=server.port, devices=[*DEVICES[:3], "TopToTracker"])) as tracker,
+        open_link(link(port=server.port, devices=[*DEVICES[:3], "TopToTracker"])) as tracker,
         pytest.raises(InputError, match=rf"127.0.0.1:{server.port}: no poses of TopToTracker within 0.5 s; valid: .*{DEVICES[3]}"),
     ):
         tracker.first(0.5)
@@ -317,8 +321,8 @@ def test_nobody_there():
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
         with (
-            IgtlTracker(link(port=port)) as tracker,
-            pytest.raises(InputError, match=f"{port}: nothing listens there; valid: host and port"),
+            open_link(link(port=port)) as tracker,
+            pytest.raises(InputError, match=f"{port}: nothing listens there .*refused.*; valid: host and port"),
         ):
             tracker.first(0.3)
 
@@ -338,10 +342,20 @@ def test_messages_in_pieces_and_of_other_kinds():
 def test_closing_while_messages_come():
     """It ends within moments, also at a rate at which pyigtl's own client never looks whether it shall stop; twice does nothing."""
     with PlusServer(RATE) as server:
-        tracker = IgtlTracker(link(port=server.port), stale_periods=60)
+        tracker = open_link(link(port=server.port), stale_periods=60)
         tracker.first()
         tracker.close()
         tracker.close()
         assert "tracker" not in {thread.name for thread in threading.enumerate()}
         read_for(tracker, 0.1)
         assert tracker.read(0.2) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "module", "options"), [("webcam", "cv2", {"calibration": "none.toml", "tag_m": 0.03}), ("ndi", "ndicapy", {})]
+)
+def test_a_package_that_is_not_installed_is_named(kind: str, module: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the extra that installs it; the kind itself can be listed without."""
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf"tracker {kind} needs {module}, which is not installed: pip install 'tepm-opt\[{kind}\]'"):
+        open_link(TrackerLink(kind=kind, options=options, devices=("tag 0",)))

@@ -1,4 +1,4 @@
-"""`tepm hw calibrate pressure|tension|base`: measured lines and the base's place, as lines to put into a robot file."""
+"""`tepm hw calibrate pressure|tension|base|camera`: measured lines and the base's place, as lines to put into a robot file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 
 from tepm_opt.cli.common import SOLVED, RobotOption, stderr
 from tepm_opt.cli.hw import shared
+from tepm_opt.cli.hw.camera import camera
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
 from tepm_opt.cli.progress import shown
 from tepm_opt.data.files import write_atomically
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 AVERAGED_S = 1.0
 """Seconds over which readings are averaged."""
 app = typer.Typer(help="Measure calibration lines and the base's place; prints what to put into the robot file.", no_args_is_help=True)
+app.command()(camera)
 ActuatorOption = Annotated[str, typer.Option("--actuator", help="Name such as 11; several by commas, or all.")]
 OutOption = Annotated[Path | None, typer.Option("--out", help="File for the TOML lines; printed without it. Never overwritten.")]
 

@@ -17,6 +17,9 @@ from rich.text import Text
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, RobotOption, stderr, stdout
 from tepm_opt.cli.hw import shared
 from tepm_opt.cli.hw.calibrate import app as calibrate_app
+from tepm_opt.cli.hw.emulate import emulate
+from tepm_opt.cli.hw.extend import new_rig, new_tracker, trackers
+from tepm_opt.cli.hw.measure import app as measure_app
 from tepm_opt.cli.hw.monitor import monitor
 from tepm_opt.cli.hw.rig import app as rig_app
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
@@ -38,7 +41,12 @@ ESTOP_S, RESTARTED_S = 8.0, 5.0
 
 app = typer.Typer(help="The real robot: ports, commissioning, calibration, a look at it, emergency stop; rig files.", no_args_is_help=True)
 app.command("monitor")(monitor)
+app.command("emulate")(emulate)
+app.command("trackers")(trackers)
+app.command("new-tracker")(new_tracker)
+app.command("new-rig")(new_rig)
 app.add_typer(calibrate_app, name="calibrate")
+app.add_typer(measure_app, name="measure")
 app.add_typer(rig_app, name="rig")
 
 

@@ -18,7 +18,7 @@ from tepm_opt.hw.guard import Stopped
 
 if TYPE_CHECKING:
     from tepm_opt.hw.service.line import Line
-    from tepm_opt.hw.tracker import IgtlTracker
+    from tepm_opt.hw.trackers import LiveTracker
     from tepm_opt.models.robot import Robot
 
 PortArgument = Annotated[str, typer.Argument(metavar="PORT", help="Serial port, PORT or PORT@BAUD; tepm hw ports lists them.")]
@@ -37,7 +37,7 @@ def open_line(target: str) -> Line:
     return line.open_line(target)
 
 
-def open_tracker(robot: Robot) -> IgtlTracker | None:
+def open_tracker(robot: Robot) -> LiveTracker | None:
     """The tracker that a robot file names; None where it names none."""
     from tepm_opt.hw.service import line
 

@@ -21,7 +21,7 @@ from tepm_opt.hw.board.status import BoardStatus, Hello
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.freshness import FreshnessMonitor
 from tepm_opt.hw.rig import Command, Sample
-from tepm_opt.hw.tracker import IgtlTracker, Tracker
+from tepm_opt.hw.trackers import Tracker, open_link
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
@@ -55,14 +55,14 @@ def open_serial(target: str, robot: Robot) -> SerialRig:
     """The real robot behind a serial port, `PORT` or `PORT@BAUD`, with the tracker that its file names.
 
     Raises:
-        InputError: as for `open_port`, `SerialRig` and `IgtlTracker.first`.
+        InputError: as for `open_port`, `SerialRig`, `open_link` and `LiveTracker.first`.
         LinkError: as for `SerialRig`.
     """
     port, log = open_port(target)
     tracker = None
     try:
         if robot.hardware is not None and robot.hardware.tracker is not None:
-            tracker = IgtlTracker(robot.hardware.tracker)
+            tracker = open_link(robot.hardware.tracker)
             tracker.first()
         return SerialRig(port, robot, tracker, log=log)
     except BaseException:

@@ -18,7 +18,7 @@ from tepm_opt.hw.board.errors import LinkError
 from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.protocol import ResetCause
 from tepm_opt.hw.board.status import BoardStatus, Hello
-from tepm_opt.hw.tracker import Tracker
+from tepm_opt.hw.trackers import Tracker
 from tepm_opt.models.hardware import COUNTS_PER_V
 
 FIRMWARE = Path(protocol.__file__).parent.parent / "firmware"

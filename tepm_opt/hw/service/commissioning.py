@@ -31,7 +31,7 @@ from tepm_opt.hw.service.checks import (
     wrong,
 )
 from tepm_opt.hw.service.line import OpenLine, open_line, open_tracker, tracker_link
-from tepm_opt.hw.tracker import IgtlTracker
+from tepm_opt.hw.trackers import LiveTracker
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
 
@@ -82,7 +82,7 @@ class Commissioning:
     clear: bool = False
     button: Callable[[bool], None] | None = None
     open_line: OpenLine = open_line
-    open_tracker: Callable[[Robot], IgtlTracker | None] = open_tracker
+    open_tracker: Callable[[Robot], LiveTracker | None] = open_tracker
     find: Callable[[], list[FoundPort]] = find_ports
     _found: Robot | None = None
     _usable = False

@@ -11,7 +11,7 @@ from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.linklog import LinkLog, PlaybackPort
 from tepm_opt.hw.board.ports import Clock, Port
 from tepm_opt.hw.board.rig import SerialRig, Tendons, open_port
-from tepm_opt.hw.tracker import IgtlTracker, Tracker
+from tepm_opt.hw.trackers import LiveTracker, Tracker, open_link
 from tepm_opt.models.hardware import TrackerLink
 from tepm_opt.models.robot import Robot
 
@@ -71,10 +71,10 @@ def open_line(target: str) -> Line:
     return Line(port, log=log)
 
 
-def open_tracker(robot: Robot) -> IgtlTracker | None:
+def open_tracker(robot: Robot) -> LiveTracker | None:
     """The tracker that a robot file names, connecting by itself; None where it names none."""
     link = tracker_link(robot)
-    return None if link is None else IgtlTracker(link)
+    return None if link is None else open_link(link)
 
 
 def tracker_link(robot: Robot) -> TrackerLink | None:

@@ -11,7 +11,8 @@ from tepm_opt.hw.board.errors import LinkError, NoBoardError
 from tepm_opt.hw.board.link import Link
 from tepm_opt.hw.board.status import BoardStatus
 from tepm_opt.hw.service.line import Line
-from tepm_opt.hw.tracker import Frame, Tracker
+from tepm_opt.hw.trackers import Tracker
+from tepm_opt.hw.trackers.frames import Frame
 
 PERIOD, RETRY = 0.1, 0.5
 """Seconds between two readings, and between two attempts to open a line that is gone."""

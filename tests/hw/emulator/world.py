@@ -8,7 +8,7 @@ import numpy as np
 
 from tepm_opt.hw.board.calibration import Calibration
 from tepm_opt.hw.simulation.rig import SimulatedRig
-from tepm_opt.hw.tracker import Frame
+from tepm_opt.hw.trackers.frames import Frame
 from tests.hw.emulator import Board
 
 STEP = 1e-3

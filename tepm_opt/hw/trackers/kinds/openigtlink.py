@@ -8,14 +8,16 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from pyigtl import TransformMessage
 
-from tepm_opt.hw.tracker import WAIT_PERIODS, FrameAssembler
+from tepm_opt.data.documents import Section
+from tepm_opt.hw.trackers.frames import WAIT_PERIODS
+from tepm_opt.hw.trackers.receiver import CONNECT_S, RETRY_S, WATCHDOG_S, Inbox
+from tepm_opt.hw.trackers.tracker import TrackerKind
+from tepm_opt.models.hardware import TrackerLink
 
-WATCHDOG_S, CONNECT_S, RETRY_S = 1.0, 1.0, 0.05
-"""Without a usable pose for so long the connection is made anew; for how long that is tried; pause between two attempts."""
 LARGEST_POSE, LARGEST_BODY = 1 << 16, 1 << 27
 """Bytes of a pose with all its metadata, and of a message beyond which what comes is not OpenIGTLink."""
 VERSIONS = (1, 2, 3)
@@ -61,17 +63,15 @@ class Client:
 
     Args:
         host, port: of the server.
-        frames: take the poses.
-        arrived: held while they do, notified when a frame is ready.
-        clock: the host's, in s.
+        inbox: takes the poses.
 
     Attributes:
         connections: made so far.
         trouble: why the last connection ended, or could not be made; empty once a pose has come.
     """
 
-    def __init__(self, host: str, port: int, frames: FrameAssembler, arrived: threading.Condition, clock: Callable[[], float]) -> None:
-        self.frames, self.arrived, self.clock, self.connections, self.trouble = frames, arrived, clock, 0, ""
+    def __init__(self, host: str, port: int, inbox: Inbox) -> None:
+        self.frames, self.arrived, self.clock, self.connections, self.trouble = inbox.frames, inbox.arrived, inbox.clock, 0, ""
         self._address, self._bytes, self._received, self._stopping = (host, port), bytearray(), 0.0, threading.Event()
         self._thread = threading.Thread(target=self._run, name="tracker", daemon=True)
         self._thread.start()
@@ -179,3 +179,12 @@ class Client:
 def _text(field: bytes) -> str:
     """The text of a field that ends with zeros."""
     return field.partition(b"\0")[0].decode(errors="replace").rstrip()
+
+
+def _receive(link: TrackerLink, _: Section, inbox: Inbox) -> Client:
+    """Begin to receive."""
+    return Client(link.host, link.port, inbox)
+
+
+SERVER = "a running OpenIGTLink server (PlusServer)"
+OPENIGTLINK = TrackerKind("openigtlink", "OpenIGTLink, as PlusServer gives it", _receive, SERVER, port=18944, units_per_m=1000.0)

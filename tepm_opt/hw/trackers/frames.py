@@ -1,19 +1,13 @@
-"""Poses of the tracker's sensors as they come in: OpenIGTLink from a PlusServer, on the host's clock, with dropouts and jumps flagged."""
+"""Frames of the poses that come in from a tracker's server, on the host's clock, with dropouts and jumps flagged."""
 
 from __future__ import annotations
 
 import math
-import threading
-import time
 from collections import Counter, deque
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Protocol
 
 import numpy as np
 
-from tepm_opt.errors import InputError
 from tepm_opt.models.hardware import TrackerLink
 
 WAIT_PERIODS, STALE_PERIODS = 1.5, 5.0
@@ -53,7 +47,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class TrackerStatistics:
-    """What came in so far."""
+    """Counts of all that came in so far."""
 
     received: int = 0  # messages of the robot's sensors
     frames: int = 0  # made of them
@@ -67,21 +61,6 @@ class TrackerStatistics:
     malformed: int = 0  # messages that could not be unpacked, or whose stamp no other message agrees with
     reconnects: int = 0  # connections after the first
     clock_offset: float = np.nan  # host's clock − server's clock in s, with the least network delay; NaN before the first message
-
-
-class Tracker(Protocol):
-    """Whatever gives frames."""
-
-    def read(self, timeout: float) -> Frame | None:
-        """The next frame newer than the last one returned, waiting at most `timeout` in s; None if there is none."""
-
-    def close(self) -> None:
-        """Let go of the tracker."""
-
-    @property
-    def status(self) -> str:
-        """ "ok", or "tracker silent for 0.52 s": what to say where `read` gives None."""
-        ...
 
 
 class ServerClock:
@@ -122,7 +101,7 @@ class ServerClock:
 
 @dataclass
 class _Sensor:
-    """Where a sensor's point was last believed to be, and the new place it may have jumped to."""
+    """Place at which a sensor's point was last believed to be, and the new place it may have jumped to."""
 
     place: list[float] | None = None
     time: float = 0.0
@@ -130,7 +109,7 @@ class _Sensor:
     count: int = 0
 
     def judge(self, point: list[float], now: float, step: float, period: float) -> float | None:
-        """How far the point moved if that is believed (0 for an ordinary motion), None for a jump; lengths in m, times in s."""
+        """Distance that the point moved if that is believed (0 for an ordinary motion), None for a jump; lengths in m, times in s."""
         missed = min(max(round((now - self.time) / period), 1), MISSED_FRAMES)
         moved = math.dist(point, self.place or point)
         if moved > step * missed:
@@ -154,6 +133,7 @@ class FrameAssembler:
         pending: poses of the frame that still waits for some of its sensors, by device.
         ready: frames to be returned, oldest first.
         seen: names of the devices that sent a pose; of others than the link's the first ones only.
+        markers: devices that sent positions without rotations.
         progress: arrival of the last message that was neither late nor old, in s; a connection without progress is worth nothing.
         arrival: of the newest frame's first message in s; −∞ before there is one.
         counts: of what `TrackerStatistics` names.
@@ -163,7 +143,7 @@ class FrameAssembler:
         self.link, self.names, self.period = link, tuple(f"s{i + 1}" for i in range(len(link.devices))), 1 / link.rate_hz
         self.stale = stale_periods * self.period + link.latency_s
         self.clock = ServerClock(self.period / 2)
-        self.seen: set[str] = set()
+        self.seen, self.markers = set[str](), set[str]()
         self.progress, self.arrival = -np.inf, -np.inf
         self.counts: Counter[str] = Counter()
         self._sensors, self._holders = [_Sensor() for _ in self.names], np.array(link.holders_m or np.zeros((len(self.names), 3)))
@@ -182,7 +162,7 @@ class FrameAssembler:
         Args:
             device: its name.
             stamp: on the server's clock in s; 0 where it has none, then the arrival stands for it.
-            pose: (4, 4) in the server's units; None where the server says that it is not valid.
+            pose: (4, 4), or the position (3,) of a marker, in the server's units; None where the server says that it is not valid.
             received: when it arrived, on the host's clock in s.
         """
         if device not in self.link.devices:
@@ -207,6 +187,9 @@ class FrameAssembler:
             self._stamp, self._received = stamp, received
             if received - stamp - self.clock.offset <= self.stale:
                 self.progress = received
+        if pose is not None and pose.shape == (3,):
+            self.markers.add(device)
+            pose = np.block([[np.full((3, 3), np.nan), pose[:, None]], [0.0, 0.0, 0.0, 1.0]])
         self.pending[device] = pose
         if len(self.pending) == len(self.names):
             self._close()
@@ -246,9 +229,12 @@ class FrameAssembler:
     def _frame(self, sent: dict[str, np.ndarray | None], time: float) -> Frame:
         poses = [sent.get(device) for device in self.link.devices]
         transforms = np.array([LOST if pose is None else pose for pose in poses], dtype=float)
+        positions = transforms[:, :3, 3] / self.link.units_per_m
         transforms[~_are_poses(transforms)] = np.nan
         transforms[:, :3, 3] /= self.link.units_per_m
         points = (transforms[:, :3, :3] @ self._holders[:, :, None])[:, :, 0] + transforms[:, :3, 3]
+        bare = [device in self.markers for device in self.link.devices]
+        points[bare] = np.where(np.isfinite(positions[bare]).all(axis=1, keepdims=True), positions[bare], np.nan)
         lost, jumps, moves, gap = [], [], [], time - self._time
         for i, (name, sensor, point) in enumerate(zip(self.names, self._sensors, points.tolist(), strict=True)):
             if point[0] != point[0]:
@@ -266,87 +252,9 @@ class FrameAssembler:
 
 
 def _are_poses(transforms: np.ndarray) -> np.ndarray:
-    """Which of (points, 4, 4) are poses, (points,): finite, with a rotation, and not the identity that is sent in place of a pose."""
+    """Mask of those of (points, 4, 4) that are poses, (points,): finite, with a rotation, and not the identity that is sent in place of a pose."""
     finite = np.isfinite(transforms)
     rotations = np.where(finite, transforms, 0.0)[:, :3, :3]
     skew = np.abs(rotations.transpose(0, 2, 1) @ rotations - IDENTITY[:3, :3]).max(axis=(1, 2))
     proper = (skew <= ORTHONORMAL) & (np.linalg.det(rotations) > 0)
     return proper & finite.all(axis=(1, 2)) & np.not_equal(transforms, IDENTITY).any(axis=(1, 2))
-
-
-class IgtlTracker:
-    """The sensors of a `TrackerLink`, read from an OpenIGTLink server in a thread of its own; connects, and connects again, by itself.
-
-    Args:
-        link: where the server is, the sensors' names, holders and units.
-        clock: the host's, in s.
-        stale_periods: as for `FrameAssembler`.
-    """
-
-    def __init__(self, link: TrackerLink, clock: Callable[[], float] = time.monotonic, stale_periods: float = STALE_PERIODS) -> None:
-        from tepm_opt.hw.igtl import Client  # pyigtl is needed only where there is a tracker
-
-        self.link, self._clock, self._since = link, clock, clock()
-        self._frames, self._arrived = FrameAssembler(link, stale_periods), threading.Condition()
-        self._client = Client(link.host, link.port, self._frames, self._arrived, clock)
-
-    def read(self, timeout: float) -> Frame | None:
-        """The next frame newer than the last one returned and not stale, None if none comes within `timeout` in s. Frames come in order."""
-        end = self._clock() + timeout
-        with self._arrived:
-            while True:
-                now = self._clock()
-                frame = self._frames.next(now)
-                if frame or now >= end:
-                    return frame
-                self._arrived.wait(end - now)
-
-    def first(self, timeout: float = 5.0) -> Frame:
-        """Wait for the first frame, at most `timeout` in s.
-
-        Raises:
-            InputError: nothing listens at host and port, nothing is sent, or not by all devices.
-        """
-        end = self._clock() + timeout
-        while (left := end - self._clock()) > 0:
-            if (frame := self.read(left)) and self._frames.seen.issuperset(self.link.devices):
-                return frame
-        with self._arrived:
-            where, seen = f"tracker at {self.link.host}:{self.link.port}", sorted(self._frames.seen)
-        if not self._client.connections:
-            raise InputError(f"{where}: nothing listens there; valid: host and port of a running OpenIGTLink server (PlusServer)")
-        if missing := [name for name in self.link.devices if name not in seen]:
-            ended = f"; the connection ended: {self._client.trouble}" if self._client.trouble else ""
-            heard = ", ".join(seen) or "none is sent"
-            raise InputError(f"{where}: no poses of {', '.join(missing)} within {timeout:g} s; valid: {heard}{ended}")
-        raise InputError(f"{where}: poses come, but none with a new time stamp within {timeout:g} s; valid: stamps that go on")
-
-    @property
-    def silent_for(self) -> float:
-        """Time since the newest frame arrived, in s; before the first one, since the start."""
-        return self._clock() - max(self._since, self._frames.arrival)
-
-    @property
-    def status(self) -> str:
-        """ "ok", or "tracker silent for 0.52 s (closed by the server)": what to say where `read` gives None."""
-        silent, trouble = self.silent_for, self._client.trouble
-        return "ok" if silent <= self._frames.stale else f"tracker silent for {silent:.2f} s" + (f" ({trouble})" if trouble else "")
-
-    @property
-    def statistics(self) -> TrackerStatistics:
-        """What came in so far."""
-        with self._arrived:
-            counts, offset = dict(self._frames.counts), self._frames.clock.offset
-        return TrackerStatistics(**counts, reconnects=max(self._client.connections - 1, 0), clock_offset=float(offset))
-
-    def close(self) -> None:
-        """Close the connection; a second time does nothing."""
-        self._client.stop()
-
-    def __enter__(self) -> IgtlTracker:
-        """The tracker itself."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Close."""
-        self.close()

@@ -1,0 +1,1 @@
+"""Built-in kinds of trackers, one file each."""
