@@ -252,7 +252,7 @@ class FrameAssembler:
 
 
 def _are_poses(transforms: np.ndarray) -> np.ndarray:
-    """Mask of those of (points, 4, 4) that are poses, (points,): finite, with a rotation, and not the identity that is sent in place of a pose."""
+    """Mask of poses among (points, 4, 4), (points,): finite, with a rotation, and not the identity that is sent in place of one."""
     finite = np.isfinite(transforms)
     rotations = np.where(finite, transforms, 0.0)[:, :3, :3]
     skew = np.abs(rotations.transpose(0, 2, 1) @ rotations - IDENTITY[:3, :3]).max(axis=(1, 2))
