@@ -58,7 +58,7 @@ class TuneRun:
     def summary(self) -> dict[str, Any]:
         """Numbers, plain data."""
 
-        def told(each: Candidate) -> dict[str, Any]:
+        def numbers_of(each: Candidate) -> dict[str, Any]:
             errors = {f"{horizon:.2f}": error for horizon, error in zip(HORIZONS, each.errors, strict=True)}
             return {"friction_scale": each.friction, "strength_scale": each.strength, "prediction_error_m": errors}
 
@@ -66,8 +66,8 @@ class TuneRun:
             "robot": self.model.robot.name,
             "log": str(self.log),
             "seconds": self.seconds,
-            "candidates": [told(each) for each in self.candidates],
-            "chosen": told(self.chosen),
+            "candidates": [numbers_of(each) for each in self.candidates],
+            "chosen": numbers_of(self.chosen),
             "filter": dict(self.model.filter),
         }
 
