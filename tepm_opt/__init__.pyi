@@ -73,6 +73,8 @@ from .jobs.simulate import read_task as read_task
 from .jobs.simulate import run_simulation as run_simulation
 from .jobs.statics import StaticsRun as StaticsRun
 from .jobs.statics import run_statics as run_statics
+from .jobs.tune import TuneRun as TuneRun
+from .jobs.tune import run_tune as run_tune
 from .models.channels import open_dataset as open_dataset
 from .models.compile import CompiledModel as CompiledModel
 from .models.compile import compile_model as compile_model

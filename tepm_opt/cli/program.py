@@ -36,6 +36,7 @@ from tepm_opt.cli import (
     simulate,
     statics,
     studio,
+    tune,
     update_model,
 )
 from tepm_opt.cli.common import WRONG_INPUT, stderr, warn
@@ -102,7 +103,7 @@ def options(
 
 PANELS = {
     "Robot and path": ("robot", "ik", "statics", "gain", "simulate", "plan"),
-    "Control": ("mpc", "play", "studio"),
+    "Control": ("mpc", "tune", "play", "studio"),
     "Data and verdict": ("record", "data", "identify", "discrepancy", "update-model"),
     "Hardware": ("hw",),
     "More": ("demo", "export", "study"),
@@ -126,6 +127,7 @@ COMMANDS: dict[str, Callable[..., int] | typer.Typer] = {
     "simulate": simulate.simulate,
     "plan": plan.plan,
     "mpc": mpc.mpc,
+    "tune": tune.tune,
     "play": play.play,
     "studio": studio.studio,
     "record": record.record,

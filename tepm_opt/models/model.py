@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, read_text, read_toml, toml_string, validated
+from tepm_opt.data.documents import Section, between, read_text, read_toml, toml_string, validated
 from tepm_opt.data.files import write_atomically
 from tepm_opt.data.markup import html_table
 from tepm_opt.errors import InputError, unknown_name
@@ -29,12 +29,14 @@ class Model:
         parameters: what differs from the robot file, by name, SI.
         effects: additional effects, in the order they act; those of devices act before the others.
         source: name or path by which a model file refers to the robot; models that differ only in it are equal.
+        filter: noise levels of the predictive controller's filter by name (`FILTER_UNITS`), SI; see `tepm tune`.
     """
 
     robot: Robot
     parameters: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[ActiveEffect, ...] = ()
     source: str = field(default="kang2017", compare=False)
+    filter: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
     def of(robot: str | Path | Robot) -> Model:
@@ -47,6 +49,7 @@ class Model:
         check_parameters(self.robot, self.parameters, "model")
         layout = Layout.of(self.robot)
         check_effects(self.effects, layout, "model")
+        validated(_FilterTable, self.filter, "model: filter")
         object.__setattr__(self, "effects", tuple(_with_shapes(effect, layout) for effect in self.effects))
 
     def with_parameters(self, **values: float) -> Model:
@@ -152,6 +155,19 @@ def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -
             raise InputError(f"{where}: effect {effect.label} stands twice; valid: once, with all its parameters")
 
 
+class _FilterTable(Section):
+    """Noise levels of the predictive controller's filter; `FilterSettings` says what each is."""
+
+    friction_std: Annotated[float, between(0.0, 100.0, "N")] = 0.0
+    friction_drift: Annotated[float, between(0.0, 100.0, "N/√s")] = 0.0
+    strength_std: Annotated[float, between(0.0, 1.0, "")] = 0.0
+    strength_drift: Annotated[float, between(0.0, 1.0, "1/√s")] = 0.0
+
+
+FILTER_UNITS = {"friction_std": "N", "friction_drift": "N/√s", "strength_std": "of p A", "strength_drift": "1/√s"}
+"""Units of the noise levels that a model file may have."""
+
+
 class _EffectTable(Section):
     """An effect in a model file."""
 
@@ -166,6 +182,7 @@ class _ModelFile(Section):
     robot: Annotated[str, Field(description="a built-in robot or the path of a robot file")]
     parameters: dict[str, Any] = Field(default_factory=dict)
     effects: list[_EffectTable] = Field(default_factory=list)
+    filter: dict[str, Any] = Field(default_factory=dict)
 
 
 WAY = "tepm reads model files in TOML, whose `robot` names a robot file: start one with `tepm robot new mine.toml`"
@@ -185,7 +202,9 @@ def read_model(path: str | Path) -> Model:
     check_parameters(robot, table.parameters, where)
     effects = tuple(ActiveEffect(entry.name, entry.detail, entry.parameters) for entry in table.effects)
     check_effects(effects, Layout.of(robot), where)
-    return Model(robot, {name: float(value) for name, value in table.parameters.items()}, effects, source)
+    validated(_FilterTable, table.filter, f"{where}: filter")
+    parameters, levels = ({name: float(value) for name, value in part.items()} for part in (table.parameters, table.filter))
+    return Model(robot, parameters, effects, source, levels)
 
 
 def _beside(robot: Path, path: Path) -> str:
@@ -214,4 +233,6 @@ def write_model(model: Model, path: str | Path) -> None:
         lines += ["", "[[effects]]", f"name = {toml_string(effect.name)}"]
         lines += [f"detail = {toml_string(effect.detail)}"] if effect.detail else []
         lines += [f"parameters = {{{', '.join(f'{name} = {float(value)!r}' for name, value in effect.parameters.items())}}}"]
+    if model.filter:
+        lines += ["", "[filter]", *(f"{name} = {float(value)!r}  # {FILTER_UNITS[name]}" for name, value in model.filter.items())]
     write_atomically(path, "\n".join(lines) + "\n")

@@ -7,6 +7,7 @@ from types import TracebackType
 
 import numpy as np
 
+from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.controller import MpcSettings
 from tepm_opt.control.references.reference import PERIOD, Reference, rising
 from tepm_opt.data.setpoints import SetPoints
@@ -81,7 +82,7 @@ def bench_settings() -> MpcSettings:
     The noise of a length is large beside what a force does to it, so unknown forces are followed more slowly.
     """
     settings = MpcSettings()
-    weights, filter = settings.weights, settings.filter
+    weights, filter = settings.weights, FilterSettings()
     smaller = replace(
         filter,
         force_drift=filter.force_drift / MUSCLES / 3,

@@ -357,7 +357,7 @@ def test_friction_of_the_model_is_where_the_filter_starts_and_nothing_else(kang,
         controller.command(sample)
     assert not controller._step._state.effects.forces.any()
     nothing = compile_model(kang.model.with_effect("tendon_friction", constant=0.0, share=0.0))
-    assert Mpc(nothing, short).setup.filter == MpcSettings().filter
+    assert Mpc(nothing, short).setup.filter == FilterSettings()
 
 
 @pytest.mark.slow

@@ -38,7 +38,7 @@ class MpcSettings:
         damping: times the model's damping that filter and program reckon with; with 1 the circle on twelve random machines is 8 % worse,
             with 2 some machines without any friction are twice as far off.
         pressure_planner: settings of the pressures.
-        filter: settings of the state estimator.
+        filter: settings of the state estimator; None for the defaults with the noise levels of the model file (`tepm tune`).
         deadline: duration of a step in s after which its program is not used and the last plan goes on.
         computing: time in s from a sample to its command, which counts as delay; None for what `make_mpc` measures.
         backend: "auto" steps in C where model, settings and compiler allow it; "c" insists on it; "python" never does: the same commands.
@@ -51,7 +51,7 @@ class MpcSettings:
     use: Use = Use.BOTH
     damping: float = DAMPING
     pressure_planner: PressurePlannerSettings = field(default_factory=PressurePlannerSettings)
-    filter: FilterSettings = field(default_factory=FilterSettings)
+    filter: FilterSettings | None = None
     deadline: float = math.inf
     computing: float | None = 0.0
     backend: Literal["auto", "c", "python"] = "auto"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -96,7 +96,8 @@ class StepSetup:
         noise = max((tracker.noise_rms_m if tracker else 1e-3) / np.sqrt(3), 1e-6)
         first = _first_command(model, reference.forces[0], settings)
         start = modal_model(reference.equilibria[0]).damped(settings.damping)
-        filtering = settings.filter.knowing(model.tendon_friction, settings.mid_range * float(tension_max[0]))
+        believed = settings.filter or replace(FilterSettings(), **model.model.filter)
+        filtering = believed.knowing(model.tendon_friction, settings.mid_range * float(tension_max[0]))
         planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)
         effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         return StepSetup(model, reference, settings, filtering, devices, planner, tension_max, ahead, noise, first, start, effects)

@@ -1,0 +1,136 @@
+"""Tuning of the Kalman filter on a closed-loop log: the noise levels whose predictions of the tracked tip are best.
+
+The controller uses what the filter predicts for the next 0.3 s, so candidates are compared by the mean squared prediction errors at 0.05,
+0.15 and 0.30 s, weighted alike by their logarithms. The likelihood of the innovations, one period ahead, does not improve the closed loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from tepm_opt.control.estimation.kalman_filter import DEFAULT, Estimator, FilterSettings, Operating
+from tepm_opt.errors import InputError
+from tepm_opt.progress import Progress, counted, silent
+
+HORIZONS = (0.05, 0.15, 0.30)  # s; the longest is the controller's prediction horizon
+FRICTION_SCALES = (1.0, 0.3, 0.1)  # of the hand-set values; larger ones predicted worse in the study
+STRENGTH_SCALES = (1.0, 0.3)  # 0.1 and 0.3 predict alike: less than 0.3 % apart
+SETTLING = 1.5  # s from the start over which errors do not count
+SHORTEST = 4.0  # s of a log: errors of 2.2 s at least count at the longest horizon
+
+
+@dataclass(frozen=True, eq=False)
+class FilterInputs:
+    """Inputs of the filter over a run, the same for all its settings; an entry a control period.
+
+    Attributes:
+        operating: local models about the reference, (periods,).
+        noise: of a tracked coordinate, 1 sigma in m, (periods,).
+        points: tracked, (periods, points, 3) in m in G, NaN where missing.
+        forces: known axial forces at start and end of each period, (periods − 1, 2, actuators) in N.
+        tensions: at the motors, (periods − 1, actuators) in N.
+        rates: of the actuators' lengths by the reference, (periods − 1, actuators) in m/s.
+        middle: tension about which the motors work in N.
+    """
+
+    operating: Sequence[Operating]
+    noise: np.ndarray
+    points: np.ndarray
+    forces: np.ndarray
+    tensions: np.ndarray
+    rates: np.ndarray
+    middle: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One pair of scales with its prediction errors.
+
+    Attributes:
+        friction: factor on standard deviation and drift of the dry friction.
+        strength: factor on standard deviation and drift of the muscles' gain error.
+        settings: of the filter with both.
+        errors: tip's prediction error at `HORIZONS`, rms in m.
+    """
+
+    friction: float
+    strength: float
+    settings: FilterSettings
+    errors: tuple[float, ...]
+
+    @property
+    def criterion(self) -> float:
+        """Sum of the logarithms of the mean squared errors; less is better."""
+        return float(2 * np.log(self.errors).sum())
+
+    @property
+    def hand_set(self) -> bool:
+        """Whether it has the hand-set values."""
+        return self.friction == self.strength == 1.0
+
+
+def scale_noise(settings: FilterSettings, friction: float, strength: float) -> FilterSettings:
+    """Settings with dry friction and gain error less, or more, uncertain by a factor each."""
+    return replace(
+        settings,
+        friction_std=friction * settings.friction_std, friction_drift=friction * settings.friction_drift,
+        strength_std=strength * settings.strength_std, strength_drift=strength * settings.strength_drift,
+    )  # fmt: skip
+
+
+def prediction_errors(inputs: FilterInputs, settings: FilterSettings) -> tuple[float, ...]:
+    """Root mean square of the tip's prediction error at each of `HORIZONS` in m, by the filter's own transitions.
+
+    Raises:
+        InputError: the log is too short, or the tip was not tracked.
+    """
+    estimator, period = Estimator(inputs.operating[0], inputs.noise[0], inputs.middle, settings), inputs.operating[0].period
+    count, skipped = len(inputs.points), round(SETTLING / period)
+    if count * period < SHORTEST:
+        raise InputError(f"{count * period:.2f} s of closed loop are too short for tuning; valid: at least {SHORTEST:g} s")
+    means, A, push = [], [], []
+    for k in range(count):
+        estimator.noise = inputs.noise[k]
+        estimator.update(inputs.points[k])
+        means.append(estimator.mean)
+        if k + 1 < count:
+            done = estimator.predict(inputs.forces[k], inputs.tensions[k], inputs.rates[k], inputs.operating[k + 1])
+            A.append(done.A)
+            push.append(done.push)
+    state, transitions, pushes, squares = np.array(means[skipped:]), np.array(A[skipped:]), np.array(push[skipped:]), []
+    models, steps = [at.model for at in inputs.operating[skipped:]], [round(horizon / period) for horizon in HORIZONS]
+    observe, modes = np.array([model.observe[-3:] for model in models]), models[0].observe.shape[1]
+    seen = inputs.points[skipped:, -1] - np.array([model.equilibrium.points[-1] for model in models])
+    for ahead in range(1, max(steps) + 1):
+        state = (transitions[ahead - 1 :] @ state[:-1, :, None])[..., 0] + pushes[ahead - 1 :]
+        if ahead in steps:
+            missed = (observe[ahead:] @ state[:, :modes, None])[..., 0] + state[:, -3:] - seen[ahead:]
+            squares.append((missed**2).sum(axis=1))
+    if not all(np.isfinite(each).any() for each in squares):
+        raise InputError(f"the tip was not tracked after {SETTLING:g} s; valid: a log with the tip's coordinates")
+    return tuple(float(np.sqrt(np.nanmean(each))) for each in squares)
+
+
+def compare_scales(
+    inputs: FilterInputs, friction: tuple[float, float] | None, base: FilterSettings = DEFAULT, progress: Progress = silent
+) -> tuple[Candidate, ...]:
+    """All pairs of `FRICTION_SCALES` and `STRENGTH_SCALES` with their prediction errors, the hand-set values first.
+
+    Args:
+        inputs: of the filter over a closed-loop run.
+        friction: of the model's tendons, constant part in N and share of the tension; None without one.
+        base: hand-set values.
+        progress: told of every pair.
+
+    Raises:
+        InputError: the log is too short, or the tip was not tracked.
+    """
+    found, pairs = [], list(product(FRICTION_SCALES, STRENGTH_SCALES))
+    for one, other in counted(pairs, progress, "noise levels of the filter", len(pairs)):
+        settings = scale_noise(base, one, other)
+        found.append(Candidate(one, other, settings, prediction_errors(inputs, settings.knowing(friction, inputs.middle))))
+    return tuple(found)
