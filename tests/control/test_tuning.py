@@ -138,7 +138,7 @@ def test_a_tip_that_was_never_tracked_is_told(short_log: Path) -> None:
     inputs = filter_inputs(model(), read_log(short_log, model()))
     long = {name: np.repeat(getattr(inputs, name)[:1], 400, axis=0) for name in ("noise", "points", "forces", "tensions", "rates")}
     long["points"][:, -1] = np.nan
-    blind = replace(inputs, operating=inputs.operating[:1] * 400, **long)
+    blind = replace(inputs, operating=[inputs.operating[0]] * 400, **long)
     with pytest.raises(InputError, match="the tip was not tracked"):
         compare_scales(blind, None)
 
