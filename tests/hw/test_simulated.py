@@ -173,7 +173,7 @@ def test_rigs_by_name(tmp_path):
     assert isinstance(default, SimulatedRig)
     assert default.file.name == "virtual prototype"
     for text, message in {
-        "sin": "unknown rig 'sin': did you mean 'sim'? valid: bench, bench:FILE, replay:FILE, ros2, ros2:HOST:PORT, serial:PORT, sim, sim:FILE",
+        "sin": "unknown rig 'sin': did you mean 'sim'? valid: bench, bench:FILE, replay:FILE, ros2, ros2:HOST:PORT, serial:PORT, sim",
         "sim:": "nothing stands after the colon; valid: sim, sim:FILE, sim:FILE@ENGINE",
         "replay": "needs the CSV file of a run: replay:FILE",
         "sim:nowhere.toml": "rig 'nowhere.toml' is neither a file nor built in; built in: perfect, virtual_prototype",
