@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -103,7 +104,9 @@ def _value(estimate: ParameterEstimate, form_error: np.ndarray, name: str, nomin
 
 
 def _values(estimate: ParameterEstimate, form_error: np.ndarray, candidate: Candidate) -> dict[str, Value]:
-    return {name.rpartition(".")[2]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
+    """Values of an effect's parameters; their standard deviations are as large as errors were in blind trials."""
+    found = {name.rpartition(".")[2]: _value(estimate, form_error, name, candidate.null[name]) for name in candidate.parameters}
+    return {name: replace(value, std=ASSESSMENT.interval_factor * value.std) for name, value in found.items()}
 
 
 def _rivals(explanation: Explanation, named: Sequence[Named], cause: Mapping[Candidate, float]) -> tuple[Rival, ...]:
