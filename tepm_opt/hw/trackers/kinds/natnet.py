@@ -25,7 +25,7 @@ class NatNetOptions(Section):
     multicast: str = ""
     """Group that the server sends to, as Motive's 239.255.42.99; empty: it sends to this machine only (unicast)."""
     data_port: int = 1511
-    """Address of a multicast group."""
+    """Port of the group's data."""
     interface: str = "0.0.0.0"
     """This machine's address towards the server, where it has several."""
 
