@@ -5,23 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.hw.emulation.tags import Camera, ImageNoise, NetworkCamera
+from tepm_opt.hw.emulation.tags import Camera, NetworkCamera
 from tepm_opt.hw.service.camera import CharucoBoard, Views
 from tepm_opt.hw.trackers.camera import read_calibration
 from tests.cli.conftest import *  # noqa: F403  its fixtures
 from tests.cli.conftest import Command
+from tests.hw.images import cv2, spoiled
 
-cv2 = pytest.importorskip("cv2", reason="opencv-python-headless is not installed (extra webcam)")
 CAMERA, BOARD = Camera(focal=612.0, centre=(331.0, 228.0)), CharucoBoard(7, 5, 0.03)
 
 
 def views(count: int, seed: int) -> list[np.ndarray]:
     """Images of the board, tilted by up to 40 degrees to all sides, through blur and noise."""
     random, texture, images = np.random.default_rng(seed), BOARD.image(), []
-    noise = ImageNoise(cv2, CAMERA, random)
     size = ((BOARD.columns + 1) * BOARD.square_m, (BOARD.rows + 1) * BOARD.square_m)  # with its rim
     texture = cv2.resize(texture, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA)
     for _ in range(count):
@@ -31,7 +29,7 @@ def views(count: int, seed: int) -> list[np.ndarray]:
         pose[:3, 3] = [*random.uniform(-0.06, 0.06, 2), random.uniform(0.3, 0.5)]
         image = CAMERA.empty()
         CAMERA.draw(cv2, image, texture, size, pose)
-        images.append(noise.add(image))
+        images.append(spoiled(image, random))
     return images
 
 

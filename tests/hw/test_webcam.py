@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
-from tepm_opt.hw.emulation.tags import Camera, ImageNoise, NetworkCamera, Tags
+from tepm_opt.hw.emulation.tags import Camera, NetworkCamera, Tags
 from tepm_opt.hw.trackers import LiveTracker, open_link
 from tepm_opt.hw.trackers.camera import calibration_text, read_calibration
 from tepm_opt.hw.trackers.frames import Frame
@@ -19,9 +19,9 @@ from tepm_opt.hw.trackers.tags import UPRIGHT, TagFinder
 from tepm_opt.models.hardware import TrackerLink
 from tepm_opt.testing import TrackerContract
 from tepm_opt.testing.trackers import Motion, motion_of_arm
+from tests.hw.images import cv2, spoiled
 from tests.hw.test_tracker_contracts import Sensors
 
-cv2 = pytest.importorskip("cv2", reason="opencv-python-headless is not installed (extra webcam)")
 DEVICES, RATE, LATENCY = ("tag 0", "tag 1", "tag 2", "tag 3"), 20.0, 0.35
 FACING = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Axes of a tag that faces a camera which looks along y."""
@@ -112,11 +112,10 @@ def finder_of(camera: Camera, edge_m: float, distortion: tuple[float, ...] = ())
 def test_poses_of_tags(camera: Camera, edge: float) -> None:
     """At 0.5 m, through blur and noise, tags 40 px wide are located within 0.3 mm rms and turned right within 0.5 degrees."""
     random, tags, finder = np.random.default_rng(1), Tags(cv2, edge), finder_of(camera, edge)
-    noise = ImageNoise(cv2, camera, random)
     errors, turns = [], []
     for _ in range(5):
         poses = poses_about(camera, 0.5, random)
-        found = finder.find(noise.add(tags.image(camera, poses)))
+        found = finder.find(spoiled(tags.image(camera, poses), random))
         assert sorted(found) == list(DEVICES)
         for name, pose in zip(DEVICES, poses, strict=True):
             errors.append(found[name][:3, 3] - pose[:3, 3])

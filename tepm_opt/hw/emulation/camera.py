@@ -22,11 +22,11 @@ from tepm_opt.models.robot import Mount, Robot
 CAMERA = Camera(480, 480, 640.0, (240.0, 240.0))
 MOST_HZ = 25.0
 """Images a second: every fourth frame of the virtual prototype, so that all images are of the same age."""
-DISTANCE, EDGE = 1.5, 0.4
+DISTANCE, EDGE = 1.5, 0.6
 """From the base to the camera in lengths of the arm, which leaves it an eighth of its length to move above its tip; edge of a tag in
-distances of reference points, which leaves room for rims. Of an arm with two modules a tag is 43 px wide then."""
+distances of reference points, which leaves room for rims. Of an arm with two modules a tag is 64 px wide then."""
 MOST_MODULES = 4
-"""Tags of an arm with more are narrower than 20 px."""
+"""Tags of an arm with more are narrower than 30 px."""
 FACING = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Axes of a tag on a plate, in the plate's: it looks along -y, towards the camera."""
 AGE_S, NOISE_RMS_M = 0.03, 1e-4
@@ -52,7 +52,7 @@ def tag_edge(robot: Robot) -> float:
 
 
 def mount_before_camera(robot: Robot) -> Mount:
-    """How the base plate stands in the frame G of the camera (axes "upright"), which looks along the base plate's y axis.
+    """Mount of the base plate in the frame G of the camera (axes "upright"), which looks along the base plate's y axis.
 
     Args:
         robot: in a frame G of its own.
@@ -61,11 +61,13 @@ def mount_before_camera(robot: Robot) -> Mount:
     middle = (length + robot.parameters.L_0 / 2) / 2  # of the reference points
     gravity = robot.mount.rotation.T @ robot.mount.gravity_m_per_s2
     return Mount(
-        gravity_m_per_s2=_rounded(gravity), base_position_m=_rounded([0, DISTANCE * length, -middle]), base_rotation_deg=(0.0, 0.0, 0.0)
+        gravity_m_per_s2=_round_vector(gravity),
+        base_position_m=_round_vector([0, DISTANCE * length, -middle]),
+        base_rotation_deg=(0.0, 0.0, 0.0),
     )
 
 
-def _rounded(vector: np.ndarray | list[float]) -> tuple[float, float, float]:
+def _round_vector(vector: np.ndarray | list[float]) -> tuple[float, float, float]:
     x, y, z = (round(float(value), 9) + 0.0 for value in vector)
     return x, y, z
 
