@@ -11,13 +11,13 @@ from tepm_opt.errors import InputError
 TABLE = re.compile(r"^\s*\[([^\[\]]+)\]\s*(?:#.*)?$")
 
 
-def with_numbers(text: str, table: str, numbers: Mapping[str, float], where: str) -> str:
+def with_numbers(text: str, table: str, numbers: Mapping[str, float | list[float]], where: str) -> str:
     """The text with other numbers in a table: in place of those of the same names, else at the table's beginning.
 
     Args:
         text: of a TOML file.
         table: its name, such as `hardware.tracker`.
-        numbers: by their keys.
+        numbers: by their keys; lists of numbers, too.
         where: name of the file, for messages.
 
     Raises:
@@ -30,7 +30,7 @@ def with_numbers(text: str, table: str, numbers: Mapping[str, float], where: str
     first = heads[0] + 1
     last = next((number for number in range(first, len(lines)) if lines[number].lstrip().startswith("[")), len(lines))
     for key, value in numbers.items():
-        pattern = re.compile(rf"^(\s*{re.escape(key)}\s*=\s*)([^#\s]+)(.*)$")
+        pattern = re.compile(rf"^(\s*{re.escape(key)}\s*=\s*)(\[[^\]#]*\]|[^#\s]+)(.*)$")
         at = next((number for number in range(first, last) if pattern.match(lines[number])), None)
         if at is None:
             lines.insert(first, f"{key} = {value!r}")

@@ -14,6 +14,7 @@ def test_a_number_is_replaced_or_added_and_comments_stay() -> None:
     assert with_numbers(TEXT, "a", {"x": 2.5}, "f") == TEXT.replace("1.0", "2.5")
     assert with_numbers(TEXT, "a.b", {"z": 7.0}, "f") == TEXT.replace("# inner\n", "# inner\nz = 7.0\n")
     assert with_numbers(TEXT, "c", {"x": 4}, "f") == TEXT.replace("x = 3", "x = 4")
+    assert with_numbers(TEXT, "a.b", {"y": [3.0, -1.0]}, "f") == TEXT.replace("[1, 2]", "[3.0, -1.0]")
 
 
 def test_what_cannot_be_changed_is_refused() -> None:

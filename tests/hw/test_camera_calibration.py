@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tepm_opt.hw.emulation.tags import Camera, NetworkCamera
 from tepm_opt.hw.service.camera import CharucoBoard, Views
 from tepm_opt.hw.trackers.camera import read_calibration
 from tests.cli.conftest import *  # noqa: F403  its fixtures
 from tests.cli.conftest import Command
-from tests.hw.tags import Camera, NetworkCamera, cv2, spoiled
+from tests.hw.images import cv2, spoiled
 
 CAMERA, BOARD = Camera(focal=612.0, centre=(331.0, 228.0)), CharucoBoard(7, 5, 0.03)
 
@@ -27,7 +28,7 @@ def views(count: int, seed: int) -> list[np.ndarray]:
         pose[:3, :3] = (Rotation.from_rotvec([np.pi, 0, 0]) * tilt).as_matrix()
         pose[:3, 3] = [*random.uniform(-0.06, 0.06, 2), random.uniform(0.3, 0.5)]
         image = CAMERA.empty()
-        CAMERA.draw(image, texture, size, pose)
+        CAMERA.draw(cv2, image, texture, size, pose)
         images.append(spoiled(image, random))
     return images
 
@@ -78,7 +79,7 @@ def test_the_written_board_is_the_one_that_is_looked_for(tepm: Command, tmp_path
 def test_a_camera_that_is_looked_through(tepm: Command) -> None:
     """Views come from a network camera, each once; too few within the time is an error with the number that is needed."""
     taken = views(7, 3)
-    server = NetworkCamera(lambda when: taken[int(3 * when) % len(taken)], 10.0, 0.0)
+    server = NetworkCamera(cv2, lambda when: taken[int(3 * when) % len(taken)], 10.0, 0.0)
     server.start()
     arguments = ("hw", "calibrate", "camera", "--camera", server.address, "--squares", "7x5", "--square-mm", "30")
     try:

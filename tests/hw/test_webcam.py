@@ -11,14 +11,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
+from tepm_opt.hw.emulation.tags import Camera, NetworkCamera, Tags
 from tepm_opt.hw.trackers import LiveTracker, open_link
-from tepm_opt.hw.trackers.camera import CameraCalibration, calibration_text, read_calibration
+from tepm_opt.hw.trackers.camera import calibration_text, read_calibration
 from tepm_opt.hw.trackers.frames import Frame
 from tepm_opt.hw.trackers.tags import UPRIGHT, TagFinder
 from tepm_opt.models.hardware import TrackerLink
 from tepm_opt.testing import TrackerContract
 from tepm_opt.testing.trackers import Motion, motion_of_arm
-from tests.hw.tags import Camera, NetworkCamera, Tags, cv2, spoiled
+from tests.hw.images import cv2, spoiled
 from tests.hw.test_tracker_contracts import Sensors
 
 DEVICES, RATE, LATENCY = ("tag 0", "tag 1", "tag 2", "tag 3"), 20.0, 0.35
@@ -26,21 +27,15 @@ FACING = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Axes of a tag that faces a camera which looks along y."""
 
 
-def calibration_of(camera: Camera) -> CameraCalibration:
-    """What a perfect calibration of a camera gives."""
-    rows = tuple(tuple(float(value) for value in row) for row in camera.matrix)
-    return CameraCalibration(width_px=camera.width, height_px=camera.height, matrix_px=rows)  # type: ignore[arg-type]
-
-
 class TagStandIn(Sensors):
     """A network camera before which four tags move. The time in which tags are found counts as age of an image, too."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
-        self._camera, self._tags = Camera(centre=(320.0, 60.0)), Tags(0.013)
-        self._server = NetworkCamera(self._image, RATE, LATENCY)
+        self._camera, self._tags = Camera(centre=(320.0, 60.0)), Tags(cv2, 0.013)
+        self._server = NetworkCamera(cv2, self._image, RATE, LATENCY)
         file = folder / "camera.toml"
-        file.write_text(calibration_text(calibration_of(self._camera), []))
+        file.write_text(calibration_text(self._camera.calibration, []))
         self._motion, finder, times = motion_of_arm(), finder_of(self._camera, 0.013), [time.monotonic()]
         image = self._image(0.0)
         for _ in range(20):
@@ -109,14 +104,14 @@ def poses_about(camera: Camera, distance: float, random: np.random.Generator) ->
 
 def finder_of(camera: Camera, edge_m: float, distortion: tuple[float, ...] = ()) -> TagFinder:
     """Of AprilTags, in the camera's axes."""
-    calibration = calibration_of(camera).model_copy(update={"distortion": distortion})
+    calibration = camera.calibration.model_copy(update={"distortion": distortion})
     return TagFinder(cv2, "APRILTAG_36h11", edge_m, calibration, np.eye(3))
 
 
 @pytest.mark.parametrize(("camera", "edge"), [(Camera(), 0.03), (Camera(1280, 720, 1000.0, (640.0, 360.0)), 0.02)])
 def test_poses_of_tags(camera: Camera, edge: float) -> None:
     """At 0.5 m, through blur and noise, tags 40 px wide are located within 0.3 mm rms and turned right within 0.5 degrees."""
-    random, tags, finder = np.random.default_rng(1), Tags(edge), finder_of(camera, edge)
+    random, tags, finder = np.random.default_rng(1), Tags(cv2, edge), finder_of(camera, edge)
     errors, turns = [], []
     for _ in range(5):
         poses = poses_about(camera, 0.5, random)
@@ -135,7 +130,7 @@ def test_distortion_is_taken_out() -> None:
     poses = poses_about(camera, 0.5, random)
     pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=2).astype(np.float32)
     ideal = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.matrix, np.array(lens), P=camera.matrix).reshape(pixels.shape)
-    image = cv2.remap(Tags(0.03).image(camera, poses), ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR)
+    image = cv2.remap(Tags(cv2, 0.03).image(camera, poses), ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR)
 
     def worst(distortion: tuple[float, ...]) -> float:
         found = finder_of(camera, 0.03, distortion).find(image)
@@ -145,11 +140,11 @@ def test_distortion_is_taken_out() -> None:
 
 
 def test_a_tag_that_is_seen_twice_is_lost() -> None:
-    camera, tags = Camera(), Tags(0.03)
+    camera, tags = Camera(), Tags(cv2, 0.03)
     poses = poses_about(camera, 0.5, np.random.default_rng(3))
     image = np.minimum(tags.image(camera, [*poses[:3], None]), tags.image(camera, [None, None, None, poses[3]]))
     assert finder_of(camera, 0.03).find(image)["tag 0"] is not None
-    twice = Tags(0.03, 1).image(camera, poses[3:])
+    twice = Tags(cv2, 0.03, 1).image(camera, poses[3:])
     image[camera.height // 2 :, camera.width // 2 :] = twice[camera.height // 2 :, camera.width // 2 :]
     found = finder_of(camera, 0.03).find(image)
     assert found["tag 0"] is None
@@ -158,7 +153,7 @@ def test_a_tag_that_is_seen_twice_is_lost() -> None:
 
 @pytest.mark.parametrize("name", ["camera.toml", "camera.json"])
 def test_a_calibration_file_comes_back(name: str, tmp_path: Path) -> None:
-    calibration = calibration_of(Camera()).model_copy(update={"distortion": (0.1, -0.02, 1e-5), "reprojection_px": 0.21})
+    calibration = Camera().calibration.model_copy(update={"distortion": (0.1, -0.02, 1e-5), "reprojection_px": 0.21})
     is_json = name.endswith("json")
     (tmp_path / name).write_text(json.dumps(calibration.model_dump()) if is_json else calibration_text(calibration, ["a note"]))
     assert read_calibration(tmp_path / name) == calibration
@@ -166,7 +161,7 @@ def test_a_calibration_file_comes_back(name: str, tmp_path: Path) -> None:
 
 def test_wrong_options_say_what_is_valid(tmp_path: Path) -> None:
     file = tmp_path / "camera.toml"
-    file.write_text(calibration_text(calibration_of(Camera()), []))
+    file.write_text(calibration_text(Camera().calibration, []))
     right = {"calibration": str(file), "tag_m": 0.03}
     for options, says in [
         ({"tag_m": 0.03}, "missing key 'calibration'"),
@@ -184,8 +179,8 @@ def test_images_that_come_too_fast_are_left_out(tmp_path: Path, monkeypatch: pyt
     """Poses stay as young as the newest image where tags take 0.1 s to be found, however many images wait in the network."""
     file, camera, find = tmp_path / "camera.toml", Camera(), TagFinder.find
     monkeypatch.setattr(TagFinder, "find", lambda *arguments: time.sleep(0.1) or find(*arguments))
-    file.write_text(calibration_text(calibration_of(camera), []))
-    tags, began = Tags(0.03), time.monotonic()
+    file.write_text(calibration_text(camera.calibration, []))
+    tags, began = Tags(cv2, 0.03), time.monotonic()
 
     def taken(when: float) -> np.ndarray:
         """Tags that go away from the camera, 0.1 m a second."""
@@ -194,7 +189,7 @@ def test_images_that_come_too_fast_are_left_out(tmp_path: Path, monkeypatch: pyt
             pose[:3, 3] = [0.05 * k - 0.075, 0.0, 0.3 + 0.1 * (when - began)]
         return tags.image(camera, poses)
 
-    server = NetworkCamera(taken, 60.0, 0.0)
+    server = NetworkCamera(cv2, taken, 60.0, 0.0)
     server.start()
     try:
         options = {"camera": server.address, "calibration": str(file), "tag_m": 0.03}
@@ -211,8 +206,8 @@ def test_images_that_come_too_fast_are_left_out(tmp_path: Path, monkeypatch: pyt
 
 def test_images_of_another_size_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "camera.toml"
-    file.write_text(calibration_text(calibration_of(Camera(width=800)), []))
-    server = NetworkCamera(lambda _: Camera().empty(), RATE, 0.0)
+    file.write_text(calibration_text(Camera(width=800).calibration, []))
+    server = NetworkCamera(cv2, lambda _: Camera().empty(), RATE, 0.0)
     server.start()
     try:
         options = {"camera": server.address, "calibration": str(file), "tag_m": 0.03}

@@ -1,27 +1,27 @@
-"""The emulated board behind a pseudo-terminal, the simulated arm that it moves, and an OpenIGTLink server of its tracker, in real time."""
+"""The emulated board behind a pseudo-terminal, the simulated arm that it moves, and a tracker that sees the arm, in real time."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import select
-import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
+from typing import Protocol
 
 import numpy as np
 
 from tepm_opt.errors import InputError
 from tepm_opt.hw.emulation.board import EmulatedBoard
+from tepm_opt.hw.emulation.openigtlink import PoseServer
+from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.hardware import TrackerLink
 
 STATUS_S, BEHIND_S = 0.005, 0.5
 """Between two STATUS; a machine that is further behind does not catch up."""
-VALID = {"TransformValid": "True", "TransformStatus": "OK"}
-"""Metadata of a pose that is seen, as PlusServer writes it."""
 
 
 class EmulatedBench:
@@ -30,13 +30,13 @@ class EmulatedBench:
     Args:
         rig: the arm; it is driven in real time.
         port: path at which the board's serial port appears; what is there must be a link that this class made.
-        link: host, port and sensors of the tracker's server.
+        link: of the tracker, of the kind openigtlink or webcam.
 
     Attributes:
         board: for looking inside.
 
     Raises:
-        InputError: no pseudo-terminals here, the path is taken, or the server's port is.
+        InputError: no pseudo-terminals here, the path is taken, or the tracker's port is; OpenCV is not installed for a webcam.
     """
 
     def __init__(self, rig: SimulatedRig, port: Path, link: TrackerLink) -> None:
@@ -44,28 +44,17 @@ class EmulatedBench:
             raise InputError("the emulated bench needs pseudo-terminals; valid: Linux or macOS")
         if port.exists() and not port.is_symlink():
             raise InputError(f"{port}: a file is there; valid: a path for the serial port that nothing has")
-        self._rig, self._link, self._path = rig, link, port
+        self._rig, self._path = rig, port
         self.board, self._begin = EmulatedBoard(rig.robot, time.monotonic()), time.monotonic()
         self._status_due = self._frame_due = self._begin
-        try:
-            self._server = socket.create_server((link.host, link.port))
-        except OSError as error:
-            raise InputError(
-                f"{link.host}:{link.port}: the tracker's server cannot listen there ({error.strerror}); name a free port"
-            ) from error
-        self._clients: list[socket.socket] = []
+        self._tracker = _tracker_of(link, rig)
         self._opened = False
         self._master = _open_terminal(port)
 
     def advance(self, most: float = 0.02) -> None:
         """Do what is due, waiting at most so many seconds for the host."""
         wait = max(min(self._status_due, self._frame_due) - time.monotonic(), 0.0)
-        ready, _, _ = select.select([self._server, *([self._master] if self._is_open() else [])], [], [], min(wait, most))
-        if self._server in ready:
-            client, _ = self._server.accept()
-            client.setblocking(False)
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._clients.append(client)
+        ready, _, _ = select.select([self._master] if self._is_open() else [], [], [], min(wait, most))
         if self._master in ready:
             with contextlib.suppress(OSError):
                 self._write(self.board.receive(os.read(self._master, 4096), time.monotonic()))
@@ -102,34 +91,16 @@ class EmulatedBench:
                 os.write(self._master, data)
 
     def _move(self, now: float, period: float) -> None:
-        """The board's outputs move the arm for a frame, its gauges reach the board and its poses the tracker's clients."""
+        """The board's outputs move the arm for a frame, its gauges reach the board and its points the tracker."""
         self._rig.apply(self.board.outputs(now, period))
         sample = self._rig.read()
         zeros = np.zeros(self._rig.layout.inputs // 2)
         self.board.sense(zeros if sample.pressures is None else sample.pressures, zeros if sample.tensions is None else sample.tensions)
-        data = b"".join(self._pose(name, point) for name, point in zip(self._link.devices, sample.points, strict=True))
-        for client in self._clients.copy():
-            try:
-                client.sendall(data)
-            except OSError:
-                client.close()
-                self._clients.remove(client)
-
-    def _pose(self, device: str, point: np.ndarray) -> bytes:
-        """A TRANSFORM message; of a lost sensor the identity, and its metadata say so."""
-        from pyigtl import TransformMessage
-
-        pose, seen = np.eye(4), bool(np.isfinite(point).all())
-        if seen:
-            pose[:3, 3] = self._link.units_per_m * point
-        message = TransformMessage(pose, timestamp=time.time(), device_name=device)
-        message.header_version, message.metadata = 2, VALID if seen else {"TransformValid": "False", "TransformStatus": "MISSING"}
-        return bytes(message.pack())
+        self._tracker.show(sample)
 
     def close(self) -> None:
-        """Take port and server away; a second time does nothing."""
-        for each in (*self._clients, self._server):
-            each.close()
+        """Take port and tracker away; a second time does nothing."""
+        self._tracker.close()
         if self._master >= 0:
             os.close(self._master)
             self._master = -1
@@ -143,6 +114,26 @@ class EmulatedBench:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Close."""
         self.close()
+
+
+class _Tracker(Protocol):
+    """Lets others see the arm."""
+
+    def show(self, sample: Sample) -> None:
+        """Send what a sample has, or what the arm looks like now."""
+        ...
+
+    def close(self) -> None:
+        """End all connections; a second time does nothing."""
+        ...
+
+
+def _tracker_of(link: TrackerLink, rig: SimulatedRig) -> _Tracker:
+    if link.kind != "webcam":
+        return PoseServer(link)
+    from tepm_opt.hw.emulation.camera import EmulatedCamera
+
+    return EmulatedCamera(link, rig)
 
 
 def _open_terminal(link: Path) -> int:
