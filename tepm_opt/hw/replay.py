@@ -108,7 +108,8 @@ class ReplayRig:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Nothing to stop."""
+        """Stop."""
+        self.stop()
 
     def _declared_noise(self) -> DeclaredNoise:
         """The noise that the robot file declares, of which points in the recording have a fifth at least: a recording may be of something

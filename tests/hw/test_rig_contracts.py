@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from tepm_opt.hw import registry
 from tepm_opt.hw.registry import RigKind, open_rig
 from tepm_opt.hw.rig import Rig
+from tepm_opt.models.robot import load_robot
 from tepm_opt.testing import RigContract
+from tests.hw.test_emulation import bench
+from tests.hw.test_simulated import recording
+
+__all__ = ["bench"]  # a fixture
 
 
-class TestPrototype(RigContract):
-    """The virtual prototype, compiled or in MuJoCo."""
+class TestSimulated(RigContract):
+    """The virtual prototype, compiled or in MuJoCo, and the bench of one actuator."""
 
     @pytest.fixture(autouse=True, params=["sim", "sim:perfect", pytest.param("sim@mujoco", marks=pytest.mark.slow), "bench"])
     def _which(self, request: pytest.FixtureRequest) -> None:
@@ -20,6 +27,35 @@ class TestPrototype(RigContract):
     def open_rig(self) -> Rig:
         """The rig of this text."""
         return open_rig(self.text)
+
+
+class TestReplay(RigContract):
+    """A run that is played again."""
+
+    @pytest.fixture(autouse=True)
+    def _recorded(self, tmp_path: Path) -> None:
+        path = Path(recording(tmp_path))
+        *head, row, _ = path.read_text().splitlines()
+        rows = [f"{0.01 * k:g},{row.partition(',')[2]}" for k in range(20)]
+        path.write_text("\n".join([*head, *rows]) + "\n")
+        self.text = f"replay:{path}"
+
+    def open_rig(self) -> Rig:
+        """The rig of this run."""
+        return open_rig(self.text)
+
+
+@pytest.mark.slow
+class TestSerial(RigContract):
+    """The robot behind its board, which is emulated, with a tracker."""
+
+    @pytest.fixture(autouse=True)
+    def _emulated(self, bench: str) -> None:
+        self.text = bench
+
+    def open_rig(self) -> Rig:
+        """The rig behind the emulated port."""
+        return open_rig(self.text, load_robot(Path(self.text.removeprefix("serial:")).parent / "robot.toml"))
 
 
 def test_a_rig_can_be_plugged_in() -> None:
