@@ -123,7 +123,13 @@ class TrackerMeasurement:
 
 
 def sine_of(robot: Robot, actuator: int, pressure: bool, period: float) -> SetPoints:
-    """A slow sine of one tendon, or of one muscle where `pressure`, from zero and back to it.
+    """A slow sine of one tendon or muscle, from zero and back to it.
+
+    Args:
+        robot: with the limits.
+        actuator: number of it, from 0, module by module.
+        pressure: whether its muscle moves rather than its tendon.
+        period: of the sine in s.
 
     Raises:
         InputError: the robot gives this actuator nothing to move with.

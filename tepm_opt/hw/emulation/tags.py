@@ -36,7 +36,7 @@ class Camera:
 
     @property
     def calibration(self) -> CameraCalibration:
-        """As a perfect calibration gives it."""
+        """The calibration that a perfect one would find."""
         first, second, third = ((float(row[0]), float(row[1]), float(row[2])) for row in self.matrix)
         return CameraCalibration(width_px=self.width, height_px=self.height, matrix_px=(first, second, third))
 
@@ -144,7 +144,7 @@ class NetworkCamera:
 
     @property
     def address(self) -> str:
-        """For whoever looks through it."""
+        """Address of the stream for whoever looks through the camera."""
         return f"http://127.0.0.1:{self._port}/"
 
     def start(self) -> None:
