@@ -72,9 +72,9 @@ class TestRigidBodies(TrackerContract):
         devices = ("New", *BODIES[1:])
         try:
             with open_link(server.link.model_copy(update={"devices": devices}), stale_periods=60) as tracker:
-                self._until(tracker, lambda frame: bool(np.isnan(frame.points[0]).all()))
+                self._wait_for_frame(tracker, lambda frame: bool(np.isnan(frame.points[0]).all()))
                 server.motive.bodies, server.motive.param = devices, 2
-                self._until(tracker, lambda frame: bool(np.isfinite(frame.points).all()))
+                self._wait_for_frame(tracker, lambda frame: bool(np.isfinite(frame.points).all()))
         finally:
             server.stop()
 
@@ -87,7 +87,7 @@ class TestRigidBodies(TrackerContract):
             with self._open(server) as tracker:
                 tracker.first(PATIENCE_S)
                 server.motive.damaged = True
-                self._until(tracker, lambda _: tracker.statistics.reconnects > 0)
+                self._wait_for_frame(tracker, lambda _: tracker.statistics.reconnects > 0)
         finally:
             server.stop()
 
