@@ -44,7 +44,7 @@ def hurry(environment: dict[str, str]) -> None:
 
 @pytest.mark.slow
 def test_from_an_empty_folder_to_a_closed_loop(environment: dict[str, str], tmp_path: Path) -> None:
-    """All commands but the installation; the tip of the closed loop follows the circle, however busy the machine."""
+    """All commands but the installation; the tip of the closed loop follows the circle, before other work of the machine."""
     follow_page(environment, tmp_path / "folder", "", "tepm")
 
 

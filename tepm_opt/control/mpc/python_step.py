@@ -116,7 +116,7 @@ class PythonStep:
             state.taken = None
 
     def _prepared(self, row: int) -> Prepared:
-        """What is ready for a sample at a row of the reference."""
+        """The preparation for a sample at a row of the reference."""
         self._note()
         state, reference, settings = self._state, self._setup.reference, self._setup.filter
         estimator, actuators = copy.copy(state.estimator), state.actuators.copy()

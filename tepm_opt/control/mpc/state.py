@@ -92,7 +92,7 @@ class MpcState:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What is ready before a sample.
+    """Results that are ready before a sample comes.
 
     Attributes:
         row: of the reference, at which the sample is expected; `ahead` periods later a new command can act.
@@ -120,7 +120,7 @@ class Prepared:
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """What will be when a new command can act: [q, q'] about the operating point, the actuators, which way hysteresis pulls."""
+    """State at the time when a new command can act: [q, q'] about the operating point, the actuators, which way hysteresis pulls."""
 
     motion: np.ndarray
     actuators: Actuators

@@ -80,7 +80,7 @@ class StepSetup:
 
     @staticmethod
     def of(model: CompiledModel, reference: Reference, settings: MpcSettings, computing: float) -> StepSetup:
-        """What follows from a model and settings for a reference that has not begun.
+        """The set-up of a model and settings, for a reference that has not begun.
 
         Args:
             model: compiled.
