@@ -129,7 +129,7 @@ def filter_inputs(model: CompiledModel, run: Run, progress: Progress = silent) -
             state.sent.postpone(state.actuators.adopt_delay(PERIOD))
             state.noise.add(sample.points)
             points[row], last = sample.points, row
-        state.actuators.command = state.sent.acting(row)
+        state.actuators.command = state.sent.command_at(row)
         forces.append(state.actuators.advance() + state.effects.forces)
         tensions.append(state.actuators.tension)
         progress("replaying the log", row + 1, len(targets))

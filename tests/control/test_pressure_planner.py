@@ -206,7 +206,7 @@ def test_a_gauge_that_jumps_further_than_a_motor_can_is_not_believed():
 
 def numbered(line: CommandDelayLine, rows: range) -> list[float]:
     """Pressures of the commands in force over periods."""
-    return [float(line.acting(row).pressures[0]) for row in rows]
+    return [float(line.command_at(row).pressures[0]) for row in rows]
 
 
 def test_commands_on_their_way() -> None:

@@ -40,7 +40,7 @@ class CommandDelayLine:
         self._zero = time if self._zero is None else self._zero
         return round((time - self._zero) / self._period)
 
-    def acting(self, row: int) -> Command:
+    def command_at(self, row: int) -> Command:
         """The command in force at the middle of a row's period; the oldest one that is known where none was yet."""
         start = (self._zero or 0.0) + row * self._period
         middle = (start + (start + self._period)) / 2

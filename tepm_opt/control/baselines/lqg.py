@@ -207,7 +207,7 @@ class Lqg:
         """Bring filter and actuators up to the sample; a point that is not there corrects nothing."""
         row = self._sent.take_time(sample.time)
         for passed in range(self._row, row):
-            self._actuators.command = self._sent.acting(passed)
+            self._actuators.command = self._sent.command_at(passed)
             moved, forces = slice(0, 2 * self._modes), self._actuators.advance() + self._effects.forces
             pushed = self._at.operating.advance(np.zeros(2 * self._modes), forces)
             self._state = self._at.A @ self._state
@@ -233,7 +233,7 @@ class Lqg:
         motion, actuators, now = self._state[: 2 * self._modes], self._actuators.copy(), self._at.operating
         unknown = self._state[2 * self._modes :][: self._actuated]
         for at in range(self._row, self._row + self._sent.ahead):
-            actuators.command = self._sent.acting(at)
+            actuators.command = self._sent.command_at(at)
             motion = now.advance(motion, actuators.advance() + self._effects.forces + unknown)
         return now.turned(motion, then.operating), actuators
 

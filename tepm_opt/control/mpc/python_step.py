@@ -122,7 +122,7 @@ class PythonStep:
         estimator, actuators = copy.copy(state.estimator), state.actuators.copy()
         estimator.noise = state.noise.measured
         for passed in range(state.row, row):
-            actuators.command = state.sent.acting(passed)
+            actuators.command = state.sent.command_at(passed)
             known = actuators.advance() + state.effects.forces
             a, b = reference.at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / reference.period
@@ -148,7 +148,7 @@ class PythonStep:
         actuators.area = setup.area * (1 + estimate.strength)
         motion, turning = estimate.motion, estimate.turning
         for at, direction in enumerate(ready.directions, state.row):
-            actuators.command = state.sent.acting(at)
+            actuators.command = state.sent.command_at(at)
             before, known = actuators.pressure, actuators.advance()
             turning = turned(turning, setup.area * (actuators.pressure - before), setup.filter.hysteresis_width)
             friction = estimate.friction * direction * state.estimator.loaded(actuators.tension) + estimate.hysteresis * turning
