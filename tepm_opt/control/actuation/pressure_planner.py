@@ -75,7 +75,7 @@ class PressurePlanner:
         slope = (wanted[window:] - wanted[:-window]) / (window * PERIODS * lags.period)
         lag = np.where(slope > 0, *lags.times)
         lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + lag * slope, 0.0), self.limits)
-        new = self._moved(lead[0], command, lags)
+        new = self._round_moves(lead[0], command, lags)
         reached = np.empty((stages, len(command)))
         for k in range(stages):  # later moves are not decided yet: they will follow the need
             goal = np.minimum(np.maximum(new + lead[min(k, len(lead) - 1)] - lead[0], 0.0), self.limits)
@@ -83,7 +83,7 @@ class PressurePlanner:
             reached[k] = pressure
         return new, reached
 
-    def _moved(self, wanted: np.ndarray, command: np.ndarray, lags: RegulatorLags) -> np.ndarray:
+    def _round_moves(self, wanted: np.ndarray, command: np.ndarray, lags: RegulatorLags) -> np.ndarray:
         if not self.step:
             return wanted
         most, lag = self.settings.deadband, np.where(wanted > command, *lags.times)

@@ -114,9 +114,9 @@ class EmulatedBoard:
         values |= {"sequence": self._sequence % 0x10000, "count": self._told, "session": self._session, "state": int(self.state)}
         values |= {"enabled": sum(1 << k for k in range(self._count) if self._enabled[k]), "time_ms": round(1e3 * (now - self._began))}
         values |= {"refused": self._refused, "stale": self._stale, "good": self._decoder.good % 0x10000, "bad": self._decoder.bad % 0x10000}
-        values["dynamometers"] = _whole(lines.counts_zero + lines.counts * tensions, 0xFFFF)
-        values["monitors"] = _whole(lines.monitor_zero + lines.monitor * pressures, 0xFFFF)
-        values["positions"] = _whole(lines.steps * self._tensions, 0x7FFF)
+        values["dynamometers"] = _to_counts(lines.counts_zero + lines.counts * tensions, 0xFFFF)
+        values["monitors"] = _to_counts(lines.monitor_zero + lines.monitor * pressures, 0xFFFF)
+        values["positions"] = _to_counts(lines.steps * self._tensions, 0x7FFF)
         return frame(STATUS.pack(**values))
 
     def _hello(self) -> bytes:
@@ -157,6 +157,6 @@ class EmulatedBoard:
         self._sequence, self._heard = values["sequence"], now
 
 
-def _whole(values: np.ndarray, most: int) -> tuple[int, ...]:
+def _to_counts(values: np.ndarray, most: int) -> tuple[int, ...]:
     """Counts for all channels of a board."""
     return (*(int(value) for value in np.clip(np.round(values), 0, most)), *[0] * (CHANNELS - len(values)))
