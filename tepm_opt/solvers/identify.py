@@ -266,7 +266,14 @@ def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.nd
         meat += scores.T @ scores
     square, meat = square * np.outer(scale, scale), meat * np.outer(scale, scale)
     inverse = np.linalg.pinv(square + known, hermitian=True)
-    white = inverse  # what white noise alone leaves
-    cov = inverse @ (meat + known_scores) @ inverse
-    cov = np.where(np.eye(count, dtype=bool), np.maximum(np.diag(cov), np.diag(white)), cov)
-    return cov * np.outer(scale, scale)
+    return _at_least(inverse @ (meat + known_scores) @ inverse, inverse) * np.outer(scale, scale)
+
+
+def _at_least(covariance: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """A covariance that in no direction is smaller than another one, here than what white noise alone leaves."""
+    size, axes = np.linalg.eigh(least)
+    root = axes * np.sqrt(np.maximum(size, 0.0))  # root @ root.T is `least`
+    whitened = np.linalg.pinv(root)
+    ratio, directions = np.linalg.eigh(whitened @ covariance @ whitened.T)
+    root = root @ directions
+    return (root * np.maximum(ratio, 1.0)) @ root.T

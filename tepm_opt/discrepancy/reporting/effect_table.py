@@ -40,17 +40,25 @@ def describe_place(effect: Named) -> str:
 
 
 def describe_sizes(effect: Named) -> list[str]:
-    """Values of an effect's parameters; those not significantly different from nominal by name only, or not at all where of its shape."""
+    """Values of an effect's parameters; those not significantly different from nominal by name only, or not at all where of its shape.
+
+    Where no strength differs and there is a shape, it acts, but how strongly is known only together with the shape: all values are told.
+    """
     parts, null = [], dict[str, list[str]]()
+    shapes = {name for name in effect.parameters if f"{effect.candidate.label}.{name}" in effect.candidate.shapes}
+    strengths = [value for name, value in effect.parameters.items() if name not in shapes or not value.nominal]
+    together = bool(shapes) and not any(value.clear for value in strengths)
     for name, value in effect.parameters.items():
-        if not value.clear:
-            if f"{effect.candidate.label}.{name}" not in effect.candidate.shapes:
+        if not value.clear and not together:
+            if name not in shapes:
                 null.setdefault(with_unit(value.nominal, value.unit) if value.nominal else "0", []).append(name.replace("_", " "))
             continue
         factor, unit = _readable_unit(value.unit)
         if factor * abs(value.value) >= 1e4:  # too long a number in a small unit
             factor, unit = 1.0, value.unit
         parts.append(f"{name.replace('_', ' ')} {with_deviation(factor * value.value, factor * value.std)} {unit}")
+    if together:
+        return [*parts, "known only together"]
     return parts + [f"{' and '.join(names)} not significantly different from {nominal}" for nominal, names in null.items()]
 
 
