@@ -68,7 +68,7 @@ def candidates(model: Model) -> tuple[Candidate, ...]:
 def wrong_values(model: Model) -> tuple[Candidate, ...]:
     """Causes that a value of the robot file is wrong, beyond its prior or although it is taken to be right; one for every value.
 
-    A value may be half or twice that of the file. A probe of 5 % is visible and still nearly linear.
+    A value may be a tenth or ten times that of the file. A probe of 5 % is visible and still nearly linear.
     """
     nominal = model.robot.parameters.model_dump()
     return tuple(
@@ -81,7 +81,7 @@ def wrong_values(model: Model) -> tuple[Candidate, ...]:
             part="parameter",
             acts=("axial", "force", "measurement"),
             exact="s/m" not in UNITS[name],  # damping is somebody's formula
-            ranges={name: (value / 2, 2 * value)},
+            ranges={name: (value / 10, 10 * value)},
         )
         for name, value in nominal.items()
         if value > 0 and name in UNITS
