@@ -32,7 +32,7 @@ INTERRUPTED = Outcome(Ending.INTERRUPTED, "interrupted by the user")
 
 @dataclass(eq=False)
 class LoopRecord:
-    """What a closed loop did; a row a sample. It is filled as the loop runs, so that what was done is there if it ends early.
+    """Record of a closed loop, one row a sample. It is filled as the loop runs, so that what was done is there if it ends early.
 
     Attributes:
         reference: what was to be followed.
@@ -71,7 +71,7 @@ class LoopRecord:
 
     @property
     def targets(self) -> np.ndarray:
-        """Where the tip shall be, (samples, 3) in m."""
+        """Targets of the tip, (samples, 3) in m."""
         return self.reference.path[np.array(self.rows, dtype=int)]
 
     @property
@@ -204,14 +204,14 @@ def _closed(
 ) -> None:
     """Samples and commands in turns until the reference ends or the guard stops it."""
     reference, zero, row, place = controller.reference, sample.time, -1, 0
-    while not reference.over(now := round((sample.time - zero) / reference.period)):
+    while not reference.is_over(now := round((sample.time - zero) / reference.period)):
         if now > row:  # a rig may be faster than the control period
             row = now
             began = time.perf_counter()
             command = controller.command(sample)
             seconds = time.perf_counter() - began
             rig.apply(command)
-            place = int(reference.at(row))
+            place = int(reference.rows_at(row))
             if isinstance(controller, Prepares):
                 began = time.perf_counter()
                 controller.prepare()
@@ -224,7 +224,7 @@ def _closed(
         sample = rig.read()
 
 
-def _measured(sample: Sample, count: int) -> np.ndarray:
+def _join_measured_inputs(sample: Sample, count: int) -> np.ndarray:
     if sample.pressures is None or sample.tensions is None:
         return np.full(count, np.nan)
     return np.concatenate([sample.pressures, sample.tensions])
@@ -242,7 +242,7 @@ def _note(
         watched = None if true is None else keep_out.watched(true.true_points, true.true_nodes)
         done.distance.append(np.nan if watched is None else keep_out.nearest(watched).distance)
     done.commands.append(command)
-    done.measured.append(_measured(sample, 2 * len(command.pressures)))
+    done.measured.append(_join_measured_inputs(sample, 2 * len(command.pressures)))
     done.seconds.append(seconds)
     told = controller.telemetry()
     done.telemetry.append(replace(told, doubts={**told.doubts, **sample.faults}) if sample.faults else told)

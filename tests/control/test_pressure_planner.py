@@ -7,7 +7,7 @@ from tepm_opt.control.actuation.actuators import Actuators, InputEffects
 from tepm_opt.control.actuation.delay_line import MOST_LATE, CommandDelayLine
 from tepm_opt.control.actuation.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
-from tepm_opt.control.estimation.dahl_friction import course, turned
+from tepm_opt.control.estimation.dahl_friction import dahl_sequence, dahl_step
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.devices import Devices
@@ -276,10 +276,10 @@ def test_hysteresis_trails_by_its_width():
 
 def test_friction_turns_over_within_its_distance():
     """1 − 2 exp(−x / distance) after a reversal, however the way is cut into pieces; at rest it stays."""
-    one = turned(np.array([-1.0]), np.array([1e-3]), 5e-4)
+    one = dahl_step(np.array([-1.0]), np.array([1e-3]), 5e-4)
     assert one == pytest.approx(1 - 2 * np.exp(-2))
-    pieces = course(np.array([-1.0]), np.full((10, 1), 1e-4), 5e-4)
+    pieces = dahl_sequence(np.array([-1.0]), np.full((10, 1), 1e-4), 5e-4)
     assert pieces[-1] == pytest.approx(one)
-    assert pieces[4] == pytest.approx(turned(np.array([-1.0]), np.array([5e-4]), 5e-4))
-    assert turned(np.array([0.3]), np.zeros(1), 5e-4) == 0.3
-    assert course(np.array([0.3]), np.zeros((3, 1)), 5e-4)[-1] == pytest.approx(0.3)
+    assert pieces[4] == pytest.approx(dahl_step(np.array([-1.0]), np.array([5e-4]), 5e-4))
+    assert dahl_step(np.array([0.3]), np.zeros(1), 5e-4) == 0.3
+    assert dahl_sequence(np.array([0.3]), np.zeros((3, 1)), 5e-4)[-1] == pytest.approx(0.3)
