@@ -47,7 +47,7 @@ def path_for(model: CompiledModel, name: str, **given: Any) -> Trajectory:
     whole = robot.modules * robot.parameters.L_0 / PAPER
     path = _placed(robot, shape, whole, given)
     if not sizes <= given.keys():
-        nominal = model if model.model == Model.of(robot) else compile_model(robot)
+        nominal = model if model.model == Model.from_robot(robot) else compile_model(robot)
         path = next((each for share in SHARES if _in_reach(nominal, each := _placed(robot, shape, share * whole, given))), path)
     if np.array_equal(path.positions, shape.make(**given).positions):
         return path

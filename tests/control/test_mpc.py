@@ -364,7 +364,7 @@ def test_friction_of_the_model_is_where_the_filter_starts_and_nothing_else(kang,
 def test_a_model_that_knows_the_friction_steers_no_worse():
     """As the library's effect was fitted to a prototype with nothing but that, two noises: 0.82 mm without it and 0.79 when written."""
     file = alone(("tendon_friction",))
-    known = Model.of(ROBOT).with_effect("tendon_friction", constant=0.0218, share=0.267, released=1.0, distance=4.06)
-    without, knowing = (error(file, compile_model(model), (31, 32)) for model in (Model.of(ROBOT), known))
+    known = Model.from_robot(ROBOT).with_effect("tendon_friction", constant=0.0218, share=0.267, released=1.0, distance=4.06)
+    without, knowing = (error(file, compile_model(model), (31, 32)) for model in (Model.from_robot(ROBOT), known))
     assert knowing <= 1.05 * without
     assert without < 1.2

@@ -195,7 +195,7 @@ EFFECTS = {
 @pytest.mark.parametrize("kinds", [("maps",), ("memories",), ("devices",), tuple(EFFECTS)], ids=" and ".join)
 def test_the_same_with_effects_on_inputs(kinds: tuple[str, ...], recorded, compiler: str) -> None:
     """What a found model has beside the nominal one; nothing of it is in Python only."""
-    model = Model.of("kang2017")
+    model = Model.from_robot("kang2017")
     for name, (detail, values) in [each for kind in kinds for each in EFFECTS[kind].items()]:
         model = model.with_effect(name, detail, **values)
     compiled = compile_model(model)
@@ -213,7 +213,7 @@ ROBOTS = {
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_same_on_other_robots(robot, compiler):
     """Programs of an odd number of tensions among them; pushed off the reference half way."""
-    model = compile_model(Model.of(variant(**ROBOTS[robot])))
+    model = compile_model(Model.from_robot(variant(**ROBOTS[robot])))
     time, muscles = np.linspace(0, 1, 60)[:, None], np.arange(model.layout.inputs // 2)
     reference = reference_by_forces(model, 3 * np.sin(2 * np.pi * time + muscles) * np.minimum(1, 4 * time))
     random, places = np.random.default_rng(0), [at.points for at in reference.equilibria]

@@ -176,7 +176,7 @@ class TestWithoutASpring:
 
     @pytest.mark.slow
     def test_an_arm_without_stiffness_says_so(self) -> None:
-        found = solve_statics(compile_model(Model.of("kang2017").with_parameters(K_a=0.0), backend="python"), np.zeros(12))
+        found = solve_statics(compile_model(Model.from_robot("kang2017").with_parameters(K_a=0.0), backend="python"), np.zeros(12))
         assert "nothing holds the robot" in found.outcome.message
 
     @pytest.mark.slow

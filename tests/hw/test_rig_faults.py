@@ -20,7 +20,7 @@ from tepm_opt.models.robot import load_robot
 from tepm_opt.solvers.trajectories import circle
 from tests.hw.test_freshness import samples
 
-LAYOUT = Layout.of(load_robot("kang2017"))
+LAYOUT = Layout.from_robot(load_robot("kang2017"))
 
 
 def faulty(*faults: dict[str, object]) -> RigFile:

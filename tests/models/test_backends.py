@@ -15,14 +15,14 @@ from tepm_opt.models.model import Model
 from tests.tools import random_directions, random_inputs, relative, variant, with_all_effects
 
 MODELS = {
-    "kang2017": lambda: Model.of("kang2017"),
-    "one module of four actuators": lambda: Model.of(
+    "kang2017": lambda: Model.from_robot("kang2017"),
+    "one module of four actuators": lambda: Model.from_robot(
         variant(geometry={"modules": 1, "segments_per_module": 5, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0)})
     ),
-    "one segment of five uneven actuators": lambda: Model.of(
+    "one segment of five uneven actuators": lambda: Model.from_robot(
         variant(geometry={"modules": 1, "segments_per_module": 1, "actuator_angles_deg": (0.0, 60.0, 150.0, 200.0, 300.0)})
     ),
-    "all effects": lambda: with_all_effects(Model.of("kang2017")),
+    "all effects": lambda: with_all_effects(Model.from_robot("kang2017")),
 }
 
 

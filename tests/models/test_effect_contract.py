@@ -32,8 +32,8 @@ from tests.tools import PRECISE, observed, one_sided_slope, random_directions, r
 
 STATIC_HOOKS = ("inputs", "properties", "loads", "edge_energy", "tendon_energy", "outputs")
 MOTION_HOOKS = ("pressure_memory", "tension_memory", "edge_memory", "edge_drag", "point_drag", "delay")
-NOMINAL = Model.of("kang2017")
-LAYOUT = Layout.of(NOMINAL.robot)
+NOMINAL = Model.from_robot("kang2017")
+LAYOUT = Layout.from_robot(NOMINAL.robot)
 AT_REST, IN_MOTION = 12.33, 9.0  # s, times in the session for effects that ask: of statics, and when motions begin
 
 

@@ -60,7 +60,7 @@ TOYS = (ToyHose(), ToyFluid(), ToyRub())
 def model() -> Iterator[Model]:
     for toy in TOYS:
         register(toy)
-    found = Model.of("kang2017")
+    found = Model.from_robot("kang2017")
     for toy in TOYS:
         found = found.with_effect(toy.name)
     yield found

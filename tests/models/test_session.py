@@ -35,7 +35,7 @@ def setpoints(kang: CompiledModel) -> SetPoints:
 @pytest.fixture(scope="module")
 def company() -> CompiledModel:
     """All effects at their null values."""
-    model = compile_model(with_all_effects(Model.of("kang2017")))
+    model = compile_model(with_all_effects(Model.from_robot("kang2017")))
     return at(model, {})
 
 

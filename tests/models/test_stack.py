@@ -124,7 +124,7 @@ def frames(unit: Unit, folder: Path) -> dict[str, int]:
 def test_no_function_takes_more_stack_for_more_segments(tmp_path: Path) -> None:
     sizes: list[dict[str, int]] = []
     for segments in (2, 12):
-        model = Model.of(variant(geometry={"segments_per_module": segments}))
+        model = Model.from_robot(variant(geometry={"segments_per_module": segments}))
         model = with_all_candidates(model, candidates(model))
         network, dynamics = write_network(model), write_dynamics(model)
         units = {"statics": statics_unit(network), "one": stepping_unit(dynamics)}

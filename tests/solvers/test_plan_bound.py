@@ -30,7 +30,7 @@ def fastest(kang: CompiledModel) -> MotionPlan:
 @pytest.mark.slow
 def test_is_within_a_third_of_the_linear_arm_s_shortest_time(kang: CompiledModel, fastest: MotionPlan) -> None:
     ends = tuple(solve_ik(kang, np.array(tip)) for tip in (START, END))
-    local, devices = modal_model(solve_statics(kang, between(kang, ends))), Devices.of(kang)
+    local, devices = modal_model(solve_statics(kang, between(kang, ends))), Devices.from_model(kang)
     shortest = {lag: lowest_time(local, ends, devices, lag, (0.0, 7.0)) for lag in (devices.filling, devices.exhausting)}
     assert shortest[0.12] == pytest.approx(0.27, abs=0.015)
     assert shortest[0.24] == pytest.approx(0.35, abs=0.015)

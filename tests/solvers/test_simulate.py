@@ -18,7 +18,7 @@ from tests.models.test_time_stepping import gentle
 from tests.paths import reference
 from tests.tools import in_company, slope
 
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 
 
 def setpoints(time, inputs=None, force=None):

@@ -91,7 +91,7 @@ class Lqg:
     def __init__(self, model: CompiledModel, reference: Reference, settings: LqgSettings = DEFAULT) -> None:
         self.model, self.reference, self.settings = model, reference, settings
         robot, half = model.robot, model.layout.inputs // 2
-        self.area, self.devices, self.period = model.values["A"], Devices.of(model), reference.period
+        self.area, self.devices, self.period = model.values["A"], Devices.from_model(model), reference.period
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
         age = robot.tracker.latency_s if robot.tracker else 0.0
         step, planner = robot.actuation.pressure_step, settings.pressure_planner

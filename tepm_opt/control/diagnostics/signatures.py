@@ -88,7 +88,7 @@ class Signatures:
     def __init__(self, model: CompiledModel, reference: Reference, first: Command) -> None:
         self._reference, count, robot = reference, len(first.tensions), model.robot
         self._area, self._stiffness, self._length = (model.values[name] for name in ("A", "K_a", "L_0"))
-        self._devices, self._middle = Devices.of(model), robot.input_max[count:] / 2
+        self._devices, self._middle = Devices.from_model(model), robot.input_max[count:] / 2
         self._late = (robot.tracker.latency_s if robot.tracker else 0.0) + self._devices.delay
         self._turn, self._gravity = robot.mount.rotation, np.array(robot.mount.gravity_m_per_s2, dtype=float)
         self._tilts = [self._turn.T @ -np.cross(axis, self._gravity) for axis in np.eye(3)[:2]]

@@ -106,7 +106,7 @@ def retimed(
 
 def _by_forces(model: CompiledModel, s: np.ndarray, forces: np.ndarray, settings: PaceSettings, closed: bool) -> np.ndarray:
     """Speeds in m/s, (points,), at which forces (points, actuators) in N along s change as fast as motors and regulators can."""
-    devices, half = Devices.of(model), forces.shape[1]
+    devices, half = Devices.from_model(model), forces.shape[1]
     area, limits = model.values["A"], model.robot.input_max
     middle = limits[half:] / 2
     pushed = np.clip(forces + middle, 0.0, area * limits[:half])

@@ -1,4 +1,4 @@
-"""What the backends take and leave, whichever does it: statuses, constants, arguments and results."""
+"""Interface of the backends in C and in Python: statuses, constants, arguments and results."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ IMPLICIT, EXPLICIT, MODES, GUARDS = 0, 1, 10, 4  # schemes; modes of the slow mo
 
 
 class Status(IntEnum):
-    """How a call of a backend ended."""
+    """Status with which a call of a backend ended."""
 
     SOLVED = 0
     UNSTABLE = 1
@@ -89,11 +89,11 @@ SHARED: Mapping[str, float] = {
     "STAGE_ITERATIONS": STAGE_ITERATIONS, "MAX_HALVINGS": MAX_HALVINGS, "IMPLICIT": IMPLICIT, "EXPLICIT": EXPLICIT,
     **{status.name: status.value for status in Status},
 }  # fmt: skip
-"""What the C is told as macros."""
+"""Constants that the C gets as macros."""
 
 
 class Solution(NamedTuple):
-    """What `StaticsBackend.statics` returns: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
+    """Result of `StaticsBackend.statics`: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
     largest residual force in N, energy in J."""
 
     status: Status
@@ -106,7 +106,7 @@ class Solution(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Allotment:
-    """How axial forces become inputs, F_a = p A − λ (Eq. (3)), through the effects' input maps.
+    """Rule by which axial forces become inputs, F_a = p A − λ (Eq. (3)), through the effects' input maps.
 
     Attributes:
         area: A in m².
@@ -125,7 +125,7 @@ class Allotment:
 
 @dataclass(frozen=True, eq=False)
 class InverseProblem:
-    """What the inverse kinematics of many targets have in common; one that has as many weighted sums as actuators.
+    """Problem that the inverse kinematics of many targets have in common, with as many weighted sums as actuators.
 
     Attributes:
         external: forces on the points in G, (3 · points,) in N.
@@ -171,7 +171,7 @@ class Pose(NamedTuple):
 
 
 class StaticsBackend(Protocol):
-    """What a backend offers; arrays are float64 and C-contiguous, levels x have the shape (n + 1, block)."""
+    """Backend of statics and inverse kinematics; arrays are float64 and C-contiguous, levels x have the shape (n + 1, block)."""
 
     def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Effective actuation a = [pressures, tensions] behind the effects' input maps."""
@@ -292,7 +292,7 @@ class StaticsBackend(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What moves a network over time, and the directions in which to differentiate.
+    """Inputs and forces that move a network over time, and the directions in which to differentiate.
 
     Attributes:
         time: of the samples in s, increasing, (samples,).
@@ -316,7 +316,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Scheme:
-    """How to step in time.
+    """Settings of the integration in time.
 
     Attributes:
         kind: IMPLICIT or EXPLICIT.
@@ -335,7 +335,7 @@ class Scheme:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What a time stepper leaves at the samples.
+    """Motion at the samples, as a time stepper records it.
 
     Attributes:
         observed: points in G, then lengths, (samples, 3 · points + lengths) in m.
@@ -361,7 +361,7 @@ class Record:
 
 @dataclass
 class Effort:
-    """What a time stepper took: steps, Newton iterations, factorisations, halved steps, time reached in s; of adaptive steps the
+    """Work of a time stepper: steps, Newton iterations, factorisations, halved steps, time reached in s; of adaptive steps the
     estimated error in m so far; the longest step in s."""
 
     steps: float = 0
@@ -374,7 +374,7 @@ class Effort:
 
 
 class TimeStepper(Protocol):
-    """What a backend offers."""
+    """Integrator of the motion in time, as a backend has it."""
 
     dynamics: Dynamics
 

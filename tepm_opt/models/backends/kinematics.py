@@ -82,10 +82,10 @@ class PythonKinematics(PythonStatics):
             inputs[:half] = on_grid(inputs, allotment.grid, allotment.limit)[:half]
             self._correct(inputs, forces, allotment, theta, slice(half, None), -1.0)
         rounded = on_grid(inputs, allotment.grid, allotment.limit)
-        return inputs, rounded, float(np.abs(self._missing(inputs, forces, allotment, theta)).max())
+        return inputs, rounded, float(np.abs(self._compute_missing_forces(inputs, forces, allotment, theta)).max())
 
-    def _missing(self, inputs: np.ndarray, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> np.ndarray:
-        """Axial forces that the inputs miss in N."""
+    def _compute_missing_forces(self, inputs: np.ndarray, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> np.ndarray:
+        """Axial forces in N that the inputs do not make, (actuators,)."""
         effective, half = self.actuation(inputs, theta), len(forces)
         return forces - (allotment.area * effective[:half] - effective[half:])
 
@@ -93,7 +93,7 @@ class PythonKinematics(PythonStatics):
         """Change one part of the inputs in place, within limits, until the forces are met or nothing moves."""
         boost, before = np.ones(len(forces)), np.full(len(forces), np.inf)
         for _ in range(ALLOCATION_STEPS):
-            missing = self._missing(inputs, forces, allotment, theta)
+            missing = self._compute_missing_forces(inputs, forces, allotment, theta)
             if np.abs(missing).max() < ALLOCATION_PRECISION:
                 return
             unanswered = (np.abs(missing) > 0.9 * np.abs(before)) & (np.sign(missing) == np.sign(before))  # what was overshot did answer

@@ -15,7 +15,7 @@ from tepm_opt.models.backends.step_control import FIRST_STEP, LEAST, MEMORY, MOS
 
 @dataclass
 class Carried:
-    """What is carried from call to call; steps that do not adapt only have `fine`.
+    """State carried from call to call; steps that do not adapt only have `fine`.
 
     `step` is to be tried next in s, `ratio` what the last pair added over what it may, `error` the largest so far in m, `moved` the
     largest way of a pair of late in m.
@@ -59,7 +59,7 @@ def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> 
         except Unsolved:
             status = Status.STUCK
         else:
-            error, added, interpolated, moved = _judged(start, middle, carried, h)
+            error, added, interpolated, moved = _measure_errors(start, middle, carried, h)
             error, added = error / run.divisor, added / run.divisor
             carried.moved = max(moved, start.moved * np.exp(-2 * h / STILL))
             aim = min(
@@ -85,8 +85,10 @@ def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> 
         run.effort.reached = t
         while sample <= last and time[sample] <= t + JUMP_TIME:
             part, off = float(time[sample] - begun) / (2 * h), 1 / RICHARDSON if scheme.smooth else 0.0
-            x, v = _between(start, middle, carried, part, h, off, lambda state: (state.x, state.v))
-            d_x = _between(start, middle, carried, part, h, off, lambda state: (state.d["x"], state.d["v"]))[0] if carried.fine.d else None
+            x, v = _interpolate_pair(start, middle, carried, part, h, off, lambda state: (state.x, state.v))
+            d_x = None
+            if carried.fine.d:
+                d_x, _ = _interpolate_pair(start, middle, carried, part, h, off, lambda state: (state.d["x"], state.d["v"]))
             run.record(record, sample, x, v, d_x)
             sample += 1
     return Status.SOLVED
@@ -97,7 +99,7 @@ def _fitting(wanted: float, left: float) -> float:
     return left / 2 if 2 * wanted > left * (1 - 1e-9) else left / 4 if 4 * wanted > left else wanted
 
 
-def _judged(start: Carried, middle: State, end: Carried, h: float) -> tuple[float, ...]:
+def _measure_errors(start: Carried, middle: State, end: Carried, h: float) -> tuple[float, ...]:
     """Distances in m, of the farthest node: of fine and coarse motion at the end of a pair, by how much the pair has changed it beside what
     the difference of the velocities explains, from an interpolation within its steps, and over the pair."""
     (x_0, v_0), (x_1, v_1) = ((c.fine.x - c.coarse.x, c.fine.v - c.coarse.v) for c in (start, end))
@@ -110,7 +112,7 @@ def _judged(start: Carried, middle: State, end: Carried, h: float) -> tuple[floa
 Pair = tuple[np.ndarray, np.ndarray]
 
 
-def _between(start: Carried, middle: State, end: Carried, part: float, h: float, off: float, of: Callable[[State], Pair]) -> Pair:
+def _interpolate_pair(start: Carried, middle: State, end: Carried, part: float, h: float, off: float, of: Callable[[State], Pair]) -> Pair:
     """Positions and velocities at a part of a pair of steps of length h, with the estimated error taken away."""
     first, half = (of(middle), of(end.fine)) if part > 0.5 else (of(start.fine), of(middle)), 2 * part - (part > 0.5)
     x, v = _hermite(*first, h, half)

@@ -92,7 +92,7 @@ class Stages:
         return t - float(self.of.values("delay", self.theta)[0][int(forces)].item())
 
     def later(self, forces: bool = False) -> np.ndarray:
-        """How much later commands, or known forces, act along the directions at the time that functions know, (directions,)."""
+        """Derivatives of the delay of commands, or of known forces, along the directions at the time that functions know, (directions,)."""
         return np.asarray(self.of._sparse("delay_by", self.theta) @ self.drive.d_theta.T)[int(forces)]
 
     def look(self, t: float, left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -97,7 +97,7 @@ class PythonTimeStepper:
         run = Run(self, drive, theta, scheme)
         run.effort.reached = float(drive.time[first])
         if first == 0:
-            run.begin(state.fine)
+            run.set_initial_state(state.fine)
             run.record(record, 0, state.fine.x, state.fine.v, state.fine.d.get("x"))
             state.coarse, state.step, state.ratio = replace(state.fine, d=dict(state.fine.d)), FIRST_STEP, 1.0
         run.take_stock(state.fine, float(drive.time[first]))

@@ -181,7 +181,8 @@ def _plan(
     obstacles: tuple[Obstacle, ...], settings: PlanSettings, progress: Progress,
 ) -> MotionPlan:  # fmt: skip
     """A plan between two targets or, with parts, along many."""
-    mid, layout, devices, whole = _check(model, objective, duration, settings), model.layout, settings.devices or Devices.of(model), model
+    mid, devices = _check(model, objective, duration, settings), settings.devices or Devices.from_model(model)
+    layout, whole = model.layout, model
     model = _without_devices(model)
 
     def none(ending: Ending, message: str) -> MotionPlan:

@@ -89,7 +89,7 @@ class StepSetup:
             computing: time in s from a sample to its command, which counts as delay.
         """
         robot, half, reference = model.robot, model.layout.inputs // 2, reference.rewind()
-        devices, tracker, period = Devices.of(model), robot.tracker, reference.period
+        devices, tracker, period = Devices.from_model(model), robot.tracker, reference.period
         pressure_max, tension_max = robot.input_max[:half], robot.input_max[half:]
         late = (tracker.latency_s if tracker else 0.0) + devices.delay
         ahead = int(max(np.ceil(late / period - 1e-9), np.ceil((late + computing) / period - SLACK)))
