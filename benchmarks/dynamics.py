@@ -135,7 +135,7 @@ def _sensitivities(step: _Step) -> Task:
     model, part = step.model, 1e-4
     names = model.network.parameter_names
     channels = [f"{kind}_{name}" for kind in ("pressure", "tension") for name in model.layout.actuator_names]
-    directions = Directions.of(model, names, channels[: DIRECTIONS - len(names)])
+    directions = Directions.from_names(model, names, channels[: DIRECTIONS - len(names)])
 
     def along(found: Simulation) -> np.ndarray:
         return np.tensordot(model.theta, found.sensitivities[: len(names), :, -1], 1)[2:].ravel()

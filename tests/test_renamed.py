@@ -6,7 +6,7 @@ from importlib import import_module
 
 import pytest
 
-from tepm_opt import Model
+from tepm_opt import Directions, Linear, Model
 
 MOVED = {
     "tepm_opt.control.estimator": "tepm_opt.control.estimation.kalman_filter",
@@ -32,7 +32,9 @@ def test_an_unknown_module_is_unknown() -> None:
             import_module(name)
 
 
-@pytest.mark.parametrize(("kind", "old", "new"), [(Model, "of", "from_robot")])
+@pytest.mark.parametrize(
+    ("kind", "old", "new"), [(Model, "of", "from_robot"), (Directions, "of", "from_names"), (Linear, "moving", "without_held_states")]
+)
 def test_a_method_is_found_by_its_old_name(kind: type, old: str, new: str) -> None:
     with pytest.warns(
         DeprecationWarning, match=rf"{kind.__name__}\.{old} is now {kind.__name__}\.{new}; the old name goes with version 0\.4"

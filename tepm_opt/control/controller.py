@@ -1,4 +1,4 @@
-"""What every controller offers, what it logs, what is asked of it, and how it is described to people."""
+"""Interface of controllers: protocol, log entry, options and description."""
 
 from __future__ import annotations
 

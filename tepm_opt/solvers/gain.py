@@ -121,7 +121,7 @@ def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = Fal
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """How the tip moves while one input runs over part of its range, all others zero (Fig. 11).
+    """Motion of the tip while one input runs over part of its range, all others zero (Fig. 11).
 
     Attributes:
         part: input over its range, (count,).

@@ -144,7 +144,7 @@ def network_matrices(at: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class Fixed:
-    """What does not change with the equilibrium: masses (coordinates,) in kg, reference points by the free levels (3 · points,
+    """Data that do not change with the equilibrium: masses (coordinates,) in kg, reference points by the free levels (3 · points,
     coordinates), and where the directions of the actuators' edges go in the matrix of `axial`, by segment."""
 
     masses: np.ndarray
@@ -166,7 +166,7 @@ class Fixed:
 
 @lru_cache(maxsize=8)
 def fixed_part(model: CompiledModel) -> Fixed:
-    """What does not change of a model; what effects make of masses and of the points is taken without inputs."""
+    """Data of a model that do not change with the equilibrium; effects on masses and points are taken without inputs."""
     layout, stepper = model.layout, model.reference_stepper
     count, block = layout.levels * layout.block, layout.block
     properties = stepper.value("properties", np.zeros(layout.inputs), np.zeros((layout.points, 3)), model.theta)

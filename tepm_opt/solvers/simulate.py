@@ -16,10 +16,11 @@ from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, Drive, Effort
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
+from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import rk4_step_limit
 from tepm_opt.solvers.statics import THROUGH_BASE, Equilibrium, solve_statics
-from tepm_opt.solvers.text import listed
+from tepm_opt.solvers.text import format_names
 
 Method = Literal["implicit", "rk4"]
 METHODS: tuple[Method, ...] = ("implicit", "rk4")
@@ -57,10 +58,10 @@ class Directions:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Directions({listed(self.names)})"
+        return f"Directions({format_names(self.names)})"
 
     @staticmethod
-    def of(model: CompiledModel, parameters: Sequence[str] = (), inputs: Sequence[str] = ()) -> Directions:
+    def from_names(model: CompiledModel, parameters: Sequence[str] = (), inputs: Sequence[str] = ()) -> Directions:
         """Unit changes of parameters by full name and of whole input histories by name ("pressure_11", "tension_23").
 
         Raises:
@@ -80,6 +81,8 @@ class Directions:
         for k, name in enumerate(inputs, start=len(parameters)):
             u[k, channels.index(name)] = 1.0
         return Directions((*parameters, *inputs), theta, u if len(inputs) else None)
+
+    of = RenamedMethod("from_names")
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +213,8 @@ class Job:
         """The main numbers, in a line."""
         return f"Job({self.method}, {len(self.drive.time)} samples in {len(self.ends)} parts)"
 
-    def ended(self, status: Status, parts: int, effort: Effort) -> Simulation:
-        """What came out after so many parts; what comes after a plate on a guide has run through the one below is none."""
+    def finish(self, status: Status, parts: int, effort: Effort) -> Simulation:
+        """Simulation after so many parts, cut where a plate on a guide has run through the one below."""
         if (through := self.model.layout.run_through(self.record.trajectory[:, 0])).any():
             first, time = int(np.argmax(through)), self.drive.time
             return self._simulation(first, effort, Outcome(Ending.FAILED, f"{THROUGH_BASE} after {time[first] - time[0]:.4g} s"))
@@ -222,8 +225,8 @@ class Job:
         message = f"the motion {why} after {effort.reached:.4g} s ({hint}; step {self.step or effort.longest:g} s)"
         return self._simulation(int(self.ends[parts - 1]) + 1 if parts else 1, effort, Outcome(status.ending, message))
 
-    def interrupted(self, parts: int, effort: Effort) -> Simulation:
-        """What there is after so many parts when the user interrupts it."""
+    def finish_interrupted(self, parts: int, effort: Effort) -> Simulation:
+        """Simulation after so many parts, as far as it is when the user interrupts it."""
         rows = int(self.ends[parts - 1]) + 1 if parts else 0
         return self._simulation(rows, effort, Outcome(Ending.INTERRUPTED, "interrupted by the user"))
 
@@ -284,12 +287,12 @@ def run(job: Job, progress: Progress) -> Simulation:
             status, effort = job.model.stepper.integrate(state, job.drive, done, int(end), job.scheme, job.model.theta, job.record)
             total = _sum(total, effort)
             if status != Status.SOLVED:
-                return job.ended(status, part, total)
+                return job.finish(status, part, total)
             done = int(end)
             progress("simulation", float(time[done] - time[0]), float(time[-1] - time[0]))
     except KeyboardInterrupt:
-        return job.interrupted(int((job.ends <= done).sum()), total)
-    return job.ended(Status.SOLVED, len(job.ends), total)
+        return job.finish_interrupted(int((job.ends <= done).sum()), total)
+    return job.finish(Status.SOLVED, len(job.ends), total)
 
 
 def stable_step(equilibrium: Equilibrium) -> float:

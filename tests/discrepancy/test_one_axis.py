@@ -157,7 +157,7 @@ class TestWithoutASpring:
     def test_its_motion_has_derivatives(self, springless: Path, backend: Literal["auto", "python"]) -> None:
         model, asked, h = compile_model(springless, backend=backend), pushed(0.3), 1e-3
         names = ["m_d", "c_a"]
-        found = simulate(model, asked, step=STEP, directions=Directions.of(model, names)).sensitivities[:, :, -1, 2]
+        found = simulate(model, asked, step=STEP, directions=Directions.from_names(model, names)).sensitivities[:, :, -1, 2]
         for name, by in zip(names, found, strict=True):
             way = [simulate(changed(model, **{name: model.values[name] + d}), asked, step=STEP).tip[:, 2] for d in (h, -h)]
             assert by == pytest.approx((way[0] - way[1]) / (2 * h), abs=1e-4 * np.abs(by).max())

@@ -417,7 +417,9 @@ def test_in_motion_its_probe_is_visible(moving, kang, excitation):
 def test_sensitivities_in_motion(driven, excitation):
     model = driven.compiled
     names = [model.network.parameter_names[at] for at in driven.own.values()]
-    found = simulate(model, excitation, step=0.01, directions=Directions.of(model, names), tolerance=1e-11, began=IN_MOTION).sensitivities
+    found = simulate(
+        model, excitation, step=0.01, directions=Directions.from_names(model, names), tolerance=1e-11, began=IN_MOTION
+    ).sensitivities
     for (parameter, _), sensitivity in zip(driven.own.items(), found, strict=True):
         size = parameter.scale
 
@@ -439,7 +441,7 @@ def test_in_motion_it_recovers_its_own_parameters(moving, excitation):
     truth = np.where([p.finer for p in own], 0.5, np.where(start, 1.3, 1.0)) * probe
     data = simulate(moving.at(dict(zip(own, truth, strict=True))), excitation, "rk4").points
     names = [moving.compiled.network.parameter_names[at] for at in moving.own.values()]
-    directions = Directions.of(moving.compiled, names)
+    directions = Directions.from_names(moving.compiled, names)
 
     def run(parts, **settings):
         return simulate(moving.at(dict(zip(own, parts * probe, strict=True))), excitation, step=0.005, **settings)

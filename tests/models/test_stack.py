@@ -56,7 +56,7 @@ def work():
     assert solve_ik(model, circle().positions[0]).solved
     time = np.arange(0, 0.1, 0.02)
     moving = SetPoints(time, np.outer(np.linspace(0.5, 1, len(time)), inputs), np.zeros((len(time), 3)))
-    assert simulate(model, moving, directions=Directions.of(model, ["K_a", "r"])).solved
+    assert simulate(model, moving, directions=Directions.from_names(model, ["K_a", "r"])).solved
     threading.stack_size(int(sys.argv[2]))
     fixed = threading.Thread(target=steps, args=(moving,))
     fixed.start()

@@ -91,7 +91,7 @@ def test_steps_go_beyond_samples(kang):
 
 def test_sensitivities_are_those_of_fine_steps(kang):
     setpoints = gentle(kang, 0.8, 41)
-    directions = Directions.of(kang, ["K_a", "c_a", "m_d"], ["pressure_11", "tension_22"])
+    directions = Directions.from_names(kang, ["K_a", "c_a", "m_d"], ["pressure_11", "tension_22"])
     fine = simulate(kang, setpoints, step=1e-3, directions=directions).sensitivities
     for error, close in ((1e-3, 1e-2), (1e-5, 1e-4)):
         found = simulate(kang, setpoints, error=error, directions=directions)

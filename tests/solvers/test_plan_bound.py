@@ -116,10 +116,10 @@ def test_derivatives_of_the_program(kang: CompiledModel, monkeypatch: pytest.Mon
     plan_move(kang, START, END, obstacles=[Sphere((0.1, 0.03, 0.35), 0.02)], settings=settings)
     program, rng = made[-1], np.random.default_rng(0)
     x = program.guess(0.6) + 0.01 * rng.normal(size=program.unknowns)
-    about = program.about(x)
+    about = program.linearise(x)
     for _ in range(5):
         way = rng.normal(size=program.unknowns)
-        ahead, behind = (program.about(x + sign * 1e-6 * way) for sign in (1, -1))
+        ahead, behind = (program.linearise(x + sign * 1e-6 * way) for sign in (1, -1))
         for name, slopes in (("values", about.slopes), ("residuals", about.residual_slopes)):
             np.testing.assert_allclose((getattr(ahead, name) - getattr(behind, name)) / 2e-6, slopes @ way, rtol=1e-4, atol=1e-4)
 

@@ -1,4 +1,4 @@
-"""What regulators and tendon motors are doing, as far as a controller knows: lags, slew, delay, and the model's input effects."""
+"""State of regulators and tendon motors, as far as a controller knows: lags, slew, delay, and the model's input effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a robot shall keep out of: spheres, boxes and a table, from a file that people write, with signed distances and normals."""
+"""Obstacles that a robot shall keep out of: spheres, boxes and a table, from a file, with signed distances and normals."""
 
 from __future__ import annotations
 

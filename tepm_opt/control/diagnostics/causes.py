@@ -1,4 +1,4 @@
-"""What may have changed in a machine: in words, and as directions of the regressions; which of them explains what was seen."""
+"""Causes of a change in a machine: in words, and as directions of the regressions; which of them explains what was seen."""
 
 from __future__ import annotations
 

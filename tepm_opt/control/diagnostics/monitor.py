@@ -24,7 +24,7 @@ from tepm_opt.models.compile import CompiledModel
 EVIDENCE = "change_evidence"
 """Column of the log: logarithm of the evidence for a change over none."""
 ABOUT = "machine"
-"""What the doubt is about."""
+"""Key of the warning in the log."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What does not make sense while a loop is closed: gauges that lie or devices that do not follow, commands that act later and a tracker
+"""Warnings while a loop is closed: gauges that lie or devices that do not follow, commands that act later and a tracker
 that is noisier than the robot file says."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a change of the machine would do to tracked points and gauges: rows of regressions, one for a block of samples.
+"""Signatures of changes of the machine in tracked points and gauges: rows of regressions, one for a block of samples.
 
 Tracked points are compared with where the model has the arm under the pressures and tensions that are measured, linearised about the
 reference; what the arm's own motion makes of it (inertia, damping) is taken from the points themselves. Gauges are compared with what

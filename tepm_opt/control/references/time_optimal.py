@@ -1,4 +1,4 @@
-"""How fast a path can be driven: a timing law along it, from what actuators can follow.
+"""Timing law along a path: the largest speed that actuators can follow.
 
     |F'(s)| s' ≤ what motors and regulators change the axial forces by in a second,      |s''|, κ s'² ≤ a = ω_1² δ
 

@@ -43,7 +43,7 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None) -> PlannedMotion:
     duration = task.duration or _first(task, bulge)
     program = Program(task, duration / SPACING)
     x = program.guess(duration, bulge)
-    rows = program.about(x)
+    rows = program.linearise(x)
     trust, count, multipliers, price = TRUST, 0, None, PRICE
     weight = 2 * task.effort_weight if task.duration is None else 2 / max(float(rows.residuals @ rows.residuals), 1e-3)
     why = ""
@@ -85,15 +85,15 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None) -> PlannedMotion:
 def _first(task: PlanTask, bulge: np.ndarray | None) -> float:
     """A first guess of the duration in s, rather too short: from there it goes quickest."""
     plain, duration = Program(replace(task, limits=replace(task.limits, frequencies=()))), FIRST
-    while duration < LONGEST / LONGER and float(plain.about(plain.guess(duration, bulge)).beyond.max()) > WRONG:
+    while duration < LONGEST / LONGER and float(plain.linearise(plain.guess(duration, bulge)).beyond.max()) > WRONG:
         duration *= LONGER
-    if task.limits.frequencies and float((full := Program(task)).about(full.guess(duration, bulge)).beyond.max()) > WRONG:
+    if task.limits.frequencies and float((full := Program(task)).linearise(full.guess(duration, bulge)).beyond.max()) > WRONG:
         return max(duration, *(2 * np.pi / frequency for frequency in task.limits.frequencies))
     return duration
 
 
 def _better(program: Program, x: np.ndarray, rows: Rows, step: np.ndarray, weight: float, price: float) -> tuple[np.ndarray, float, Rows]:
-    """Where a step goes, what it gains, and the program there.
+    """End of a step, its gain, and the program there.
 
     Args:
         program, x, rows: the program about x.
@@ -101,12 +101,12 @@ def _better(program: Program, x: np.ndarray, rows: Rows, step: np.ndarray, weigh
         weight, price: of the effort, and of broken rows.
     """
     there = x + step
-    tried = program.about(there)
+    tried = program.linearise(there)
     return there, _merit(program, x, rows, weight, price) - _merit(program, there, tried, weight, price), tried
 
 
 def _merit(program: Program, x: np.ndarray, rows: Rows, weight: float, price: float) -> float:
-    """What is to be small: duration or none, effort, and the price of broken rows.
+    """Merit to be minimised: duration or none, effort, and the price of broken rows.
 
     Args:
         program, x, rows: the program about x.

@@ -31,7 +31,7 @@ MIN_BEND_MARGIN = 0.2  # rad of the whole arm's bend by which it does at least, 
 
 @dataclass(frozen=True)
 class FamilyFit:
-    """How the polynomials are made.
+    """Settings of the fit of the polynomials.
 
     Attributes:
         degree, nodes: total degree, and Chebyshev nodes along each length, of the configurations.
@@ -113,12 +113,12 @@ class Family:
         errors = f"points within {1e3 * self.point_error:.2g} mm, forces within {self.force_error:.2g} N"
         return f"Family({shortened(self.model.robot.name, 40)}, {errors})"
 
-    def within(self, lengths: np.ndarray) -> np.ndarray:
-        """Coordinates z (…, 3) in m as y."""
+    def normalise(self, lengths: np.ndarray) -> np.ndarray:
+        """Scale coordinates z (…, 3) in m to y, which is −1 … 1 over their range."""
         return (2 * lengths - self.low - self.high) / (self.high - self.low)
 
-    def moving(self, y: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """F (n, modules · 3) in N of y, y', y'' (n, 3) each, and its derivatives by all nine, (n, modules · 3, 9).
+    def compute_motion_forces(self, y: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Axial forces F (n, modules · 3) in N of motions y, y', y'' (n, 3) each, and their derivatives by all nine, (n, modules · 3, 9).
 
         Primes are derivatives by time in s.
         """

@@ -44,7 +44,7 @@ Told = dict[str, float | np.ndarray]
 
 
 FITS = "a model in C, both kinds of actuators, no obstacles, a path with time, 2 stages or more"
-"""What a step in C is for."""
+"""Conditions for a step in C."""
 
 
 @dataclass(frozen=True, eq=False)
