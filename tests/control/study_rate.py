@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.loop import LoopRecord, _note, undisturbed
+from tepm_opt.control.loop import LoopRecord, LoopStep, undisturbed
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings
 from tepm_opt.control.references.reference import reference_of, sample_tips
 from tepm_opt.hw.rig import Command, Sample
@@ -83,7 +83,7 @@ def main(rate: float, seconds: float, journal: bool) -> None:
             here.send(command)
             controller.prepare()
             prepared = time.perf_counter()
-            _note(done, shown, sample, k * period, k, command, answered - began, controller)
+            done.add(LoopStep(k, k * period, sample, command, answered - began), shown, controller.telemetry())
             keep(k)
             took.append((answered - began, prepared - began, prepared - sent))
     behind = here.recv()
