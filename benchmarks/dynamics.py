@@ -19,7 +19,8 @@ from benchmarks.workshop import Workshop
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.models.backends.interface import EXPLICIT, Drive, Record, Scheme
+from tepm_opt.models.backends.interface import EXPLICIT
+from tepm_opt.models.backends.motion_interface import Drive, Record, Scheme
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.solvers.simulate import Directions, Simulation, simulate
 from tepm_opt.solvers.statics import solve_statics

@@ -17,8 +17,9 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.backends import ccode
 from tepm_opt.models.backends.ccode import Texts
 from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
-from tepm_opt.models.backends.interface import StaticsBackend, TimeStepper
+from tepm_opt.models.backends.interface import StaticsBackend
 from tepm_opt.models.backends.kinematics import PythonKinematics
+from tepm_opt.models.backends.motion_interface import TimeStepper
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
 from tepm_opt.models.backends.written import read_or_write
 from tepm_opt.models.dynamics import Dynamics, write_dynamics

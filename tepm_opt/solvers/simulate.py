@@ -12,7 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme, Status
+from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, Status
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Record, Scheme
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent

@@ -18,15 +18,12 @@ from tepm_opt.models.backends.interface import (
     SHARED,
     STATUSES,
     Allotment,
-    Drive,
-    Effort,
     InverseProblem,
     Pose,
-    Record,
-    Scheme,
     Solution,
     Status,
 )
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Record, Scheme
 from tepm_opt.models.backends.step_control import STEP_CONTROL
 from tepm_opt.models.dynamics import Dynamics
 from tepm_opt.models.effect import BEGAN, CLOCK

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.models.backends.interface import JUMP_TIME, Record, Status
+from tepm_opt.models.backends.interface import JUMP_TIME, Status
+from tepm_opt.models.backends.motion_interface import Record
 from tepm_opt.models.backends.motion_run import Run, bounded
 from tepm_opt.models.backends.motion_stages import State, Unsolved
 from tepm_opt.models.backends.step_control import FIRST_STEP, LEAST, MEMORY, MOST_OVER, RICHARDSON, SHARE, SHORTEST, STILL

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tepm_opt.models.backends.interface import (
-    EXPLICIT,
-    JUMP_TIME,
-    MAX_HALVINGS,
-    STAYS,
-    Record,
-    Status,
-)
+from tepm_opt.models.backends.interface import EXPLICIT, JUMP_TIME, MAX_HALVINGS, STAYS, Status
+from tepm_opt.models.backends.motion_interface import Record
 from tepm_opt.models.backends.motion_stages import Stage, Stages, State, Unsolved
 
 if TYPE_CHECKING:

@@ -10,14 +10,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from tepm_opt.models.backends.interface import (
-    JUMP_TIME,
-    MAX_CORRECTION,
-    STAGE_ITERATIONS,
-    Drive,
-    Effort,
-    Scheme,
-)
+from tepm_opt.models.backends.interface import JUMP_TIME, MAX_CORRECTION, STAGE_ITERATIONS
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Scheme
 from tepm_opt.models.backends.rotations import move
 from tepm_opt.models.backends.step_control import CLOSE, RICHARDSON, SLOW
 from tepm_opt.models.effect import BEGAN, CLOCK

@@ -15,8 +15,9 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import csr_array
 
-from tepm_opt.models.backends.interface import Drive, Effort, Record, Scheme, Status
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.backends.motion_adaptive import Carried, adapt
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Record, Scheme
 from tepm_opt.models.backends.motion_run import Run
 from tepm_opt.models.backends.motion_stages import State
 from tepm_opt.models.backends.step_control import FIRST_STEP
