@@ -135,9 +135,7 @@ class IkProblem:
         Raises:
             LinAlgError: the equilibrium is not stable.
         """
-        status, by_u, _, _ = self.model.statics.sensitivity(
-            at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False
-        )
+        status, by_u, _, _ = self.model.statics.sensitivity(at.x, at.load_case, self.weights, False)
         if status != Status.SOLVED:
             raise np.linalg.LinAlgError("stiffness not positive definite")
         return by_u[:, : self.half] / self.area

@@ -107,7 +107,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
         raise InputError(f"modes: {modes!r}; valid: 1 … {most}")
     if start is not None and (start.equilibrium.model is not model or len(start.stiffness) != modes):
         raise InputError("start: of another model or number of modes; valid: a modal model of the same, or None")
-    stiffness, damping = model.statics.matrices(at.x, at.inputs, at.mapped, at.loads.ravel(), model.theta)
+    stiffness, damping = model.statics.matrices(at.x, at.load_case)
     factor, indefinite = _factor(stiffness, lower=1)
     if indefinite:
         raise InputError("no stable equilibrium to linearise about: its stiffness matrix has a negative eigenvalue")
@@ -137,7 +137,7 @@ def network_matrices(at: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarra
     """
     model = at.model
     fixed = fixed_part(model)
-    stiffness, damping = model.statics.matrices(at.x, at.inputs, at.mapped, at.loads.ravel(), model.theta)
+    stiffness, damping = model.statics.matrices(at.x, at.load_case)
     half = _upper(damping)
     return fixed.axial(at), fixed.masses, stiffness, half + half.T - np.diag(damping[0])
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import daqp
 import numpy as np
 
-from tepm_opt.models.backends.interface import Status
+from tepm_opt.models.backends.interface import LoadCase, Status
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.ik_problem import Balance, IkProblem
 from tepm_opt.solvers.statics import tell_weight
@@ -100,10 +100,8 @@ class _Search:
     def evaluate(self, part: np.ndarray, x: np.ndarray) -> _Point | None:
         """Evaluate the point of forces, its statics from levels x; None where they lead to no stable equilibrium."""
         problem, shared = self.problem, self.problem.shared
-        actuation = problem.actuation(problem.low + part * self.span)
-        status, levels, observed, by_a = problem.model.statics.response(
-            x, actuation, shared.external, shared.theta, shared.weights, shared.force_tolerance, NEWTON_STEPS
-        )
+        case = LoadCase(problem.actuation(problem.low + part * self.span), True, shared.external, shared.theta)
+        status, levels, observed, by_a = problem.model.statics.response(x, case, shared.weights, shared.force_tolerance, NEWTON_STEPS)
         if status != Status.SOLVED or observed[-problem.half :].min() < shared.shortest:
             return None
         errors = shared.weights @ observed

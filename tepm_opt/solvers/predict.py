@@ -89,7 +89,6 @@ def _equilibria(model: CompiledModel, run: Run, directions: Directions) -> Predi
             raise PredictionError(f"{run.file}: row {row + 1}: {found.outcome.message}")
         points[row], last = found.points, found
         if directions.names:
-            x, loads, theta = found.x, found.loads.ravel(), model.theta
-            _, _, _, by_theta = model.statics.sensitivity(x, inputs, False, loads, theta, rows, True)
+            _, _, _, by_theta = model.statics.sensitivity(found.x, found.load_case, rows, True)
             by[:, row] = (directions.parameters @ np.asarray(by_theta).T).reshape(-1, layout.points, 3)
     return Prediction(points, by)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, Status
+from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, LoadCase, Status
 from tepm_opt.models.backends.motion_interface import Drive, Effort, Record, Scheme
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
@@ -362,7 +362,7 @@ def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float)
     else:
         weights = np.eye(points, points + inputs // 2)
         a = model.statics.actuation(start.inputs, model.theta)  # effects' maps may have dead zones where it starts
-        status, *gains = model.statics.sensitivity(start.x, a, True, start.loads.ravel(), model.theta, weights, False)[:3]
+        status, *gains = model.statics.sensitivity(start.x, LoadCase(a, True, start.loads.ravel(), model.theta), weights, False)[:3]
         gains = gains if status == Status.SOLVED else [np.full_like(gain, ANY_BEND) for gain in gains]  # nothing holds it
         bends = [
             np.diff(np.diff(part, axis=0) / np.diff(drive.time)[:, None], axis=0) @ gain.T for part, gain in zip(parts, gains, strict=True)

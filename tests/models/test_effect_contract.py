@@ -293,8 +293,7 @@ def test_its_probe_is_visible(static, kang, operating):
 def derivatives(model: CompiledModel, held: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of points and lengths by inputs (in parts of their ranges), tip force and parameters."""
     weights = np.eye(len(observed(held)))
-    arguments = (held.x, held.inputs, False, held.loads.ravel(), model.theta, weights, True)
-    status, by_u, by_load, by_theta = model.statics.sensitivity(*arguments)
+    status, by_u, by_load, by_theta = model.statics.sensitivity(held.x, held.load_case, weights, True)
     assert status == 0
     return by_u * model.input_max, by_load[:, -3:], by_theta
 

@@ -88,9 +88,7 @@ class LengthEstimator:
     def _step(self, tracked: np.ndarray, used: np.ndarray, before: np.ndarray) -> bool:
         """One step; whether another one is worth it."""
         at, settings = self.equilibrium, self.settings
-        status, by_u, _, _ = self.model.statics.sensitivity(
-            at.x, at.inputs, True, self._loads.ravel(), self.model.theta, self._coordinates, False
-        )
+        status, by_u, _, _ = self.model.statics.sensitivity(at.x, at.load_case, self._coordinates, False)
         if status != Status.SOLVED:
             return False
         jacobian = by_u[used, : self._half] / self._area / settings.noise

@@ -130,7 +130,7 @@ def _responses_along(course: Course, theta: np.ndarray, inputs: np.ndarray, load
         return np.moveaxis(_simulate_run(model, course.run, step, directions).sensitivities, 0, 1)
     rows, found = np.eye(3 * layout.points, 3 * layout.points + layout.inputs // 2), []
     for k, held in enumerate(_equilibria(model, course.run)):
-        _, by_u, by_load, by_theta = model.statics.sensitivity(held.x, held.inputs, False, held.loads.ravel(), model.theta, rows, True)
+        _, by_u, by_load, by_theta = model.statics.sensitivity(held.x, held.load_case, rows, True)
         along = theta @ np.asarray(by_theta).T + inputs[k] @ by_u.T + loads[k].reshape(len(theta), -1) @ by_load.T
         found.append(along.reshape(len(theta), layout.points, 3))
     return np.stack(found)

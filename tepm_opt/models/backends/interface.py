@@ -89,6 +89,22 @@ SHARED: Mapping[str, float] = {
 """Constants that the C gets as macros."""
 
 
+class LoadCase(NamedTuple):
+    """Inputs, forces and parameters under which a network is in equilibrium.
+
+    Attributes:
+        u: inputs, (inputs,) in Pa and N.
+        mapped: whether `u` is already the effective actuation behind the effects' input maps.
+        external: forces on the points in G, (3 · points,) in N.
+        theta: parameters, (parameters,) in SI.
+    """
+
+    u: np.ndarray
+    mapped: bool
+    external: np.ndarray
+    theta: np.ndarray
+
+
 class Solution(NamedTuple):
     """Result of `StaticsBackend.statics`: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
     largest residual force in N, energy in J."""
@@ -118,6 +134,23 @@ class Allotment:
     limit: np.ndarray
     grid: np.ndarray
     fine: bool
+
+
+@dataclass(frozen=True)
+class InverseNewton:
+    """Step and tolerances of Newton's method on levels and pressures together.
+
+    Attributes:
+        max_step: largest change of a pressure in a step in Pa; steps beyond it are shortened.
+        target_tolerance: of the sums in m.
+        tolerance: of the forces in N.
+        max_iterations: most iterations.
+    """
+
+    max_step: float
+    target_tolerance: float
+    tolerance: float
+    max_iterations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,87 +207,65 @@ class StaticsBackend(Protocol):
         """Effective actuation a = [pressures, tensions] behind the effects' input maps."""
         ...
 
-    def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
-    ) -> Solution:
+    def statics(self, x: np.ndarray, case: LoadCase, tolerance: float, max_iterations: int) -> Solution:
         """Equilibrium from a start, under inputs and external forces.
 
         Args:
             x: levels to start from, (n + 1, block) in m.
-            u: inputs, (inputs,) in Pa and N.
-            mapped: whether `u` is already the effective actuation behind the effects' input maps.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: inputs, forces and parameters.
             tolerance: largest residual force of a solution in N.
             max_iterations: of Newton's method.
         """
         ...
 
     def sensitivity(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, by_theta: bool
     ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
         """Status, and gradients of weighted observations by u, external forces and parameters (None without `by_theta`), (rows, …) each.
 
         Args:
             x: levels of an equilibrium, (n + 1, block) in m.
-            u: inputs, (inputs,) in Pa and N.
-            mapped: whether `u` is already the effective actuation behind the effects' input maps.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: inputs, forces and parameters.
             weights: of the observations (points in G, then lengths), (rows, 3 · points + lengths).
             by_theta: whether to differentiate by the parameters, too.
         """
         ...
 
-    def matrices(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def matrices(self, x: np.ndarray, case: LoadCase) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each.
 
         Args:
             x: levels at which to evaluate, (n + 1, block) in m.
-            u: inputs, (inputs,) in Pa and N.
-            mapped: whether `u` is already the effective actuation behind the effects' input maps.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: inputs, forces and parameters.
         """
         ...
 
     def inverse(
-        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, targets: np.ndarray, newton: InverseNewton
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:
         """Status, levels, effective pressures (tensions are 0) and iterations at which weighted observations have their targets.
 
         Newton on levels and pressures together, from a start nearby.
 
         Args:
             x: levels to start from, (n + 1, block) in m.
-            pressures: effective ones to start from, (actuators,) in Pa.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters.
+            case: mapped, with effective pressures to start from; its tensions are not looked at.
             weights: of the observations (points in G, then lengths) in as many sums as actuators, (actuators, observations).
             targets: of the sums, (actuators,).
-            max_step: largest change of a pressure in a step in Pa; steps beyond it are shortened.
-            target_tolerance: of the sums in m.
-            tolerance: of the forces in N.
-            max_iterations: of Newton's method.
+            newton: step and tolerances.
         """
         ...
 
     def response(
-        self, x: np.ndarray, actuation: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray,
-        tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, tolerance: float, max_iterations: int
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:
         """Status, levels and observations in equilibrium, and the derivatives of weighted observations by the actuation, (rows, inputs).
 
         `statics` and `sensitivity` in one call; there are no derivatives where the status is not SOLVED.
 
         Args:
             x: levels to start from, (n + 1, block) in m.
-            actuation: effective actuation, (inputs,) in Pa and N.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: mapped.
             weights: of the observations (points in G, then lengths), (rows, 3 · points + lengths).
             tolerance: largest residual force of a solution in N.
             max_iterations: of Newton's method.

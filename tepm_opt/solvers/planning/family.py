@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.models.backends.interface import Status
+from tepm_opt.models.backends.interface import InverseNewton, LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import network_matrices
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
@@ -176,9 +176,8 @@ def _exact(model: CompiledModel, z: np.ndarray, start: Equilibrium) -> Equilibri
     half, observed = model.layout.inputs // 2, 3 * model.layout.points
     weights = np.hstack([np.zeros((half, observed)), np.eye(half)])
     targets, area = np.tile(lengths, model.layout.modules), model.values["A"]
-    status, x, pressures, _ = model.statics.inverse(
-        start.x, start.inputs[:half], np.zeros(observed), model.theta, weights, targets, 8.0 / area, 1e-10, 1e-9, 40
-    )
+    case = LoadCase(start.inputs, True, np.zeros(observed), model.theta)
+    status, x, pressures, _ = model.statics.inverse(start.x, case, weights, targets, InverseNewton(8.0 / area, 1e-10, 1e-9, 40))
     if status == Status.SOLVED:
         effective = np.concatenate([pressures, np.zeros(half)])
         found = equilibrium(model, effective, np.zeros((observed // 3, 3)), replace(start, x=x), mapped=True, explain=False)
