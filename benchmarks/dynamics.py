@@ -98,12 +98,13 @@ class _Step:
         """Ours by RK4, with `simulate`'s check of the step and without."""
         model = self.model
         rows = np.hstack([self.setpoints.inputs, np.zeros((len(self.setpoints.time), 3 * model.layout.points))])
-        drive, scheme = Drive(self.setpoints.time, rows, True, np.zeros((0, len(model.theta)))), Scheme(EXPLICIT, RK4_STEP)
+        drive = Drive(self.setpoints.time, rows, True, model.theta, np.zeros((0, len(model.theta))))
+        scheme = Scheme(EXPLICIT, RK4_STEP)
         rest, last = solve_statics(model, rows[0, : model.layout.inputs]), len(rows) - 1
 
         def stepped() -> np.ndarray:
             record = Record.empty(model.stepper.dynamics, len(rows), 0)
-            model.stepper.integrate(model.stepper.start(rest.x, 0), drive, 0, last, scheme, model.theta, record)
+            model.stepper.integrate(model.stepper.start(rest.x, 0), drive, 0, last, scheme, record)
             return record.observed[2:, 3 * model.layout.points - 3 : 3 * model.layout.points]
 
         yield Contender(

@@ -183,7 +183,29 @@ def simulate(
         InputError: set points that do not fit, "rk4" with a step above its stable one, with directions or with an error, both an
             error and a step, no stable equilibrium to start from.
     """
-    return run(prepare(model, setpoints, method, step, hold, loads, directions, tolerance, error, began), progress)
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
+    if directions is not None and method == "rk4":
+        raise InputError("directions: sensitivities are computed by method 'implicit'")
+    if error is not None and (method == "rk4" or step is not None):
+        raise InputError("error: steps adapt to it with method 'implicit' and without a step")
+    if error is not None and not LEAST_ERROR <= error <= MOST_ERROR:
+        raise InputError(f"error: {error:g} m; valid: {LEAST_ERROR:g} … {MOST_ERROR:g} m")
+    _ = model.stepper  # compiled now: the model of every time shares it
+    model = model.at_time(began)
+    drive = _drive(model, setpoints, hold, loads, directions)
+    start = _start(model, setpoints, 0, drive)
+    if method == "rk4":
+        step = _stable_step(model, setpoints, drive, step)
+    if step is not None and not step > 0:
+        raise InputError(f"step: {step:g} s; valid: above 0")
+    scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step or 0.0, error or ERROR, model.is_smooth, tolerance)
+    if step is None:
+        drive = replace(drive, knots=_knots(model, drive, start, scheme.error))
+    names = directions.names if directions is not None else ()
+    record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
+    ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
+    return run(Job(model, setpoints, method, step, start, drive, scheme, record, names, ends), progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,49 +265,12 @@ class Job:
         )  # fmt: skip
 
 
-def prepare(
-    model: CompiledModel, setpoints: SetPoints, method: Method, step: float | None, hold: bool, loads: np.ndarray | None,
-    directions: Directions | None, tolerance: float, error: float | None, began: float = 0.0,
-) -> Job:  # fmt: skip
-    """Check what a simulation is asked for, and find where it starts.
-
-    Args:
-        model, setpoints, method, step, hold, loads, directions, tolerance, error, began: see `simulate`.
-
-    Raises:
-        InputError: as for `simulate`.
-    """
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
-    if directions is not None and method == "rk4":
-        raise InputError("directions: sensitivities are computed by method 'implicit'")
-    if error is not None and (method == "rk4" or step is not None):
-        raise InputError("error: steps adapt to it with method 'implicit' and without a step")
-    if error is not None and not LEAST_ERROR <= error <= MOST_ERROR:
-        raise InputError(f"error: {error:g} m; valid: {LEAST_ERROR:g} … {MOST_ERROR:g} m")
-    _ = model.stepper  # compiled now: the model of every time shares it
-    model = model.at_time(began)
-    drive = _drive(model, setpoints, hold, loads, directions)
-    start = _start(model, setpoints, 0, drive)
-    if method == "rk4":
-        step = _stable_step(model, setpoints, drive, step)
-    if step is not None and not step > 0:
-        raise InputError(f"step: {step:g} s; valid: above 0")
-    scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step or 0.0, error or ERROR, model.is_smooth, tolerance)
-    if step is None:
-        drive = replace(drive, knots=_knots(model, drive, start, scheme.error))
-    names = directions.names if directions is not None else ()
-    record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
-    ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
-    return Job(model, setpoints, method, step, start, drive, scheme, record, names, ends)
-
-
 def run(job: Job, progress: Progress) -> Simulation:
     """Simulate what is prepared."""
     time, state, total, done = job.drive.time, job.model.stepper.start(job.start.x, len(job.names)), Effort(), 0
     try:
         for part, end in enumerate(job.ends):
-            status, effort = job.model.stepper.integrate(state, job.drive, done, int(end), job.scheme, job.model.theta, job.record)
+            status, effort = job.model.stepper.integrate(state, job.drive, done, int(end), job.scheme, job.record)
             total = _sum(total, effort)
             if status != Status.SOLVED:
                 return job.finish(status, part, total)
@@ -339,7 +324,7 @@ def _drive(model: CompiledModel, setpoints: SetPoints, hold: bool, loads: np.nda
         raise InputError("loads: a force is not finite; valid: numbers")
     rows = np.hstack([setpoints.inputs, forces.reshape(samples, -1)])
     if directions is None:
-        return Drive(setpoints.time, rows, hold, np.zeros((0, len(model.theta))))
+        return Drive(setpoints.time, rows, hold, model.theta, np.zeros((0, len(model.theta))))
     d_rows = None
     if directions.inputs is not None or directions.loads is not None:
         d_rows = np.zeros((samples, len(directions.names), rows.shape[1]))
@@ -347,7 +332,7 @@ def _drive(model: CompiledModel, setpoints: SetPoints, hold: bool, loads: np.nda
             d_rows[:, :, : model.layout.inputs] = directions.inputs
         if directions.loads is not None:
             d_rows[:, :, model.layout.inputs :] = directions.loads.reshape(*directions.loads.shape[:-2], -1)
-    return Drive(setpoints.time, rows, hold, directions.parameters, d_rows)
+    return Drive(setpoints.time, rows, hold, model.theta, directions.parameters, d_rows)
 
 
 def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float) -> np.ndarray:

@@ -288,9 +288,8 @@ class CompiledTimeStepper:
         return state, tangents
 
     def integrate(
-        self, state: tuple[np.ndarray, np.ndarray], drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray,
-        record: Record,
-    ) -> tuple[Status, Effort]:  # fmt: skip
+        self, state: tuple[np.ndarray, np.ndarray], drive: Drive, first: int, last: int, scheme: Scheme, record: Record
+    ) -> tuple[Status, Effort]:
         """See `TimeStepper.integrate`."""
         carried, tangents = state
         directions, groups, samples = len(drive.d_theta), tangents.shape[1], len(drive.time)
@@ -301,7 +300,7 @@ class CompiledTimeStepper:
         info = np.zeros(7)
         status = self._integrate(
             scheme.kind, drive.hold, first, last, samples, time.ctypes.data, rows.ctypes.data, scheme.step, scheme.error, scheme.smooth,
-            scheme.tolerance, MAX_CORRECTION, theta.ctypes.data, carried.ctypes.data, record.observed.ctypes.data,
+            scheme.tolerance, MAX_CORRECTION, drive.theta.ctypes.data, carried.ctypes.data, record.observed.ctypes.data,
             record.trajectory.ctypes.data, groups, d_theta.ctypes.data, None if d_rows is None else d_rows.ctypes.data,
             tangents.ctypes.data, d_observed.ctypes.data, drive.knots.ctypes.data, len(drive.knots), info.ctypes.data,
         )  # fmt: skip

@@ -15,12 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Inputs and forces that move a network over time, and the directions in which to differentiate.
+    """Inputs, forces and parameters by which a network moves over time, and the directions in which to differentiate.
 
     Attributes:
         time: of the samples in s, increasing, (samples,).
         rows: inputs u and external forces on the points in G, (samples, inputs + 3 · points).
         hold: whether a row holds until the next sample, instead of changing linearly.
+        theta: parameters, (parameters,) in SI; where effects ask what time it is, the clock is that of each moment, `began` as given.
         d_theta: changes of the parameters, (directions, parameters).
         d_rows: changes of the rows, (samples, directions, inputs + 3 · points); None for none.
         knots: times in s at which adaptive steps end, as the rows jump or bend there, increasing.
@@ -29,6 +30,7 @@ class Drive:
     time: np.ndarray
     rows: np.ndarray
     hold: bool
+    theta: np.ndarray
     d_theta: np.ndarray
     d_rows: np.ndarray | None = None
     knots: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -105,19 +107,16 @@ class TimeStepper(Protocol):
         """State at rest in an equilibrium x, (n + 1, block)."""
         ...
 
-    def integrate(
-        self, state: Any, drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray, record: Record
-    ) -> tuple[Status, Effort]:
+    def integrate(self, state: Any, drive: Drive, first: int, last: int, scheme: Scheme, record: Record) -> tuple[Status, Effort]:
         """Move the state from one sample to a later one; returns status and effort.
 
         Rows first + 1 … last are recorded, and row 0 when `first` is 0.
 
         Args:
             state: what `start` or the last call has left; changed in place.
-            drive: inputs and forces at all samples, and the directions.
+            drive: inputs and forces at all samples, parameters and directions.
             first, last: numbers of the samples, from 0.
             scheme: how to step.
-            theta: parameters, (parameters,) in SI; where effects ask what time it is, the clock is that of each moment, `began` as given.
             record: what is filled.
         """
         ...

@@ -58,15 +58,14 @@ class Stages:
 
     Args:
         of: the time stepper.
-        drive: inputs and forces.
-        theta: parameters.
+        drive: inputs, forces and parameters.
         scheme: how to step.
     """
 
-    def __init__(self, of: PythonTimeStepper, drive: Drive, theta: np.ndarray, scheme: Scheme) -> None:
-        self.of, self.drive, self.theta, self.scheme = of, drive, theta.copy(), scheme
+    def __init__(self, of: PythonTimeStepper, drive: Drive, scheme: Scheme) -> None:
+        self.of, self.drive, self.theta, self.scheme = of, drive, drive.theta.copy(), scheme
         self.inputs = of.dynamics.layout.inputs
-        self.thetas = np.broadcast_to(self.theta, (of.n, len(theta)))
+        self.thetas = np.broadcast_to(self.theta, (of.n, len(self.theta)))
         self.timed = [of.dynamics.parameter_names.index(name) for name in (CLOCK, BEGAN) if name in of.dynamics.parameter_names]
         self.effort = Effort()
         self.P, self.external, self.level_0 = np.zeros((of.n, 1)), np.zeros(0), np.zeros(0)

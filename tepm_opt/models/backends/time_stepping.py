@@ -91,11 +91,9 @@ class PythonTimeStepper:
         state = State(x.copy(), zero["v"], np.zeros_like(x), zero["u"], zero["y_inputs"], zero["y_edges"], d=d)
         return Carried(state, state)
 
-    def integrate(
-        self, state: Carried, drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray, record: Record
-    ) -> tuple[Status, Effort]:
+    def integrate(self, state: Carried, drive: Drive, first: int, last: int, scheme: Scheme, record: Record) -> tuple[Status, Effort]:
         """See `TimeStepper.integrate`."""
-        run = Run(self, drive, theta, scheme)
+        run = Run(self, drive, scheme)
         run.effort.reached = float(drive.time[first])
         if first == 0:
             run.set_initial_state(state.fine)
