@@ -7,6 +7,7 @@ from importlib import import_module
 import pytest
 
 from tepm_opt import Directions, Linear, Model
+from tepm_opt.control.references.reference import Reference
 
 MOVED = {
     "tepm_opt.control.estimator": "tepm_opt.control.estimation.kalman_filter",
@@ -32,13 +33,20 @@ def test_an_unknown_module_is_unknown() -> None:
             import_module(name)
 
 
-@pytest.mark.parametrize(
-    ("kind", "old", "new"), [(Model, "of", "from_robot"), (Directions, "of", "from_names"), (Linear, "moving", "without_held_states")]
-)
+METHODS = [
+    (Model, "of", "from_robot"),
+    (Directions, "of", "from_names"),
+    (Linear, "moving", "without_held_states"),
+    (Reference, "begun", "rewind"),
+    (Reference, "over", "is_over"),
+    (Reference, "at", "rows_at"),
+]
+
+
+@pytest.mark.parametrize(("kind", "old", "new"), METHODS)
 def test_a_method_is_found_by_its_old_name(kind: type, old: str, new: str) -> None:
-    with pytest.warns(
-        DeprecationWarning, match=rf"{kind.__name__}\.{old} is now {kind.__name__}\.{new}; the old name goes with version 0\.4"
-    ):
+    name = kind.__name__
+    with pytest.warns(DeprecationWarning, match=rf"{name}\.{old} is now {name}\.{new}; the old name goes with version 0\.4"):
         assert getattr(kind, old) is getattr(kind, new)
 
 

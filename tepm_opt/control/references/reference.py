@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import IkSettings, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
@@ -88,6 +89,8 @@ class Reference:
     def rows_at(self, periods: np.ndarray | int) -> np.ndarray:
         """Row numbers of periods, (…,); those beyond the ends are at the ends."""
         return np.clip(periods, 0, len(self) - 1)
+
+    begun, over, at = RenamedMethod("rewind"), RenamedMethod("is_over"), RenamedMethod("rows_at")
 
     @cached_property
     def levels(self) -> np.ndarray:
