@@ -9,7 +9,7 @@ from benchmarks.parts import Session
 from benchmarks.timing import Contender, Task
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
-from tepm_opt.control.references.reference import Reference, along, approach, reference_of
+from tepm_opt.control.references.reference import Reference, approach, reference_of, sample_tips
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
@@ -23,7 +23,7 @@ LOOP = "tepm_opt close_loop, MPC on the virtual prototype"
 
 
 def _course(model: CompiledModel, laps: float) -> Reference:
-    tips, counted = along(circle(400), laps=laps)
+    tips, counted = sample_tips(circle(400), laps=laps)
     lead = approach(model, tips[0], APPROACH)
     return reference_of(model, np.vstack([lead, tips]), np.concatenate([np.zeros(len(lead), dtype=bool), counted]))
 

@@ -19,7 +19,8 @@ from benchmarks.workshop import Workshop
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.datasets import read_dataset
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.models.backends.interface import EXPLICIT, Drive, Record, Scheme
+from tepm_opt.models.backends.interface import EXPLICIT
+from tepm_opt.models.backends.motion_interface import Drive, Record, Scheme
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.solvers.simulate import Directions, Simulation, simulate
 from tepm_opt.solvers.statics import solve_statics
@@ -97,12 +98,13 @@ class _Step:
         """Ours by RK4, with `simulate`'s check of the step and without."""
         model = self.model
         rows = np.hstack([self.setpoints.inputs, np.zeros((len(self.setpoints.time), 3 * model.layout.points))])
-        drive, scheme = Drive(self.setpoints.time, rows, True, np.zeros((0, len(model.theta)))), Scheme(EXPLICIT, RK4_STEP)
+        drive = Drive(self.setpoints.time, rows, True, model.theta, np.zeros((0, len(model.theta))))
+        scheme = Scheme(EXPLICIT, RK4_STEP)
         rest, last = solve_statics(model, rows[0, : model.layout.inputs]), len(rows) - 1
 
         def stepped() -> np.ndarray:
             record = Record.empty(model.stepper.dynamics, len(rows), 0)
-            model.stepper.integrate(model.stepper.start(rest.x, 0), drive, 0, last, scheme, model.theta, record)
+            model.stepper.integrate(model.stepper.start(rest.x, 0), drive, 0, last, scheme, record)
             return record.observed[2:, 3 * model.layout.points - 3 : 3 * model.layout.points]
 
         yield Contender(
@@ -135,7 +137,7 @@ def _sensitivities(step: _Step) -> Task:
     model, part = step.model, 1e-4
     names = model.network.parameter_names
     channels = [f"{kind}_{name}" for kind in ("pressure", "tension") for name in model.layout.actuator_names]
-    directions = Directions.of(model, names, channels[: DIRECTIONS - len(names)])
+    directions = Directions.from_names(model, names, channels[: DIRECTIONS - len(names)])
 
     def along(found: Simulation) -> np.ndarray:
         return np.tensordot(model.theta, found.sensitivities[: len(names), :, -1], 1)[2:].ravel()

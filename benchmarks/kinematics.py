@@ -206,7 +206,7 @@ def _slsqp(scene: Scene, target: np.ndarray, low: np.ndarray, high: np.ndarray, 
 
     def jacobian(part: np.ndarray) -> np.ndarray:
         found = at(part)
-        by_a = model.statics.sensitivity(found.x, found.inputs, True, loads.ravel(), model.theta, weights, False)[1]
+        by_a = model.statics.sensitivity(found.x, found.load_case, weights, False)[1]
         return by_a[:, :half] / model.values["A"] * span / scale
 
     found = minimize(

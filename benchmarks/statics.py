@@ -16,6 +16,7 @@ from benchmarks.parts import Session
 from benchmarks.scene import Scene, free
 from benchmarks.timing import Contender, Task
 from benchmarks.workshop import Buffered, Workshop
+from tepm_opt.models.backends.interface import LoadCase
 from tepm_opt.solvers.statics import DEFAULT, Equilibrium, solve_statics
 
 TOLERANCE = DEFAULT.tolerance
@@ -143,12 +144,13 @@ GOALS = (
 
 def _task(key: str, title: str, scene: Scene, peers: Peers, start: Equilibrium, goal: Equilibrium) -> Task:
     """From one equilibrium to another; the answer is the tip."""
-    model, x, force, nothing = scene.model, free(start), scene.forces(goal.inputs), np.zeros(goal.loads.size)
+    model, x, force = scene.model, free(start), scene.forces(goal.inputs)
+    case = LoadCase(goal.inputs, False, np.zeros(goal.loads.size), model.theta)
     newton = Buffered(peers.plain)
     trust, hybrid = _scipy(peers, x, force)
 
     def statics() -> Any:
-        return model.statics.statics(start.x, goal.inputs, False, nothing, model.theta, TOLERANCE, DEFAULT.max_iterations)
+        return model.statics.statics(start.x, case, TOLERANCE, DEFAULT.max_iterations)
 
     def peer(name: str, solve: Callable[[], Any], found: Callable[[Any], Any] = lambda x: x, slow: bool = False) -> Contender:
         return Contender(name, solve, lambda result: scene.tip_of(found(result)), slow=slow)

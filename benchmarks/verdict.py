@@ -41,7 +41,7 @@ print(*[effect.candidate.name for effect in found.verdict.effects], resource.get
 
 def _made(folder: Path, lengths: Sequence[float] = LENGTHS) -> Path:
     """A data set of the robot with the hidden effect: six runs to fit, one to validate."""
-    plain = Model.of("kang2017")
+    plain = Model.from_robot("kang2017")
     machine = compile_model(plain.with_effect(HIDDEN))
     random, runs = np.random.default_rng(2), []
     for number, asked in enumerate(random_runs(machine, lengths)):

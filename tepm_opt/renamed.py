@@ -1,14 +1,15 @@
-"""Modules by their names of version 0.2, which go with version 0.4."""
+"""Modules and methods by their names of version 0.2, which go with version 0.4."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 
 class _RenamedModules(MetaPathFinder, Loader):
@@ -45,3 +46,22 @@ def rename_modules(package: str, names: Mapping[str, str]) -> None:
         names: new names by the old ones, both within the package; a new one that ends in `.*` is a package with all its modules.
     """
     sys.meta_path.append(_RenamedModules(package, names))
+
+
+class RenamedMethod:
+    """Method of a class by its old name, with a DeprecationWarning that tells the new one.
+
+    Args:
+        new: name of the method.
+    """
+
+    def __init__(self, new: str) -> None:
+        self._new = new
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._old = name
+
+    def __get__(self, instance: object, owner: type) -> Callable[..., Any]:
+        message = f"{owner.__name__}.{self._old} is now {owner.__name__}.{self._new}; the old name goes with version 0.4"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return getattr(owner if instance is None else instance, self._new)

@@ -121,7 +121,7 @@ class Network:
 
 def solve_with_effect(effect: Effect, parameters, detail, inputs, tip_force, start, time=0.0):
     """Reference points of kang2017 with an effect, as measured when a run begins at a time in the session."""
-    network, layout = Network(), Layout.of(load_robot("kang2017"))
+    network, layout = Network(), Layout.from_robot(load_robot("kang2017"))
     assert [(*edge.a, *edge.b) for edge in layout.edges] == network.kinds
     context = Context(layout, detail, np.eye(3), BASE, -network.gravity * UP)
     own = {name: ca.SX(float(value)) for name, value in {**parameters, CLOCK: time, BEGAN: time}.items()}

@@ -77,7 +77,7 @@ def steered(name: str, folder: Path) -> Told:
 
 def recorded(name: str, folder: Path) -> Told:
     """The standard plan on the machine with the payload."""
-    file, plan = hidden(name), tepm.standard(tepm.Model.of(name)).plan
+    file, plan = hidden(name), tepm.standard(tepm.Model.from_robot(name)).plan
 
     def rig(seed: int) -> SimulatedRig:
         found = SimulatedRig(file)

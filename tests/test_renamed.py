@@ -1,10 +1,13 @@
-"""Modules by their old names."""
+"""Modules and methods by their old names."""
 
 from __future__ import annotations
 
 from importlib import import_module
 
 import pytest
+
+from tepm_opt import Directions, Linear, Model
+from tepm_opt.control.references.reference import Reference
 
 MOVED = {
     "tepm_opt.control.estimator": "tepm_opt.control.estimation.kalman_filter",
@@ -28,3 +31,25 @@ def test_an_unknown_module_is_unknown() -> None:
     for name in ("tepm_opt.control.nothing", "tepm_opt.control.controllers.nothing"):
         with pytest.raises(ModuleNotFoundError):
             import_module(name)
+
+
+METHODS = [
+    (Model, "of", "from_robot"),
+    (Directions, "of", "from_names"),
+    (Linear, "moving", "without_held_states"),
+    (Reference, "begun", "rewind"),
+    (Reference, "over", "is_over"),
+    (Reference, "at", "rows_at"),
+]
+
+
+@pytest.mark.parametrize(("kind", "old", "new"), METHODS)
+def test_a_method_is_found_by_its_old_name(kind: type, old: str, new: str) -> None:
+    name = kind.__name__
+    with pytest.warns(DeprecationWarning, match=rf"{name}\.{old} is now {name}\.{new}; the old name goes with version 0\.4"):
+        assert getattr(kind, old) is getattr(kind, new)
+
+
+def test_the_old_name_of_a_method_does_the_same() -> None:
+    with pytest.deprecated_call():
+        assert Model.of("kang2017") == Model.from_robot("kang2017")

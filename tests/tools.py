@@ -63,7 +63,7 @@ def variant(**sections: dict) -> Robot:
 
 def with_effect(model: Model, effect: Effect, **parameters: float) -> Model:
     """The model with an effect at its probe values; where it has a detail, on the third actuator or point."""
-    layout = Layout.of(model.robot)
+    layout = Layout.from_robot(model.robot)
     names = layout.details(effect.detail)
     return model.with_effect(effect.name, names[min(2, len(names) - 1)] if names else None, **parameters)
 
@@ -86,8 +86,8 @@ def with_all_effects(model: Model) -> Model:
 
 def in_company(**present: dict[str, float]) -> Model:
     """kang2017 with these effects; all others are there at their null values, so that it shares the library of `with_all_effects`."""
-    model = Model.of("kang2017")
-    layout = Layout.of(model.robot)
+    model = Model.from_robot("kang2017")
+    layout = Layout.from_robot(model.robot)
     for effect in effects():
         model = with_effect(model, effect, **present.get(effect.name, {p.name: p.null for p in effect.parameters_of(layout)}))
     return model

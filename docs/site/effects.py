@@ -90,8 +90,8 @@ def motion() -> SetPoints:
 
 def observed() -> dict[str, Seen]:
     """The motion with each effect, by name. One model has them all, at their null values but for one: it is compiled once."""
-    model = Model.of("kang2017")
-    layout = Layout.of(model.robot)
+    model = Model.from_robot("kang2017")
+    layout = Layout.from_robot(model.robot)
     for effect in effects():
         details = layout.details(effect.detail)
         null = {parameter.name: parameter.null for parameter in effect.parameters_of(layout)}
@@ -134,8 +134,8 @@ def _rivals(name: str, seen: dict[str, Seen]) -> list[tuple[str, float]]:
 
 
 def _page(effect: Effect, seen: Seen, like: str) -> str:
-    model = Model.of("kang2017")
-    layout = Layout.of(model.robot)
+    model = Model.from_robot("kang2017")
+    layout = Layout.from_robot(model.robot)
     acts = f" Acts on one {DETAILS[effect.detail]}, which a verdict names." if effect.detail else ""
     text = [f"# {effect.name}", "", f"{effect.explains[0].upper()}{effect.explains[1:]}.{acts}", ""]
     text += ["## Physics", "", inspect.cleandoc(type(effect).__doc__ or ""), "", f"Reference: {effect.reference}.", ""]

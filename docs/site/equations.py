@@ -146,7 +146,7 @@ class Hooks:
 
     def __init__(self, effect: Effect, model: Model) -> None:
         self.effect = effect
-        self.layout = layout = Layout.of(model.robot)
+        self.layout = layout = Layout.from_robot(model.robot)
         mount = model.robot.mount
         details = layout.details(effect.detail)
         self.context = Context(

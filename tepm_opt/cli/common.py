@@ -43,7 +43,7 @@ def load(robot: str | None, model: Path | None) -> CompiledModel:
 
     if robot and model:
         raise InputError("--robot and --model exclude each other: the model file names its robot")
-    nominal = read_model(model) if model else Model.of(robot or "kang2017")
+    nominal = read_model(model) if model else Model.from_robot(robot or "kang2017")
     with show_compiling("the network"):
         return compile_model(nominal)
 

@@ -35,7 +35,7 @@ def excite(
     if robot and model:
         raise InputError("--robot and --model exclude each other: the model file names its robot")
     with shown(as_json) as progress:
-        run = tepm.run_excite(tepm.read_model(model) if model else tepm.Model.of(robot or "kang2017"), noise, progress)
+        run = tepm.run_excite(tepm.read_model(model) if model else tepm.Model.from_robot(robot or "kang2017"), noise, progress)
     run.save(out)
     summary = run.summary()
     if as_json:

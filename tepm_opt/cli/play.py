@@ -36,7 +36,7 @@ def play(
     from tepm_opt.recording.measure import UNFINISHED
 
     found = tepm.load_robot(robot_there(robot, None, rig) or "kang2017")
-    setpoints = tepm.read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
+    setpoints = tepm.read_setpoints(inputs, Layout.from_robot(found).actuator_names, found.input_max)
     refuse_unplayable(setpoints, str(inputs))
     file = out if out.suffix == ".csv" else out / MEASURED
     left = f"what was measured is in {file.with_suffix('')}-….{UNFINISHED}.csv"

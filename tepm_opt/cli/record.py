@@ -61,7 +61,7 @@ def record(
 
 def _plan_for(name: str, robot: str) -> RecordingPlan:
     """A plan that is made for a robot."""
-    return tepm.standard(tepm.Model.of(robot), name).plan
+    return tepm.standard(tepm.Model.from_robot(robot), name).plan
 
 
 def kept(plan: RecordingPlan, out: Path) -> str:

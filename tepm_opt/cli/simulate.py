@@ -39,7 +39,7 @@ def sensitivities(names: str | None, model: CompiledModel, method: str) -> Direc
         raise InputError(f"--sensitivities needs --method implicit; found: {method}")
     wanted = list(dict.fromkeys(name.strip() for name in names.split(",")))
     inputs = [name for name in wanted if name.startswith(("pressure_", "tension_")) and name not in model.values]
-    return tepm.Directions.of(model, [name for name in wanted if name not in inputs], inputs)
+    return tepm.Directions.from_names(model, [name for name in wanted if name not in inputs], inputs)
 
 
 def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[str]:

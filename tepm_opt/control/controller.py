@@ -1,4 +1,4 @@
-"""What every controller offers, what it logs, what is asked of it, and how it is described to people."""
+"""Interface of controllers: protocol, log entry, options and description."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Option = bool | str
 
 @dataclass(frozen=True)
 class Telemetry:
-    """What a controller logs about itself.
+    """Log entry of a controller about itself.
 
     Attributes:
         columns: values at the last sample by the name of their column in the log; the same names at every sample.
@@ -49,7 +49,7 @@ class Controller(Protocol):
         ...
 
     def telemetry(self) -> Telemetry:
-        """What is logged of the last sample."""
+        """Log entry of the last sample."""
         ...
 
 

@@ -50,7 +50,7 @@ class Supervisor:
 
     def __init__(self, guard: Guard, robot: Robot) -> None:
         self._guard = guard
-        names = Layout.of(robot).actuator_names
+        names = Layout.from_robot(robot).actuator_names
         self._watch = Watch(names, robot.input_max, guard.limit_margin, tracked=True)
         self._far, self._near, self._seen, self._tracked = False, np.inf, np.inf, np.inf
 

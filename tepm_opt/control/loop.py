@@ -30,9 +30,28 @@ DONE = Outcome(Ending.DONE)
 INTERRUPTED = Outcome(Ending.INTERRUPTED, "interrupted by the user")
 
 
+@dataclass(frozen=True, eq=False)
+class LoopStep:
+    """One control period of a closed loop.
+
+    Attributes:
+        row: of the reference.
+        time: of the sample since the loop was closed, in s.
+        sample: that the controller got.
+        command: that it gave.
+        seconds: that it took.
+    """
+
+    row: int
+    time: float
+    sample: Sample
+    command: Command
+    seconds: float
+
+
 @dataclass(eq=False)
 class LoopRecord:
-    """What a closed loop did; a row a sample. It is filled as the loop runs, so that what was done is there if it ends early.
+    """Record of a closed loop, one row a sample. It is filled as the loop runs, so that what was done is there if it ends early.
 
     Attributes:
         reference: what was to be followed.
@@ -71,7 +90,7 @@ class LoopRecord:
 
     @property
     def targets(self) -> np.ndarray:
-        """Where the tip shall be, (samples, 3) in m."""
+        """Targets of the tip, (samples, 3) in m."""
         return self.reference.path[np.array(self.rows, dtype=int)]
 
     @property
@@ -88,6 +107,21 @@ class LoopRecord:
         squares = ((tips - self.targets) ** 2).sum(axis=1)[self.counted]
         known = squares[np.isfinite(squares)]
         return float(np.sqrt(known.mean())) if len(known) else float("nan")
+
+    def add(self, step: LoopStep, rig: Rig, telemetry: Telemetry) -> None:
+        """Add a period, with the truth as far as the rig knows it and what the controller logs."""
+        sample, true, keep_out = step.sample, rig.simulated, self.reference.keep_out
+        self.rows.append(step.row)
+        self.time.append(step.time)
+        self.points.append(sample.points)
+        self.truth.append(np.full(3, np.nan) if true is None else true.true_points[-1])
+        if keep_out is not None:
+            watched = None if true is None else keep_out.watched(true.true_points, true.true_nodes)
+            self.distance.append(np.nan if watched is None else keep_out.nearest(watched).distance)
+        self.commands.append(step.command)
+        self.measured.append(_join_measured_inputs(sample, 2 * len(step.command.pressures)))
+        self.seconds.append(step.seconds)
+        self.telemetry.append(replace(telemetry, doubts={**telemetry.doubts, **sample.faults}) if sample.faults else telemetry)
 
 
 def close_loop(
@@ -118,13 +152,15 @@ def close_loop(
     """
     guard, done = guard or Guard(), keep or LoopRecord(controller.reference)
     rests = rig.simulated is not None or guard.approach_time <= 0
-    supervisor = Supervisor(guard, robot)
+    loop = _Loop(rig, controller, guard, Supervisor(guard, robot), progress)
     with rig, undisturbed():
         try:
-            first = _prepared(rig, controller, robot, guard, supervisor, progress, rests)
-            _closed(rig, controller, supervisor, progress, observer, done, first)
+            start = controller.start()
+            check_command(start, robot)
+            first = loop.read_first(start) if rests else loop.approach(start)
+            loop.follow(first, done, observer)
             if not rests:
-                _down(rig, done.commands[-1], guard, supervisor, progress)
+                loop.return_to_zero(done.commands[-1])
         except Stopped as stop:
             done.outcome = stop.outcome
         except KeyboardInterrupt:
@@ -149,100 +185,90 @@ def undisturbed() -> Iterator[None]:
             gc.enable()
 
 
-def _prepared(
-    rig: Rig, controller: Controller, robot: Robot, guard: Guard, supervisor: Supervisor, progress: Progress, rests: bool
-) -> Sample:
-    """The first sample, with the robot at rest where the controller starts."""
-    start = controller.start()
-    check_command(start, robot)
-    rig.apply(start if rests else _part(start, 0.0))
-    sample = rig.read()
-    expected = controller.reference.equilibria[0].points
-    if sample.points.shape != expected.shape:
-        raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(expected)}; another robot?")
-    if rests:
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """A rig and its controller, with the supervisor that watches every sample."""
+
+    rig: Rig
+    controller: Controller
+    guard: Guard
+    supervisor: Supervisor
+    progress: Progress
+
+    def read_first(self, command: Command) -> Sample:
+        """Apply a command and read the first sample under it.
+
+        Raises:
+            InputError: the rig tracks other points than the model has.
+        """
+        self.rig.apply(command)
+        sample, expected = self.rig.read(), self.controller.reference.equilibria[0].points
+        if sample.points.shape != expected.shape:
+            raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(expected)}; another robot?")
         return sample
-    began, whole = sample.time, guard.approach_time + guard.settle_time
-    missed: list[np.ndarray] = []
-    while (passed := sample.time - began) < whole:
-        supervisor.check(sample)
-        rig.apply(_part(start, smooth_step(passed / guard.approach_time)))
-        progress("to the start", passed, whole)
-        if passed > guard.approach_time + guard.settle_time / 2:
-            missed.append(np.linalg.norm(sample.points - expected, axis=1))
-        sample = rig.read()
-    known = np.concatenate(missed)[np.isfinite(np.concatenate(missed))] if missed else np.zeros(0)
-    miss = float(np.median(known)) if len(known) else np.inf
-    if not miss <= guard.start_tolerance:
-        saw = f"the tracked points miss the model's by {1e3 * miss:.0f} mm" if len(known) else "the tracker sees nothing"
-        need = f"valid: at most {1e3 * guard.start_tolerance:.0f} mm. Is the tracker registered (tepm hw calibrate base)?"
-        raise InputError(f"at the start {saw}; {need}")
-    return sample
+
+    def approach(self, start: Command) -> Sample:
+        """Bring the rig slowly to where the controller starts, and let it rest there; the last sample.
+
+        Raises:
+            InputError: the tracked points are not where the model has them.
+        """
+        guard, expected = self.guard, self.controller.reference.equilibria[0].points
+        sample = self.read_first(_part(start, 0.0))
+        began, whole = sample.time, guard.approach_time + guard.settle_time
+        missed: list[np.ndarray] = []
+        while (passed := sample.time - began) < whole:
+            self.supervisor.check(sample)
+            self.rig.apply(_part(start, smooth_step(passed / guard.approach_time)))
+            self.progress("to the start", passed, whole)
+            if passed > guard.approach_time + guard.settle_time / 2:
+                missed.append(np.linalg.norm(sample.points - expected, axis=1))
+            sample = self.rig.read()
+        known = np.concatenate(missed)[np.isfinite(np.concatenate(missed))] if missed else np.zeros(0)
+        miss = float(np.median(known)) if len(known) else np.inf
+        if not miss <= guard.start_tolerance:
+            saw = f"the tracked points miss the model's by {1e3 * miss:.0f} mm" if len(known) else "the tracker sees nothing"
+            need = f"valid: at most {1e3 * guard.start_tolerance:.0f} mm. Is the tracker registered (tepm hw calibrate base)?"
+            raise InputError(f"at the start {saw}; {need}")
+        return sample
+
+    def follow(self, sample: Sample, done: LoopRecord, observer: Observer | None) -> None:
+        """Take samples and give commands in turns until the reference ends or the guard stops it."""
+        rig, controller, reference = self.rig, self.controller, self.controller.reference
+        zero, row, place = sample.time, -1, 0
+        while not reference.is_over(now := round((sample.time - zero) / reference.period)):
+            if now > row:  # a rig may be faster than the control period
+                row = now
+                began = time.perf_counter()
+                command = controller.command(sample)
+                seconds = time.perf_counter() - began
+                rig.apply(command)
+                place = int(reference.rows_at(row))
+                if isinstance(controller, Prepares):
+                    began = time.perf_counter()
+                    controller.prepare()
+                    seconds += time.perf_counter() - began
+                done.add(LoopStep(place, sample.time - zero, sample, command, seconds), rig, controller.telemetry())
+                self.progress("tracking", sample.time - zero, reference.duration)
+                if observer:
+                    observer(sample, reference.tips[place])
+            self.supervisor.check(sample, reference.tips[place])
+            sample = rig.read()
+
+    def return_to_zero(self, last: Command) -> None:
+        """Go from the last command slowly to zero; what ends that early is stopped, which is no worse than what was to come."""
+        with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
+            for passed, share in smooth_ramp(lambda: self.rig.time, self.guard.approach_time):
+                self.rig.apply(_part(last, 1 - share))
+                self.progress("back to zero", passed, self.guard.approach_time)
+                self.supervisor.check(self.rig.read())
 
 
 def _part(command: Command, part: float) -> Command:
     return Command(part * command.pressures, part * command.tensions * command.enabled, command.enabled)
 
 
-def _down(rig: Rig, last: Command, guard: Guard, supervisor: Supervisor, progress: Progress) -> None:
-    """From the last command slowly to nothing; what ends that early is stopped, which is no worse than what was to come."""
-    with contextlib.suppress(EOFError, KeyboardInterrupt, Stopped):
-        for passed, share in smooth_ramp(lambda: rig.time, guard.approach_time):
-            rig.apply(_part(last, 1 - share))
-            progress("back to zero", passed, guard.approach_time)
-            supervisor.check(rig.read())
-
-
-def _closed(
-    rig: Rig,
-    controller: Controller,
-    supervisor: Supervisor,
-    progress: Progress,
-    observer: Observer | None,
-    done: LoopRecord,
-    sample: Sample,
-) -> None:
-    """Samples and commands in turns until the reference ends or the guard stops it."""
-    reference, zero, row, place = controller.reference, sample.time, -1, 0
-    while not reference.over(now := round((sample.time - zero) / reference.period)):
-        if now > row:  # a rig may be faster than the control period
-            row = now
-            began = time.perf_counter()
-            command = controller.command(sample)
-            seconds = time.perf_counter() - began
-            rig.apply(command)
-            place = int(reference.at(row))
-            if isinstance(controller, Prepares):
-                began = time.perf_counter()
-                controller.prepare()
-                seconds += time.perf_counter() - began
-            _note(done, rig, sample, sample.time - zero, place, command, seconds, controller)
-            progress("tracking", sample.time - zero, reference.duration)
-            if observer:
-                observer(sample, reference.tips[place])
-        supervisor.check(sample, reference.tips[place])
-        sample = rig.read()
-
-
-def _measured(sample: Sample, count: int) -> np.ndarray:
+def _join_measured_inputs(sample: Sample, count: int) -> np.ndarray:
     if sample.pressures is None or sample.tensions is None:
         return np.full(count, np.nan)
     return np.concatenate([sample.pressures, sample.tensions])
-
-
-def _note(
-    done: LoopRecord, rig: Rig, sample: Sample, passed: float, row: int, command: Command, seconds: float, controller: Controller
-) -> None:
-    done.rows.append(row)
-    done.time.append(passed)
-    done.points.append(sample.points)
-    true, keep_out = rig.simulated, done.reference.keep_out
-    done.truth.append(np.full(3, np.nan) if true is None else true.true_points[-1])
-    if keep_out is not None:
-        watched = None if true is None else keep_out.watched(true.true_points, true.true_nodes)
-        done.distance.append(np.nan if watched is None else keep_out.nearest(watched).distance)
-    done.commands.append(command)
-    done.measured.append(_measured(sample, 2 * len(command.pressures)))
-    done.seconds.append(seconds)
-    told = controller.telemetry()
-    done.telemetry.append(replace(told, doubts={**told.doubts, **sample.faults}) if sample.faults else told)

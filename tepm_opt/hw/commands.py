@@ -23,7 +23,7 @@ def check_command(command: Command, robot: Robot) -> np.ndarray:
     for kind in ("pressures", "tensions", "enabled"):
         shape = np.shape(getattr(command, kind))
         if shape != (count,):
-            names = ", ".join(Layout.of(robot).actuator_names)
+            names = ", ".join(Layout.from_robot(robot).actuator_names)
             raise InputError(f"command: {kind} has the shape {shape}; valid: ({count},) for the actuators {names}")
     enabled = np.asarray(command.enabled)
     if enabled.dtype != bool:
@@ -43,7 +43,7 @@ def _within(values: np.ndarray, robot: Robot) -> np.ndarray:
     wrong = ~((values >= -_ROUNDING * limits) & (values <= limits * (1 + _ROUNDING)))  # NaN is wrong, too
     if wrong.any():
         row, first = (int(at[0]) for at in np.nonzero(wrong))
-        names = Layout.of(robot).actuator_names
+        names = Layout.from_robot(robot).actuator_names
         kind, unit = ("pressure", "Pa") if first < len(names) else ("tension", "N")
         found = f"{kind} of actuator {names[first % len(names)]} = {values[row, first]:g} {unit}"
         raise InputError(f"command: {found}; valid: 0 … {limits[first]:g} {unit}")

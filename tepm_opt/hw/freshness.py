@@ -211,7 +211,7 @@ class FreshnessMonitor:
     @staticmethod
     def of_robot(robot: Robot, rate: float) -> FreshnessMonitor:
         """The monitor of a real rig, by what the robot file declares."""
-        return FreshnessMonitor(Layout.of(robot), robot.input_max, DeclaredNoise.of_robot(robot), rate)
+        return FreshnessMonitor(Layout.from_robot(robot), robot.input_max, DeclaredNoise.of_robot(robot), rate)
 
     def look(self, sample: Sample, commands: np.ndarray | None = None, gauged: bool = True) -> Sample:
         """A sample without what is none.

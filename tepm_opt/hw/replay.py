@@ -46,7 +46,7 @@ class ReplayRig:
         self, source: Run | str | Path, robot: Robot | str | Path = "kang2017", wait: Callable[[float], None] = lambda _: None
     ) -> None:
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
-        self.layout = Layout.of(self.robot)
+        self.layout = Layout.from_robot(self.robot)
         self.run = source if isinstance(source, Run) else read_run(source)
         self.time = 0.0
         self._wait = wait

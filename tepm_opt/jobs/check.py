@@ -98,7 +98,7 @@ def run_check(dataset: str | Path, progress: Progress = silent) -> CheckRun:
 
 def _setup_findings(dataset: DataSet, progress: Progress) -> list[Finding]:
     """Set-up errors that simulations show; the likeliest mend of each is an error, alternatives to it are warnings."""
-    known = Model.of(dataset.robot)
+    known = Model.from_robot(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:
         return []

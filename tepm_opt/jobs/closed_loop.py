@@ -154,7 +154,7 @@ class ClosedLoop(Tabular):
             return np.array(values, dtype=float).reshape(-1, *shape)
 
         return ClosedLoop(
-            model.model, setup, Devices.of(model), done.reference.duration, done.reference.period, stacked(done.time[rows]),
+            model.model, setup, Devices.from_model(model), done.reference.duration, done.reference.period, stacked(done.time[rows]),
             done.reference.path[places], done.reference.counted[places], stacked(done.points[rows], model.layout.points, 3),
             stacked(done.truth[rows], 3), stacked([c.pressures for c in commands], half), stacked([c.tensions for c in commands], half),
             stacked([c.enabled for c in commands], half).astype(bool), stacked(done.measured[rows], 2 * half), stacked(done.seconds[rows]),

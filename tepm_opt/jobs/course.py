@@ -10,7 +10,7 @@ from tepm_opt.control.collision.elastic_band import detour
 from tepm_opt.control.collision.geometry import Obstacles
 from tepm_opt.control.collision.model import KeepOut
 from tepm_opt.control.references.path_following import FINE, FreeReference
-from tepm_opt.control.references.reference import PERIOD, START_UP, Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.references.reference import PERIOD, START_UP, Reference, approach, point_by_point, reference_of, sample_tips
 from tepm_opt.control.references.time_optimal import PaceSettings, retimed
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
@@ -87,7 +87,7 @@ def whole_reference(
         tips, counted, point = point_by_point(trajectory.positions, move, course.stay, course.stay / 3)
     else:
         rests = not trajectory.closed and len(trajectory.time) > 2 and _rests(trajectory)
-        tips, counted = along(trajectory, AT_ONCE if rests else course.start_up, course.laps, period)
+        tips, counted = sample_tips(trajectory, AT_ONCE if rests else course.start_up, course.laps, period)
         point = np.zeros(len(tips), dtype=int)
     lead = approach(model, tips[0], course.approach, period)
     lead = np.vstack([lead, np.repeat(tips[:1], round(course.pause / period), axis=0)])

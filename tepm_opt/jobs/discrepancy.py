@@ -123,7 +123,7 @@ def run_discrepancy(
         Path(baseline) if baseline else None,
     )
     dataset, warnings = checked_datasets([folder, *more], despite_errors, mends_setup=True)
-    known = read_model(model) if model else Model.of(dataset.robot)
+    known = read_model(model) if model else Model.from_robot(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:
         raise InputError(f"{model}: its robot has other actuators or reference points than {dataset.robot}, which {folder} names")

@@ -113,7 +113,7 @@ class ModesRun(Tabular):
         """
         folder = output_folder(folder)
         write_columns(folder / "modes.csv", self.columns())
-        moving, at = self.linear.moving(), self.linear.equilibrium
+        moving, at = self.linear.without_held_states(), self.linear.equilibrium
         content = {
             "A": moving.A, "B": moving.B, "C": moving.C, "D": moving.D,
             "input_names": np.array(moving.inputs, dtype=object), "output_names": np.array(moving.outputs, dtype=object),

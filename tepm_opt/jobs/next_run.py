@@ -257,7 +257,7 @@ def run_next(
     if dataset.static or dataset.sample_rate is None:
         raise InputError(f"{folders[0]}: data of equilibria; valid: runs of a motion")
     file = content.get("model")
-    known = read_model(found / file) if file else Model.of(dataset.robot)
+    known = read_model(found / file) if file else Model.from_robot(dataset.robot)
     channels, noise = channels_of(known.robot), noise_of(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.from_model(known, channels)

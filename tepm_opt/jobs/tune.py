@@ -111,7 +111,7 @@ def filter_inputs(model: CompiledModel, run: Run, progress: Progress = silent) -
     rows = np.round((run.time - run.time[0]) / PERIOD).astype(int)
     targets = np.array([np.interp(np.arange(rows[-1] + 1), rows, run.extra[name]) for name in TARGET]).T
     reference = reference_of(model, targets, progress=progress)
-    setup = StepSetup.of(model, reference, MpcSettings(), 0.0)
+    setup = StepSetup.from_model(model, reference, MpcSettings(), 0.0)
     about = OperatingPoints(setup)
     state = MpcState.at_rest(setup, about.find(0))
     samples = dict(zip(rows.tolist(), _samples(run, model.layout.actuator_names), strict=True))

@@ -1,4 +1,4 @@
-"""What data need to know about a robot, taken from its file; data sets read with the robot they name."""
+"""Channels of data about a robot, taken from its file; data sets read with the robot they name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PAPER = 1.392  # Hz, `_sway` of the paper's robot, on which limits of speed are 
 
 def channels_of(robot: Robot) -> Channels:
     """Names and magnitudes of the quantities in a robot's data."""
-    layout = Layout.of(robot)
+    layout = Layout.from_robot(robot)
     x, y, z = (float(value) for value in robot.mount.rotation[:, 2])
     return Channels(
         layout.actuator_names,
@@ -58,7 +58,7 @@ def open_dataset(folder: str | Path) -> DataSet:
 
 
 def check(folder: str | Path) -> list[Finding]:
-    """What is wrong or doubtful in a data set's folder, with the limits and the size of the robot it names.
+    """Find what is wrong or doubtful in a data set's folder, by limits and size of the robot it names.
 
     Raises:
         InputError: no folder, no `dataset.toml`, or one that is not TOML.

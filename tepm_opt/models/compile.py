@@ -17,8 +17,9 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.backends import ccode
 from tepm_opt.models.backends.ccode import Texts
 from tepm_opt.models.backends.compiled import CompiledStatics, CompiledTimeStepper, statics_unit, stepping_unit
-from tepm_opt.models.backends.interface import StaticsBackend, TimeStepper
+from tepm_opt.models.backends.interface import StaticsBackend
 from tepm_opt.models.backends.kinematics import PythonKinematics
+from tepm_opt.models.backends.motion_interface import TimeStepper
 from tepm_opt.models.backends.time_stepping import PythonTimeStepper
 from tepm_opt.models.backends.written import read_or_write
 from tepm_opt.models.dynamics import Dynamics, write_dynamics
@@ -53,7 +54,7 @@ class CompiledModel:
         return f"CompiledModel({self.robot.name} in {'C' if self.is_c else 'Python'}: {size})"
 
     def __reduce__(self) -> tuple[Callable[..., CompiledModel], tuple[bytes, bool, np.ndarray]]:
-        """What pickle keeps: plain data, compiled where they are read, once a process."""
+        """Reduce for pickle to plain data, which are compiled where they are read, once a process."""
         return _compiled_again, (pickle.dumps(self.model), self.is_c, self.theta)
 
     @property
@@ -192,10 +193,10 @@ class CompiledModel:
 
     def allows(self, inputs: np.ndarray) -> bool:
         """Whether inputs (…, 2 · modules · actuators) are numbers within the robot's limits."""
-        return bool(np.isfinite(inputs).all() and not self._outside(inputs).any())
+        return bool(np.isfinite(inputs).all() and not self._exceeds_limits(inputs).any())
 
-    def _outside(self, inputs: np.ndarray) -> np.ndarray:
-        """Which inputs (…, 2 · modules · actuators) are outside the robot's limits by more than rounding."""
+    def _exceeds_limits(self, inputs: np.ndarray) -> np.ndarray:
+        """Whether each input (…, 2 · modules · actuators) is outside the robot's limits by more than rounding."""
         return np.asarray(np.abs(inputs / self.input_max - 0.5) > 0.5 + 1e-9)
 
     def check_inputs(self, inputs: Sequence[float] | np.ndarray, where: str = "inputs") -> np.ndarray:
@@ -206,7 +207,7 @@ class CompiledModel:
         """
         array = finite_array(inputs, self.input_max.shape, where)
         limit = self.input_max
-        outside = self._outside(array)
+        outside = self._exceeds_limits(array)
         if outside.any():
             at = int(np.argmax(outside))
             kind = PRESSURE if at < self.layout.inputs // 2 else TENSION
@@ -256,7 +257,7 @@ def compile_model(model: Model | Robot | str | Path, backend: Literal["auto", "c
     Raises:
         InputError: no such robot, or `backend="c"` where no compiler works.
     """
-    model = model if isinstance(model, Model) else Model.of(model)
+    model = model if isinstance(model, Model) else Model.from_robot(model)
     network, texts = (write_network(model), None) if backend == "python" else read_or_write("statics", model, write_network, statics_unit)
     reference = PythonKinematics(network)
     library = None if texts is None else ccode.build(texts)

@@ -1,4 +1,4 @@
-"""How fast regulators and tendon motors are, as far as robot file and model know: what controllers and plans reckon with."""
+"""Speed of regulators and tendon motors by robot file and model, which controllers and plans reckon with."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tepm_opt.models.compile import CompiledModel
 
 @dataclass(frozen=True)
 class Devices:
-    """How fast the devices between commands and forces are.
+    """Speed of the devices between commands and forces.
 
     Attributes:
         filling, exhausting: time constants of the regulators in s; 0 is at once.
@@ -26,8 +26,8 @@ class Devices:
     delay: float
 
     @staticmethod
-    def of(model: CompiledModel) -> Devices:
-        """The actuators of the robot file; a lag or delay that an effect of the model declares goes before it."""
+    def from_model(model: CompiledModel) -> Devices:
+        """Devices of the robot file; a lag or delay that an effect of the model declares goes before it."""
         data, lag, delay = model.robot.actuation, model.pressure_lag, model.command_delay
         filling, exhausting = (data.filling_time_s, data.exhausting_time_s) if lag is None else lag
         rate = data.tension_rate_N_per_s or np.inf

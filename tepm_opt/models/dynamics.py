@@ -145,7 +145,7 @@ def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
                 begun, last = (kind.pressure_begun(there, own, context) for there in (at, at - time * passing))
             memory = remembers(at, passing, last + y, own, context)
             if memory is not None:
-                reached = memory.after(last + y, time)
+                reached = memory.advance(last + y, time)
                 signal[which] = signal[which] + summed(reached, count)
                 speed[which] = speed[which] + summed(reached - last - y, count) / time
                 before.append(state)
@@ -231,7 +231,7 @@ def _segment_dynamics(writer: Writer) -> dict[str, ca.Function]:
 
 
 def _edge_pull(writer: Writer, s: Segment, index: int, span: ca.SX, speed: ca.SX, step: ca.SX) -> tuple[ca.SX, list[ca.SX], list[ca.SX]]:
-    """What pulls an edge's ends together, its internal states before a stage and their rates at its end."""
+    """Force that pulls an edge's ends together, its internal states before a stage and their rates at its end."""
     edge = writer.layout.edges[index]
     own = {name: s.column[writer.rows[name]][index] for name in ("stiffness", "damping", "rest")}
     if edge.kind == VERTICAL:

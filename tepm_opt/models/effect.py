@@ -1,4 +1,4 @@
-"""What an effect is: a name, parameters that make it vanish at their null values, and only the hooks it needs."""
+"""Base of effects: a name, parameters that make it vanish at their null values, and only the hooks it needs."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Properties:
 
 @dataclass(frozen=True)
 class Context:
-    """What a hook may know besides its parameters.
+    """Data that a hook may use besides its parameters.
 
     Attributes:
         layout: the network's geometry.

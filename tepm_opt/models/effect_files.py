@@ -34,7 +34,7 @@ def unload_effect(name: str) -> None:
 
 
 def loaded_effects() -> str:
-    """What was loaded, in a word that changes with the files' contents."""
+    """Fingerprint of the loaded effects, which changes with the files' contents."""
     return hashlib.sha256(repr(sorted(_loaded.items())).encode()).hexdigest() if _loaded else ""
 
 

@@ -1,4 +1,4 @@
-"""How a robot's electronics are wired and calibrated: the `[hardware]` part of a robot file. Volts, counts and steps; no bytes."""
+"""Wiring and calibration of a robot's electronics: the `[hardware]` part of a robot file. Volts, counts and steps; no bytes."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class TrackerLink(Section):
 
 
 class Hardware(Section):
-    """What the host has to know about the board, the regulators, the motors and the tracker."""
+    """Data of the board, the regulators, the motors and the tracker that the host needs."""
 
     pressure: PressureLines = PressureLines()
     tension: TensionLines = TensionLines()

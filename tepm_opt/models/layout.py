@@ -1,4 +1,4 @@
-"""Which node is joined to which: the geometry of the network (SPEC section 2), numbers only."""
+"""Nodes and their joints: the geometry of the network (SPEC section 2), numbers only."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Layout:
     guided: bool = False  # plates slide on rails along the base axis
 
     @staticmethod
-    def of(robot: Robot) -> Layout:
+    def from_robot(robot: Robot) -> Layout:
         """The layout of a robot."""
         geometry = robot.geometry
         crossed = geometry.bracing == "crossed"
@@ -101,7 +101,7 @@ class Layout:
         return tuple(f"s{i + 1}" for i in range(self.points))
 
     def details(self, kind: str | None) -> tuple[str, ...]:
-        """What the detail of an effect can name: actuators, points, or nothing where the effect has no detail.
+        """Names that the detail of an effect can have: actuators, points, or nothing where the effect has no detail.
 
         Args:
             kind: "actuator", "point" or None, as `Effect.detail` has it.

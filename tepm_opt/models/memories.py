@@ -36,8 +36,8 @@ class Memory:
         """dy/dt at the end of an implicit stage of length `step` that starts at `state`; at `state` itself for step 0."""
         return (self.scale * self.drive - self.decay * state) / (self.scale + step * self.decay)
 
-    def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
-        """y after a time over which drive and decay stay as they are: the exact solution, for any scale down to 0."""
+    def advance(self, state: ca.SX, time: ca.SX) -> ca.SX:
+        """Advance y by a time over which drive and decay stay as they are: the exact solution, for any scale down to 0."""
         z = time * self.decay / (self.scale + SHORTEST) + TINY
         return ca.exp(-z) * state - ca.expm1(-z) / z * time * self.drive
 
@@ -54,13 +54,13 @@ class Saturating(Memory):
     slowing: Callable[[ca.SX, ca.SX], ca.SX]
     opening: ca.SX
 
-    def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
-        """y after a time over which drive and decay stay as they are: by the slowing in the middle, exact where nothing slows it."""
+    def advance(self, state: ca.SX, time: ca.SX) -> ca.SX:
+        """Advance y by a time over which drive and decay stay as they are: by the slowing in the middle, exact where nothing slows it."""
         middle = state + time / 2 * self.drive
         for part in (time / 2, time):
             slowed = self.scale + self.slowing(middle, time / 2) * ca.fmax(ca.fabs(middle), self.opening)
             slowed = ca.if_else(slowed < 0, 0, slowed)  # with its slope at 0
-            middle = Memory(self.drive, self.decay, slowed).after(state, part)
+            middle = Memory(self.drive, self.decay, slowed).advance(state, part)
         return middle
 
 
@@ -85,8 +85,8 @@ class Play:
     distance: ca.SX
     sticking: ca.SX
 
-    def after(self, state: ca.SX, time: ca.SX) -> ca.SX:
-        """y after a time at whose end the limit is this one: exact for a limit that stays.
+    def advance(self, state: ca.SX, time: ca.SX) -> ca.SX:
+        """Advance y by a time at whose end the limit is this one: exact for a limit that stays.
 
         Where sticking hardly matters it is a series in it, which no quotient by it spoils.
         """

@@ -18,6 +18,7 @@ from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import UNITS, Parameters, Robot, builtin_robots, load_robot
+from tepm_opt.renamed import RenamedMethod
 
 
 @dataclass(frozen=True)
@@ -39,15 +40,17 @@ class Model:
     filter: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
-    def of(robot: str | Path | Robot) -> Model:
-        """The nominal model of a robot given by built-in name, path or value."""
+    def from_robot(robot: str | Path | Robot) -> Model:
+        """Make the nominal model of a robot given by built-in name, path or value."""
         if isinstance(robot, Robot):
             return Model(robot, source=robot.name)
         return Model(load_robot(robot), source=str(robot))
 
+    of = RenamedMethod("from_robot")
+
     def __post_init__(self) -> None:
         check_parameters(self.robot, self.parameters, "model")
-        layout = Layout.of(self.robot)
+        layout = Layout.from_robot(self.robot)
         check_effects(self.effects, layout, "model")
         validated(_FilterTable, self.filter, "model: filter")
         object.__setattr__(self, "effects", tuple(_with_shapes(effect, layout) for effect in self.effects))
@@ -58,7 +61,7 @@ class Model:
 
     def with_effect(self, name: str, detail: str | None = None, **parameters: float) -> Model:
         """This model with one more effect; parameters not given have their probe values."""
-        values = {parameter.name: parameter.probe for parameter in find_effect(name).parameters_of(Layout.of(self.robot))}
+        values = {parameter.name: parameter.probe for parameter in find_effect(name).parameters_of(Layout.from_robot(self.robot))}
         return replace(self, effects=(*self.effects, ActiveEffect(name, detail, {**values, **parameters})))
 
     def __repr__(self) -> str:
@@ -78,7 +81,7 @@ class Model:
             rows.append((name, f"{value:g}", UNITS[name], f"instead of {nominal:g}" if name in self.parameters else "robot file"))
         for effect in self.effects:
             kind = find_effect(effect.name)
-            own = kind.parameters_of(Layout.of(self.robot))
+            own = kind.parameters_of(Layout.from_robot(self.robot))
             rows += [(f"{effect.label}.{p.name}", f"{effect.parameters[p.name]:g}", p.unit, kind.explains) for p in own]
         return rows
 
@@ -201,14 +204,14 @@ def read_model(path: str | Path) -> Model:
     robot = load_robot(source, where)
     check_parameters(robot, table.parameters, where)
     effects = tuple(ActiveEffect(entry.name, entry.detail, entry.parameters) for entry in table.effects)
-    check_effects(effects, Layout.of(robot), where)
+    check_effects(effects, Layout.from_robot(robot), where)
     validated(_FilterTable, table.filter, f"{where}: filter")
     parameters, levels = ({name: float(value) for name, value in part.items()} for part in (table.parameters, table.filter))
     return Model(robot, parameters, effects, source, levels)
 
 
-def _beside(robot: Path, path: Path) -> str:
-    """The name of a robot file as seen from a model file: its own where both are in one folder, else that of a copy, `model.robot.toml`."""
+def _store_robot_file(robot: Path, path: Path) -> str:
+    """Name of a robot file beside a model file: its own where both are in one folder, else that of a copy made here, `model.robot.toml`."""
     if robot.resolve().parent == path.resolve().parent:
         return robot.name
     copy = path.with_suffix(".robot.toml")
@@ -225,7 +228,7 @@ def write_model(model: Model, path: str | Path) -> None:
     path = Path(path)
     if load_robot(model.source) != model.robot:
         raise InputError(f"{path}: the model's robot differs from {model.source!r}; save the robot as a file and set `source` to it")
-    source = model.source if model.source in builtin_robots() else _beside(Path(model.source), path)
+    source = model.source if model.source in builtin_robots() else _store_robot_file(Path(model.source), path)
     lines = [f"robot = {toml_string(source)}"]
     if model.parameters:
         lines += ["", "[parameters]", *(f"{name} = {float(value)!r}  # {UNITS[name]}" for name, value in model.parameters.items())]

@@ -21,7 +21,7 @@ LEAST_STIFFNESS = 5.0  # N/m, K_a of what stands by itself
 
 
 class Geometry(Section):
-    """How the network is laid out (SPEC section 2)."""
+    """Layout of the network (SPEC section 2)."""
 
     modules: Annotated[int, Field(strict=True, ge=1, le=20, description="1 … 20")]
     segments_per_module: Annotated[int, Field(strict=True, ge=1, le=100, description="1 … 100")]
@@ -124,7 +124,7 @@ def on_grid(values: np.ndarray, step: float | np.ndarray, limit: float | np.ndar
 
 
 class Mount(Section):
-    """How the base plate stands in the tracker frame G."""
+    """Pose of the base plate in the tracker frame G."""
 
     gravity_m_per_s2: Vector
     base_position_m: Vector

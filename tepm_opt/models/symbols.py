@@ -34,7 +34,7 @@ class Writer:
     """Symbols of one model and the functions written with them."""
 
     def __init__(self, model: Model) -> None:
-        self.layout = layout = Layout.of(model.robot)
+        self.layout = layout = Layout.from_robot(model.robot)
         self.names = (*model.values, *((CLOCK, BEGAN) if model.timed else ()))
         self.theta = ca.SX.sym("theta", len(self.names))
         self.value = dict(zip(self.names, ca.vertsplit(self.theta), strict=True))
@@ -217,7 +217,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class PointForce:
-    """What a reference point's motion meets: energy, force that holds the point against it, and the force's derivatives.
+    """Resistance that a reference point's motion meets: energy, force that holds the point against it, and the force's derivatives.
 
     Attributes:
         way: from the segment's nodes to the point, (3, 2 · block).

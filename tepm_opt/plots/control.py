@@ -145,7 +145,7 @@ def distance_figure(loops: Mapping[str, ClosedLoop]) -> Figure:
 
 def inputs_figure(loop: ClosedLoop) -> Figure:
     """Coarse above (pressures as forces), fine below (tensions in their range), a column a module; then how they share the work."""
-    layout = Layout.of(loop.model.robot)
+    layout = Layout.from_robot(loop.model.robot)
     figure = Figure(figsize=(11.5, 10.0), **STYLE)  # type: ignore[arg-type]
     rows: Sequence[SubFigure] = list(figure.subfigures(2, 1, height_ratios=(2.1, 1.0)))  # type: ignore[arg-type]
     panels = rows[0].subplots(2, layout.modules, sharex=True, sharey="row", squeeze=False)

@@ -101,7 +101,7 @@ def _changed(random: np.random.Generator, key: str, value: Any) -> Any:
 
 def _level(random: np.random.Generator, robot: Robot, reach: Reach, common: float) -> Level:
     """One input, one module against itself, all pressures, or pressures and tensions together."""
-    layout = Layout.of(robot)
+    layout = Layout.from_robot(robot)
     module = int(random.integers(layout.modules))
     own = layout.actuator_names[module * layout.actuators : (module + 1) * layout.actuators]
     one, other = (str(name) for name in random.choice(own, 2, replace=False))
@@ -127,7 +127,7 @@ def _amplitude(random: np.random.Generator, robot: Robot, reach: Reach, common: 
     share = float(random.uniform(0.1, 0.9))
     if random.uniform() < 0.3:
         return {"pressure_Pa": _rounded(share * common)}
-    layout = Layout.of(robot)
+    layout = Layout.from_robot(robot)
     module, turned = int(random.integers(layout.modules)), random.uniform(0, 2 * np.pi)
     size = min(0.3 * share * reach.alone[module], 0.9 * common)
     own = layout.actuator_names[module * layout.actuators : (module + 1) * layout.actuators]

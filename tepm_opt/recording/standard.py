@@ -42,7 +42,7 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
         reach: its levels and its sway.
         share: of the levels, for a robot that does not bear all of them at once.
     """
-    layout, period = Layout.of(robot), 1.0 / reach.sway
+    layout, period = Layout.from_robot(robot), 1.0 / reach.sway
     names, count = layout.actuator_names, layout.actuators
     common, alone, least = share * reach.common, share * np.array(reach.alone), share * min(reach.alone)
     tension, pull, force = share * np.array(reach.tension), share * min(reach.tension), _rounded(share * reach.force)
@@ -154,7 +154,7 @@ def wiring_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Planned
         reach: its levels.
         share: of the levels, for a robot that does not bear all of them.
     """
-    layout = Layout.of(robot)
+    layout = Layout.from_robot(robot)
     each = [(k // layout.actuators, name) for k, name in enumerate(layout.actuator_names)]
     muscles = [{f"pressure_{name}_Pa": _rounded(0.5 * share * reach.alone[module])} for module, name in each]
     tendons = [{f"tension_{name}_N": _rounded(share * reach.tension[module])} for module, name in each]
@@ -182,7 +182,7 @@ def _to_and_fro(levels: Sequence[Level]) -> list[Level]:
 
 def _bends(robot: Robot, amplitudes: np.ndarray) -> list[Level]:
     """Pressures that bend each module, odd ones across and even ones along the first actuator's angle."""
-    names, found = Layout.of(robot).actuator_names, list[Level]()
+    names, found = Layout.from_robot(robot).actuator_names, list[Level]()
     for module, amplitude in enumerate(amplitudes):
         parts = np.cos(robot.angles - robot.angles[0] - (np.pi / 2 if module % 2 == 0 else 0.0))
         own = names[module * robot.actuators : (module + 1) * robot.actuators]

@@ -48,7 +48,7 @@ def force_range(model: CompiledModel, mode: ActuationMode) -> tuple[np.ndarray, 
 
 
 def allotment(model: CompiledModel, mode: ActuationMode, mid_tension: float | None = None) -> Allotment:
-    """How a mode makes axial forces; see `allocate`."""
+    """Rule by which a mode makes axial forces; see `allocate`."""
     start, half = np.zeros(model.layout.inputs), model.layout.inputs // 2
     hybrid = mode is ActuationMode.HYBRID
     if hybrid:

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class ActuationMode(StrEnum):
-    """How axial forces are made."""
+    """Actuators that make the axial forces."""
 
     PRESSURE = "pressure"
     """The paper's mode 1: the tendons are slack."""
@@ -15,7 +15,7 @@ class ActuationMode(StrEnum):
 
 
 class Objective(StrEnum):
-    """What a plan makes as small as can be."""
+    """Quantity that a plan minimises."""
 
     TIME = "time"
     EFFORT = "effort"

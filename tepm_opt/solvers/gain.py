@@ -106,13 +106,7 @@ def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = Fal
         raise ValueError(f"no gain at this operating point: {equilibrium.outcome.message}")
     point %= points
     status, by_u, by_load, by_theta = model.statics.sensitivity(
-        equilibrium.x,
-        equilibrium.inputs,
-        equilibrium.mapped,
-        equilibrium.loads.ravel(),
-        model.theta,
-        _coordinates(model.layout, point),
-        parameters,
+        equilibrium.x, equilibrium.load_case, _coordinates(model.layout, point), parameters
     )
     if status != Status.SOLVED:
         raise ValueError("no gain at this operating point: its stiffness is not positive definite")
@@ -121,7 +115,7 @@ def solve_gain(equilibrium: Equilibrium, point: int = -1, parameters: bool = Fal
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """How the tip moves while one input runs over part of its range, all others zero (Fig. 11).
+    """Motion of the tip while one input runs over part of its range, all others zero (Fig. 11).
 
     Attributes:
         part: input over its range, (count,).

@@ -81,7 +81,7 @@ def off_centre(estimate: ParameterEstimate, names: Collection[str]) -> list[floa
 
 
 def _members(estimate: ParameterEstimate, names: Collection[str]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """How far the members of every group are from their prior means, and their standard deviations, (members,) each."""
+    """Distances of every group's members from their prior means, and their standard deviations, (members,) each."""
     members: dict[str, list[tuple[float, float]]] = {}
     for free, value, std in zip(estimate.problem.free, estimate.values, estimate.std, strict=True):
         if free.group and free.name in names:

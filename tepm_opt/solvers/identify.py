@@ -89,7 +89,7 @@ class ParameterEstimate:
 
     @property
     def at_bound(self) -> np.ndarray:
-        """Which parameters ended at a bound, (parameters,)."""
+        """Whether each parameter ended at a bound, (parameters,)."""
         problem, margin = self.problem, 1e-6 * self.problem.scale
         return (self.values <= problem.low + margin) | (self.values >= problem.high - margin)
 
@@ -135,7 +135,7 @@ def identify(
             message = OUT_OF_REACH
             break
         done += 1
-        tried, part, failure = _tried(problem, at.values, step, part, at.residuals if at.keeps else None)
+        tried, part, failure = _try_step(problem, at.values, step, part, at.residuals if at.keeps else None)
         new = np.inf if tried is None else _cost(problem, at.values + part * step, tried, at.weights)
         if tried is not None and new < at.cost:
             gained = (at.cost - new) / (promised * part * (2 - part))
@@ -204,7 +204,7 @@ class _Iterate:
         return ParameterEstimate(problem, self.values, covariance, residuals, self.cost, steps, information, outcome)
 
 
-def _tried(
+def _try_step(
     problem: Problem, values: np.ndarray, step: np.ndarray, part: float, known: list[Residual] | None
 ) -> tuple[list[Residual] | None, float, str]:
     """Residuals at the end of a step, or of the longest half, quarter, … of it that the model can do.

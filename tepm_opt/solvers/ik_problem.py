@@ -1,4 +1,4 @@
-"""What the inverse kinematics solves: tip error and length differences as functions of the axial forces."""
+"""Equations of the inverse kinematics: tip error and length differences as functions of the axial forces."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ class IkProblem:
             return np.zeros(self.half)
         return np.minimum(np.maximum((lengths.ravel() - value["L_0"]) * value["K_a"], self.low), self.high)
 
-    def at(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
-        """Equilibrium of axial forces."""
+    def solve_equilibrium(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
+        """Solve for the equilibrium of axial forces."""
         return equilibrium(self.model, self.actuation(forces), self.loads, start, mapped=True, explain=False)
 
     @property
@@ -118,12 +118,12 @@ class IkProblem:
     @cached_property
     def balanced(self) -> Equilibrium:
         """Equilibrium under them."""
-        return self.at(self.middle, None)
+        return self.solve_equilibrium(self.middle, None)
 
     @cached_property
     def idle(self) -> Equilibrium:
         """Equilibrium without inputs."""
-        return self.at(np.zeros(self.half), None)
+        return self.solve_equilibrium(np.zeros(self.half), None)
 
     def errors(self, at: Equilibrium, target: np.ndarray) -> np.ndarray:
         """Tip error, then length differences to the first module, in m."""
@@ -135,14 +135,12 @@ class IkProblem:
         Raises:
             LinAlgError: the equilibrium is not stable.
         """
-        status, by_u, _, _ = self.model.statics.sensitivity(
-            at.x, at.inputs, True, self.loads.ravel(), self.model.theta, self.weights, False
-        )
+        status, by_u, _, _ = self.model.statics.sensitivity(at.x, at.load_case, self.weights, False)
         if status != Status.SOLVED:
             raise np.linalg.LinAlgError("stiffness not positive definite")
         return by_u[:, : self.half] / self.area
 
-    def within(self, forces: np.ndarray) -> bool:
+    def is_within_limits(self, forces: np.ndarray) -> bool:
         """Whether axial forces are within their limits."""
         slack = LIMIT_SLACK * (self.high - self.low)
         return bool(((forces >= self.low - slack) & (forces <= self.high + slack)).all())

@@ -67,7 +67,7 @@ class Configuration:
 
 
 @lru_cache(maxsize=16)
-def _kept(model: CompiledModel, loads: bytes, mode: ActuationMode, mid_tension: float | None, settings: IkSettings) -> IkProblem:
+def _make_problem(model: CompiledModel, loads: bytes, mode: ActuationMode, mid_tension: float | None, settings: IkSettings) -> IkProblem:
     return IkProblem(model, np.frombuffer(loads).reshape(-1, 3), mode, mid_tension, settings)
 
 
@@ -75,7 +75,7 @@ def _problem(
     model: CompiledModel, loads: Sequence[float] | np.ndarray | None, mode: ActuationMode, mid_tension: float | None, settings: IkSettings
 ) -> IkProblem:
     """The problem of a model, kept for the next target."""
-    return _kept(model, model.check_loads(loads).tobytes(), mode, mid_tension, settings)
+    return _make_problem(model, model.check_loads(loads).tobytes(), mode, mid_tension, settings)
 
 
 def solve_ik(
@@ -107,7 +107,7 @@ def solve_ik(
     problem, target = _problem(model, loads, mode, mid_tension, settings), finite_array(target, (3,), "target")
     near = None if start is None else start.equilibrium
     found, status = _quick(problem, target[None], near)
-    return _holding(problem, found[0] if found else _thorough(problem, target, near, status))
+    return _find_holding_inputs(problem, found[0] if found else _thorough(problem, target, near, status))
 
 
 def each_configuration(
@@ -134,7 +134,7 @@ def each_configuration(
         if status != Status.SOLVED:
             found.append(_thorough(problem, left[len(found)], found[-1].equilibrium if found else last, status))
         last = next((each.equilibrium for each in reversed(found) if each.solved), last)
-        yield from (_holding(problem, each) for each in found)
+        yield from (_find_holding_inputs(problem, each) for each in found)
         left = left[len(found) :]
 
 
@@ -155,26 +155,26 @@ def solve_trajectory(
 
 
 def _quick(problem: IkProblem, targets: np.ndarray, start: Equilibrium | None) -> tuple[list[Configuration], Status]:
-    """What one call of the backend finds at the first of the targets, and how what came after that ended."""
+    """Configurations that one call of the backend finds at the first of the targets, and the status that ended it."""
     if problem.redundant:
         return [], Status.EXHAUSTED
     x, actuation = (problem.model.rest, problem.actuation(problem.seed(targets[0]))) if start is None else (start.x, start.inputs)
     poses, status = problem.model.statics.configurations(problem.shared, targets, x, actuation, start is None)
-    return [_posed(problem, target, pose) for target, pose in zip(targets, poses, strict=False)], status
+    return [_make_configuration(problem, target, pose) for target, pose in zip(targets, poses, strict=False)], status
 
 
-def _posed(problem: IkProblem, target: np.ndarray, pose: Pose) -> Configuration:
+def _make_configuration(problem: IkProblem, target: np.ndarray, pose: Pose) -> Configuration:
     model, layout = problem.model, problem.model.layout
     split = 3 * layout.points
     points, lengths = pose.observed[:split].reshape(-1, 3), pose.observed[split:].reshape(layout.modules, layout.actuators)
     at = Equilibrium(model, pose.actuation, problem.loads, pose.x, points, lengths, SOLVED, 0, pose.residual, 1.0, True)
     forces, made = problem.area * pose.actuation[: problem.half], Allocation(pose.inputs, pose.rounded, pose.missed)
     limits = _limits(problem, forces) if pose.room <= BINDING else ()
-    return Configuration(target, at, forces, made, _judged(made), math.dist(points[-1], target), limits, int(pose.steps))
+    return Configuration(target, at, forces, made, _assess_allocation(made), math.dist(points[-1], target), limits, int(pose.steps))
 
 
-def _holding(problem: IkProblem, found: Configuration) -> Configuration:
-    """The configuration with set points that hold it, where what tendons carry depends on the configuration, too.
+def _find_holding_inputs(problem: IkProblem, found: Configuration) -> Configuration:
+    """Find set points that hold a configuration where what tendons carry depends on the configuration, too.
 
     Newton on the forces asked of the set points, until these lead to the tip and length differences of the configuration.
     """
@@ -192,12 +192,12 @@ def _holding(problem: IkProblem, found: Configuration) -> Configuration:
         except np.linalg.LinAlgError:
             break
         made = allocate(model, forces, problem.mode, problem.mid_tension)
-        found = replace(found, forces=forces, allocation=made, outcome=_judged(made) if found.solved else found.outcome)
+        found = replace(found, forces=forces, allocation=made, outcome=_assess_allocation(made) if found.solved else found.outcome)
     return found
 
 
-def _judged(made: Allocation) -> Outcome:
-    """How a configuration ended that these set points shall hold."""
+def _assess_allocation(made: Allocation) -> Outcome:
+    """Outcome of a configuration that these set points shall hold."""
     if made.error <= MISSED:
         return SOLVED
     message = f"the set points miss an axial force by {made.error:.3g} N: no inputs within the limits make it"
@@ -220,7 +220,7 @@ def _thorough(problem: IkProblem, target: np.ndarray, start: Equilibrium | None,
     made = allocate(problem.model, found.forces, problem.mode, problem.mid_tension)
     limits, miss = _limits(problem, found.forces), math.dist(found.equilibrium.tip, target)
     if outcome.solved:
-        outcome = _judged(made)
+        outcome = _assess_allocation(made)
     elif not outcome.message:
         binding = ", ".join(limits) or "no limit binding (the stable branch may end there)"
         outcome = replace(outcome, message=f"out of reach: the nearest point misses by {1e3 * miss:.2f} mm, with {binding}")
@@ -230,14 +230,14 @@ def _thorough(problem: IkProblem, target: np.ndarray, start: Equilibrium | None,
 def _least_forces(problem: IkProblem, target: np.ndarray, start: Equilibrium | None) -> Balance | None:
     """The configuration of redundant actuators with the smallest forces where that is within the limits."""
     if start is not None and (found := _gauss_newton(problem, target, problem.area * start.inputs[: problem.half], start)):
-        return found if problem.within(found.forces) else None
+        return found if problem.is_within_limits(found.forces) else None
     found = _gauss_newton(problem, target, problem.seed(target), None)
-    return found if found and problem.within(found.forces) else None
+    return found if found and problem.is_within_limits(found.forces) else None
 
 
 def _gauss_newton(problem: IkProblem, target: np.ndarray, forces: np.ndarray, start: Equilibrium | None) -> Balance | None:
     """Minimum-norm Gauss-Newton from given forces; None where it leaves the limits far behind or does not converge."""
-    at, settings = problem.at(forces, start), problem.settings
+    at, settings = problem.solve_equilibrium(forces, start), problem.settings
     if not at.solved:
         return None
     errors, change = problem.errors(at, target), np.inf
@@ -248,7 +248,7 @@ def _gauss_newton(problem: IkProblem, target: np.ndarray, forces: np.ndarray, st
         full = np.linalg.lstsq(jacobian, jacobian @ forces - errors, rcond=1e-10)[0] - forces
         part = min(1.0, settings.max_step / np.abs(full).max())
         for _ in range(8):
-            trial = problem.at(forces + part * full, at)
+            trial = problem.solve_equilibrium(forces + part * full, at)
             changed = problem.errors(trial, target)
             if trial.solved and np.linalg.norm(changed) < max(np.linalg.norm(errors), settings.tolerance):
                 break
@@ -262,7 +262,7 @@ def _gauss_newton(problem: IkProblem, target: np.ndarray, forces: np.ndarray, st
 
 
 def _limits(problem: IkProblem, forces: np.ndarray) -> tuple[str, ...]:
-    """Which limits bind, in words."""
+    """Limits that bind, in words."""
     close = BINDING * (problem.high - problem.low)
     lower = "pressure_{} at 0" if problem.mode is ActuationMode.PRESSURE else "tension_{} at its maximum"
     names = problem.model.layout.actuator_names

@@ -14,6 +14,7 @@ from tepm_opt.data.setpoints import AXES
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.layout import Layout
 from tepm_opt.outcome import Ending
+from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.statics import Equilibrium
 from tepm_opt.solvers.text import shortened
 
@@ -54,7 +55,7 @@ class System:
 
     @property
     def late(self) -> np.ndarray:
-        """Which inputs act late, (inputs,) of bool."""
+        """Whether each input acts late, (inputs,) of bool."""
         return np.array([self.delay > 0 and not name.startswith("force_") for name in self.inputs], dtype=bool)
 
     @property
@@ -62,9 +63,11 @@ class System:
         """Names of the states, (states,)."""
         return tuple(f"state_{k + 1}" for k in range(len(self.A)))
 
-    def moving(self) -> System:
-        """The system without states that never move on their own; here itself."""
+    def without_held_states(self) -> System:
+        """Return the system without states that never move on their own; here itself."""
         return self
+
+    moving = RenamedMethod("without_held_states")
 
     def select(self, inputs: Names = None, outputs: Names = None) -> System:
         """Part of the inputs and outputs, all where absent, by name or by what names begin with ("pressure", "s4").
@@ -72,19 +75,19 @@ class System:
         Raises:
             InputError: no such input or output.
         """
-        system, rows, columns = self.moving(), _find("output", outputs, self.outputs), _find("input", inputs, self.inputs)
+        system, rows, columns = self.without_held_states(), _find("output", outputs, self.outputs), _find("input", inputs, self.inputs)
         B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
         names = tuple(self.inputs[k] for k in columns), tuple(self.outputs[k] for k in rows)
         return System(A=system.A, B=B, C=C, D=D, inputs=names[0], outputs=names[1], ranges=self.ranges[columns], delay=self.delay)
 
     def gain(self, scaled: bool = False) -> np.ndarray:
         """Gain at rest, (outputs, inputs) in m/Pa and m/N, or in m per range."""
-        system = self.moving()
+        system = self.without_held_states()
         return (system.D - system.C @ np.linalg.solve(system.A, system.B)) * (self.ranges if scaled else 1.0)
 
     def response(self, frequencies: Sequence[float] | np.ndarray, scaled: bool = False) -> np.ndarray:
         """Frequency response with the exact delay, (frequencies, outputs, inputs); frequencies in Hz, values as for `gain`."""
-        system, omega = self.moving(), 2j * np.pi * np.asarray(frequencies, dtype=float)
+        system, omega = self.without_held_states(), 2j * np.pi * np.asarray(frequencies, dtype=float)
         triangle, basis = sla.schur(system.A, output="complex")[:2]
         B, C, one = basis.conj().T @ system.B, system.C @ basis, np.eye(len(triangle))
         values = np.array([C @ sla.solve_triangular(s * one - triangle, B, check_finite=False) for s in omega]) + system.D
@@ -111,7 +114,7 @@ class System:
         if pade and part.late.any():
             A, B, C, D = _delayed(part, pade)
         B, D = (matrix * (part.ranges if scaled else 1.0) for matrix in (B, D))
-        states = [*self.moving().state_names, *_delay_names(part, pade)]
+        states = [*self.without_held_states().state_names, *_delay_names(part, pade)]
         return StateSpace(A, B, C, D, inputs=list(part.inputs), outputs=list(part.outputs), states=states, remove_useless_states=False)
 
 
@@ -176,8 +179,8 @@ class Linear(System):
         follow = np.hstack([kept @ by_v, np.zeros_like(kept @ by_v), -kept])
         return held, follow[:, ~held]
 
-    def moving(self) -> Linear:
-        """The system without `held` states, which follow the others from their value at the equilibrium: no eigenvalue 0."""
+    def without_held_states(self) -> Linear:
+        """Return the system without `held` states, which follow the others from their value at the equilibrium: no eigenvalue 0."""
         held, follow = self._follow
         if not held.any():
             return self

@@ -107,7 +107,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
         raise InputError(f"modes: {modes!r}; valid: 1 … {most}")
     if start is not None and (start.equilibrium.model is not model or len(start.stiffness) != modes):
         raise InputError("start: of another model or number of modes; valid: a modal model of the same, or None")
-    stiffness, damping = model.statics.matrices(at.x, at.inputs, at.mapped, at.loads.ravel(), model.theta)
+    stiffness, damping = model.statics.matrices(at.x, at.load_case)
     factor, indefinite = _factor(stiffness, lower=1)
     if indefinite:
         raise InputError("no stable equilibrium to linearise about: its stiffness matrix has a negative eigenvalue")
@@ -137,14 +137,14 @@ def network_matrices(at: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarra
     """
     model = at.model
     fixed = fixed_part(model)
-    stiffness, damping = model.statics.matrices(at.x, at.inputs, at.mapped, at.loads.ravel(), model.theta)
+    stiffness, damping = model.statics.matrices(at.x, at.load_case)
     half = _upper(damping)
     return fixed.axial(at), fixed.masses, stiffness, half + half.T - np.diag(damping[0])
 
 
 @dataclass(frozen=True, eq=False)
 class Fixed:
-    """What does not change with the equilibrium: masses (coordinates,) in kg, reference points by the free levels (3 · points,
+    """Data that do not change with the equilibrium: masses (coordinates,) in kg, reference points by the free levels (3 · points,
     coordinates), and where the directions of the actuators' edges go in the matrix of `axial`, by segment."""
 
     masses: np.ndarray
@@ -166,7 +166,7 @@ class Fixed:
 
 @lru_cache(maxsize=8)
 def fixed_part(model: CompiledModel) -> Fixed:
-    """What does not change of a model; what effects make of masses and of the points is taken without inputs."""
+    """Data of a model that do not change with the equilibrium; effects on masses and points are taken without inputs."""
     layout, stepper = model.layout, model.reference_stepper
     count, block = layout.levels * layout.block, layout.block
     properties = stepper.value("properties", np.zeros(layout.inputs), np.zeros((layout.points, 3)), model.theta)

@@ -137,7 +137,7 @@ class Mode:
 
     @property
     def memory(self) -> str:
-        """Whose memory it is, for a mode of internal states rather than of motion; empty for the others."""
+        """Owner of the memory, for a mode of internal states rather than of motion; empty for the others."""
         of_edges, of_inputs = self._share("edge"), self._share("input")
         return "" if of_edges + of_inputs < 0.5 else "memory of the muscles" if of_edges > of_inputs else "memory of the actuation"
 
@@ -148,7 +148,7 @@ def modes(linear: Linear) -> tuple[Mode, ...]:
     Raises:
         numpy.linalg.LinAlgError: eigenvectors that do not span all motions.
     """
-    moving = linear.moving()
+    moving = linear.without_held_states()
     values, vectors = np.linalg.eig(moving.A)
     for k in np.flatnonzero((np.imag(values) > 0) & (np.imag(values) < STILL * np.abs(values))):  # one real eigenvalue, twice
         values[k : k + 2] = np.real(values[k])

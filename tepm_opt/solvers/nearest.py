@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import daqp
 import numpy as np
 
-from tepm_opt.models.backends.interface import Status
+from tepm_opt.models.backends.interface import LoadCase, Status
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.ik_problem import Balance, IkProblem
 from tepm_opt.solvers.statics import tell_weight
@@ -41,7 +41,7 @@ def nearest(problem: IkProblem, target: np.ndarray) -> tuple[Balance, Outcome]:
     for series in _starts(problem, target):
         x = problem.model.rest
         for part in series:
-            if (start := search.at(part, x)) is None:
+            if (start := search.evaluate(part, x)) is None:
                 continue
             x = start.x
             if (end := search.run(start, ends)) is not None:
@@ -97,13 +97,11 @@ class _Search:
         self.sense = np.zeros(problem.half + len(problem.weights[self.held]), dtype=c_int)
         self.sense[problem.half :] = EXACT
 
-    def at(self, part: np.ndarray, x: np.ndarray) -> _Point | None:
-        """The point of forces, its statics from levels x; None where they lead to no stable equilibrium."""
+    def evaluate(self, part: np.ndarray, x: np.ndarray) -> _Point | None:
+        """Evaluate the point of forces, its statics from levels x; None where they lead to no stable equilibrium."""
         problem, shared = self.problem, self.problem.shared
-        actuation = problem.actuation(problem.low + part * self.span)
-        status, levels, observed, by_a = problem.model.statics.response(
-            x, actuation, shared.external, shared.theta, shared.weights, shared.force_tolerance, NEWTON_STEPS
-        )
+        case = LoadCase(problem.actuation(problem.low + part * self.span), True, shared.external, shared.theta)
+        status, levels, observed, by_a = problem.model.statics.response(x, case, shared.weights, shared.force_tolerance, NEWTON_STEPS)
         if status != Status.SOLVED or observed[-problem.half :].min() < shared.shortest:
             return None
         errors = shared.weights @ observed
@@ -134,7 +132,7 @@ class _Search:
                 break
             merit, t = value + penalty * wrong, 1.0
             for _ in range(HALVINGS):
-                trial = self.at(np.minimum(np.maximum(at.part + t * step, 0.0), 1.0), at.x)
+                trial = self.evaluate(np.minimum(np.maximum(at.part + t * step, 0.0), 1.0), at.x)
                 if trial is not None:
                     there = self.objective(trial)
                     if there[0] + penalty * float(np.abs(trial.errors[self.held]).sum()) <= merit + 1e-4 * t * slope:
@@ -150,11 +148,11 @@ class _Search:
             _update(hessian, moved, turned)
             if any(np.abs(at.part - end.part).max() < SAME for end in ends):
                 return None
-        end = self._held(at) or kept
+        end = self._restore_constraints(at) or kept
         return None if end is None else replace(end, steps=steps)
 
-    def _held(self, at: _Point) -> _Point | None:
-        """A point nearby that meets the constraints: where the stable branch ends, a search ends before it does."""
+    def _restore_constraints(self, at: _Point) -> _Point | None:
+        """Move a point to one nearby that meets the constraints, or None: where the stable branch ends, a search ends before it does."""
         for _ in range(RESTORATIONS):
             missed, slopes = at.errors[self.held], np.ascontiguousarray(at.jacobian[self.held])
             wrong = np.abs(missed).max(initial=0.0)
@@ -162,7 +160,7 @@ class _Search:
                 return at
             step, _, _ = self._program(np.eye(len(at.part)), np.zeros(len(at.part)), missed, slopes, at.part, RADIUS)
             for part in 0.5 ** np.arange(HALVINGS):
-                trial = self.at(np.minimum(np.maximum(at.part + part * step, 0.0), 1.0), at.x)
+                trial = self.evaluate(np.minimum(np.maximum(at.part + part * step, 0.0), 1.0), at.x)
                 if trial is not None and np.abs(trial.errors[self.held]).max() < wrong:
                     break
             else:
@@ -185,7 +183,7 @@ class _Search:
     def balance(self, at: _Point) -> Balance:
         """A point with its equilibrium."""
         forces = self.problem.low + at.part * self.span
-        return Balance(forces, self.problem.at(forces, replace(self.problem.idle, x=at.x)), at.steps)
+        return Balance(forces, self.problem.solve_equilibrium(forces, replace(self.problem.idle, x=at.x)), at.steps)
 
 
 def _update(hessian: np.ndarray, moved: np.ndarray, turned: np.ndarray) -> None:

@@ -28,7 +28,7 @@ def cores() -> int:
 
 @contextmanager
 def on_cores(most: int) -> Iterator[None]:
-    """What is done in the block uses at most so many cores: others work beside it."""
+    """Limit work in the block to so many cores, as others work beside it."""
     before = _most.set(most)
     try:
         yield
@@ -102,8 +102,8 @@ def _on_one_core(work: Callable[[Item], Result], item: Item) -> Result:
         return work(item)
 
 
-def beside(one: Callable[[], Result], other: Callable[[], Other], threads: bool = True) -> tuple[Result, Other]:
-    """Results of two different pieces of work done at the same time, see `in_parallel`."""
+def run_concurrently(one: Callable[[], Result], other: Callable[[], Other], threads: bool = True) -> tuple[Result, Other]:
+    """Do two different pieces of work at the same time, see `in_parallel`; their results."""
     first, second = in_parallel(lambda work: work(), [one, other], threads=threads)
     return cast("Result", first), cast("Other", second)
 

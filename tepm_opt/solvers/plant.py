@@ -1,4 +1,4 @@
-"""What identification and the search for missing effects ask of a model of a machine, whichever machine it is."""
+"""Interface of a model of any machine for identification and the search for missing effects."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a model says of a run.
+    """Prediction of a run by a model.
 
     Attributes:
         points: what is measured, as in the run, (rows, points, axes), in its units.
@@ -114,7 +114,7 @@ class Plant(Protocol):
         ...
 
     def predict(self, run: Run, by: Sequence[str] = (), step: float = np.inf) -> Prediction:
-        """What a run should have measured.
+        """Predict what a run should have measured.
 
         Args:
             run: what was done; what it measured is not looked at.

@@ -1,4 +1,4 @@
-"""What a model says that runs should have measured, and how that changes with its parameters."""
+"""Predictions of what runs should have measured, with their derivatives by a model's parameters."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def predict(model: CompiledModel, run: Run, names: Sequence[str] = (), static: b
         PredictionError: the model has no stable equilibrium or no motion under these inputs, or they are outside the robot's limits.
     """
     telling = [name for name in names if name not in model.without_size]
-    directions = Directions.of(model, telling)
+    directions = Directions.from_names(model, telling)
     if static:
         found = _equilibria(model, run, directions)
     else:
         setpoints, along = SetPoints(run.time, run.inputs, run.tip_force), directions if telling else None
         try:
-            motion = simulate(model, setpoints, step=step, directions=along, progress=_told, began=run.began).complete()
+            motion = simulate(model, setpoints, step=step, directions=along, progress=_give_way, began=run.began).complete()
         except (SimulationError, InputError) as error:
             raise PredictionError(f"{run.file}: {error}") from error
         found = Prediction(motion.points, motion.sensitivities)
@@ -68,8 +68,8 @@ def predict_all(
     return in_parallel(lambda run: predict(model, run, names, static, step), runs, lambda run: run.rows, model.is_c)
 
 
-def _told(stage: str, done: float, of: float) -> None:
-    """Progress of a run nobody looks at."""
+def _give_way(stage: str, done: float, of: float) -> None:
+    """Let others work, as the progress of a run that nobody looks at."""
     give_way()
 
 
@@ -89,7 +89,6 @@ def _equilibria(model: CompiledModel, run: Run, directions: Directions) -> Predi
             raise PredictionError(f"{run.file}: row {row + 1}: {found.outcome.message}")
         points[row], last = found.points, found
         if directions.names:
-            x, loads, theta = found.x, found.loads.ravel(), model.theta
-            _, _, _, by_theta = model.statics.sensitivity(x, inputs, False, loads, theta, rows, True)
+            _, _, _, by_theta = model.statics.sensitivity(found.x, found.load_case, rows, True)
             by[:, row] = (directions.parameters @ np.asarray(by_theta).T).reshape(-1, layout.points, 3)
     return Prediction(points, by)

@@ -13,7 +13,7 @@ from tepm_opt.solvers.plant import START, Free, Plant
 from tepm_opt.solvers.prior import JointPrior
 from tepm_opt.solvers.residuals import BLOCK, Residual
 from tepm_opt.solvers.start import with_estimated_initial_state, without_start
-from tepm_opt.solvers.text import listed
+from tepm_opt.solvers.text import format_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Problem:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Problem({len(self.runs)} runs, free: {listed([free.name for free in self.free]) or 'nothing'})"
+        return f"Problem({len(self.runs)} runs, free: {format_names([free.name for free in self.free]) or 'nothing'})"
 
     def with_values(self, values: np.ndarray) -> Plant:
         """The model with these values of the free parameters."""
@@ -109,7 +109,7 @@ class Problem:
         )
         points, slopes = found[: len(self.runs)], found[-len(self.runs) :]
         return [
-            Residual.of(run, modelled.points, change.by, sigma, at.time, self.block)
+            Residual.from_prediction(run, modelled.points, change.by, sigma, at.time, self.block)
             for run, modelled, change, sigma, at in zip(self.runs, points, slopes, noise, sparse.runs, strict=True)
         ]
 
@@ -137,7 +137,7 @@ class Problem:
             run, sigma = with_estimated_initial_state(plant, *measured, self.step), measured[1]
             free = own if run.start == "free" else []
             found = plant.predict(run, [*names, *free], self.step)
-            residual = Residual.of(run, found.points, found.by, sigma, block=self.block)
+            residual = Residual.from_prediction(run, found.points, found.by, sigma, block=self.block)
             return without_start(residual, len(free)) if free else residual
 
         return in_parallel(find_residual, list(zip(self.runs, noise, strict=True)), lambda measured: measured[0].rows, plant.concurrent)

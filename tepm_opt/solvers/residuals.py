@@ -36,10 +36,10 @@ class Residual:
         return f"Residual({shortened(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
 
     @staticmethod
-    def of(
+    def from_prediction(
         run: Run, points: np.ndarray, by: np.ndarray, noise: float | np.ndarray, at: np.ndarray | None = None, block: float = BLOCK
     ) -> Residual:
-        """Residuals from a run and its prediction.
+        """Form residuals from a run and its prediction.
 
         Args:
             run: what was measured.
@@ -66,7 +66,7 @@ class Residual:
         """
         present = self.present
         slopes = np.empty((len(by), present.size))
-        between = None if at is None or len(at) == run.rows else _between(run.time, at)
+        between = None if at is None or len(at) == run.rows else _make_interpolator(run.time, at)
         for slope, change in zip(slopes, by, strict=True):  # one by one: all of them at once take several times the memory
             whole = change if between is None else between(change)
             np.divide(np.where(present, whole, 0.0), -noise, out=slope.reshape(present.shape))
@@ -107,8 +107,8 @@ def independent_after(residuals: Sequence[Residual], runs: Sequence[Run]) -> flo
     return float(step * np.clip(2 * correlation[:first].sum() - 1, 1.0, max(rows / 4, 1.0)))
 
 
-def _between(time: np.ndarray, at: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Straight lines between values at some times, (times, …), for all times, (rows, …)."""
+def _make_interpolator(time: np.ndarray, at: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Make a linear interpolation from values at some times, (times, …), to all times, (rows, …)."""
     left = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(at) - 2)
     part = ((time - at[left]) / (at[left + 1] - at[left]))[:, None, None]
     return lambda values: values[left] * (1 - part) + values[left + 1] * part

@@ -12,14 +12,16 @@ from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, Drive, Effort, Record, Scheme, Status
+from tepm_opt.models.backends.interface import EXPLICIT, IMPLICIT, LoadCase, Status
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Record, Scheme
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
+from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.linear import linearise
 from tepm_opt.solvers.modes import rk4_step_limit
 from tepm_opt.solvers.statics import THROUGH_BASE, Equilibrium, solve_statics
-from tepm_opt.solvers.text import listed
+from tepm_opt.solvers.text import format_names
 
 Method = Literal["implicit", "rk4"]
 METHODS: tuple[Method, ...] = ("implicit", "rk4")
@@ -57,10 +59,10 @@ class Directions:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Directions({listed(self.names)})"
+        return f"Directions({format_names(self.names)})"
 
     @staticmethod
-    def of(model: CompiledModel, parameters: Sequence[str] = (), inputs: Sequence[str] = ()) -> Directions:
+    def from_names(model: CompiledModel, parameters: Sequence[str] = (), inputs: Sequence[str] = ()) -> Directions:
         """Unit changes of parameters by full name and of whole input histories by name ("pressure_11", "tension_23").
 
         Raises:
@@ -80,6 +82,8 @@ class Directions:
         for k, name in enumerate(inputs, start=len(parameters)):
             u[k, channels.index(name)] = 1.0
         return Directions((*parameters, *inputs), theta, u if len(inputs) else None)
+
+    of = RenamedMethod("from_names")
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +183,29 @@ def simulate(
         InputError: set points that do not fit, "rk4" with a step above its stable one, with directions or with an error, both an
             error and a step, no stable equilibrium to start from.
     """
-    return run(prepare(model, setpoints, method, step, hold, loads, directions, tolerance, error, began), progress)
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
+    if directions is not None and method == "rk4":
+        raise InputError("directions: sensitivities are computed by method 'implicit'")
+    if error is not None and (method == "rk4" or step is not None):
+        raise InputError("error: steps adapt to it with method 'implicit' and without a step")
+    if error is not None and not LEAST_ERROR <= error <= MOST_ERROR:
+        raise InputError(f"error: {error:g} m; valid: {LEAST_ERROR:g} … {MOST_ERROR:g} m")
+    _ = model.stepper  # compiled now: the model of every time shares it
+    model = model.at_time(began)
+    drive = _drive(model, setpoints, hold, loads, directions)
+    start = _start(model, setpoints, 0, drive)
+    if method == "rk4":
+        step = _stable_step(model, setpoints, drive, step)
+    if step is not None and not step > 0:
+        raise InputError(f"step: {step:g} s; valid: above 0")
+    scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step or 0.0, error or ERROR, model.is_smooth, tolerance)
+    if step is None:
+        drive = replace(drive, knots=_knots(model, drive, start, scheme.error))
+    names = directions.names if directions is not None else ()
+    record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
+    ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
+    return run(Job(model, setpoints, method, step, start, drive, scheme, record, names, ends), progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +236,8 @@ class Job:
         """The main numbers, in a line."""
         return f"Job({self.method}, {len(self.drive.time)} samples in {len(self.ends)} parts)"
 
-    def ended(self, status: Status, parts: int, effort: Effort) -> Simulation:
-        """What came out after so many parts; what comes after a plate on a guide has run through the one below is none."""
+    def finish(self, status: Status, parts: int, effort: Effort) -> Simulation:
+        """Simulation after so many parts, cut where a plate on a guide has run through the one below."""
         if (through := self.model.layout.run_through(self.record.trajectory[:, 0])).any():
             first, time = int(np.argmax(through)), self.drive.time
             return self._simulation(first, effort, Outcome(Ending.FAILED, f"{THROUGH_BASE} after {time[first] - time[0]:.4g} s"))
@@ -222,8 +248,8 @@ class Job:
         message = f"the motion {why} after {effort.reached:.4g} s ({hint}; step {self.step or effort.longest:g} s)"
         return self._simulation(int(self.ends[parts - 1]) + 1 if parts else 1, effort, Outcome(status.ending, message))
 
-    def interrupted(self, parts: int, effort: Effort) -> Simulation:
-        """What there is after so many parts when the user interrupts it."""
+    def finish_interrupted(self, parts: int, effort: Effort) -> Simulation:
+        """Simulation after so many parts, as far as it is when the user interrupts it."""
         rows = int(self.ends[parts - 1]) + 1 if parts else 0
         return self._simulation(rows, effort, Outcome(Ending.INTERRUPTED, "interrupted by the user"))
 
@@ -239,57 +265,20 @@ class Job:
         )  # fmt: skip
 
 
-def prepare(
-    model: CompiledModel, setpoints: SetPoints, method: Method, step: float | None, hold: bool, loads: np.ndarray | None,
-    directions: Directions | None, tolerance: float, error: float | None, began: float = 0.0,
-) -> Job:  # fmt: skip
-    """Check what a simulation is asked for, and find where it starts.
-
-    Args:
-        model, setpoints, method, step, hold, loads, directions, tolerance, error, began: see `simulate`.
-
-    Raises:
-        InputError: as for `simulate`.
-    """
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
-    if directions is not None and method == "rk4":
-        raise InputError("directions: sensitivities are computed by method 'implicit'")
-    if error is not None and (method == "rk4" or step is not None):
-        raise InputError("error: steps adapt to it with method 'implicit' and without a step")
-    if error is not None and not LEAST_ERROR <= error <= MOST_ERROR:
-        raise InputError(f"error: {error:g} m; valid: {LEAST_ERROR:g} … {MOST_ERROR:g} m")
-    _ = model.stepper  # compiled now: the model of every time shares it
-    model = model.at_time(began)
-    drive = _drive(model, setpoints, hold, loads, directions)
-    start = _start(model, setpoints, 0, drive)
-    if method == "rk4":
-        step = _stable_step(model, setpoints, drive, step)
-    if step is not None and not step > 0:
-        raise InputError(f"step: {step:g} s; valid: above 0")
-    scheme = Scheme(EXPLICIT if method == "rk4" else IMPLICIT, step or 0.0, error or ERROR, model.is_smooth, tolerance)
-    if step is None:
-        drive = replace(drive, knots=_knots(model, drive, start, scheme.error))
-    names = directions.names if directions is not None else ()
-    record = Record.empty(model.stepper.dynamics, len(drive.time), len(names))
-    ends = np.unique(np.append(np.searchsorted(drive.time, np.arange(drive.time[0] + CHUNK, drive.time[-1], CHUNK)), len(drive.time) - 1))
-    return Job(model, setpoints, method, step, start, drive, scheme, record, names, ends)
-
-
 def run(job: Job, progress: Progress) -> Simulation:
     """Simulate what is prepared."""
     time, state, total, done = job.drive.time, job.model.stepper.start(job.start.x, len(job.names)), Effort(), 0
     try:
         for part, end in enumerate(job.ends):
-            status, effort = job.model.stepper.integrate(state, job.drive, done, int(end), job.scheme, job.model.theta, job.record)
+            status, effort = job.model.stepper.integrate(state, job.drive, done, int(end), job.scheme, job.record)
             total = _sum(total, effort)
             if status != Status.SOLVED:
-                return job.ended(status, part, total)
+                return job.finish(status, part, total)
             done = int(end)
             progress("simulation", float(time[done] - time[0]), float(time[-1] - time[0]))
     except KeyboardInterrupt:
-        return job.interrupted(int((job.ends <= done).sum()), total)
-    return job.ended(Status.SOLVED, len(job.ends), total)
+        return job.finish_interrupted(int((job.ends <= done).sum()), total)
+    return job.finish(Status.SOLVED, len(job.ends), total)
 
 
 def stable_step(equilibrium: Equilibrium) -> float:
@@ -335,7 +324,7 @@ def _drive(model: CompiledModel, setpoints: SetPoints, hold: bool, loads: np.nda
         raise InputError("loads: a force is not finite; valid: numbers")
     rows = np.hstack([setpoints.inputs, forces.reshape(samples, -1)])
     if directions is None:
-        return Drive(setpoints.time, rows, hold, np.zeros((0, len(model.theta))))
+        return Drive(setpoints.time, rows, hold, model.theta, np.zeros((0, len(model.theta))))
     d_rows = None
     if directions.inputs is not None or directions.loads is not None:
         d_rows = np.zeros((samples, len(directions.names), rows.shape[1]))
@@ -343,7 +332,7 @@ def _drive(model: CompiledModel, setpoints: SetPoints, hold: bool, loads: np.nda
             d_rows[:, :, : model.layout.inputs] = directions.inputs
         if directions.loads is not None:
             d_rows[:, :, model.layout.inputs :] = directions.loads.reshape(*directions.loads.shape[:-2], -1)
-    return Drive(setpoints.time, rows, hold, directions.parameters, d_rows)
+    return Drive(setpoints.time, rows, hold, model.theta, directions.parameters, d_rows)
 
 
 def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float) -> np.ndarray:
@@ -358,7 +347,7 @@ def _knots(model: CompiledModel, drive: Drive, start: Equilibrium, error: float)
     else:
         weights = np.eye(points, points + inputs // 2)
         a = model.statics.actuation(start.inputs, model.theta)  # effects' maps may have dead zones where it starts
-        status, *gains = model.statics.sensitivity(start.x, a, True, start.loads.ravel(), model.theta, weights, False)[:3]
+        status, *gains = model.statics.sensitivity(start.x, LoadCase(a, True, start.loads.ravel(), model.theta), weights, False)[:3]
         gains = gains if status == Status.SOLVED else [np.full_like(gain, ANY_BEND) for gain in gains]  # nothing holds it
         bends = [
             np.diff(np.diff(part, axis=0) / np.diff(drive.time)[:, None], axis=0) @ gain.T for part, gain in zip(parts, gains, strict=True)

@@ -17,7 +17,7 @@ from tepm_opt.solvers.trajectories import END, HEIGHT, RADIUS, SHAPES, START, Sh
 
 PAPER = 0.400  # m, length of the arm that the shapes' own sizes are for; they lie as high above its base
 SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
-"""Of the paper's size on an arm of this length, tried one after the other until all points are in reach."""
+"""Parts of the paper's size on an arm of this length, tried one after the other until all points are in reach."""
 LOOKED_AT = 16  # points of a path, for that
 LEVEL = 0.1  # least z component of an arm's axis for which a height says where on it
 
@@ -45,10 +45,10 @@ def path_for(model: CompiledModel, name: str, **given: Any) -> Trajectory:
         return shape.make(**given)
     sizes = {RADIUS.name} if HEIGHT.name in kinds else {START.name, END.name}
     whole = robot.modules * robot.parameters.L_0 / PAPER
-    path = _placed(robot, shape, whole, given)
+    path = _place_shape(robot, shape, whole, given)
     if not sizes <= given.keys():
-        nominal = model if model.model == Model.of(robot) else compile_model(robot)
-        path = next((each for share in SHARES if _in_reach(nominal, each := _placed(robot, shape, share * whole, given))), path)
+        nominal = model if model.model == Model.from_robot(robot) else compile_model(robot)
+        path = next((each for share in SHARES if _in_reach(nominal, each := _place_shape(robot, shape, share * whole, given))), path)
     if np.array_equal(path.positions, shape.make(**given).positions):
         return path
     middle = ", ".join(f"{value:.3g}" for value in np.round(path.positions.mean(axis=0), 6) + 0.0)
@@ -56,8 +56,8 @@ def path_for(model: CompiledModel, name: str, **given: Any) -> Trajectory:
     return replace(path, says=f"{name} in the size of robot {robot.name}: within {wide:.3g} m of ({middle}) m, across the arm")
 
 
-def _placed(robot: Robot, shape: Shape, size: float, given: dict[str, Any]) -> Trajectory:
-    """A shape about an arm.
+def _place_shape(robot: Robot, shape: Shape, size: float, given: dict[str, Any]) -> Trajectory:
+    """Place a shape about an arm.
 
     Args:
         robot: whose arm it is.
@@ -68,8 +68,8 @@ def _placed(robot: Robot, shape: Shape, size: float, given: dict[str, Any]) -> T
     if START.name not in _defaults(shape):
         flat = shape.make(**{name: value for name, value in given.items() if name != HEIGHT.name})
         across = flat.positions[:, :2] * (1.0 if RADIUS.name in given else size)
-        return replace(flat, positions=_about(robot, across, given.get(HEIGHT.name)))
-    ends = {name: _about(robot, size * np.asarray(_defaults(shape)[name])[None, :2])[0] for name in (START.name, END.name)}
+        return replace(flat, positions=_locate_across_axis(robot, across, given.get(HEIGHT.name)))
+    ends = {name: _locate_across_axis(robot, size * np.asarray(_defaults(shape)[name])[None, :2])[0] for name in (START.name, END.name)}
     return shape.make(**{**ends, **given})
 
 
@@ -77,8 +77,8 @@ def _defaults(shape: Shape) -> dict[str, Any]:
     return {name: parameter.default for name, parameter in inspect.signature(shape.make).parameters.items()}
 
 
-def _about(robot: Robot, across: np.ndarray, height: float | None = None) -> np.ndarray:
-    """Points across the arm's axis, (points, 2) in m, in G, (points, 3); at its length or where the axis has a height.
+def _locate_across_axis(robot: Robot, across: np.ndarray, height: float | None = None) -> np.ndarray:
+    """Locate points across the arm's axis, (points, 2) in m, in G, (points, 3); at its length or where the axis has a height.
 
     Raises:
         InputError: the axis is level.

@@ -36,16 +36,16 @@ def with_estimated_initial_state(plant: Plant, run: Run, noise: float | np.ndarr
     steps = NEAR if known else STEPS
     guess = np.array(list(plant.states.values())) if run.state is None or not known else run.state
     if run.start == "measured":
-        return replace(run, state=_fitted(plant, first(run, FIRST), noise, step, guess, steps))
+        return replace(run, state=_fit_state(plant, first(run, FIRST), noise, step, guess, steps))
     if not known:
-        guess = _fitted(plant, first(run, FIRST), noise, step, guess, steps)
-    return replace(run, state=_fitted(plant, run, noise, step, guess, steps))
+        guess = _fit_state(plant, first(run, FIRST), noise, step, guess, steps)
+    return replace(run, state=_fit_state(plant, run, noise, step, guess, steps))
 
 
-def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, steps: int) -> np.ndarray:
-    """The first state that explains a run best, from a guess: so many steps of Gauss and Newton, shortened where they fail."""
+def _fit_state(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, steps: int) -> np.ndarray:
+    """Fit the first state that explains a run best, from a guess: so many steps of Gauss and Newton, shortened where they fail."""
     names = [START + name for name in plant.states]
-    left = _left(plant, run, noise, step, state, names)
+    left = _compute_residual(plant, run, noise, step, state, names)
     for _ in range(steps):
         scale = np.linalg.norm(left.by, axis=0)
         scale[scale < TINY] = 1.0  # a state that does not show stays
@@ -54,7 +54,7 @@ def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, stat
         if promised < STILL[0] + STILL[1] * left.squares:
             break
         for _ in range(SHORTER):
-            tried = _tried(plant, run, noise, step, state + change, names)
+            tried = _try_residual(plant, run, noise, step, state + change, names)
             if tried is not None and tried.squares < left.squares:
                 break
             change = change / 4
@@ -64,18 +64,20 @@ def _fitted(plant: Plant, run: Run, noise: float | np.ndarray, step: float, stat
     return state
 
 
-def _tried(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, names: Sequence[str]) -> Residual | None:
-    """`_left`, or None where the model cannot go from there."""
+def _try_residual(
+    plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, names: Sequence[str]
+) -> Residual | None:
+    """Residuals as of `_compute_residual`; None where the model cannot go from that state."""
     try:
-        return _left(plant, run, noise, step, state, names)
+        return _compute_residual(plant, run, noise, step, state, names)
     except PredictionError:
         return None
 
 
-def _left(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, names: Sequence[str]) -> Residual:
-    """Residuals from a state with their derivatives by it."""
+def _compute_residual(plant: Plant, run: Run, noise: float | np.ndarray, step: float, state: np.ndarray, names: Sequence[str]) -> Residual:
+    """Residuals of a run that begins in a state, with their derivatives by that state."""
     found = plant.predict(replace(run, state=state), names, step)
-    return Residual.of(run, found.points, found.by, noise)
+    return Residual.from_prediction(run, found.points, found.by, noise)
 
 
 def first(run: Run, rows: int) -> Run:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.models.backends.interface import Status
+from tepm_opt.models.backends.interface import LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import SOLVED, Ending, Outcome
 from tepm_opt.solvers.text import millimetres
@@ -91,11 +91,15 @@ class Equilibrium:
         """All nodes in the base frame, (n + 1, actuators, 3) in m."""
         return self.x.reshape(len(self.x), -1, 3)
 
+    @property
+    def load_case(self) -> LoadCase:
+        """Inputs, loads and parameters, as backends take them."""
+        return LoadCase(self.inputs, self.mapped, self.loads.ravel(), self.model.theta)
+
     @cached_property
     def properties(self) -> np.ndarray:
         """Properties P of the segments, (n, rows); see `network.PROPERTY_ROWS`."""
-        external = self.loads.ravel()
-        return self.model.reference.prepare(self.inputs, self.mapped, external, self.model.theta)[1]
+        return self.model.reference.prepare(*self.load_case)[1]
 
     @cached_property
     def smallest_eigenvalue(self) -> float:
@@ -167,10 +171,11 @@ def equilibrium(
         mapped: whether u are effective actuations, whose pressures may be negative.
         explain: whether a failure is followed by continuation; not for trial points of an iteration.
     """
-    found = _newton(model, u, loads, model.rest if start is None else start.x, settings, mapped)
+    case = LoadCase(u, mapped, loads.ravel(), model.theta)
+    found = _newton(model, case, model.rest if start is None else start.x, settings)
     if not found.solved and start is not None:
-        found = _newton(model, u, loads, model.rest, settings, mapped)
-    return found if found.solved or not explain else _continued(model, u, loads, found, settings, mapped)
+        found = _newton(model, case, model.rest, settings)
+    return found if found.solved or not explain else _continued(found, settings)
 
 
 def without_inputs(model: CompiledModel, inputs: np.ndarray, loads: np.ndarray) -> Equilibrium:
@@ -201,8 +206,8 @@ def heaviest(model: CompiledModel) -> float | None:
 
     def stands(mass: float) -> bool:
         other = model.with_theta([mass if k in masses else value for k, value in enumerate(model.theta)])
-        inputs, loads = np.zeros(model.layout.inputs), other.check_loads(None)
-        return is_upright(_newton(other, inputs, loads, other.rest, DEFAULT, False))
+        case = LoadCase(np.zeros(model.layout.inputs), False, other.check_loads(None).ravel(), other.theta)
+        return is_upright(_newton(other, case, other.rest, DEFAULT))
 
     high = model.values["m_d"]
     low = high * LIGHTEST
@@ -231,11 +236,9 @@ def tell_buckling(model: CompiledModel) -> str:
     return f"the arm buckles under its own weight{heavy}" if heavy else ""
 
 
-def _newton(
-    model: CompiledModel, u: np.ndarray, loads: np.ndarray, x: np.ndarray, settings: StaticsSettings, mapped: bool, reached: float = 1.0
-) -> Equilibrium:
+def _newton(model: CompiledModel, case: LoadCase, x: np.ndarray, settings: StaticsSettings) -> Equilibrium:
     """One Newton solve from x."""
-    solution = model.statics.statics(x, u, mapped, loads.ravel(), model.theta, settings.tolerance, settings.max_iterations)
+    solution = model.statics.statics(x, case, settings.tolerance, settings.max_iterations)
     layout, split = model.layout, 3 * model.layout.points
     points, lengths = solution.observed[:split].reshape(-1, 3), solution.observed[split:].reshape(layout.modules, layout.actuators)
     outcome = SOLVED
@@ -249,22 +252,21 @@ def _newton(
     elif lengths.min() < settings.min_length_ratio * model.values["L_0"]:
         why = f"the network collapsed: actuator length {lengths.min():.4f} m is below {settings.min_length_ratio:g} of its rest length"
         outcome = Outcome(Ending.COLLAPSED, why)
-    steps = int(solution.iterations)
-    return Equilibrium(model, u, loads, solution.x, points, lengths, outcome, steps, solution.residual, reached, mapped)
+    steps, loads = int(solution.iterations), case.external.reshape(-1, 3)
+    return Equilibrium(model, case.u, loads, solution.x, points, lengths, outcome, steps, solution.residual, mapped=case.mapped)
 
 
-def _continued(
-    model: CompiledModel, u: np.ndarray, loads: np.ndarray, failed: Equilibrium, settings: StaticsSettings, mapped: bool
-) -> Equilibrium:
+def _continued(failed: Equilibrium, settings: StaticsSettings) -> Equilibrium:
     """Follow the branch from rest by scaling inputs and loads from 0 to 1; how far it goes where it does not reach 1."""
-    last = _newton(model, 0 * u, 0 * loads, model.rest, settings, mapped)
+    model, case = failed.model, failed.load_case
+    last = _newton(model, case._replace(u=0 * case.u, external=0 * case.external), model.rest, settings)
     if last.indifferent or (not last.solved and not model.values["K_a"] > 0):
         why = f"nothing holds the robot: without inputs and loads it has no stiffness (K_a = {model.values['K_a']:g} N/m)"
         return replace(failed, outcome=replace(failed.outcome, message=why), reached=0.0)
     reached, step = 0.0, 0.1
     while last.solved and reached < 1.0 and step > 1e-4:
         part = min(reached + step, 1.0)
-        found = _newton(model, part * u, part * loads, last.x, settings, mapped)
+        found = _newton(model, case._replace(u=part * case.u, external=part * case.external), last.x, settings)
         if found.solved:
             last, reached, step = found, part, 1.5 * step
         else:

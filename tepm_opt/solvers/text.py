@@ -43,8 +43,8 @@ def percent(part: float | None) -> str:
     return f"{100 * part:.0f} %"
 
 
-def listed(names: Sequence[str], most: int = 4) -> str:
-    """Names by commas, the first ones only where there are more: "K_a, c_a, r and 3 more"."""
+def format_names(names: Sequence[str], most: int = 4) -> str:
+    """Join names by commas, the first ones only where there are more: "K_a, c_a, r and 3 more"."""
     return ", ".join(names) if len(names) <= most else f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
 
 

@@ -1,4 +1,4 @@
-"""Where the tip shall go: built-in shapes and files, in the tracker frame G.
+"""Trajectories of the tip: built-in shapes and files, in the tracker frame G.
 
 A new shape is a function here with `@shape(…)` above it: the commands find its name, its options and their help by themselves.
 """

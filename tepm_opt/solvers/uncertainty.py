@@ -1,4 +1,4 @@
-"""What runs can and cannot tell about parameters: directions without influence, profile intervals, fits from several starts."""
+"""Uncertainty of identified parameters: directions without influence, profile intervals, fits from several starts."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def multi_start(
         free = tuple(replace(f, start=float(value)) for f, value in zip(problem.free, values, strict=True))
         tasks.append((k + 1, replace(problem, free=free)))
     if executor is None:
-        fits = (_fitted(max_iterations, task, _numbered(progress, task[0], starts)) for task in tasks)
+        fits = (_try_fit(max_iterations, task, _numbered(progress, task[0], starts)) for task in tasks)
     else:
-        done = dict(counted(each_done(partial(_fitted, max_iterations), tasks, executor), progress, "fits", starts))
+        done = dict(counted(each_done(partial(_try_fit, max_iterations), tasks, executor), progress, "fits", starts))
         fits = (done[number] for number in sorted(done))
     best = None
     for found in fits:
@@ -80,8 +80,8 @@ def multi_start(
     return best
 
 
-def _fitted(max_iterations: int, task: tuple[int, Problem], progress: Progress = silent) -> ParameterEstimate | None:
-    """A fit; None where the model cannot do the runs with values that were drawn.
+def _try_fit(max_iterations: int, task: tuple[int, Problem], progress: Progress = silent) -> ParameterEstimate | None:
+    """Fit a problem; None where the model cannot do the runs with values that were drawn.
 
     Raises:
         PredictionError: it cannot with the first ones.
@@ -128,7 +128,7 @@ def profile(estimate: ParameterEstimate, name: str, threshold: float = 3.841) ->
             trial = inside + side * step
             if side * (trial - bound) >= 0:
                 trial = bound
-            rise = (_held(estimate, at, trial) - estimate.cost) / unit
+            rise = (_fit_with_fixed(estimate, at, trial) - estimate.cost) / unit
             if rise > threshold:
                 end = trial
                 break
@@ -141,15 +141,15 @@ def profile(estimate: ParameterEstimate, name: str, threshold: float = 3.841) ->
             outside = end
             for _ in range(6):
                 middle = (inside + outside) / 2
-                rise = (_held(estimate, at, middle) - estimate.cost) / unit
+                rise = (_fit_with_fixed(estimate, at, middle) - estimate.cost) / unit
                 inside, outside = (middle, outside) if rise <= threshold else (inside, middle)
             end = (inside + outside) / 2
         ends.append(float(end))
     return ends[0], ends[1]
 
 
-def _held(estimate: ParameterEstimate, at: int, value: float) -> float:
-    """Least cost with one parameter held."""
+def _fit_with_fixed(estimate: ParameterEstimate, at: int, value: float) -> float:
+    """Least cost of a fit with one parameter fixed at a value."""
     problem = estimate.problem
     others = tuple(replace(f, start=float(v)) for k, (f, v) in enumerate(zip(problem.free, estimate.values, strict=True)) if k != at)
     held = replace(problem, free=(replace(problem.free[at], start=value),)).with_values(np.array([value]))

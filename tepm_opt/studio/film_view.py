@@ -43,7 +43,7 @@ class FilmView:
         self._server, self._worker, self._recordings = server, worker, recordings
         robot = next(iter(recordings.models.values())).robot
         self._base, size = np.array(robot.mount.base_position_m), robot.parameters.r / 0.04
-        self._arm = ArmNode(server.scene, "modelled", Layout.of(robot), robot.parameters.r)
+        self._arm = ArmNode(server.scene, "modelled", Layout.from_robot(robot), robot.parameters.r)
         self._measured = line_node(server.scene, "/measured/backbone", 0.005 * size, MEASURED)
         self._points = server.scene.add_point_cloud(
             "/measured/points", np.zeros((1, 3)), MEASURED, point_size=0.007 * size, point_shape="circle", precision="float32",

@@ -79,7 +79,7 @@ class MomentNode:
     """
 
     def __init__(self, scene: viser.SceneApi, robot: Robot, limits: np.ndarray) -> None:
-        self._layout, self._limits, self._base = Layout.of(robot), limits, np.array(robot.mount.base_position_m)
+        self._layout, self._limits, self._base = Layout.from_robot(robot), limits, np.array(robot.mount.base_position_m)
         radius = robot.parameters.r
         self._arm = ArmNode(scene, "rig", self._layout, radius)
         size = radius / 0.04

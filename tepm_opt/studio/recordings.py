@@ -158,15 +158,15 @@ def _found(path: Path, model: Model | None) -> Recordings:
         return _of_verdict(path, model)
     if (path / DESCRIPTION).is_file():
         dataset = open_dataset(path)
-        return Recordings(dataset.name, dataset.runs, {"model": model or Model.of(dataset.robot)}, dataset.static)
+        return Recordings(dataset.name, dataset.runs, {"model": model or Model.from_robot(dataset.robot)}, dataset.static)
     file = path / LOG if (path / LOG).is_file() else path
     if not file.is_file():
         raise InputError(f"{path}: nothing to look at; valid: {VALID}")
     if (file.parent / DESCRIPTION).is_file():
         dataset = open_dataset(file.parent)
         if listed := tuple(run for run in dataset.runs if run.file == file.name):
-            return Recordings(dataset.name, listed, {"model": model or Model.of(dataset.robot)}, dataset.static)
-    known = model or Model.of("kang2017")
+            return Recordings(dataset.name, listed, {"model": model or Model.from_robot(dataset.robot)}, dataset.static)
+    known = model or Model.from_robot("kang2017")
     return Recordings(file.name, (read_run(file, channels=channels_of(known.robot)),), {"model": known})
 
 
@@ -183,7 +183,7 @@ def _of_verdict(folder: Path, model: Model | None) -> Recordings:
         raise InputError(f"{folder / VERDICT}: {lacking}; valid: what tepm discrepancy made of a robot's data set")
     dataset, *added = (open_dataset(folder / each) for each in data)
     known = content.get("model")
-    nominal = model or (read_model(folder / known) if known else Model.of(dataset.robot))
+    nominal = model or (read_model(folder / known) if known else Model.from_robot(dataset.robot))
     later = (replace(run, file=f"{Path(each).name}/{run.file}") for each, more in zip(data[1:], added, strict=True) for run in more.runs)
     runs = (*dataset.validation, *dataset.fit, *later)
     return Recordings(dataset.name, runs, {"as known": nominal, "corrected": read_model(file)}, dataset.static, _words(content))

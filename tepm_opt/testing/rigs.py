@@ -26,7 +26,7 @@ class RigContract:
     def test_samples_have_the_shapes_of_the_robot(self) -> None:
         """Points of the robot, gauges of its actuators or none; times that rise and are not ahead of the rig's."""
         with self.open_rig() as rig:
-            layout, before = Layout.of(rig.robot), -np.inf
+            layout, before = Layout.from_robot(rig.robot), -np.inf
             rig.apply(self._small(rig))
             for _ in range(10):
                 sample = rig.read()

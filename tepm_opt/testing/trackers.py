@@ -137,7 +137,7 @@ class TrackerContract:
         """The monitor of a rig takes them out, whatever their time stamps say."""
         server, robot = self.stand_in(), load_robot("kang2017")
         noise = DeclaredNoise.of_robot(robot)
-        monitor = FreshnessMonitor(Layout.of(robot), robot.input_max, noise, server.link.rate_hz)
+        monitor = FreshnessMonitor(Layout.from_robot(robot), robot.input_max, noise, server.link.rate_hz)
         server.start(motion_of_arm())
         try:
             with self._open(server) as tracker:

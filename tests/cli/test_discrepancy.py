@@ -19,7 +19,7 @@ from tests.cli.tables import input_columns, names_in, summary, table, tips, valu
 from tests.discrepancy.small import changed, cut, dataset_of, measured, planned, true_values
 from tests.tools import with_all_effects, with_effect
 
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 RANGE = np.repeat([0.5e6, 7.0], 6)
 FIGURES = {"heat.png", "gap.png", "points.png", "over_time.png", "tip.png"}
 OFFSET = np.array([4e-3, -3e-3, 2e-3])  # m, of s3

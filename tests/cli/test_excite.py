@@ -89,7 +89,7 @@ def test_record_standard_records_the_plan_of_the_rigs_robot(tepm: Command, here:
 
 @pytest.fixture(scope="module")
 def heavy(kang: CompiledModel) -> CompiledModel:
-    model = compile_model(Model.of("kang2017").with_effect("payload", mass=0.012))
+    model = compile_model(Model.from_robot("kang2017").with_effect("payload", mass=0.012))
     return changed(model, **true_values(model))
 
 

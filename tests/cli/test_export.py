@@ -27,7 +27,7 @@ def test_files_of_a_model(tepm: Command, here: Path) -> None:
 @pytest.mark.slow
 def test_effects_that_are_left_out_are_told(tepm: Command, here: Path) -> None:
     late = next(effect for effect in effects() if effect.has("delay") and not effect.timed)
-    write_model(Model.of("kang2017").with_effect(late.name), here / "m.toml")
+    write_model(Model.from_robot("kang2017").with_effect(late.name), here / "m.toml")
     done = tepm("export", "mjcf", "--model", "m.toml", "--json")
     assert done.status == 0
     assert done.err == f"without {late.name}: commands that act late\n"

@@ -318,7 +318,7 @@ class Blind:
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_processes() -> None:
     course, file = Course(approach=0.3, pause=0.02, laps=0.02, start_up=0.05), load_rig_file()
-    tasks = [LoopTask(Model.of("kang2017"), circle(), course, file, LoopSetup(name, seed=1)) for name in ("mpc", "mode2")]
+    tasks = [LoopTask(Model.from_robot("kang2017"), circle(), course, file, LoopSetup(name, seed=1)) for name in ("mpc", "mode2")]
     told: list[tuple[str, float, float]] = []
     for one, two in zip(compare(tasks, 1), compare(tasks, 2, lambda *shown: told.append(shown)), strict=True):
         assert one.summary(timing=False) == two.summary(timing=False)

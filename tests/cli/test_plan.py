@@ -31,7 +31,7 @@ def test_files_of_a_move(tepm: Command, here: Path, drawn: None) -> None:
     assert told["duration_s"] == pytest.approx(1.0)
     assert told["largest_tension_rate_N_per_s"] <= 10
     assert told["left_over_m"] <= told["left_on_rig_m"]["sway"] < told["left_on_rig_m"]["friction"]
-    setpoints = read_setpoints(folder / "inputs.csv", Layout.of(robot).actuator_names, robot.input_max)
+    setpoints = read_setpoints(folder / "inputs.csv", Layout.from_robot(robot).actuator_names, robot.input_max)
     reference = read_trajectory(folder / "reference.csv")
     np.testing.assert_array_equal(setpoints.time, reference.time)
     np.testing.assert_allclose(reference.positions[[0, -1]], [[0.15, 0, 0.35], [0.05, 0, 0.35]], atol=1e-6)

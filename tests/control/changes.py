@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.control.references.reference import Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.references.reference import Reference, approach, point_by_point, reference_of, sample_tips
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.engine import KINDS
 from tepm_opt.hw.simulation.imperfections import ActuatorOffset, Imperfection, Payload, RegulatorLeak, TendonSlip
@@ -51,7 +51,7 @@ class Changing(SimulatedRig):
 
     def __init__(self, file: RigFile, change: Change | None, at: float, seed: int) -> None:
         if change is not None:
-            name = Layout.of(file.nominal).actuator_names[change.number]
+            name = Layout.from_robot(file.nominal).actuator_names[change.number]
             file = file.model_copy(update={"imperfections": file.imperfections.replaced(*change.before(name, at))})
         super().__init__(file)
         self.reseed(seed)
@@ -180,7 +180,7 @@ def path(task: str, length: float = LENGTH) -> Reference:
     else:
         shape = circle(400) if task == "circle" else lissajous(400)
         lap = 8.0 if task == "circle" else 6.0
-        tips, _ = along(shape, laps=float(round((length - APPROACH - PAUSE) / lap)))
+        tips, _ = sample_tips(shape, laps=float(round((length - APPROACH - PAUSE) / lap)))
     lead = approach(model(), tips[0], APPROACH)
     lead = np.vstack([lead, np.repeat(tips[:1], round(PAUSE / 0.01), axis=0)])
     return reference_of(model(), np.vstack([lead, tips]))

@@ -7,7 +7,7 @@ import pytest
 
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
-from tepm_opt.control.references.reference import Reference, along, approach, reference_of
+from tepm_opt.control.references.reference import Reference, approach, reference_of, sample_tips
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.trajectories import circle
@@ -19,7 +19,7 @@ __all__ = ["board", "board_factory", "firmware", "library"]
 @pytest.fixture(scope="session")
 def short(kang: CompiledModel) -> Reference:
     """To the circle in 3 s and 1.5 s along it, of which the last second counts."""
-    tips = along(circle(400))[0][:150]
+    tips = sample_tips(circle(400))[0][:150]
     lead = approach(kang, tips[0], 3.0)
     return reference_of(kang, np.vstack([lead, tips]), np.arange(450) >= 350)
 

@@ -16,7 +16,7 @@ from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.controllers import find_controller
 from tepm_opt.control.loop import Guard, LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
-from tepm_opt.control.references.reference import Reference, along, approach, point_by_point, reference_of
+from tepm_opt.control.references.reference import Reference, approach, point_by_point, reference_of, sample_tips
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -52,7 +52,7 @@ def reference(task: str, points: int = 32, move: float = 1.0, known: CompiledMod
             tips = np.repeat(circle().positions[:1], round((HOLD_AT + HOLD) / 0.01), axis=0)
             counted = np.ones(len(tips), dtype=bool)
         else:
-            tips, counted = along(circle(400) if task == "circle" else lissajous(400))
+            tips, counted = sample_tips(circle(400) if task == "circle" else lissajous(400))
         lead = approach(known, tips[0], APPROACH)
         lead = np.vstack([lead, np.repeat(tips[:1], round(PAUSE / 0.01), axis=0)])
         number = np.zeros(len(tips), dtype=int)

@@ -49,7 +49,7 @@ def alone(whats: Sequence[str]) -> RigFile:
 
 def fitted(what: str, folder: Path) -> Model:
     """The model of the prototype with one imperfection: the library's effect with what fits best."""
-    path, known = folder / f"{what}.json", Model.of(ROBOT)
+    path, known = folder / f"{what}.json", Model.from_robot(ROBOT)
     if what == PARAMETERS:
         values = known.robot.parameters.model_dump()
         factors = {name: factor for name, factor in dict(load_rig_file().parameter_factors).items() if factor != 1.0}
@@ -103,7 +103,7 @@ def main() -> None:
     groups = [(what,) for what in WHATS] + (list(combinations(WHATS, 2)) if options.pairs else []) + [WHATS]
     if options.what:
         groups = [WHATS if what == "all" else tuple(what.split("+")) for what in options.what]
-    nominal = compile_model(Model.of(ROBOT))
+    nominal = compile_model(Model.from_robot(ROBOT))
     for group in groups:
         file, better = alone(group), compile_model(together([fitted(what, options.folder) for what in group]))
         seeds = range(31, 31 + options.seeds)

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.loop import LoopRecord, _note, undisturbed
+from tepm_opt.control.loop import LoopRecord, LoopStep, undisturbed
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings
-from tepm_opt.control.references.reference import along, reference_of
+from tepm_opt.control.references.reference import reference_of, sample_tips
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file
@@ -59,7 +59,7 @@ def simulate(pipe: Connection, rate: float, samples: int, first: Command) -> Non
 def main(rate: float, seconds: float, journal: bool) -> None:
     """Print what came out."""
     period, samples = 1 / rate, round(rate * seconds)
-    tips, counted = along(circle(400), laps=max(seconds - 2, 1) / 8, period=period)
+    tips, counted = sample_tips(circle(400), laps=max(seconds - 2, 1) / 8, period=period)
     reference = reference_of(model(), tips[:samples], counted[:samples], period=period)
     controller = Mpc(model(), reference, MpcSettings(backend="c"))
     here, there = Pipe()
@@ -83,7 +83,7 @@ def main(rate: float, seconds: float, journal: bool) -> None:
             here.send(command)
             controller.prepare()
             prepared = time.perf_counter()
-            _note(done, shown, sample, k * period, k, command, answered - began, controller)
+            done.add(LoopStep(k, k * period, sample, command, answered - began), shown, controller.telemetry())
             keep(k)
             took.append((answered - began, prepared - began, prepared - sent))
     behind = here.recv()

@@ -71,15 +71,15 @@ class TestClock:
         return FreeReference(tips, np.zeros((801, 6)), [], np.ones(801, dtype=bool), np.zeros(801, dtype=int))
 
     def test_runs_at_full_speed_by_itself(self, reference: FreeReference) -> None:
-        np.testing.assert_array_equal(reference.at(np.array([-3, 0, 1, 10, 1000])), [0, 0, FINE, 10 * FINE, 800])
-        assert not reference.over(100)
-        assert reference.over(101)
+        np.testing.assert_array_equal(reference.rows_at(np.array([-3, 0, 1, 10, 1000])), [0, 0, FINE, 10 * FINE, 800])
+        assert not reference.is_over(100)
+        assert reference.is_over(101)
 
     def test_slows_with_errors_and_never_goes_back(self, reference: FreeReference) -> None:
-        clock, rows = reference.begun(), []
+        clock, rows = reference.rewind(), []
         for period in range(100):
             clock.govern(period + 3, np.array([0.1 if period >= 50 else 0.0]))
-            rows.append(int(clock.at(period + 3)))
+            rows.append(int(clock.rows_at(period + 3)))
         steps = np.diff(rows)
         assert (steps >= 0).all()
         assert (steps[:45] == FINE).all()
@@ -87,12 +87,12 @@ class TestClock:
         assert reference.clock.passed == [0.0], "another clock of the same path begins at its start"
 
     def test_what_is_decided_stays(self, reference: FreeReference) -> None:
-        clock = reference.begun()
+        clock = reference.rewind()
         clock.govern(5, np.zeros(1))
-        before = clock.at(np.arange(6))
+        before = clock.rows_at(np.arange(6))
         clock.govern(5, np.ones(1))
-        np.testing.assert_array_equal(clock.at(np.arange(6)), before)
-        assert clock.at(20) < 20 * FINE
+        np.testing.assert_array_equal(clock.rows_at(np.arange(6)), before)
+        assert clock.rows_at(20) < 20 * FINE
 
     def test_distance_from_the_path_knows_no_lag(self, reference: FreeReference) -> None:
         tips = np.array([[0.30, 0.003, 0.004], [0.50, 0.0, 0.0]])

@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import chi2
 
-from tepm_opt.control.estimation.dahl_friction import turned
+from tepm_opt.control.estimation.dahl_friction import dahl_step
 from tepm_opt.control.estimation.kalman_filter import Estimator, FilterSettings, Operating, StateEstimate
 from tepm_opt.control.references.reference import PERIOD
 from tepm_opt.errors import InputError
@@ -42,7 +42,7 @@ def circle_points(kang) -> list[Operating]:
     for angle in np.radians([0.0, 4.0, 8.0]):
         at = solve_ik(kang, [0.15 * np.cos(angle), 0.15 * np.sin(angle), 0.35], ActuationMode.HYBRID)
         start = modal_model(at.equilibrium, start)
-        found.append(Operating.of(start, at.forces, PERIOD))
+        found.append(Operating.from_modal_model(start, at.forces, PERIOD))
     return found
 
 
@@ -77,7 +77,7 @@ class Arm:
         """One period under axial forces (2, actuators), friction all against DIRECTION."""
         settings, root = self.settings, np.sqrt(PERIOD)
         turning, self.direction = np.abs(DIRECTION - self.direction), DIRECTION
-        self.turning = turned(self.turning, forces[1] - forces[0], settings.hysteresis_width)
+        self.turning = dahl_step(self.turning, forces[1] - forces[0], settings.hysteresis_width)
         load = 1 - settings.load_share + settings.load_share * TENSION / MIDDLE
         pulled = self.hysteresis * self.turning + self.friction * DIRECTION * load
         stronger = self.strength * (forces.mean(axis=0) + TENSION)  # of p A

@@ -41,7 +41,7 @@ def test_the_same_commands_without_python(
 ) -> None:
     """From the folder alone, without optimisation; commands as those of the step in Python."""
     hysteresis = {"width": 8e3, "distance": 1e4}
-    model = compile_model(Model.of("kang2017").with_effect("pressure_hysteresis", **hysteresis)) if effects else kang
+    model = compile_model(Model.from_robot("kang2017").with_effect("pressure_hysteresis", **hysteresis)) if effects else kang
     controller = Mpc(model, short, MpcSettings(backend="python"))
     export_step(controller.setup, tmp_path / "exported")
     folder = tmp_path / "exported"

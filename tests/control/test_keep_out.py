@@ -139,7 +139,7 @@ def part(reference: Reference, periods: int) -> Reference:
 
 def distances(keep_out: KeepOut, reference: Reference) -> np.ndarray:
     """Least distance in every period, (periods,) in m."""
-    return np.array([keep_out.nearest(places).distance for places in keep_out.along(reference.equilibria)])
+    return np.array([keep_out.nearest(places).distance for places in keep_out.locate_watched_points(reference.equilibria)])
 
 
 class TestDetour:
@@ -215,15 +215,15 @@ def test_the_program_keeps_the_elbow_out(kang: CompiledModel) -> None:
 def test_rows_are_the_distances_by_the_forces(short: Reference, led: Reference, beside: KeepOut) -> None:
     """R v − r + margin is the distance that the arm's prediction, computed stage by stage, has under forces v near those of the plan."""
     stages, row, random = 6, 395, np.random.default_rng(3)
-    operating = Operating.of(modal_model(led.equilibria[row]), led.forces[row], led.period)
+    operating = Operating.from_modal_model(modal_model(led.equilibria[row]), led.forces[row], led.period)
     rows = row + 2 * np.arange(-1, stages + 8)
     forecast = Forecast(Weights(), stages)
     motion = np.append(2e-3 * random.normal(size=10), np.zeros(10))
     forecast.prepare(operating, led, rows)
-    forecast.horizon.about(motion, np.zeros(3))
+    forecast.horizon.set_initial_state(motion, np.zeros(3))
     bias, begin, plan = 1e-3 * random.normal(size=(4, 3)), 0.1 * random.normal(size=6), 0.1 * random.normal(size=(stages, 6))
     found = KeepOutRows(beside, led, stages)
-    R, r = found.about(forecast.horizon, operating.model, rows[2 : stages + 1], bias, begin, plan)
+    R, r = found.linearise(forecast.horizon, operating.model, rows[2 : stages + 1], bias, begin, plan)
     assert R.shape == (found.count, 6 * stages)
 
     def least(forces: np.ndarray) -> list[float]:
@@ -233,7 +233,11 @@ def test_rows_are_the_distances_by_the_forces(short: Reference, led: Reference, 
         for k in range(stages - 1):
             state = horizon.stage.A @ state + drift[k] + horizon.by_start @ before + horizon.by_end @ forces[k]
             before = forces[k]
-            places = beside.along([led.equilibria[rows[k + 2]]])[0] + beside.offsets(bias) + beside.observe(operating.model) @ state[:10]
+            places = (
+                beside.locate_watched_points([led.equilibria[rows[k + 2]]])[0]
+                + beside.offsets(bias)
+                + beside.observe(operating.model) @ state[:10]
+            )
             at += list(beside.obstacles.nearest(places)[0][:, 0])
         return sorted(at)
 

@@ -57,7 +57,7 @@ class Fake:
     def read(self) -> Sample:
         """Ten milliseconds on."""
         self.now += 1
-        row = int(self.reference.at(self.now - round(CLOSED / 0.01)))
+        row = int(self.reference.rows_at(self.now - round(CLOSED / 0.01)))
         sample = Sample(0.01 * self.now, self.reference.equilibria[row].points.copy(), np.zeros(6), np.zeros(6))
         return self.change(0.01 * self.now - CLOSED, sample)
 

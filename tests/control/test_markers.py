@@ -23,7 +23,7 @@ def arm(seed: int, velocity: float = 0.0) -> np.ndarray:
 def take(markers: Markers, points: np.ndarray, after: float = 0.01) -> np.ndarray:
     """Points of a sample some time in s after the last one as they are placed, which are looked at then."""
     before = markers._time if np.isfinite(markers._time) else 0.0
-    sample = markers.placed(Sample(before + after, points))
+    sample = markers.undo_slips(Sample(before + after, points))
     markers.look(sample, NOISE)
     return sample.points
 
@@ -36,7 +36,7 @@ def test_a_slip_is_found_and_taken_off(which: int, by: tuple[float, float, float
     told = []
     for frame in points:
         take(markers, frame)
-        told.append(list(markers.told()))
+        told.append(list(markers.describe_slips()))
     assert not any(told[:150])
     assert told[150 + HALF + 1] == [f"marker {NAMES[which]}"]
     assert np.linalg.norm(markers.slipped[which] - by) < 2.5e-3

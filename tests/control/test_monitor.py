@@ -40,7 +40,7 @@ def left_of(columns: np.ndarray, measured: np.ndarray) -> Left:
         if k >= 50 and k % 5 == 0:
             sums.mark()
         sums.add(row[None, None])
-    return sums.left()
+    return sums.score_changes()
 
 
 def test_score_and_information_are_those_of_a_column_that_begins_at_a_mark() -> None:
@@ -87,9 +87,9 @@ def test_causes_have_names_of_their_own_and_words(kang: CompiledModel, short: Re
     every = causes(kang.layout.actuator_names, kang.layout.point_names, body)
     assert len({cause.about for cause in every}) == len(every)
     assert sum(cause.prior for cause in every) == pytest.approx(1.0, abs=0.01)
-    words = {cause.about: cause.told(0.1) for cause in every}
+    words = {cause.about: cause.describe(0.1) for cause in every}
     assert words["strength 13"] == "muscle 13 pulls 10 % more"
-    assert next(cause for cause in every if cause.about == "strength 13").told(-0.1) == "muscle 13 pulls 10 % less"
+    assert next(cause for cause in every if cause.about == "strength 13").describe(-0.1) == "muscle 13 pulls 10 % less"
     assert words["payload put on"] == "100 g were put on the tip"
 
 

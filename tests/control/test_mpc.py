@@ -34,7 +34,7 @@ WEIGHTS = Weights()
 @pytest.fixture(scope="module")
 def operating(short: Reference) -> Operating:
     """On the circle, in motion."""
-    return Operating.of(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
+    return Operating.from_modal_model(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
 
 
 def forecast_of(
@@ -46,7 +46,7 @@ def forecast_of(
     forecast = Forecast(WEIGHTS, stages)
     motion = np.append(4e-3 * random.normal(size=10), 1e-2 * random.normal(size=10))
     hessian = forecast.prepare(operating, reference, rows)
-    forecast.horizon.about(motion, 2e-3 * random.normal(size=3))
+    forecast.horizon.set_initial_state(motion, 2e-3 * random.normal(size=3))
     return forecast, hessian
 
 
@@ -109,7 +109,7 @@ def riccati(operating: Operating) -> np.ndarray:
 def test_value_beyond_the_horizon_converges(short, operating):
     """From the value about a point further on, by a step a period, to that of scipy about the one at which the robot stays."""
     rows = np.full(STAGES + 9, ROW)
-    far = Operating.of(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
+    far = Operating.from_modal_model(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
     forecast = Forecast(WEIGHTS, STAGES)
     forecast.prepare(far, short, rows)
     wanted, off = riccati(operating), []
@@ -135,7 +135,7 @@ def test_forces_at_rest_undo_the_bias(short, operating):
     forecast = Forecast(WEIGHTS, STAGES)
     bias = np.array([2e-3, -1e-3, 3e-3])
     forecast.prepare(operating, short, np.full(STAGES + 9, ROW))
-    forecast.horizon.about(np.zeros(20), bias)
+    forecast.horizon.set_initial_state(np.zeros(20), bias)
     assert operating.model.gain[-3:] @ forecast.horizon.rest_force == pytest.approx(-bias)
 
 
@@ -364,7 +364,7 @@ def test_friction_of_the_model_is_where_the_filter_starts_and_nothing_else(kang,
 def test_a_model_that_knows_the_friction_steers_no_worse():
     """As the library's effect was fitted to a prototype with nothing but that, two noises: 0.82 mm without it and 0.79 when written."""
     file = alone(("tendon_friction",))
-    known = Model.of(ROBOT).with_effect("tendon_friction", constant=0.0218, share=0.267, released=1.0, distance=4.06)
-    without, knowing = (error(file, compile_model(model), (31, 32)) for model in (Model.of(ROBOT), known))
+    known = Model.from_robot(ROBOT).with_effect("tendon_friction", constant=0.0218, share=0.267, released=1.0, distance=4.06)
+    without, knowing = (error(file, compile_model(model), (31, 32)) for model in (Model.from_robot(ROBOT), known))
     assert knowing <= 1.05 * without
     assert without < 1.2

@@ -7,14 +7,14 @@ from tepm_opt.control.actuation.actuators import Actuators, InputEffects
 from tepm_opt.control.actuation.delay_line import MOST_LATE, CommandDelayLine
 from tepm_opt.control.actuation.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
-from tepm_opt.control.estimation.dahl_friction import course, turned
+from tepm_opt.control.estimation.dahl_friction import dahl_sequence, dahl_step
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.devices import Devices
 from tepm_opt.models.effects import _registry, find_effect
 from tepm_opt.models.model import Model
 
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 AREA, STEP, STAGE = 50.27e-6, 4500.0, 0.02
 DEVICES = Devices(filling=0.12, exhausting=0.24, tension_rate=10.0, delay=0.005)
 LIMITS = np.full(6, 0.5e6)
@@ -96,9 +96,9 @@ def test_reached_pressures_are_what_the_lag_makes_of_the_commands():
 
 def test_devices_of_the_robot_file_and_of_a_model_with_a_lag_of_its_own():
     """A lag or delay that was identified goes before what the robot file says."""
-    assert Devices.of(compile_model(NOMINAL, backend="python")) == DEVICES
+    assert Devices.from_model(compile_model(NOMINAL, backend="python")) == DEVICES
     known = NOMINAL.with_effect("regulator_lag", filling_time=0.05, exhausting_time=0.3).with_effect("time_delay", delay=0.02)
-    assert Devices.of(compile_model(known, backend="python")) == Devices(0.05, 0.3, 10.0, 0.02)
+    assert Devices.from_model(compile_model(known, backend="python")) == Devices(0.05, 0.3, 10.0, 0.02)
 
 
 def test_devices_of_a_model_whose_lag_has_another_name(monkeypatch):
@@ -108,8 +108,8 @@ def test_devices_of_a_model_whose_lag_has_another_name(monkeypatch):
         monkeypatch.setitem(_registry(), name, renamed)
     known = NOMINAL.with_effect("slow_valves", filling_time=0.05, exhausting_time=0.3).with_effect("late_bus", delay=0.02)
     model = compile_model(known, backend="python")
-    assert Devices.of(model) == Devices(0.05, 0.3, 10.0, 0.02)
-    assert Devices.of(model.with_theta(np.where(model.theta == 0.3, 0.2, model.theta))).exhausting == 0.2
+    assert Devices.from_model(model) == Devices(0.05, 0.3, 10.0, 0.02)
+    assert Devices.from_model(model.with_theta(np.where(model.theta == 0.3, 0.2, model.theta))).exhausting == 0.2
     effects = InputEffects(model, np.append(np.full(6, 2e5), np.full(6, 3.0)))
     actuators = actuators_at(3e5, 3.0)
     effects.advance(actuators, 0.01)
@@ -276,10 +276,10 @@ def test_hysteresis_trails_by_its_width():
 
 def test_friction_turns_over_within_its_distance():
     """1 − 2 exp(−x / distance) after a reversal, however the way is cut into pieces; at rest it stays."""
-    one = turned(np.array([-1.0]), np.array([1e-3]), 5e-4)
+    one = dahl_step(np.array([-1.0]), np.array([1e-3]), 5e-4)
     assert one == pytest.approx(1 - 2 * np.exp(-2))
-    pieces = course(np.array([-1.0]), np.full((10, 1), 1e-4), 5e-4)
+    pieces = dahl_sequence(np.array([-1.0]), np.full((10, 1), 1e-4), 5e-4)
     assert pieces[-1] == pytest.approx(one)
-    assert pieces[4] == pytest.approx(turned(np.array([-1.0]), np.array([5e-4]), 5e-4))
-    assert turned(np.array([0.3]), np.zeros(1), 5e-4) == 0.3
-    assert course(np.array([0.3]), np.zeros((3, 1)), 5e-4)[-1] == pytest.approx(0.3)
+    assert pieces[4] == pytest.approx(dahl_step(np.array([-1.0]), np.array([5e-4]), 5e-4))
+    assert dahl_step(np.array([0.3]), np.zeros(1), 5e-4) == 0.3
+    assert dahl_sequence(np.array([0.3]), np.zeros((3, 1)), 5e-4)[-1] == pytest.approx(0.3)

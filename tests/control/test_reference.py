@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.references.reference import PERIOD, Reference, along, approach, point_by_point, reference_of, rising
+from tepm_opt.control.references.reference import PERIOD, Reference, approach, point_by_point, reference_of, rising, sample_tips
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import Trajectory, circle, lissajous
@@ -31,7 +31,7 @@ def test_rising_is_smooth_and_stays_within():
 @pytest.mark.parametrize("laps", [1.0, 2.0])
 def test_closed_path_counts_with_its_own_timing(laps):
     """The circle of 8 s: what counts begins and ends at the same place, with the path's speed, and takes whole laps."""
-    tips, counted = along(circle(400), laps=laps)
+    tips, counted = sample_tips(circle(400), laps=laps)
     assert counted.sum() * PERIOD == pytest.approx(8.0 * laps)
     assert np.linalg.norm(tips[:, :2], axis=1) == pytest.approx(0.15, abs=1e-6)
     inside = speeds(tips[counted])
@@ -44,7 +44,7 @@ def test_closed_path_counts_with_its_own_timing(laps):
 @pytest.mark.parametrize("path", [circle(400), lissajous(400), HALF])
 def test_paths_start_and_end_at_rest_and_are_smooth(path):
     """No speed at the ends, and nowhere a jump of the speed."""
-    tips, _ = along(path)
+    tips, _ = sample_tips(path)
     assert max(speeds(tips)[[0, -1]]) < 1e-3
     change = np.linalg.norm(np.diff(tips, n=2, axis=0), axis=1) / PERIOD**2
     assert change.max() < 1.0  # m/s²; the circle without start-up would be at 12
@@ -52,7 +52,7 @@ def test_paths_start_and_end_at_rest_and_are_smooth(path):
 
 def test_open_path_runs_from_end_to_end_and_counts_as_a_whole():
     """In its own time and one start-up."""
-    tips, counted = along(HALF, start_up=1.0)
+    tips, counted = sample_tips(HALF, start_up=1.0)
     assert counted.all()
     assert tips[0] == pytest.approx(HALF.positions[0])
     assert tips[-1] == pytest.approx(HALF.positions[-1])
@@ -63,7 +63,7 @@ def test_open_path_runs_from_end_to_end_and_counts_as_a_whole():
 def test_path_of_one_point_is_refused():
     """An open one."""
     with pytest.raises(InputError, match="no path"):
-        along(Trajectory(np.zeros(1), np.zeros((1, 3))))
+        sample_tips(Trajectory(np.zeros(1), np.zeros((1, 3))))
 
 
 def test_point_by_point_moves_stays_and_counts_at_the_end():
@@ -96,7 +96,7 @@ def test_forces_hold_the_tips(kang, short: Reference):
         assert held.tip == pytest.approx(short.tips[row], abs=1e-5)
         assert short.lengths[row] == pytest.approx(held.lengths.ravel(), abs=1e-5)
         assert short.levels[row] == pytest.approx(held.x[1:].ravel(), abs=1e-5)
-    assert short.at(np.array([-3, 0, 449, 450, 9999])).tolist() == [0, 0, 449, 449, 449]
+    assert short.rows_at(np.array([-3, 0, 449, 450, 9999])).tolist() == [0, 0, 449, 449, 449]
     assert short.duration == pytest.approx(4.49)
 
 

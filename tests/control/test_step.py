@@ -11,7 +11,7 @@ import pytest
 from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use, make_mpc
 from tepm_opt.control.mpc.prediction import Weights
-from tepm_opt.control.references.reference import Reference, along, reference_of
+from tepm_opt.control.references.reference import Reference, reference_of, sample_tips
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -28,7 +28,7 @@ PLANNED = 3e-7  # N, of later stages: DAQP lets rows of the Python step's progra
 @pytest.fixture(scope="module")
 def quick(kang: CompiledModel) -> Reference:
     """Back and forth with friction that turns over, too quick for the motors now and then: 4 s."""
-    return reference_of(kang, along(lissajous(400))[0][:400])
+    return reference_of(kang, sample_tips(lissajous(400))[0][:400])
 
 
 @pytest.fixture(scope="module")
@@ -195,11 +195,11 @@ EFFECTS = {
 @pytest.mark.parametrize("kinds", [("maps",), ("memories",), ("devices",), tuple(EFFECTS)], ids=" and ".join)
 def test_the_same_with_effects_on_inputs(kinds: tuple[str, ...], recorded, compiler: str) -> None:
     """What a found model has beside the nominal one; nothing of it is in Python only."""
-    model = Model.of("kang2017")
+    model = Model.from_robot("kang2017")
     for name, (detail, values) in [each for kind in kinds for each in EFFECTS[kind].items()]:
         model = model.with_effect(name, detail, **values)
     compiled = compile_model(model)
-    compared(both(compiled, reference_of(compiled, along(lissajous(400))[0][:120]), MpcSettings()), iter(recorded[:120]))
+    compared(both(compiled, reference_of(compiled, sample_tips(lissajous(400))[0][:120]), MpcSettings()), iter(recorded[:120]))
 
 
 ROBOTS = {
@@ -213,7 +213,7 @@ ROBOTS = {
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_same_on_other_robots(robot, compiler):
     """Programs of an odd number of tensions among them; pushed off the reference half way."""
-    model = compile_model(Model.of(variant(**ROBOTS[robot])))
+    model = compile_model(Model.from_robot(variant(**ROBOTS[robot])))
     time, muscles = np.linspace(0, 1, 60)[:, None], np.arange(model.layout.inputs // 2)
     reference = reference_by_forces(model, 3 * np.sin(2 * np.pi * time + muscles) * np.minimum(1, 4 * time))
     random, places = np.random.default_rng(0), [at.points for at in reference.equilibria]

@@ -93,14 +93,14 @@ def test_the_controller_takes_the_levels_of_the_model_unless_it_is_told_others()
 
 def test_corrected_models_keep_the_levels() -> None:
     """As a verdict makes its corrected model."""
-    tuned = replace(Model.of("kang2017"), filter=LEVELS)
+    tuned = replace(Model.from_robot("kang2017"), filter=LEVELS)
     corrected = with_selected_candidates(tuned, {**tuned.values, "K_a": 350.0}, ())
     assert corrected.parameters == {"K_a": 350.0}
     assert corrected.filter == LEVELS
 
 
 def test_a_model_file_has_the_levels(tmp_path: Path) -> None:
-    tuned = replace(Model.of("kang2017").with_effect("payload", mass=0.02), filter=LEVELS)
+    tuned = replace(Model.from_robot("kang2017").with_effect("payload", mass=0.02), filter=LEVELS)
     write_model(tuned, tmp_path / "tuned.toml")
     assert tomllib.loads((tmp_path / "tuned.toml").read_text(encoding="utf-8"))["filter"] == LEVELS
     assert read_model(tmp_path / "tuned.toml") == tuned != replace(tuned, filter={})

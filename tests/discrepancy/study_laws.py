@@ -65,7 +65,7 @@ def examined(trial: Trial, folder: Path, out: Path, short: bool) -> Found:
     """One trial, from its data on."""
     key, began = trial.hidden.key, time.monotonic()
     data = read_dataset(folder / key)
-    known = Model.of(data.robot)
+    known = Model.from_robot(data.robot)
     plant = NetworkPlant(compile_model(known))
     noise = data.position_noise or trial.hidden.noise
     problem = Problem(plant, data.fit, plant.free(tuple(known.robot.priors)), noise, step=0.02, derivatives_apart=0.04)
@@ -148,7 +148,7 @@ def went_through(trial: Trial, run: Excitation) -> Course:
     asked = run.setpoints
     points, lengths = (np.array(values) for values in zip(*states, strict=True))
     whole = Run(run.file, run.role, asked.time, asked.inputs, asked.tip_force, points, began=run.began)
-    return Course(compile_model(Model.of(ROBOT)), whole, points, lengths)
+    return Course(compile_model(Model.from_robot(ROBOT)), whole, points, lengths)
 
 
 def _curve(trial: Trial, found: Invention) -> float | None:

@@ -119,7 +119,7 @@ def examined(file: RigFile, folder: Path, steering: bool) -> Told:
     errors = verdict.errors
     told.closed, told.errors = errors.gap_closed_fraction, {name: 1e3 * value for name, value in asdict(errors).items()}
     if steering:
-        models = {"nominal": Model.of(load_robot(file.robot)), "found": read_model(folder / "found" / "model.toml")}
+        models = {"nominal": Model.from_robot(load_robot(file.robot)), "found": read_model(folder / "found" / "model.toml")}
         told.steering = {task: [steered(file, model, task) for model in models.values()] for task in ("circle", "lissajous")}
     return told
 

@@ -163,7 +163,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=30.0)
     options = parser.parse_args()
-    model = Model.of("kang2017")
+    model = Model.from_robot("kang2017")
     network = SearchableNetwork.from_model(model, channels_of(model.robot))
     _ = network.model.stepper
     rig = Rig(model, reach_of(compile_model(model)), RATE, NOISE, options.seconds)

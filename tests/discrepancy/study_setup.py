@@ -150,7 +150,7 @@ def study_robot(folder: Path, each: int, seed: int = 0) -> Rates:
     plants: dict[str, SearchablePlant] = {}
     for path in sorted(folder.glob("*/dataset.toml")):
         dataset, _ = checked_dataset(path.parent, despite_errors=True)
-        known = Model.of(dataset.robot)
+        known = Model.from_robot(dataset.robot)
         plant = plants.setdefault(dataset.robot, SearchableNetwork.of_known(known, channels_of(known.robot)))
         noise = noise_of(dataset)
         rates.judge("no mistake", path.parent.name, plant, list(dataset.runs), noise, "")
@@ -162,7 +162,7 @@ def study_robot(folder: Path, each: int, seed: int = 0) -> Rates:
 
 def study_network(count: int, seed: int = 0) -> Rates:
     """Mistakes around a robot that is the model but for its parameters and, every other time, an effect."""
-    rates, random, mistakes, known = Rates(), np.random.default_rng(seed), robot_mistakes(), Model.of("kang2017")
+    rates, random, mistakes, known = Rates(), np.random.default_rng(seed), robot_mistakes(), Model.from_robot("kang2017")
     plant, names = SearchableNetwork.from_model(known, channels_of(known.robot)), cycle(random, list(mistakes))
     for k in range(count):
         asked = [

@@ -19,7 +19,7 @@ from tepm_opt.models.channels import channels_of
 from tepm_opt.models.model import Model
 from tests.discrepancy.small import planned
 
-KNOWN = Model.of("kang2017")
+KNOWN = Model.from_robot("kang2017")
 CHANNELS = channels_of(KNOWN.robot)
 NOISE, GRID = 500.0, 4500.0
 DELAY, FILLING, EXHAUSTING = 0.02, 0.15, 0.3

@@ -60,7 +60,7 @@ def true(kang: CompiledModel) -> CompiledModel:
 def law(kang: CompiledModel, true: CompiledModel, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Invention]:
     judged = weak(true, ("mixed.csv",)) + [replace(run, file="high.csv") for run in weak(true, ("elongation.csv",), 1.3)]
     folder = tmp_path_factory.mktemp("effects")
-    found = invent(fitted(kang, weak(true, FILES)), Model.of("kang2017"), folder, "small", judged)
+    found = invent(fitted(kang, weak(true, FILES)), Model.from_robot("kang2017"), folder, "small", judged)
     assert found is not None
     yield found
     unload_effect(found.written.name)
@@ -119,7 +119,7 @@ def test_it_is_told_and_drawn(law: Invention, tmp_path: Path) -> None:
 
 def test_noise_alone_has_no_law(kang: CompiledModel, true: CompiledModel, tmp_path: Path) -> None:
     runs = measured(true, planned(FILES))
-    assert invent(fitted(kang, runs), Model.of("kang2017"), tmp_path, "null") is None
+    assert invent(fitted(kang, runs), Model.from_robot("kang2017"), tmp_path, "null") is None
     assert not list(tmp_path.iterdir())
 
 

@@ -38,7 +38,7 @@ def test_of_a_verdict_per_sample(kang: CompiledModel, monkeypatch: pytest.Monkey
         dataset = dataset_of(kang, every)
         tracemalloc.start()
         try:
-            discover(dataset, SearchableNetwork.from_model(Model.of("kang2017"), dataset.channels), NOISE, settings=settings)
+            discover(dataset, SearchableNetwork.from_model(Model.from_robot("kang2017"), dataset.channels), NOISE, settings=settings)
             return sum(run.rows for run in every), tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

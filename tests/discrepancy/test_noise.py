@@ -47,7 +47,7 @@ def found(
         moved = 0.05 * wave * np.ones(3)
         run = Run("a.csv", "fit", time, np.zeros((ROWS, 1)), np.zeros((ROWS, 3)), moved + left)
         runs.append(run)
-        residuals.append(Residual.of(run, moved, np.empty((0, *shape)), noise))
+        residuals.append(Residual.from_prediction(run, moved, np.empty((0, *shape)), noise))
     value, scatters = estimate_noise(noise, runs, residuals)
     return value, describe_noise(scatters, noise, SIGNALS)
 
@@ -116,5 +116,5 @@ def test_each_quantity_has_its_own() -> None:
 def test_too_short_to_tell() -> None:
     random = np.random.default_rng(1)
     run = Run("a.csv", "fit", np.arange(60) / RATE, np.zeros((60, 1)), np.zeros((60, 3)), random.normal(size=(60, 4, 3)))
-    noise, scatters = estimate_noise(1e-3, [run], [Residual.of(run, 0 * run.points, np.empty((0, 60, 4, 3)), 1e-3)])
+    noise, scatters = estimate_noise(1e-3, [run], [Residual.from_prediction(run, 0 * run.points, np.empty((0, 60, 4, 3)), 1e-3)])
     assert (noise, describe_noise(scatters, 1e-3, SIGNALS)) == (1e-3, [])

@@ -157,7 +157,7 @@ class TestWithoutASpring:
     def test_its_motion_has_derivatives(self, springless: Path, backend: Literal["auto", "python"]) -> None:
         model, asked, h = compile_model(springless, backend=backend), pushed(0.3), 1e-3
         names = ["m_d", "c_a"]
-        found = simulate(model, asked, step=STEP, directions=Directions.of(model, names)).sensitivities[:, :, -1, 2]
+        found = simulate(model, asked, step=STEP, directions=Directions.from_names(model, names)).sensitivities[:, :, -1, 2]
         for name, by in zip(names, found, strict=True):
             way = [simulate(changed(model, **{name: model.values[name] + d}), asked, step=STEP).tip[:, 2] for d in (h, -h)]
             assert by == pytest.approx((way[0] - way[1]) / (2 * h), abs=1e-4 * np.abs(by).max())
@@ -176,7 +176,7 @@ class TestWithoutASpring:
 
     @pytest.mark.slow
     def test_an_arm_without_stiffness_says_so(self) -> None:
-        found = solve_statics(compile_model(Model.of("kang2017").with_parameters(K_a=0.0), backend="python"), np.zeros(12))
+        found = solve_statics(compile_model(Model.from_robot("kang2017").with_parameters(K_a=0.0), backend="python"), np.zeros(12))
         assert "nothing holds the robot" in found.outcome.message
 
     @pytest.mark.slow

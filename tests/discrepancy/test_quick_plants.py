@@ -92,7 +92,7 @@ def test_residuals_forget_after_their_integrated_correlation(kept: float) -> Non
         values[k] = kept * values[k - 1] + noise[k]
     (run,) = runs(1, 2.0, rows=2)
     run = replace(run, time=np.arange(rows) * STEP, inputs=np.zeros((rows, 1)), tip_force=np.zeros((rows, 3)), points=values[:, None, None])
-    residual = Residual.of(run, np.zeros((rows, 1, 1)), np.zeros((0, rows, 1, 1)), 1.0)
+    residual = Residual.from_prediction(run, np.zeros((rows, 1, 1)), np.zeros((0, rows, 1, 1)), 1.0)
     assert independent_after([residual], [run]) / STEP == pytest.approx((1 + kept) / (1 - kept), rel=0.12)
 
 

@@ -48,7 +48,7 @@ VERDICT = Verdict(
     where=PLACES,
     recalibrated={"K_a": Value(364.2, 0.8, "N/m", 358.86), "c_a": Value(2.4, 0.0, "N s/m", 2.583), "alpha_2": Value(0.98, 0.002, "-", 1.0)},
     errors=Errors(0.52e-3, 5.2e-3, 4.1e-3, 0.55e-3, 0.8e-3),
-    model=Model.of("kang2017").with_effect("actuator_gain", "13", loss=0.1203),
+    model=Model.from_robot("kang2017").with_effect("actuator_gain", "13", loss=0.1203),
     notes=("c_a and alpha_2 cannot be told apart by these runs", "3 samples of s2 were doubtful"),
     seconds=83.4,
 )
@@ -134,7 +134,7 @@ def test_what_is_not_there_is_left_out(tmp_path: Path) -> None:
         (),
         {},
         Errors(5e-4, 4.9e-4, 4.9e-4, 4.9e-4, float("nan")),
-        Model.of("kang2017"),
+        Model.from_robot("kang2017"),
     )
     silent = Localisation((), 0, np.zeros((1, 4)), ("a.csv",), ("s1", "s2", "s3", "s4"), 0.0, "No structure above the noise.")
     page = Page(written(tmp_path, bare, silent, ()))

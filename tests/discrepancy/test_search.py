@@ -33,7 +33,7 @@ from tepm_opt.solvers.predict import predict
 from tests.discrepancy.small import NOISE, STEP, changed, cut, dataset_of, measured, planned, true_values, write
 from tests.tools import stages_into
 
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 OFFSET = np.array([4e-3, -3e-3, 2e-3])  # m, of s3
 FILES = ("single_pressure.csv", "elongation.csv", "mixed.csv")
 SETTINGS = SearchSettings()
@@ -85,7 +85,7 @@ def contents(folder: Path) -> tuple[dict[str, Any], str]:
 class TestLibrary:
     def test_every_effect_with_every_detail(self) -> None:
         found = candidates(NOMINAL)
-        layout = Layout.of(NOMINAL.robot)
+        layout = Layout.from_robot(NOMINAL.robot)
         assert {candidate.name for candidate in found} == {effect.name for effect in effects()}
         assert {c.detail for c in found if c.name == "actuator_gain"} == set(layout.actuator_names)
         assert {c.detail for c in found if c.name == "sensor_offset"} == set(layout.point_names)

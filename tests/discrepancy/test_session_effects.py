@@ -80,7 +80,7 @@ def test_what_is_suggested_for_runs_of_a_known_session() -> None:
 
 
 def test_data_of_equilibria_suggest_nothing() -> None:
-    model = compile_model(Model.of("kang2017"))
+    model = compile_model(Model.from_robot("kang2017"))
     without = Problem(NetworkPlant(model, static=True), (), (), NOISE)
     estimate = ParameterEstimate.__new__(ParameterEstimate)
     object.__setattr__(estimate, "problem", without)

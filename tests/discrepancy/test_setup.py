@@ -20,7 +20,7 @@ from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.model import Model
 from tests.discrepancy.small import NOISE, changed, measured, planned, true_values
 
-KNOWN = Model.of("kang2017")
+KNOWN = Model.from_robot("kang2017")
 SIGNALS = channels_of(KNOWN.robot).signals
 Mistake = Callable[[Run], Run]
 

@@ -25,7 +25,7 @@ from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tests.discrepancy.small import NOISE, changed, cut, measured, planned, true_values
 
 pytestmark = pytest.mark.slow
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 HIDDEN = {
     "payload.mass": 0.03,
     "base_tilt.x": 0.02,

@@ -24,7 +24,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.solvers.identify import Problem
 from tests.discrepancy.small import NOISE, changed, cut, dataset_of, measured, planned, true_values
 
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 FILES = ("single_pressure.csv", "elongation.csv", "tip_load.csv", "mixed.csv")
 LATE = ("tip_load.csv",)
 MASS = 0.012  # kg, put on before the last of the runs fitted to

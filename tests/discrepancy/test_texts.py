@@ -79,7 +79,7 @@ SHOWN: dict[str, Callable[[Subjects], object]] = {
     "Gain(s4": lambda s: solve_gain(solve_statics(s.model, np.zeros(12))),
     "Curve(": lambda s: input_curve(s.model, "pressure", "11", count=3),
     "WorkspaceMap(": lambda s: workspace_map(s.model, [0.0], [0.3]),
-    "Directions(": lambda s: Directions.of(s.model, list(s.model.values)[:6], ["pressure_11"]),
+    "Directions(": lambda s: Directions.from_names(s.model, list(s.model.values)[:6], ["pressure_11"]),
     "Simulation(solved": lambda s: s.simulation(),
     "Prediction(": lambda s: predict(s.model, s.problem.runs[0]),
     "Problem(": lambda s: s.problem,

@@ -62,7 +62,7 @@ def test_every_name_of_the_stub_is_told() -> None:
 
 def test_equations_are_those_of_the_code() -> None:
     """By hand, of effects whose formula is known."""
-    written = {effect.name: dict(Hooks(effect, Model.of("kang2017")).equations()) for effect in effects()}
+    written = {effect.name: dict(Hooks(effect, Model.from_robot("kang2017")).equations()) for effect in effects()}
     assert r"m_n' = m + \frac{\mathrm{mass}}{3}" in written["payload"].values()
     assert r"p_{13}' = \left(1 - \mathrm{loss}\right) \, p_{13}" in written["actuator_gain"].values()
     assert r"k' = k \, \left(1 + \mathrm{stiffening}\right)" in written["rigid_plates"].values()

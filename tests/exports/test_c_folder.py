@@ -51,7 +51,7 @@ def late() -> CompiledModel:
     text = re.sub(r"actuator_angles_deg = \[.*?\]", "actuator_angles_deg = [45, 135, 225, 315]", text)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "lab.toml").write_text(text, encoding="utf-8")
-        model = Model.of(Path(folder) / "lab.toml")
+        model = Model.from_robot(Path(folder) / "lab.toml")
     for name in ("creep", "regulator_lag", "pressure_dead_zone"):
         model = model.with_effect(name)
     return compile_model(model.with_effect("time_delay", delay=LATE), backend="python")

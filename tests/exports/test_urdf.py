@@ -47,7 +47,7 @@ def test_at_rest_links_end_at_the_reference_points(name: str, tmp_path: Path) ->
     """Joints at zero; each link is the child of one joint, and cylinders end at the next link."""
     robot, path = load_robot(name), tmp_path / "robot.urdf"
     export_urdf(robot, path)
-    root, layout = Xml.parse(path).getroot(), Layout.of(robot)
+    root, layout = Xml.parse(path).getroot(), Layout.from_robot(robot)
     nodes = layout.rest_positions(robot.parameters.r, robot.parameters.L_0) @ robot.mount.rotation.T + robot.mount.base_position_m
     rest = np.einsum("pl,lac->pc", layout.point_weights, nodes) / robot.actuators
     found = places(root, {})

@@ -305,7 +305,7 @@ def test_forces_at_rest_are_mujocos():
 
 
 def library() -> Any:
-    built = engine.library(Layout.of(load_robot("kang2017")))
+    built = engine.library(Layout.from_robot(load_robot("kang2017")))
     assert built is not None
     return built
 

@@ -18,7 +18,7 @@ from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending
 
 ROBOT = load_robot("kang2017")
-LAYOUT, LIMITS, RATE = Layout.of(ROBOT), ROBOT.input_max, 100.0
+LAYOUT, LIMITS, RATE = Layout.from_robot(ROBOT), ROBOT.input_max, 100.0
 PLACES = np.array([[0.0, 0, 0.1], [0.01, 0, 0.2], [0.02, 0.01, 0.3], [0.03, 0.02, 0.4]])
 NOISE = DeclaredNoise(point=5.8e-4, pressure=500.0, tension=0.01, point_grid=0.0)
 

@@ -307,7 +307,7 @@ def test_actuator_offset():
 
 def test_actuator_scatter():
     """Areas and lengths are what the draw says, and spread as they should; another draw is another machine."""
-    layout = Layout.of(load_robot("kang2017"))
+    layout = Layout.from_robot(load_robot("kang2017"))
     many = [ActuatorScatter(area_spread=0.02, length_spread_m=1e-3, draw=k).drawn(layout) for k in range(300)]
     areas, lengths = (np.array(part) for part in zip(*many, strict=True))
     assert (areas.mean(), areas.std()) == (pytest.approx(1, abs=2e-3), pytest.approx(0.02, rel=0.05))

@@ -7,7 +7,7 @@ import pytest
 
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
-from tepm_opt.control.references.reference import Reference, along, approach, reference_of
+from tepm_opt.control.references.reference import Reference, approach, reference_of, sample_tips
 from tepm_opt.data.documents import validated
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.faults import Fault, FaultInjector
@@ -20,7 +20,7 @@ from tepm_opt.models.robot import load_robot
 from tepm_opt.solvers.trajectories import circle
 from tests.hw.test_freshness import samples
 
-LAYOUT = Layout.of(load_robot("kang2017"))
+LAYOUT = Layout.from_robot(load_robot("kang2017"))
 
 
 def faulty(*faults: dict[str, object]) -> RigFile:
@@ -97,7 +97,7 @@ def test_an_unwatched_rig_gives_what_a_watched_one_withholds() -> None:
 @pytest.fixture(scope="module")
 def path(kang: CompiledModel) -> Reference:
     """To the circle in 2 s and 1.5 s along it."""
-    tips = along(circle(400))[0][:150]
+    tips = sample_tips(circle(400))[0][:150]
     return reference_of(kang, np.vstack([approach(kang, tips[0], 2.0), tips]), np.arange(350) >= 200)
 
 

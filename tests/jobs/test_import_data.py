@@ -26,7 +26,7 @@ position = { of = ["s4"], columns = "tip {axis}", unit = "mm" }
 @pytest.mark.slow
 def test_pressures_and_the_tip_are_enough(tmp_path: Path) -> None:
     pytest.importorskip("pandas")
-    model, random = compile_model(Model.of("kang2017").with_parameters(K_a=STIFFNESS)), np.random.default_rng(0)
+    model, random = compile_model(Model.from_robot("kang2017").with_parameters(K_a=STIFFNESS)), np.random.default_rng(0)
     time, files = np.arange(0, 20, 0.02), []
     for name in ("one", "two"):
         inputs = np.zeros((len(time), 12))

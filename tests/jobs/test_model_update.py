@@ -16,7 +16,7 @@ from tepm_opt.recording.plan import read_plan
 from tepm_opt.report.model_update import write_model_update_page
 from tepm_opt.solvers.trajectories import circle
 
-MODEL = Model.of("kang2017")
+MODEL = Model.from_robot("kang2017")
 PLAN = Path(__file__).resolve().parents[2] / "docs" / "plan.toml"
 ERRORS = {"noise_floor": 1e-3, "nominal": 3e-2, "recalibrated": 2.5e-2, "corrected": 2e-3, "black_box": 2e-2}
 

@@ -33,7 +33,7 @@ def written() -> tuple[Effect, ...]:
     found = []
     for formula in FORMULAS:
         made: dict = {"__name__": "law"}
-        exec(compile(write(formula, Layout.of(ROBOT), ROBOT.parameters.A, "a test").text, "law.py", "exec"), made)
+        exec(compile(write(formula, Layout.from_robot(ROBOT), ROBOT.parameters.A, "a test").text, "law.py", "exec"), made)
         kinds = [kind for kind in made.values() if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == "law"]
         found += [kind() for kind in kinds]
     return tuple(found)

@@ -9,20 +9,20 @@ import pytest
 
 from tepm_opt.models.backends import compiler as compiling
 from tepm_opt.models.backends.ccode import FLAGS
-from tepm_opt.models.backends.interface import Allotment, InverseProblem, Status
+from tepm_opt.models.backends.interface import Allotment, InverseNewton, InverseProblem, LoadCase, Status
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tests.tools import random_directions, random_inputs, relative, variant, with_all_effects
 
 MODELS = {
-    "kang2017": lambda: Model.of("kang2017"),
-    "one module of four actuators": lambda: Model.of(
+    "kang2017": lambda: Model.from_robot("kang2017"),
+    "one module of four actuators": lambda: Model.from_robot(
         variant(geometry={"modules": 1, "segments_per_module": 5, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0)})
     ),
-    "one segment of five uneven actuators": lambda: Model.of(
+    "one segment of five uneven actuators": lambda: Model.from_robot(
         variant(geometry={"modules": 1, "segments_per_module": 1, "actuator_angles_deg": (0.0, 60.0, 150.0, 200.0, 300.0)})
     ),
-    "all effects": lambda: with_all_effects(Model.of("kang2017")),
+    "all effects": lambda: with_all_effects(Model.from_robot("kang2017")),
 }
 
 
@@ -55,7 +55,7 @@ def test_actuation(pair):
 def test_statics(pair, mapped):
     c, python = pair
     for u, external in cases(c, 6):
-        found, expected = (m.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100) for m in (c, python))
+        found, expected = (m.statics.statics(c.rest, LoadCase(u, mapped, external, c.theta), 1e-9, 100) for m in (c, python))
         assert found.status == expected.status == Status.SOLVED
         assert abs(found.x - expected.x).max() < 1e-9
         assert abs(found.observed - expected.observed).max() < 1e-9
@@ -70,15 +70,15 @@ def test_sensitivities(pair, mapped):
     observations = 3 * c.layout.points + c.layout.inputs // 2
     weights = np.random.default_rng(0).normal(size=(5, observations))
     for u, external in cases(c, 3):
-        x = python.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
-        found, expected = (m.statics.sensitivity(x, u, mapped, external, c.theta, weights, True) for m in (c, python))
+        x = python.statics.statics(c.rest, LoadCase(u, mapped, external, c.theta), 1e-9, 100).x
+        found, expected = (m.statics.sensitivity(x, LoadCase(u, mapped, external, c.theta), weights, True) for m in (c, python))
         assert found[0] == expected[0] == Status.SOLVED
         half = c.layout.inputs // 2
         blocks = [(found[1][:, :half], expected[1][:, :half]), (found[1][:, half:], expected[1][:, half:]), (found[2], expected[2])]
         blocks += [(found[3][:, [k]], expected[3][:, [k]]) for k in range(len(c.theta)) if expected[3][:, k].any()]
         assert all(relative(*block) < 1e-8 for block in blocks)
         for model in pair:  # without the parameters' kernels run that do less
-            _, by_u, by_external, by_theta = model.statics.sensitivity(x, u, mapped, external, c.theta, weights, False)
+            _, by_u, by_external, by_theta = model.statics.sensitivity(x, LoadCase(u, mapped, external, c.theta), weights, False)
             assert by_theta is None
             assert max(relative(by_u, expected[1]), relative(by_external, expected[2])) < 1e-8
 
@@ -88,9 +88,9 @@ def test_matrices(pair, mapped):
     """Stiffness and damping at an equilibrium and elsewhere."""
     c, python = pair
     for u, external in cases(c, 4):
-        x = python.statics.statics(c.rest, u, mapped, external, c.theta, 1e-9, 100).x
+        x = python.statics.statics(c.rest, LoadCase(u, mapped, external, c.theta), 1e-9, 100).x
         for levels in (x, c.rest):
-            found, expected = (m.statics.matrices(levels, u, mapped, external, c.theta) for m in (c, python))
+            found, expected = (m.statics.matrices(levels, LoadCase(u, mapped, external, c.theta)) for m in (c, python))
             assert [matrix.shape for matrix in found] == 2 * [(2 * c.layout.block, c.layout.levels * c.layout.block)]
             assert max(relative(*both) for both in zip(found, expected, strict=True)) < 1e-12
 
@@ -102,16 +102,19 @@ def test_inverse(pair):
     weights = np.eye(observations)[-half:]  # the actuators' lengths
     for u, external in cases(c, 3):
         p = u[:half] / 2
-        start, goal = (python.statics.statics(c.rest, np.append(q, 0 * q), True, external, c.theta, 1e-9, 100) for q in (p, p + 5e3))
-        arguments = (start.x, p, external, c.theta, weights, weights @ goal.observed, 1e5, 1e-10, 1e-9, 30)
-        found, expected = (m.statics.inverse(*arguments) for m in (c, python))
+        start, goal = (
+            python.statics.statics(c.rest, LoadCase(np.append(q, 0 * q), True, external, c.theta), 1e-9, 100) for q in (p, p + 5e3)
+        )
+        newton, case = InverseNewton(1e5, 1e-10, 1e-9, 30), LoadCase(np.append(p, 0 * p), True, external, c.theta)
+        arguments = (start.x, case, weights, weights @ goal.observed)
+        found, expected = (m.statics.inverse(*arguments, newton) for m in (c, python))
         assert found[0] == expected[0] == Status.SOLVED
         assert found[3] == expected[3]
         assert abs(found[1] - expected[1]).max() < 1e-9
         np.testing.assert_allclose(found[2], expected[2], rtol=1e-9)
         np.testing.assert_allclose(found[2], p + 5e3, rtol=1e-6)
         assert abs(found[1] - goal.x).max() < 1e-7
-        too_few = [m.statics.inverse(*arguments[:-1], 1) for m in (c, python)]
+        too_few = [m.statics.inverse(*arguments, replace(newton, max_iterations=1)) for m in (c, python)]
         assert too_few[0][0] == too_few[1][0] != Status.SOLVED
 
 
@@ -120,13 +123,14 @@ def test_response(pair):
     c, python = pair
     weights = np.random.default_rng(0).normal(size=(5, 3 * c.layout.points + c.layout.inputs // 2))
     for u, external in cases(c, 3):
-        found, expected = (m.statics.response(c.rest, u, external, c.theta, weights, 1e-9, 100) for m in (c, python))
+        found, expected = (m.statics.response(c.rest, LoadCase(u, True, external, c.theta), weights, 1e-9, 100) for m in (c, python))
         assert found[0] == expected[0] == Status.SOLVED
         assert max(abs(found[k] - expected[k]).max() for k in (1, 2)) < 1e-9
         assert relative(found[3], expected[3]) < 1e-8
-        by_u = c.statics.sensitivity(found[1], u, True, external, c.theta, weights, False)[1]
+        by_u = c.statics.sensitivity(found[1], LoadCase(u, True, external, c.theta), weights, False)[1]
         assert relative(found[3], by_u) < 1e-8
-        assert [m.statics.response(c.rest, 3 * u, external, c.theta, weights, 1e-9, 0)[0] for m in (c, python)] == 2 * [Status.EXHAUSTED]
+        case = LoadCase(3 * u, True, external, c.theta)
+        assert [m.statics.response(c.rest, case, weights, 1e-9, 0)[0] for m in (c, python)] == 2 * [Status.EXHAUSTED]
 
 
 def allotments(model):
@@ -158,7 +162,7 @@ def test_configurations(pair, cold):
     lengths, by = np.eye(observations)[-half:], allotments(c)[1]
     u, external = list(cases(c, 3))[1]
     p = u[:half] / 2
-    start, goal = (python.statics.statics(c.rest, np.append(q, 0 * q), True, external, c.theta, 1e-9, 100) for q in (p, p + 5e3))
+    start, goal = (python.statics.statics(c.rest, LoadCase(np.append(q, 0 * q), True, external, c.theta), 1e-9, 100) for q in (p, p + 5e3))
     weights = lengths - np.outer(np.where(np.arange(half) < 3, 0.0, lengths @ goal.observed / (lengths[0] @ goal.observed)), lengths[0])
     problem = InverseProblem(external, c.theta, weights, np.full(half, -7.0), np.full(half, 25.0), 0.02, by, 1e5 * area, 1e-10, 1e-9, 30)
     targets, actuation = np.array(2 * [(lengths @ goal.observed)[:3]]), np.append(p, 0 * p)
@@ -193,10 +197,10 @@ def test_failures_have_the_same_status(kang, kang_python, compiler):
     """3 N straight down: the straight robot is a saddle; 1 iteration: not enough."""
     external = np.array([0] * 11 + [-3.0])
     for most, status in ((100, Status.UNSTABLE), (1, Status.EXHAUSTED)):
-        found = [m.statics.statics(kang.rest, np.zeros(12), False, external, kang.theta, 1e-9, most) for m in (kang, kang_python)]
+        found = [m.statics.statics(kang.rest, LoadCase(np.zeros(12), False, external, kang.theta), 1e-9, most) for m in (kang, kang_python)]
         assert [solution.status for solution in found] == [status, status]
     x = found[0].x
-    results = [m.statics.sensitivity(x, np.zeros(12), False, external, kang.theta, np.eye(18), True) for m in (kang, kang_python)]
+    results = [m.statics.sensitivity(x, LoadCase(np.zeros(12), False, external, kang.theta), np.eye(18), True) for m in (kang, kang_python)]
     assert results[0][0] == results[1][0] == 4
 
 
@@ -204,7 +208,7 @@ def test_threads_do_not_disturb_each_other(kang, compiler):
     """Every thread has arrays of its own; ctypes releases the interpreter's lock while C runs."""
 
     def solve(u):
-        return kang.statics.statics(kang.rest, u, False, np.zeros(12), kang.theta, 1e-9, 100).observed
+        return kang.statics.statics(kang.rest, LoadCase(u, False, np.zeros(12), kang.theta), 1e-9, 100).observed
 
     inputs = random_inputs(kang, 200, 3)
     with ThreadPoolExecutor(4) as pool:

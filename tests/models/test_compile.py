@@ -46,7 +46,7 @@ def test_a_cache_that_cannot_be_made_is_no_obstacle(tmp_path, empty_cache, monke
 
 @pytest.mark.slow
 def test_the_cache_is_keyed_by_the_network_not_by_its_parameters(empty_cache, monkeypatch, compiler):
-    model = Model.of(SMALL)
+    model = Model.from_robot(SMALL)
     assert compile_model(model, backend="c").is_c
     libraries = sorted(empty_cache.iterdir())
     assert [library.suffix for library in libraries].count(".so") == 1

@@ -32,8 +32,8 @@ from tests.tools import PRECISE, observed, one_sided_slope, random_directions, r
 
 STATIC_HOOKS = ("inputs", "properties", "loads", "edge_energy", "tendon_energy", "outputs")
 MOTION_HOOKS = ("pressure_memory", "tension_memory", "edge_memory", "edge_drag", "point_drag", "delay")
-NOMINAL = Model.of("kang2017")
-LAYOUT = Layout.of(NOMINAL.robot)
+NOMINAL = Model.from_robot("kang2017")
+LAYOUT = Layout.from_robot(NOMINAL.robot)
 AT_REST, IN_MOTION = 12.33, 9.0  # s, times in the session for effects that ask: of statics, and when motions begin
 
 
@@ -293,8 +293,7 @@ def test_its_probe_is_visible(static, kang, operating):
 def derivatives(model: CompiledModel, held: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of points and lengths by inputs (in parts of their ranges), tip force and parameters."""
     weights = np.eye(len(observed(held)))
-    arguments = (held.x, held.inputs, False, held.loads.ravel(), model.theta, weights, True)
-    status, by_u, by_load, by_theta = model.statics.sensitivity(*arguments)
+    status, by_u, by_load, by_theta = model.statics.sensitivity(held.x, held.load_case, weights, True)
     assert status == 0
     return by_u * model.input_max, by_load[:, -3:], by_theta
 
@@ -417,7 +416,9 @@ def test_in_motion_its_probe_is_visible(moving, kang, excitation):
 def test_sensitivities_in_motion(driven, excitation):
     model = driven.compiled
     names = [model.network.parameter_names[at] for at in driven.own.values()]
-    found = simulate(model, excitation, step=0.01, directions=Directions.of(model, names), tolerance=1e-11, began=IN_MOTION).sensitivities
+    found = simulate(
+        model, excitation, step=0.01, directions=Directions.from_names(model, names), tolerance=1e-11, began=IN_MOTION
+    ).sensitivities
     for (parameter, _), sensitivity in zip(driven.own.items(), found, strict=True):
         size = parameter.scale
 
@@ -439,7 +440,7 @@ def test_in_motion_it_recovers_its_own_parameters(moving, excitation):
     truth = np.where([p.finer for p in own], 0.5, np.where(start, 1.3, 1.0)) * probe
     data = simulate(moving.at(dict(zip(own, truth, strict=True))), excitation, "rk4").points
     names = [moving.compiled.network.parameter_names[at] for at in moving.own.values()]
-    directions = Directions.of(moving.compiled, names)
+    directions = Directions.from_names(moving.compiled, names)
 
     def run(parts, **settings):
         return simulate(moving.at(dict(zip(own, parts * probe, strict=True))), excitation, step=0.005, **settings)

@@ -21,9 +21,9 @@ from tepm_opt.solvers.statics import solve_statics
 from tests.independent import Network
 from tests.tools import in_company, random_inputs, variant, with_effect
 
-NOMINAL = Model.of("kang2017")
-COARSE = Model.of(variant(geometry={"segments_per_module": 1}))
-HANGING = Model.of(variant(mount={"base_rotation_deg": (170.0, 20.0, 30.0)}))
+NOMINAL = Model.from_robot("kang2017")
+COARSE = Model.from_robot(variant(geometry={"segments_per_module": 1}))
+HANGING = Model.from_robot(variant(mount={"base_rotation_deg": (170.0, 20.0, 30.0)}))
 
 
 def in_python(model):
@@ -103,7 +103,7 @@ def test_mass_is_concentrated_at_plates_and_holders():
 
 
 def test_a_holder_between_two_levels_is_shared_by_them():
-    odd = Model.of(variant(geometry={"segments_per_module": 3})).with_effect("mass_distribution", plates=0.0, holders=0.3)
+    odd = Model.from_robot(variant(geometry={"segments_per_module": 3})).with_effect("mass_distribution", plates=0.0, holders=0.3)
     module = np.array([0.7 / 3 + 0.15, 0.7 / 3 + 0.15, 0.7 / 3]) * 0.22
     np.testing.assert_allclose(3 * properties(odd)["mass"][:, 0], np.tile(module, 2), rtol=1e-12)
     coarse = COARSE.with_effect("mass_distribution", plates=0.3, holders=0.2)  # the base takes half of the first holder
@@ -178,7 +178,7 @@ def test_a_regulator_gives_no_less_than_nothing(kang):
 @pytest.mark.parametrize("pressure", [-4e3, 4e3])
 def test_regulators_whose_zero_is_off_leave_the_robot_within_its_reach(pressure):
     """Where tendons hold a tip by less force than none, regulators are far from their zeros; set points make up for them."""
-    values = {f"offset_{name}": pressure for name in Layout.of(NOMINAL.robot).actuator_names}
+    values = {f"offset_{name}": pressure for name in Layout.from_robot(NOMINAL.robot).actuator_names}
     model = compile_model(NOMINAL.with_effect("actuator_scatter", one_sided=1.0, **values))
     target = np.array([5e-3, 0.0, 0.345])
     found = solve_ik(model, target)
@@ -190,7 +190,7 @@ def test_regulators_whose_zero_is_off_leave_the_robot_within_its_reach(pressure)
 @pytest.mark.slow
 def test_scatter_is_gains_and_offsets_of_all_at_once():
     gains, offsets = 0.01 * np.arange(-3, 3), 1e3 * np.arange(6)
-    names = Layout.of(NOMINAL.robot).actuator_names
+    names = Layout.from_robot(NOMINAL.robot).actuator_names
     values = {f"gain_{name}": gain for name, gain in zip(names, gains, strict=True)}
     values |= {f"offset_{name}": offset for name, offset in zip(names, offsets, strict=True)}
     at_once, one_by_one = NOMINAL.with_effect("actuator_scatter", **values), NOMINAL
@@ -202,7 +202,9 @@ def test_scatter_is_gains_and_offsets_of_all_at_once():
 
 
 def test_scatter_has_parameters_of_every_muscle_a_robot_has():
-    model = Model.of(variant(geometry={"modules": 3, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0)})).with_effect("actuator_scatter")
+    model = Model.from_robot(variant(geometry={"modules": 3, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0)})).with_effect(
+        "actuator_scatter"
+    )
     assert len(model.effects[0].parameters) == 2 * 12 + 1
     assert {"gain_34", "offset_11"} <= model.effects[0].parameters.keys()
     assert compile_model(model, backend="python").values["actuator_scatter.gain_34"] == 0.02
@@ -385,7 +387,7 @@ def test_crosstalk_reaches_the_neighbours_in_the_module():
 @pytest.mark.parametrize("bracing", ["single", "crossed"])
 def test_crosstalk_does_not_reach_across(bracing):
     square = variant(geometry={"modules": 1, "actuator_angles_deg": (0.0, 180.0, 90.0, 270.0), "bracing": bracing})
-    model = in_python(Model.of(square).with_effect("pressure_crosstalk", coupling=0.1))
+    model = in_python(Model.from_robot(square).with_effect("pressure_crosstalk", coupling=0.1))
     found = model.statics.actuation(np.array([1e5, 0, 0, 0, 0, 0, 0, 0]), model.theta)
     np.testing.assert_allclose(found, [1e5, 0, 1e4, 1e4, 0, 0, 0, 0], rtol=1e-14)
 
@@ -394,7 +396,7 @@ def test_crosstalk_does_not_reach_across(bracing):
 def test_a_memory_is_exact_for_a_drive_that_stays(scale):
     """dy/dt = a - y / scale has the solution (y_0 - a scale) exp(-t / scale) + a scale."""
     a, start, time = 3.0, 0.7, 0.5
-    found = float(ca.evalf(Memory(ca.SX(a), ca.SX(1), ca.SX(scale)).after(ca.SX(start), ca.SX(time))))
+    found = float(ca.evalf(Memory(ca.SX(a), ca.SX(1), ca.SX(scale)).advance(ca.SX(start), ca.SX(time))))
     assert found == pytest.approx((start - a * scale) * np.exp(-time / scale) + a * scale, rel=1e-7)
 
 
@@ -454,7 +456,7 @@ def carried(commanded: float, stretch: float, **parameters: float) -> float:
     """Tension in a tendon of an edge that is stretched by a share of its rest length: the slope of its potential."""
     length = ca.SX.sym("length")
     own = {name: ca.SX(value) for name, value in parameters.items()}
-    context = Context(Layout.of(NOMINAL.robot), None, np.eye(3), np.zeros(3), np.zeros(3))
+    context = Context(Layout.from_robot(NOMINAL.robot), None, np.eye(3), np.zeros(3), np.zeros(3))
     energy = commanded * length + find_effect("tendon_slack").tendon_energy(length, ca.SX(0.05), ca.SX(commanded), own, context)
     return float(ca.Function("slope", [length], [ca.gradient(energy, length)])(0.05 * (1 + stretch)))
 
@@ -505,10 +507,10 @@ def test_an_external_load_is_a_force_on_the_tip(model):
 @pytest.mark.parametrize("mount", [{}, {"base_rotation_deg": (170.0, 20.0, 30.0)}])
 def test_a_tilted_base_feels_gravity_from_elsewhere(mount):
     """On all masses, a payload's too; by +x the base's y side rises and the robot falls towards -y."""
-    loaded = Model.of(variant(mount=mount)).with_effect("base_tilt", x=0.2, y=-0.1).with_effect("payload", mass=0.03)
+    loaded = Model.from_robot(variant(mount=mount)).with_effect("base_tilt", x=0.2, y=-0.1).with_effect("payload", mass=0.03)
     gravity = Rotation.from_euler("XYZ", [0.2, -0.1, 0.0]).inv().apply([0, 0, -9.81])
     assert gravity[1] < 0
-    expected = Model.of(variant(mount={**mount, "gravity_m_per_s2": tuple(gravity)})).with_effect("payload", mass=0.03)
+    expected = Model.from_robot(variant(mount={**mount, "gravity_m_per_s2": tuple(gravity)})).with_effect("payload", mass=0.03)
     np.testing.assert_allclose(properties(loaded)["load"], properties(expected)["load"], atol=1e-14)
 
 
@@ -536,7 +538,7 @@ def test_an_arm_turns_with_the_backbone():
             arc = length / bend * np.array([1 - np.cos(part * bend), 0, np.sin(part * bend)])
             points.append(at + frame.apply(turn.apply(arc)))
         at, frame = points[-1], frame * turn * Rotation.from_euler("y", bend) * turn.inv()
-    arm, layout = np.array([0.01, -0.02, 0.03]), Layout.of(NOMINAL.robot)
+    arm, layout = np.array([0.01, -0.02, 0.03]), Layout.from_robot(NOMINAL.robot)
     context = Context(layout, 3, mount.as_matrix(), np.zeros(3), np.zeros(3))
     for turns in (0.0, 0.4, 1.0):
         values = {**dict(zip("xyz", map(ca.SX, arm), strict=True)), "turns": ca.SX(turns)}
@@ -550,7 +552,7 @@ def test_an_arm_turns_with_the_backbone():
 def test_all_together_vanish_at_their_null_values(kang):
     model = NOMINAL
     for effect in effects():
-        model = with_effect(model, effect, **{p.name: p.null for p in effect.parameters_of(Layout.of(NOMINAL.robot))})
+        model = with_effect(model, effect, **{p.name: p.null for p in effect.parameters_of(Layout.from_robot(NOMINAL.robot))})
     assert len(model.effects) >= 18
     everything, (u,) = in_python(model), random_inputs(kang, 1, 0)
     found, plain = (solve_statics(m, u, [0.2, 0.0, 0.1]) for m in (everything, kang))

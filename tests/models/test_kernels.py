@@ -107,11 +107,11 @@ def test_another_robot_of_the_same_build_compiles_no_formulas() -> None:
         )
         for length, late in ((0.2, 0.015), (0.25, 0.02))
     )
-    assert all_formulas(Model.of(one)) == all_formulas(Model.of(other))
+    assert all_formulas(Model.from_robot(one)) == all_formulas(Model.from_robot(other))
 
 
 def test_an_effect_compiles_the_kernels_in_which_it_acts() -> None:
-    model = Model.of("kang2017")
+    model = Model.from_robot("kang2017")
     known, more = all_formulas(model), all_formulas(model.with_effect("stiffness_hardening", cubic=1e4))
     changed = {name for name in known if known[name] != more[name]}
     assert all("segment" in name for name in changed)

@@ -11,7 +11,7 @@ from tests.tools import variant
 
 
 def test_a_segment_of_the_papers_robot():
-    layout = Layout.of(load_robot("kang2017"))
+    layout = Layout.from_robot(load_robot("kang2017"))
     assert Counter(edge.kind for edge in layout.edges) == {"vertical": 3, "horizontal": 3, "diagonal": 6}
     diagonals = {(edge.a[1], edge.b[1]) for edge in layout.edges if edge.kind == "diagonal"}
     assert diagonals == {(i, j) for i in range(3) for j in range(3) if i != j}
@@ -29,7 +29,7 @@ def test_a_segment_of_the_papers_robot():
     ],
 )
 def test_more_actuators_join_every_pair_of_a_ring_and_brace_neighbouring_faces(angles, bracing, counts):
-    layout = Layout.of(variant(geometry={"actuator_angles_deg": angles, "bracing": bracing}))
+    layout = Layout.from_robot(variant(geometry={"actuator_angles_deg": angles, "bracing": bracing}))
     found = Counter(edge.kind for edge in layout.edges)
     assert (found["vertical"], found["horizontal"], found["diagonal"]) == counts
     gaps = {(angles[edge.b[1]] - angles[edge.a[1]]) % 360 for edge in layout.edges if edge.kind == "diagonal"}
@@ -39,7 +39,7 @@ def test_more_actuators_join_every_pair_of_a_ring_and_brace_neighbouring_faces(a
 
 @pytest.mark.parametrize(("segments", "modules"), [(6, 2), (5, 2), (1, 1), (7, 3)])
 def test_reference_points_sit_at_half_and_full_height_of_every_module(segments, modules):
-    layout = Layout.of(variant(geometry={"segments_per_module": segments, "modules": modules}))
+    layout = Layout.from_robot(variant(geometry={"segments_per_module": segments, "modules": modules}))
     weights = layout.point_weights
     assert weights.shape == (2 * modules, modules * segments + 1)
     np.testing.assert_allclose(weights.sum(axis=1), 1)
@@ -48,7 +48,7 @@ def test_reference_points_sit_at_half_and_full_height_of_every_module(segments, 
 
 
 def test_two_digit_numbers_are_separated():
-    names = Layout.of(variant(geometry={"modules": 11})).actuator_names
+    names = Layout.from_robot(variant(geometry={"modules": 11})).actuator_names
     assert names[0] == "1_1"
     assert names[-1] == "11_3"
     assert len(set(names)) == 33

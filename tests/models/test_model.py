@@ -13,7 +13,7 @@ from tepm_opt.models.effect import ActiveEffect
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.models.robot import load_robot, robot_text
 
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 
 
 def around(value):
@@ -89,7 +89,7 @@ def test_a_models_robot_file_is_found_relative_to_the_model_file(tmp_path, monke
     for name in ("robots", "models"):
         (tmp_path / name).mkdir()
     (tmp_path / "robots" / "mine.toml").write_text(robot_text("kang2017").replace("m_d = 0.22 ", "m_d = 0.25 "), encoding="utf-8")
-    model = Model.of(tmp_path / "robots" / "mine.toml").with_effect("payload")
+    model = Model.from_robot(tmp_path / "robots" / "mine.toml").with_effect("payload")
     write_model(model, tmp_path / "models" / "model.toml")
     assert 'robot = "model.robot.toml"' in (tmp_path / "models" / "model.toml").read_text()
     monkeypatch.chdir(tmp_path / "models")  # where the reader stands does not matter
@@ -101,7 +101,7 @@ def test_a_models_robot_file_is_found_relative_to_the_model_file(tmp_path, monke
 def test_a_model_file_can_be_moved_with_its_folder(tmp_path):
     """What the robot file was copied from may be gone; one that lies in the folder is not copied."""
     (tmp_path / "mine.toml").write_text(robot_text("kang2017").replace("m_d = 0.22 ", "m_d = 0.25 "), encoding="utf-8")
-    model = Model.of(tmp_path / "mine.toml").with_parameters(K_a=350.0)
+    model = Model.from_robot(tmp_path / "mine.toml").with_parameters(K_a=350.0)
     (tmp_path / "found").mkdir()
     write_model(model, tmp_path / "found" / "model.toml")
     write_model(model, tmp_path / "beside.toml")
@@ -118,7 +118,7 @@ def test_a_model_whose_robot_is_in_no_file_is_not_written(tmp_path):
     robot = load_robot("kang2017")
     changed = robot.model_copy(update={"parameters": robot.parameters.model_copy(update={"m_d": 0.3})})
     with pytest.raises(InputError, match="differs from 'kang2017'"):
-        write_model(Model.of(changed), tmp_path / "model.toml")
+        write_model(Model.from_robot(changed), tmp_path / "model.toml")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -60,7 +60,7 @@ TOYS = (ToyHose(), ToyFluid(), ToyRub())
 def model() -> Iterator[Model]:
     for toy in TOYS:
         register(toy)
-    found = Model.of("kang2017")
+    found = Model.from_robot("kang2017")
     for toy in TOYS:
         found = found.with_effect(toy.name)
     yield found
@@ -117,7 +117,7 @@ def test_both_schemes_and_both_backends_agree(compiled: CompiledModel, kang: Com
 
 @pytest.mark.parametrize(("name", "change"), [("toy_hose.stiffness", 1e-4), ("toy_fluid.drag", 1e-3), ("toy_rub.force", 1e-2)])
 def test_sensitivities_are_differences(compiled: CompiledModel, asked: SetPoints, name: str, change: float) -> None:
-    found = simulate(compiled, asked, step=0.01, directions=Directions.of(compiled, [name]), tolerance=1e-11).sensitivities[0]
+    found = simulate(compiled, asked, step=0.01, directions=Directions.from_names(compiled, [name]), tolerance=1e-11).sensitivities[0]
     at = compiled.network.parameter_names.index(name)
 
     def moved(by: float) -> np.ndarray:

@@ -35,7 +35,7 @@ def setpoints(kang: CompiledModel) -> SetPoints:
 @pytest.fixture(scope="module")
 def company() -> CompiledModel:
     """All effects at their null values."""
-    model = compile_model(with_all_effects(Model.of("kang2017")))
+    model = compile_model(with_all_effects(Model.from_robot("kang2017")))
     return at(model, {})
 
 
@@ -75,7 +75,7 @@ def test_a_skew_is_one_of_known_forces_too(company, setpoints):
         return simulate(at(company, {names[0]: rate}), still, step=0.01, tolerance=1e-11, began=BEGAN).points
 
     found = simulate(
-        at(company, {names[0]: 2e-3}), still, step=0.01, tolerance=1e-11, began=BEGAN, directions=Directions.of(company, names)
+        at(company, {names[0]: 2e-3}), still, step=0.01, tolerance=1e-11, began=BEGAN, directions=Directions.from_names(company, names)
     ).sensitivities[0]
     expected = (points(2e-3 + 1e-5) - points(2e-3 - 1e-5)) / 2e-5
     assert abs(found - expected).max() < 1e-3 * abs(expected).max()
@@ -159,7 +159,7 @@ def test_both_backends_tell_the_same_time(compiler, setpoints, hold):
         assert one.effort.steps == other.effort.steps
         later = simulate(c, short, hold=hold, began=BEGAN + 25, tolerance=1e-10, **settings)
         assert abs(later.points - one.points).max() > 1e-5
-    directions = Directions.of(c, [name for name in c.network.parameter_names if "." in name or name == "K_a"])
+    directions = Directions.from_names(c, [name for name in c.network.parameter_names if "." in name or name == "K_a"])
     one, other = (simulate(each, short, hold=hold, began=BEGAN, step=0.01, tolerance=1e-10, directions=directions) for each in (c, python))
     for name, a, b in zip(directions.names, one.sensitivities, other.sensitivities, strict=True):
         assert abs(a - b).max() <= 1e-7 * abs(a).max() + 1e-14, name

@@ -50,13 +50,13 @@ def work():
     inputs = np.r_[1e5, 0, 0, 1e5, np.zeros(8)]
     held = solve_statics(model, inputs)
     rows = np.eye(12, 18)
-    status, *by = model.statics.sensitivity(held.x, inputs, False, held.loads.ravel(), model.theta, rows, True)
+    status, *by = model.statics.sensitivity(held.x, held.load_case, rows, True)
     assert status == 0 and np.isfinite(np.hstack(by)).all()
     solve_gain(held)
     assert solve_ik(model, circle().positions[0]).solved
     time = np.arange(0, 0.1, 0.02)
     moving = SetPoints(time, np.outer(np.linspace(0.5, 1, len(time)), inputs), np.zeros((len(time), 3)))
-    assert simulate(model, moving, directions=Directions.of(model, ["K_a", "r"])).solved
+    assert simulate(model, moving, directions=Directions.from_names(model, ["K_a", "r"])).solved
     threading.stack_size(int(sys.argv[2]))
     fixed = threading.Thread(target=steps, args=(moving,))
     fixed.start()
@@ -124,7 +124,7 @@ def frames(unit: Unit, folder: Path) -> dict[str, int]:
 def test_no_function_takes_more_stack_for_more_segments(tmp_path: Path) -> None:
     sizes: list[dict[str, int]] = []
     for segments in (2, 12):
-        model = Model.of(variant(geometry={"segments_per_module": segments}))
+        model = Model.from_robot(variant(geometry={"segments_per_module": segments}))
         model = with_all_candidates(model, candidates(model))
         network, dynamics = write_network(model), write_dynamics(model)
         units = {"statics": statics_unit(network), "one": stepping_unit(dynamics)}

@@ -33,7 +33,7 @@ def pair(request, compiler):
 def test_both_backends_step_alike(pair, hold):
     c, python = pair
     setpoints = gentle(c, 0.1, 6, 0.1)
-    directions = Directions.of(c, [*c.network.parameter_names], ["pressure_11", "tension_11"])
+    directions = Directions.from_names(c, [*c.network.parameter_names], ["pressure_11", "tension_11"])
     first, second = (simulate(m, setpoints, step=0.01, hold=hold, directions=directions, tolerance=1e-10) for m in (c, python))
     np.testing.assert_allclose(first.levels, second.levels, rtol=0, atol=1e-10)
     np.testing.assert_allclose(first.velocities, second.velocities, rtol=0, atol=1e-8)
@@ -48,7 +48,7 @@ def test_both_backends_step_alike(pair, hold):
 def test_both_backends_adapt_alike(pair, hold):
     c, python = pair
     setpoints = gentle(c, 0.1, 6, 0.1)
-    directions = Directions.of(c, ["K_a", "m_d"], ["pressure_11"])
+    directions = Directions.from_names(c, ["K_a", "m_d"], ["pressure_11"])
     first, second = (simulate(m, setpoints, hold=hold, directions=directions, error=1e-3) for m in (c, python))
     np.testing.assert_allclose(first.levels, second.levels, rtol=0, atol=1e-9)
     np.testing.assert_allclose(first.velocities, second.velocities, rtol=0, atol=1e-7)
@@ -125,7 +125,7 @@ def test_against_an_integrator_that_shares_nothing(kang):
 def test_sensitivities_without_c(kang_python):
     """The reference, too, agrees with differences."""
     setpoints = gentle(kang_python, 0.06, 4, 0.1)
-    directions = Directions.of(kang_python, ["m_d"])
+    directions = Directions.from_names(kang_python, ["m_d"])
     found = simulate(kang_python, setpoints, step=0.01, directions=directions, tolerance=1e-11).sensitivities[0]
 
     def at(change):

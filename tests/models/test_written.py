@@ -13,7 +13,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.network import write_network
 from tests.models.test_compile import SMALL
 
-MODEL = Model.of(SMALL).with_effect("payload").with_effect("regulator_lag")
+MODEL = Model.from_robot(SMALL).with_effect("payload").with_effect("regulator_lag")
 
 
 def kept(folder) -> set[str]:
@@ -36,7 +36,8 @@ def test_read_functions_are_the_written_ones(empty_cache) -> None:
 
 def test_values_are_not_written(empty_cache) -> None:
     """Models that differ in values of parameters share their functions, whose texts do not depend on them."""
-    other = Model.of(SMALL).with_effect("payload", mass=0.11).with_effect("regulator_lag").with_parameters(K_a=1.1 * MODEL.values["K_a"])
+    other = Model.from_robot(SMALL).with_effect("payload", mass=0.11).with_effect("regulator_lag")
+    other = other.with_parameters(K_a=1.1 * MODEL.values["K_a"])
     texts = [stepping_unit(write_dynamics(model)).parts for model in (MODEL, other)]
     assert texts[0] == texts[1]
     for model in (MODEL, other):
@@ -47,7 +48,7 @@ def test_values_are_not_written(empty_cache) -> None:
 def test_effects_order_and_sources_count(empty_cache, monkeypatch) -> None:
     """Other effects, and other sources of the package, are other functions."""
     swapped = Model(MODEL.robot, MODEL.parameters, MODEL.effects[::-1])
-    for model in (MODEL, swapped, Model.of(SMALL)):
+    for model in (MODEL, swapped, Model.from_robot(SMALL)):
         written.read_or_write("statics", model, write_network, statics_unit)
     assert len(kept(empty_cache)) == 3
     monkeypatch.setattr(written, "_sources", lambda: "other")
@@ -66,7 +67,7 @@ def test_effects_from_elsewhere_are_written_anew(empty_cache) -> None:
 
     register(Load())
     try:
-        model = Model.of(SMALL).with_effect(Load.name)
+        model = Model.from_robot(SMALL).with_effect(Load.name)
         compile_model(model)
     finally:
         unregister(Load.name)

@@ -81,7 +81,7 @@ def test_styles_say_it_again(panel: str) -> None:
 
 
 def test_modules_are_told_by_their_styles() -> None:
-    layout = Layout.of(load_robot("kang2017"))
+    layout = Layout.from_robot(load_robot("kang2017"))
     every = [channel(layout, k) for k in range(layout.modules * layout.actuators)]
     assert len({(role.color, role.line, role.marker) for role in every}) == len(every)
     assert len({role.color for role in every}) == layout.actuators

@@ -30,7 +30,7 @@ def reach(kang: CompiledModel) -> Reach:
 
 @pytest.fixture(scope="module")
 def found() -> Standard:
-    return standard(Model.of("kang2017"))
+    return standard(Model.from_robot("kang2017"))
 
 
 def test_the_example_in_docs_is_what_is_written(found: Standard) -> None:
@@ -75,7 +75,7 @@ def test_the_wiring_plan_moves_every_input_alone(reach: Reach) -> None:
 
 @pytest.mark.slow
 def test_a_robot_on_a_guide_has_a_plan_without_a_pulley(tmp_path: Path) -> None:
-    model = Model.of(DOCS / "one_axis.toml")
+    model = Model.from_robot(DOCS / "one_axis.toml")
     plan = standard(model).plan
     assert {"weight.csv", "single_pressure.csv"} <= {run.file for run in plan.runs}
     assert "side_load.csv" not in {run.file for run in plan.runs}

@@ -15,7 +15,7 @@ WITHOUT = {
 
 def with_dynamics(**effects: dict[str, float]) -> Model:
     """kang2017 with these effects; the others are there without showing."""
-    model = Model.of("kang2017")
+    model = Model.from_robot("kang2017")
     for name, parameters in WITHOUT.items():
         model = model.with_effect(name, **effects.get(name, parameters))
     return model

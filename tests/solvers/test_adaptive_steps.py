@@ -14,12 +14,12 @@ from tests.models.test_time_stepping import gentle
 from tests.tools import in_company, variant
 
 MACHINES = {
-    "kang2017": lambda: Model.of("kang2017"),
+    "kang2017": lambda: Model.from_robot("kang2017"),
     "one module of four actuators": MODELS["one module of four actuators"],
-    "three modules": lambda: Model.of(variant(geometry={"modules": 3, "segments_per_module": 4}, parameters={"m_d": 0.05})),
-    "four modules": lambda: Model.of(variant(geometry={"modules": 4, "segments_per_module": 3}, parameters={"m_d": 0.02})),
-    "two segments": lambda: Model.of(variant(geometry={"segments_per_module": 2})),
-    "twelve segments": lambda: Model.of(variant(geometry={"segments_per_module": 12})),
+    "three modules": lambda: Model.from_robot(variant(geometry={"modules": 3, "segments_per_module": 4}, parameters={"m_d": 0.05})),
+    "four modules": lambda: Model.from_robot(variant(geometry={"modules": 4, "segments_per_module": 3}, parameters={"m_d": 0.02})),
+    "two segments": lambda: Model.from_robot(variant(geometry={"segments_per_module": 2})),
+    "twelve segments": lambda: Model.from_robot(variant(geometry={"segments_per_module": 12})),
     "friction": lambda: in_company(structural_friction={"force": 0.5, "distance": 1e-3}),
     "lag and delay": lambda: in_company(regulator_lag={"filling_time": 0.05, "exhausting_time": 0.1}, time_delay={"delay": 0.02}),
     "creep and hysteresis": lambda: in_company(
@@ -91,7 +91,7 @@ def test_steps_go_beyond_samples(kang):
 
 def test_sensitivities_are_those_of_fine_steps(kang):
     setpoints = gentle(kang, 0.8, 41)
-    directions = Directions.of(kang, ["K_a", "c_a", "m_d"], ["pressure_11", "tension_22"])
+    directions = Directions.from_names(kang, ["K_a", "c_a", "m_d"], ["pressure_11", "tension_22"])
     fine = simulate(kang, setpoints, step=1e-3, directions=directions).sensitivities
     for error, close in ((1e-3, 1e-2), (1e-5, 1e-4)):
         found = simulate(kang, setpoints, error=error, directions=directions)

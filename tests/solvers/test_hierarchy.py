@@ -106,7 +106,7 @@ def test_without_groups_it_is_the_plain_fit():
 
 
 def test_scatter_of_a_robots_muscles_is_a_group_for_each_kind():
-    model = compile_model(Model.of("kang2017").with_effect("actuator_scatter"), backend="python")
+    model = compile_model(Model.from_robot("kang2017").with_effect("actuator_scatter"), backend="python")
     names = [name for name in model.values if name.startswith("actuator_scatter.")]
     free = {each.name.partition(".")[2]: each for each in NetworkPlant(model).free(names)}
     assert (free["gain_13"].group, free["gain_13"].prior_std, free["gain_13"].prior_mean) == ("gain", 0.02, 0.0)

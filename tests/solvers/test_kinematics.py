@@ -51,7 +51,7 @@ def equal_curvature(model, first) -> Reachable | None:
         different = held.lengths[1] - held.lengths[0]
         if abs(different).max() < 1e-12:
             return Reachable(forces, held)
-        by_force = model.statics.sensitivity(held.x, held.inputs, True, np.zeros(12), model.theta, weights, False)[1][:, 3:6] / AREA
+        by_force = model.statics.sensitivity(held.x, held.load_case, weights, False)[1][:, 3:6] / AREA
         forces = forces - np.concatenate([np.zeros(3), np.linalg.solve(by_force, different)])
     return None
 

@@ -44,7 +44,7 @@ def test_without_effects_it_is_the_matrix_of_statics(bent):
     assert abs(bent.A - other).max() < 1e-12 * abs(other).max()
     assert not bent.D.any()
     assert not bent.held.any()
-    assert bent.moving() is bent
+    assert bent.without_held_states() is bent
 
 
 def check_gain(linear: Linear) -> None:
@@ -95,7 +95,7 @@ def test_sticking_friction_is_a_spring():
     kinds = linear.kinds[linear.held].tolist()
     assert (kinds.count("edge"), kinds.count("input")) == (36, 18)  # friction, and the hysteresis that has no width here
     assert (abs(np.linalg.eigvals(linear.A)) < 1e-6).sum() == 54
-    moving = linear.moving()
+    moving = linear.without_held_states()
     assert len(moving.A) == len(linear.A) - 54
     assert np.linalg.eigvals(moving.A).real.max() < -0.09  # the slow part of creep forgets in 10 s
     assert not moving.held.any()
@@ -109,7 +109,7 @@ def test_sticking_friction_is_a_spring():
 @pytest.mark.slow
 def test_hysteresis_holds_behind_a_lag():
     linear = linearise(held("hysteresis behind a lag"))
-    values = np.linalg.eigvals(linear.moving().A)
+    values = np.linalg.eigvals(linear.without_held_states().A)
     assert (abs(values) > 0.09).all()  # the slow part of creep forgets in 10 s
     free = linearise(held("lag")).select("pressure", "s4").gain(scaled=True)
     assert abs(linear.select("pressure", "s4").gain(scaled=True) - 0.75 * free).max() < 1e-6 * abs(free).max()  # 1 - width / distance
@@ -168,7 +168,7 @@ def test_states_that_remember_have_names():
     """As many as there are, each once, also where some are taken out or a delay adds some."""
     linear = linearise(held("friction"))
     assert len(set(linear.state_names)) == len(linear.A)
-    assert set(linear.state_names) - set(linear.moving().state_names) == set(linear.names[linear.held].tolist())
+    assert set(linear.state_names) - set(linear.without_held_states().state_names) == set(linear.names[linear.held].tolist())
     late = linearise(held("delay")).to_control(("pressure_11", "tension_11"), "s4", pade=2)
     assert late.state_labels[-4:] == [f"delay_{name}_11_{k}" for name in ("pressure", "tension") for k in (1, 2)]
     assert len(set(late.state_labels)) == late.nstates

@@ -17,8 +17,8 @@ from tests.tools import random_inputs, relative, variant
 FREQUENCIES = np.logspace(-1, np.log10(20), 12)  # Hz
 FAST = 20.0  # Hz, above which modes do not matter
 ROBOTS = {
-    "kang2017": lambda: Model.of("kang2017"),
-    "one module of four actuators": lambda: Model.of(
+    "kang2017": lambda: Model.from_robot("kang2017"),
+    "one module of four actuators": lambda: Model.from_robot(
         variant(geometry={"modules": 1, "segments_per_module": 5, "actuator_angles_deg": (0.0, 90.0, 180.0, 270.0)})
     ),
 }

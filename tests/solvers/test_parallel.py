@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from tepm_opt.solvers import parallel
-from tepm_opt.solvers.parallel import beside, give_way, in_parallel
+from tepm_opt.solvers.parallel import give_way, in_parallel, run_concurrently
 
 
 @pytest.fixture(autouse=True)
@@ -74,7 +74,7 @@ def test_the_error_is_that_of_the_first_item_that_fails() -> None:
 
 
 def test_two_different_pieces() -> None:
-    assert beside(lambda: 1, lambda: "two") == (1, "two")
+    assert run_concurrently(lambda: 1, lambda: "two") == (1, "two")
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals to a thread are POSIX")

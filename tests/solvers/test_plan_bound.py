@@ -30,7 +30,7 @@ def fastest(kang: CompiledModel) -> MotionPlan:
 @pytest.mark.slow
 def test_is_within_a_third_of_the_linear_arm_s_shortest_time(kang: CompiledModel, fastest: MotionPlan) -> None:
     ends = tuple(solve_ik(kang, np.array(tip)) for tip in (START, END))
-    local, devices = modal_model(solve_statics(kang, between(kang, ends))), Devices.of(kang)
+    local, devices = modal_model(solve_statics(kang, between(kang, ends))), Devices.from_model(kang)
     shortest = {lag: lowest_time(local, ends, devices, lag, (0.0, 7.0)) for lag in (devices.filling, devices.exhausting)}
     assert shortest[0.12] == pytest.approx(0.27, abs=0.015)
     assert shortest[0.24] == pytest.approx(0.35, abs=0.015)
@@ -116,10 +116,10 @@ def test_derivatives_of_the_program(kang: CompiledModel, monkeypatch: pytest.Mon
     plan_move(kang, START, END, obstacles=[Sphere((0.1, 0.03, 0.35), 0.02)], settings=settings)
     program, rng = made[-1], np.random.default_rng(0)
     x = program.guess(0.6) + 0.01 * rng.normal(size=program.unknowns)
-    about = program.about(x)
+    about = program.linearise(x)
     for _ in range(5):
         way = rng.normal(size=program.unknowns)
-        ahead, behind = (program.about(x + sign * 1e-6 * way) for sign in (1, -1))
+        ahead, behind = (program.linearise(x + sign * 1e-6 * way) for sign in (1, -1))
         for name, slopes in (("values", about.slopes), ("residuals", about.residual_slopes)):
             np.testing.assert_allclose((getattr(ahead, name) - getattr(behind, name)) / 2e-6, slopes @ way, rtol=1e-4, atol=1e-4)
 

@@ -46,7 +46,7 @@ def quick(kang: CompiledModel) -> MotionPlan:
 
 @pytest.mark.parametrize("setting", ["filling", "exhausting"])
 def test_slow_regulators_take_longer(kang: CompiledModel, quick: MotionPlan, setting: str) -> None:
-    known = Devices.of(kang)
+    known = Devices.from_model(kang)
     assert planned(kang, devices=replace(known, **{setting: 2.5 * getattr(known, setting)})).duration > 1.02 * quick.duration
 
 
@@ -54,10 +54,12 @@ def test_slow_regulators_take_longer(kang: CompiledModel, quick: MotionPlan, set
 def test_devices_are_those_of_the_robot_file_or_of_the_model(quick: MotionPlan) -> None:
     """A lag that the model has goes before the file's, and is not waited for twice."""
     actuation = {"filling_time_s": 0.3, "exhausting_time_s": 0.6, "tension_rate_N_per_s": 5.0}
-    slow = planned(compile_model(Model.of(variant(actuation=actuation))))
+    slow = planned(compile_model(Model.from_robot(variant(actuation=actuation))))
     assert slow.duration > 1.2 * quick.duration
     assert largest_rate(slow) < 5.0
-    known = Model.of(variant(actuation={"tension_rate_N_per_s": 5.0})).with_effect("regulator_lag", filling_time=0.3, exhausting_time=0.6)
+    known = Model.from_robot(variant(actuation={"tension_rate_N_per_s": 5.0})).with_effect(
+        "regulator_lag", filling_time=0.3, exhausting_time=0.6
+    )
     same = planned(compile_model(known))
     assert same.duration == pytest.approx(slow.duration)
     assert same.residual_sway == pytest.approx(slow.residual_sway)

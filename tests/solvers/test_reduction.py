@@ -103,7 +103,7 @@ def test_wrong_orders_are_refused(systems, wrong, says):
 
 
 def test_unstable_systems_are_refused(kang):
-    at = solve_statics(compile_model(Model.of("kang2017").with_effect("payload", mass=1.0), backend="python"), np.zeros(12))
+    at = solve_statics(compile_model(Model.from_robot("kang2017").with_effect("payload", mass=1.0), backend="python"), np.zeros(12))
     assert at.outcome.ending == "unstable"
     linear = linearise(at)
     assert any(mode.damping < 0 and mode.time_constant < 0 for mode in modes(linear))

@@ -18,7 +18,7 @@ from tests.models.test_time_stepping import gentle
 from tests.paths import reference
 from tests.tools import in_company, slope
 
-NOMINAL = Model.of("kang2017")
+NOMINAL = Model.from_robot("kang2017")
 
 
 def setpoints(time, inputs=None, force=None):
@@ -227,7 +227,7 @@ def test_sensitivities_of_robot_and_inputs(kang):
     points = SetPoints(points.time, points.inputs + 0.05 * kang.input_max, points.tip_force)
     half = kang.layout.actuator_names
     inputs = [f"pressure_{name}" for name in half] + [f"tension_{name}" for name in half]
-    directions = Directions.of(kang, kang.network.parameter_names, inputs)
+    directions = Directions.from_names(kang, kang.network.parameter_names, inputs)
     for k, name in enumerate(directions.names):
         found, expected = differences(kang, points, directions, k)
         assert abs(found - expected).max() <= 1e-5 * abs(expected).max() + 1e-13, name
@@ -311,11 +311,11 @@ class TestWrongUse:
 
     def test_directions(self, kang):
         with pytest.raises(InputError, match="unknown parameter 'K_b'"):
-            Directions.of(kang, ["K_b"])
+            Directions.from_names(kang, ["K_b"])
         with pytest.raises(InputError, match="unknown input 'pressure_99'"):
-            Directions.of(kang, [], ["pressure_99"])
+            Directions.from_names(kang, [], ["pressure_99"])
         with pytest.raises(InputError, match="sensitivities are computed by method 'implicit'"):
-            simulate(kang, gentle(kang), "rk4", directions=Directions.of(kang, ["K_a"]))
+            simulate(kang, gentle(kang), "rk4", directions=Directions.from_names(kang, ["K_a"]))
 
 
 def test_an_interrupted_simulation_keeps_what_it_has(kang):

@@ -46,7 +46,7 @@ class TestCheckValues:
         [({"r": 0.03}, 84.9, None), ({"r": 0.05}, 45.2, None), ({"alpha_2": 0.5}, 65.0, 58), ({}, 63.2, 49)],
     )
     def test_what_the_radius_and_the_bracing_were_chosen_by(self, parameters, tilt, elongation):
-        model = compile_model(Model.of("kang2017").with_parameters(**parameters))
+        model = compile_model(Model.from_robot("kang2017").with_parameters(**parameters))
         assert np.rad2deg(solve_statics(model, np.zeros(12), [2.5, 0, 0]).tip_tilt) == pytest.approx(tilt, abs=0.05)
         if elongation:
             rise = solve_statics(model, ELONGATION).tip[2] - solve_statics(model, np.zeros(12)).tip[2]

@@ -17,7 +17,7 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model, write_model
 from tepm_opt.solvers.simulate import simulate
 
-KNOWN = Model.of("kang2017")
+KNOWN = Model.from_robot("kang2017")
 HEAVY = KNOWN.with_effect("payload", None, mass=0.03)
 VERDICT = {
     "status": "named",

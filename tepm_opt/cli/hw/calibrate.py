@@ -52,7 +52,7 @@ def tension(
     found, which = _prepared(robot, actuator, out)
     most = 1e3 * found.actuation.tension_max_N / calibrate.STANDARD_GRAVITY
     masses = calibrate.increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
-    names = Layout.of(found).actuator_names
+    names = Layout.from_robot(found).actuator_names
 
     def work() -> int:
         line = shared.open_line(port)
@@ -99,7 +99,7 @@ def pressure(
 
     found, which = _prepared(robot, actuator, out)
     levels = calibrate.increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
-    names = Layout.of(found).actuator_names
+    names = Layout.from_robot(found).actuator_names
 
     def work() -> int:
         confirm(f"This moves the robot: {', '.join(names[k] for k in which)} go to {levels[-1]:g} kPa, one after the other.", yes)
@@ -189,13 +189,13 @@ def base(
     from tepm_opt.recording.register import record_poses, register
 
     found = _loaded(robot, out)
-    setpoints = read_setpoints(inputs, Layout.of(found).actuator_names, found.input_max)
+    setpoints = read_setpoints(inputs, Layout.from_robot(found).actuator_names, found.input_max)
     refuse_unplayable(setpoints, str(inputs))
     link = tracker_link(found)
     if link is None:
         raise InputError(f"robot {found.name}: the file has no [hardware.tracker], which says where poses come from")
-    if len(link.devices) != Layout.of(found).points:
-        raise InputError(f"robot {found.name}: {len(link.devices)} devices in [hardware.tracker]; valid: {Layout.of(found).points}")
+    if len(link.devices) != Layout.from_robot(found).points:
+        raise InputError(f"robot {found.name}: {len(link.devices)} devices in [hardware.tracker]; valid: {Layout.from_robot(found).points}")
 
     def work() -> int:
         confirm(f"This moves the robot: it goes slowly through the {len(setpoints.time)} rows of {inputs}.", yes)
@@ -262,7 +262,7 @@ def _prepared(robot: str | None, actuator: str, out: Path | None) -> tuple[Robot
     from tepm_opt.models.layout import Layout
 
     found = _loaded(robot, out)
-    return found, actuators_of(actuator, Layout.of(found).actuator_names)
+    return found, actuators_of(actuator, Layout.from_robot(found).actuator_names)
 
 
 def _words(name: str, line: CalibrationFit, unit: str, of: str, scale: float, small: str) -> str:

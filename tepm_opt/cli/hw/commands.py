@@ -185,9 +185,9 @@ def jog(
     if no_tendon and tension is None:
         raise InputError("--no-tendon goes with --tension, which says how far the motor turns")
     found = load_robot(robot or "kang2017")
-    which = actuators_of(actuator, Layout.of(found).actuator_names)
+    which = actuators_of(actuator, Layout.from_robot(found).actuator_names)
     if len(which) != 1:
-        raise InputError(f"actuator {actuator!r}: one at a time; valid: {', '.join(Layout.of(found).actuator_names)}")
+        raise InputError(f"actuator {actuator!r}: one at a time; valid: {', '.join(Layout.from_robot(found).actuator_names)}")
     single = moves.Single(found, which[0], tension is not None)
     scale, unit = (1.0, "N") if single.tension else (1e3, "kPa")
     value = tension if tension is not None else 1e3 * (pressure or 0.0)

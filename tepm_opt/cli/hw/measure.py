@@ -54,7 +54,7 @@ def tracker(
         raise InputError(f"--write: {name or 'a model'} is no robot file; valid: --robot with the file to write into")
     compiled = tepm.compile_model(tepm.read_model(model) if model else str(name))
     found = compiled.robot
-    names = Layout.of(found).actuator_names
+    names = Layout.from_robot(found).actuator_names
     which = actuators_of(actuator or names[-found.actuators], names)[0]
     pressure = pressure or found.actuation.tension_max_N <= 0
 

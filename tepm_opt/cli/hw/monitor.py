@@ -88,7 +88,7 @@ class _View:
         from tepm_opt.hw.board.calibration import Calibration
         from tepm_opt.models.layout import Layout
 
-        self.names, self.points = Layout.of(robot).actuator_names, Layout.of(robot).point_names
+        self.names, self.points = Layout.from_robot(robot).actuator_names, Layout.from_robot(robot).point_names
         self.calibration = Calibration.of(robot)
 
     def values(self, reading: MonitorReading) -> tuple[Sequence[float], Sequence[float]]:

@@ -1,4 +1,4 @@
-"""What regulators and tendon motors are doing, as far as a controller knows: lags, slew, delay, and the model's input effects."""
+"""State of regulators and tendon motors, as far as a controller knows: lags, slew, delay, and the model's input effects."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ class Actuators:
     def advance(self) -> np.ndarray:
         """Advance by a control period under the command in force; F_a at its start and end, (2, actuators) in N."""
         before, period = self.forces, self.lags.period
-        self.pressure, self.tension = self._moved(self.pressure, self.tension)
+        self.pressure, self.tension = self._predict_one_period(self.pressure, self.tension)
         self.lags.advance(self.command.pressures)
-        told, self._told = self._told, self._moved(*self._told)
+        told, self._told = self._told, self._predict_one_period(*self._told)
         self._rate = (self._told[1] - told[1]) / period
         return np.array([before, self.forces])
 
-    def _moved(self, pressure: np.ndarray, tension: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _predict_one_period(self, pressure: np.ndarray, tension: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         command, most = self.command, self.devices.tension_rate * self.lags.period
         wound = tension + np.minimum(np.maximum(command.tensions - tension, -most), most)
         return self.lags.lag(pressure, command.pressures), np.where(command.enabled, wound, 0.0)  # off, a motor lets go at once
@@ -92,8 +92,8 @@ class Actuators:
             self._late = (1 - share) * self._late - passed * float(missed[there] @ self._rate[there])
             self._weight = (1 - share) * self._weight + passed * float(self._rate[there] @ self._rate[there])
             self._spread = (1 - share) * self._spread + passed * float(missed[there] @ missed[there])
-        self.pressure = _corrected(self.pressure, sample.pressures, self.pressure_offset)
-        corrected = _corrected(self.tension, sample.tensions, self.tension_offset)
+        self.pressure = _blend_with_measured(self.pressure, sample.pressures, self.pressure_offset)
+        corrected = _blend_with_measured(self.tension, sample.tensions, self.tension_offset)
         self.tension = np.where(np.abs(self.tension_offset) > FARTHEST, self.tension, corrected)
 
     @property
@@ -112,17 +112,17 @@ class Actuators:
 
 
 def _missed(measured: np.ndarray | None, expected: np.ndarray) -> np.ndarray:
-    """What measured values are above expected ones, 0 where nothing is measured, (actuators,) each."""
+    """Differences of measured and expected values, 0 where nothing is measured, (actuators,) each."""
     return np.zeros(len(expected)) if measured is None else np.nan_to_num(np.asarray(measured) - expected, nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _corrected(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray) -> np.ndarray:
-    """Believed values moved towards measured ones less the gauges' offsets, where there are any, (actuators,) each; never below zero."""
+def _blend_with_measured(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray) -> np.ndarray:
+    """Move believed values towards measured ones less the gauges' offsets, where there are any, (actuators,) each; never below zero."""
     return np.maximum(believed + BELIEF * _missed(measured, believed + offset), 0.0)
 
 
 class InputEffects:
-    """What the model's effects make of pressures and tensions, as forces that come on top of p A − λ.
+    """Forces by the model's effects on pressures and tensions, on top of p A − λ.
 
     Maps (a weaker muscle, crosstalk, a dead zone) and memories (hysteresis) alike; lags and delays are the `Devices`' business and left
     out here, and so is friction of the tendons: it follows the muscles' motion, which the filter knows.

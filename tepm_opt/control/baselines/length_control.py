@@ -61,7 +61,7 @@ DEFAULT = LengthSettings()
 
 @dataclass(frozen=True, eq=False)
 class LengthTarget:
-    """What a controller shall hold.
+    """Lengths that a controller shall hold, with the forces expected there.
 
     Attributes:
         lengths: of the actuators, (actuators,) in m.
@@ -153,7 +153,7 @@ class LengthController:
 
 @dataclass(frozen=True, eq=False)
 class HoldRecord:
-    """What a rig did while its lengths were controlled.
+    """Record of a rig while its lengths were controlled.
 
     Attributes:
         time: of the samples in s, (samples,).
@@ -208,7 +208,7 @@ def hold(
         number = int((passed - approach + 1e-9) // seconds) if passed >= approach - 1e-9 else -1
         if number >= len(targets):
             break
-        target = targets[number] if number >= 0 else _between(first, targets[0], passed / approach)
+        target = targets[number] if number >= 0 else _interpolate_targets(first, targets[0], passed / approach)
         command = controller.command(sample.time, lengths, target)
         rig.apply(command)
         inputs = np.concatenate([command.pressures, command.tensions])
@@ -217,5 +217,5 @@ def hold(
     return HoldRecord(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _between(first: LengthTarget, last: LengthTarget, part: float) -> LengthTarget:
+def _interpolate_targets(first: LengthTarget, last: LengthTarget, part: float) -> LengthTarget:
     return LengthTarget(first.lengths + part * (last.lengths - first.lengths), first.forces + part * (last.forces - first.forces))

@@ -20,7 +20,7 @@ from tepm_opt.control.actuation.pressure_planner import PressurePlanner, Pressur
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.controller import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value, own_settings
 from tepm_opt.control.estimation.kalman_filter import Operating
-from tepm_opt.control.mpc.prediction import Weights, against, holding
+from tepm_opt.control.mpc.prediction import Weights, compensate_tip_bias, compute_holding_forces
 from tepm_opt.control.mpc.settings import DAMPING
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
@@ -91,7 +91,7 @@ class Lqg:
     def __init__(self, model: CompiledModel, reference: Reference, settings: LqgSettings = DEFAULT) -> None:
         self.model, self.reference, self.settings = model, reference, settings
         robot, half = model.robot, model.layout.inputs // 2
-        self.area, self.devices, self.period = model.values["A"], Devices.of(model), reference.period
+        self.area, self.devices, self.period = model.values["A"], Devices.from_model(model), reference.period
         self._pressure_max, self._tension_max = robot.input_max[:half], robot.input_max[half:]
         age = robot.tracker.latency_s if robot.tracker else 0.0
         step, planner = robot.actuation.pressure_step, settings.pressure_planner
@@ -125,14 +125,14 @@ class Lqg:
         then = self._station(self._row + self._sent.ahead)
         motion, actuators = self._look_ahead(then)
         unknown, bias = self._state[2 * self._modes :][: self._actuated], self._state[-3:]
-        row = int(self.reference.at(self._row + self._sent.ahead))
-        deviation, rest = self._beside(motion, then, row), then.rest @ bias
+        row = int(self.reference.rows_at(self._row + self._sent.ahead))
+        deviation, rest = self._subtract_reference(motion, then, row), then.rest @ bias
         wanted_force, wanted = rest[: self._actuated], rest[self._actuated :]
         known = self.reference.forces[row] + self._dynamic[row]
         v = actuators.forces + self._effects.forces + unknown - known
         pressures = self._pressures(unknown, wanted_force, actuators)
         change = -then.feedback @ np.concatenate([deviation - wanted, v - wanted_force])
-        later = int(self.reference.at(self._row + self._sent.ahead + 1))
+        later = int(self.reference.rows_at(self._row + self._sent.ahead + 1))
         ahead = self.reference.forces[later] + self._dynamic[later] - unknown - self._effects.forces
         most = self.devices.tension_rate * self.period
         pressure = actuators.lags.lag(actuators.pressure, pressures)
@@ -149,14 +149,14 @@ class Lqg:
         return Telemetry(columns | {f"unknown_force_{name}_N": float(self._state[2 * self._modes + k]) for k, name in enumerate(names)})
 
     def _station(self, row: int) -> Station:
-        return self._stations[min(int(self.reference.at(row)) // SPACING, len(self._stations) - 1)]
+        return self._stations[min(int(self.reference.rows_at(row)) // SPACING, len(self._stations) - 1)]
 
     def _scheduled(self) -> Sequence[Station]:
         """Gains along the reference, each from the modes of the one before."""
         newest, found = None, []
         for row in range(0, len(self.reference), SPACING):
             newest = modal_model(self.reference.equilibria[row], newest)
-            found.append(self._gains(Operating.of(newest.damped(DAMPING), self.reference.forces[row], self.period)))
+            found.append(self._gains(Operating.from_modal_model(newest.damped(DAMPING), self.reference.forces[row], self.period)))
         return found
 
     def _gains(self, operating: Operating) -> Station:
@@ -187,16 +187,16 @@ class Lqg:
         cost[:modes, :modes], cost[moved:, moved:] = rows.T @ rows, np.eye(actuators) / weights.force**2
         feedback = np.asarray(dlqr(full, enter, cost, np.eye(actuators) / (weights.change / 2) ** 2)[0])
 
-        force = against(model, np.eye(3))
+        force = compensate_tip_bias(model, np.eye(3))
         rest = np.vstack([force, (model.drive @ force) / model.stiffness[:, None], np.zeros((modes, 3))])
-        return Station(operating, A, correct, feedback, rest, holding(model) @ (model.observe / model.stiffness))
+        return Station(operating, A, correct, feedback, rest, compute_holding_forces(model) @ (model.observe / model.stiffness))
 
     def _feed_forward(self) -> np.ndarray:
         """Forces that accelerate the arm along the reference, (periods, actuators) in N."""
         count, found = len(self.reference), []
         for row in range(count):
             station = self._station(row)
-            levels = self.reference.levels[self.reference.at(row + WINDOW * np.array([-1, 0, 1]))]
+            levels = self.reference.levels[self.reference.rows_at(row + WINDOW * np.array([-1, 0, 1]))]
             before, now, after = levels @ station.operating.model.weights.T
             step = WINDOW * self.period
             bend, rate = (after - 2 * now + before) / step**2, (after - before) / (2 * step)
@@ -225,7 +225,7 @@ class Lqg:
     def _turn(self, then: Station) -> None:
         """Go on about another operating point."""
         if then is not self._at:
-            self._state[: 2 * self._modes] = self._at.operating.turned(self._state[: 2 * self._modes], then.operating)
+            self._state[: 2 * self._modes] = self._at.operating.transform_motion_to(self._state[: 2 * self._modes], then.operating)
             self._at = then
 
     def _look_ahead(self, then: Station) -> tuple[np.ndarray, Actuators]:
@@ -235,11 +235,11 @@ class Lqg:
         for at in range(self._row, self._row + self._sent.ahead):
             actuators.command = self._sent.command_at(at)
             motion = now.advance(motion, actuators.advance() + self._effects.forces + unknown)
-        return now.turned(motion, then.operating), actuators
+        return now.transform_motion_to(motion, then.operating), actuators
 
-    def _beside(self, motion: np.ndarray, at: Station, row: int) -> np.ndarray:
-        """Deviation [e, e'] of a motion about a station from the reference at a row."""
-        levels, model = self.reference.levels[self.reference.at(row + np.array([-1, 0, 1]))], at.operating.model
+    def _subtract_reference(self, motion: np.ndarray, at: Station, row: int) -> np.ndarray:
+        """Deviation [e, e'] of a motion about a station from the reference's motion at a row."""
+        levels, model = self.reference.levels[self.reference.rows_at(row + np.array([-1, 0, 1]))], at.operating.model
         before, now, after = (levels - model.levels) @ model.weights.T
         return motion - np.concatenate([now, (after - before) / (2 * self.period)])
 
@@ -247,7 +247,7 @@ class Lqg:
         """Commands of the pressures, (actuators,) in Pa: what is needed of the forces with the tensions in their middle."""
         planner = self.settings.pressure_planner
         self._slow = self._slow + (1 - np.exp(-self.period / planner.disturbance_time)) * (unknown - self._slow)
-        rows = self.reference.at(self._row + self._sent.ahead + 2 * np.arange(1, planner.preview + 1))
+        rows = self.reference.rows_at(self._row + self._sent.ahead + 2 * np.arange(1, planner.preview + 1))
         need = self.reference.forces[rows] + self._dynamic[rows] + wanted - self._slow - self._effects.forces + self._tension_max / 2
         return self._planner.plan(need / self.area, self._sent.last.pressures, actuators.pressure, 1, actuators.lags)[0]
 

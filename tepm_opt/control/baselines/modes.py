@@ -42,7 +42,7 @@ class LengthFollower:
     def command(self, sample: Sample) -> Command:
         """Set points for a sample."""
         self._zero = sample.time if self._zero is None else self._zero
-        row = int(self.reference.at(round((sample.time - self._zero) / self.reference.period)))
+        row = int(self.reference.rows_at(round((sample.time - self._zero) / self.reference.period)))
         lengths = self._estimator.update(sample.points)
         return self._controller.command(sample.time, lengths, LengthTarget(self.reference.lengths[row], self.reference.forces[row]))
 

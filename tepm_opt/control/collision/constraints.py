@@ -36,13 +36,13 @@ class KeepOutRows:
     """
 
     def __init__(self, keep_out: KeepOut, reference: Reference, stages: int) -> None:
-        self.keep_out, self._reference = keep_out, keep_out.along(reference.equilibria)
+        self.keep_out, self._reference = keep_out, keep_out.locate_watched_points(reference.equilibria)
         self.count = min(ROWS, (stages - 1) * len(keep_out.names) * len(keep_out.obstacles.names))
 
-    def about(
+    def linearise(
         self, horizon: Horizon, modal: ModalModel, rows: np.ndarray, bias: np.ndarray, begin: np.ndarray, plan: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """R and r of R v ≥ r, (rows, stages · actuators) and (rows,) in m.
+        """Linearise the least distances: R and r of R v ≥ r, (rows, stages · actuators) and (rows,) in m.
 
         Args:
             horizon: the coming stages.

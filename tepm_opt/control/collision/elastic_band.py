@@ -38,7 +38,7 @@ ITERATIONS, SETTLES = 30, 40
 
 @dataclass(frozen=True, eq=False)
 class _Sensed:
-    """What keeps a period's forces: rows a·ΔF + room ≥ 0."""
+    """Constraints on the forces of a period: rows a·ΔF + room ≥ 0."""
 
     rows: np.ndarray
     room: np.ndarray
@@ -58,7 +58,7 @@ def detour(model: CompiledModel, reference: Reference, keep_out: KeepOut, progre
     """
     found = replace(reference, keep_out=keep_out, moved=np.zeros(len(reference)))
     margins = keep_out.obstacles.margins
-    watched = keep_out.along(reference.equilibria)
+    watched = keep_out.locate_watched_points(reference.equilibria)
     room = (keep_out.obstacles.nearest(watched.reshape(-1, 3))[0] - margins).reshape(len(reference), -1).min(axis=1)
     stretches = list(_stretches(room < 0, round(REACH / reference.step)))
     if not stretches:
@@ -131,7 +131,7 @@ class _Band:
         worst = int(np.argmin([sensed.room.min() for sensed in self._sensed]))
         if self._sensed[worst].room.min() > -CLOSE:
             return
-        near = self._keep_out.nearest(self._keep_out.along([self.equilibria[worst]])[0])
+        near = self._keep_out.nearest(self._keep_out.locate_watched_points([self.equilibria[worst]])[0])
         raise InputError(
             f"keep out: at {self._knots[worst] * self._period:.2f} s of the path no forces within the range keep the margin: "
             f"{near.point} is {1e3 * near.distance:.0f} mm from {near.obstacle!r}; valid: another path, or a smaller margin"
@@ -164,7 +164,7 @@ class _Band:
 
     def _linearise(self) -> None:
         """Distances to obstacles and to the ends of the forces' range, by the forces."""
-        watched, before = self._keep_out.along(self.equilibria), None
+        watched, before = self._keep_out.locate_watched_points(self.equilibria), None
         self._modal, self._sensed = [], []
         for places, at in zip(watched, self.equilibria, strict=True):
             before = modal_model(at, before)

@@ -1,4 +1,4 @@
-"""What a robot shall keep out of: spheres, boxes and a table, from a file that people write, with signed distances and normals."""
+"""Obstacles that a robot shall keep out of: spheres, boxes and a table, from a file, with signed distances and normals."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SphereObstacle(Section):
 
     @model_validator(mode="after")
     def _metres(self) -> SphereObstacle:
-        _within("centre_m", self.centre_m)
+        _check_distance("centre_m", self.centre_m)
         return self
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +60,7 @@ class BoxObstacle(Section):
 
     @model_validator(mode="after")
     def _metres(self) -> BoxObstacle:
-        _within("centre_m", self.centre_m)
+        _check_distance("centre_m", self.centre_m)
         return self
 
     @cached_property
@@ -100,7 +100,7 @@ class TableObstacle(Section):
         if not np.linalg.norm(self.normal) > 0:
             raise ValueError("normal is 0 long; valid: three numbers that are not all 0")
         if self.point_m is not None:
-            _within("point_m", self.point_m)
+            _check_distance("point_m", self.point_m)
         return self
 
     @property
@@ -126,7 +126,7 @@ class TableObstacle(Section):
         return (points - point) @ normal, np.broadcast_to(normal, points.shape)
 
 
-def _within(key: str, place: tuple[float, float, float]) -> None:
+def _check_distance(key: str, place: tuple[float, float, float]) -> None:
     if max(map(abs, place)) > FARTHEST:
         raise ValueError(f"{key} = {list(place)}: further than {FARTHEST:g} m from the tracker; valid: metres, not millimetres")
 

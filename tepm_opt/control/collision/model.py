@@ -65,7 +65,7 @@ class KeepOut:
 
     @cached_property
     def _between(self) -> np.ndarray:
-        """What offsets of the reference points are at the watched points, linear between them and 0 at the base, (watched, points)."""
+        """Interpolation of offsets from reference points to watched points, linear and 0 at the base, (watched, points)."""
         layout = self.model.layout
         heights = layout.point_weights @ np.arange(layout.levels + 1)
         own = [np.interp(self._others, [0.0, *heights], [0.0, *unit]) for unit in np.eye(layout.points)]
@@ -75,8 +75,8 @@ class KeepOut:
         """Watched points (…, watched, 3) of reference points (…, points, 3) and all nodes (…, n + 1, actuators, 3), in m in G."""
         return np.concatenate([points, nodes[..., self._others, :, :].mean(axis=-2)], axis=-2)
 
-    def along(self, equilibria: Sequence[Equilibrium]) -> np.ndarray:
-        """Watched points of equilibria, (equilibria, watched, 3) in m in G."""
+    def locate_watched_points(self, equilibria: Sequence[Equilibrium]) -> np.ndarray:
+        """Locate the watched points of equilibria, (equilibria, watched, 3) in m in G."""
         mount = self.model.robot.mount
         nodes = np.array([at.nodes for at in equilibria]) @ mount.rotation.T + np.array(mount.base_position_m)
         return self.watched(np.array([at.points for at in equilibria]), nodes)
@@ -92,7 +92,7 @@ class KeepOut:
         """Watched points where the filter has them, (watched, 3) in m in G."""
         modal = estimate.operating.model
         return (
-            self.along([modal.equilibrium])[0]
+            self.locate_watched_points([modal.equilibrium])[0]
             + self.observe(modal) @ estimate.motion[: len(modal.stiffness)]
             + self._between @ estimate.bias
         )
@@ -111,7 +111,7 @@ class KeepOut:
         rest = solve_statics(self.model, np.zeros(self.model.layout.inputs))
         if not rest.solved:
             return ""
-        distances = self.obstacles.nearest(self.along([rest])[0])[0].min(axis=0)
+        distances = self.obstacles.nearest(self.locate_watched_points([rest])[0])[0].min(axis=0)
         return tell_rest(dict(zip(self.obstacles.names, distances.tolist(), strict=True)))
 
     def nearest(self, watched: np.ndarray) -> Nearest:

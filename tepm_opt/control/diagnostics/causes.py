@@ -1,4 +1,4 @@
-"""What may have changed in a machine: in words, and as directions of the regressions; which of them explains what was seen."""
+"""Causes of a change in a machine: in words, and as directions of the regressions; which of them explains what was seen."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Cause:
     free: bool = False
     factors: tuple[float, ...] = ()
 
-    def told(self, size: float) -> str:
-        """The sentence for a size."""
+    def describe(self, size: float) -> str:
+        """Sentence that tells the cause with a size."""
         return self.says.format(
             size=abs(self.scale * size), more="more" if size > 0 else "less", stiffer="stiffer" if size > 0 else "softer"
         )

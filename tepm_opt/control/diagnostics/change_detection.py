@@ -71,7 +71,7 @@ class Coloured:
 
 @dataclass(frozen=True, eq=False)
 class Left:
-    """What changes have to explain at some times: their score and information per column, what θ explains taken away.
+    """Score and information of a change by its time, per column, after removal of what θ explains.
 
     Attributes:
         score: (times, …, columns).
@@ -109,10 +109,10 @@ class Sums:
         """Let a change be possible from the next row on."""
         self._marks.append((self._sum, self._rows))
 
-    def left(self) -> Left:
-        """What changes at the marks have to explain, the oldest first; the noise is what was left before the first of them."""
+    def score_changes(self) -> Left:
+        """Score and information of a change at each mark, the oldest first; the noise is the residual before the first mark."""
         begun, rows = self._marks[0]
-        noise = np.maximum((begun[:, 0, 0] - self._explained(begun)) / rows, self._least)
+        noise = np.maximum((begun[:, 0, 0] - self._sum_explained_squares(begun)) / rows, self._least)
         whole = self._sum
         inverse = np.linalg.inv(whole[:, 1:, 1:] + self._prior)
         theta = (inverse @ whole[:, 1:, :1])[..., 0]
@@ -121,6 +121,6 @@ class Sums:
         score = (since[..., 1:, 0] - (part @ theta[..., None])[..., 0]) / noise[:, None]
         return Left(score, (part - part @ inverse @ part) / noise[:, None, None], theta)
 
-    def _explained(self, sums: np.ndarray) -> np.ndarray:
+    def _sum_explained_squares(self, sums: np.ndarray) -> np.ndarray:
         by = sums[:, 1:, :1]
         return (by * np.linalg.solve(sums[:, 1:, 1:] + self._prior, by)).sum(axis=(1, 2))

@@ -30,7 +30,7 @@ _VARIANCE, _FREEDOM = float(_JUMP @ _JUMP), float(np.trace(_REST))
 
 
 class Markers:
-    """Where tracked points are on the arm beside where they were.
+    """Slips of tracked points along the arm, detected and corrected.
 
     What a marker slipped by is taken off from then on, or else the tip would be brought to where its marker was. Jumps of four
     millimetres and more stand out of a millimetre of noise.
@@ -50,8 +50,8 @@ class Markers:
         self._frames = np.full((2 * HALF + 1, 3 * len(names)), np.nan)  # the oldest first; one more than a jump is judged by
         self._sizes = np.zeros(len(names))  # of jumps in the middle of all frames but the last, squared over variance
 
-    def placed(self, sample: Sample) -> Sample:
-        """A sample with its points where they would be if none had slipped."""
+    def undo_slips(self, sample: Sample) -> Sample:
+        """Return a sample with its points where they would be if none had slipped."""
         return replace(sample, points=sample.points - self.slipped) if self._any else sample
 
     def look(self, sample: Sample, noise: float) -> None:
@@ -90,8 +90,8 @@ class Markers:
         frames[HALF:, 3 * which : 3 * which + 3] -= jump
         self._sizes = np.zeros(len(now))
 
-    def told(self) -> Mapping[str, str]:
-        """A sentence for every point that slipped, by what it is about."""
+    def describe_slips(self) -> Mapping[str, str]:
+        """Sentence for every point that slipped, by the point's key in the log."""
         if not self._any:
             return {}
         found = {}

@@ -24,7 +24,7 @@ from tepm_opt.models.compile import CompiledModel
 EVIDENCE = "change_evidence"
 """Column of the log: logarithm of the evidence for a change over none."""
 ABOUT = "machine"
-"""What the doubt is about."""
+"""Key of the warning in the log."""
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,12 @@ class Monitor:
         self._zero: float | None = None
         self.changes: list[Changed] = []
         self.evidence = 0.0
-        self._begin(0.0)
+        self._restart(0.0)
 
     def __repr__(self) -> str:
         return f"Monitor({len(self._causes)} causes, evidence={self.evidence:.3g}, changes={len(self.changes)})"
 
-    def _begin(self, now: float) -> None:
+    def _restart(self, now: float) -> None:
         """Learn anew from a time in s of the run."""
         settings, count, spreads = self.settings, self._count, self._signatures.spreads
         slow = np.repeat([settings.force_drift, settings.point_drift], [count, self._coordinates])
@@ -160,8 +160,8 @@ class Monitor:
                     sums.mark()
             self._next = max(self._next + self.settings.every, now)
 
-    def told(self) -> dict[str, str]:
-        """A sentence for every change, by what it is about."""
+    def describe_changes(self) -> dict[str, str]:
+        """Sentence for every change, by its key in the log."""
         return {ABOUT if not k else f"{ABOUT}, change {k + 1}": str(change) for k, change in enumerate(self.changes)}
 
     def _take(self, rows: Rows) -> None:
@@ -194,13 +194,13 @@ class Monitor:
 
     def _look(self, now: float) -> None:
         """Whether something changed, by a time in s of the run."""
-        left: dict[str, Left] = {name: sums.left() for name, sums in self._sums.items()}
+        left: dict[str, Left] = {name: sums.score_changes() for name, sums in self._sums.items()}
         found, sizes = self._weighed.evidence(left)
         each = np.logaddexp.reduce(found, axis=0) - np.log(len(self._times))
         self.evidence = float(np.logaddexp.reduce(each))
         beyond = self.evidence > self.settings.evidence
         if beyond and (self._suspected or self._open):
-            changed = self._changed(now, each, found, sizes)
+            changed = self._explain_change(now, each, found, sizes)
             if self._open:
                 self.changes[-1] = replace(changed, told=self.changes[-1].told)
             else:
@@ -208,14 +208,14 @@ class Monitor:
             self._open = True
         self._suspected = beyond
         if self._open and now > self.changes[-1].told + self.settings.named:
-            self._begin(now)
+            self._restart(now)
 
-    def _changed(self, now: float, each: np.ndarray, found: np.ndarray, sizes: np.ndarray) -> Changed:
+    def _explain_change(self, now: float, each: np.ndarray, found: np.ndarray, sizes: np.ndarray) -> Changed:
         parts = np.exp(each - np.logaddexp.reduce(each))
         order = [k for k in np.argsort(-parts)[:3] if parts[k] > 0.01]
         since = found.argmax(axis=0)
         names = {self._causes[k].about: float(parts[k]) for k in order}
-        sentences = tuple(self._causes[k].told(float(sizes[since[k], k])) for k in order)
+        sentences = tuple(self._causes[k].describe(float(sizes[since[k], k])) for k in order)
         return Changed(now, self._times[since[order[0]]], self.evidence, names, sentences)
 
 
@@ -256,7 +256,7 @@ class Watched:
     def telemetry(self) -> Telemetry:
         """The controller's, with what the monitor says."""
         told, monitor = self.controller.telemetry(), self.monitor
-        return replace(told, columns={**told.columns, EVIDENCE: monitor.evidence}, doubts={**told.doubts, **monitor.told()})
+        return replace(told, columns={**told.columns, EVIDENCE: monitor.evidence}, doubts={**told.doubts, **monitor.describe_changes()})
 
     def _watch(self) -> None:
         if self._fresh is not None:

@@ -1,4 +1,4 @@
-"""What does not make sense while a loop is closed: gauges that lie or devices that do not follow, commands that act later and a tracker
+"""Warnings while a loop is closed: gauges that lie or devices that do not follow, commands that act later and a tracker
 that is noisier than the robot file says."""
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class TrackerNoise:
 
 
 class Doubts:
-    """What is told to people, by what it is about.
+    """Warnings about gauges, devices, delay and tracker, one sentence each.
 
     Args:
         names: of the actuators.
@@ -73,7 +73,7 @@ class Doubts:
         self, lasting: Mapping[str, np.ndarray], offsets: Mapping[str, np.ndarray], noise: tuple[float, float], late: float,
         quicker: np.ndarray,
     ) -> Mapping[str, str]:  # fmt: skip
-        """What does not make sense, a sentence each.
+        """Warnings that hold now, one sentence each, by their subject.
 
         Args:
             lasting: number of samples for which offsets of "pressure" and "tension" have been beyond their limits, (actuators,) each.

@@ -1,4 +1,4 @@
-"""What a change of the machine would do to tracked points and gauges: rows of regressions, one for a block of samples.
+"""Signatures of changes of the machine in tracked points and gauges: rows of regressions, one for a block of samples.
 
 Tracked points are compared with where the model has the arm under the pressures and tensions that are measured, linearised about the
 reference; what the arm's own motion makes of it (inertia, damping) is taken from the points themselves. Gauges are compared with what
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.control.estimation.dahl_friction import turned
+from tepm_opt.control.estimation.dahl_friction import dahl_step
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
@@ -88,7 +88,7 @@ class Signatures:
     def __init__(self, model: CompiledModel, reference: Reference, first: Command) -> None:
         self._reference, count, robot = reference, len(first.tensions), model.robot
         self._area, self._stiffness, self._length = (model.values[name] for name in ("A", "K_a", "L_0"))
-        self._devices, self._middle = Devices.of(model), robot.input_max[count:] / 2
+        self._devices, self._middle = Devices.from_model(model), robot.input_max[count:] / 2
         self._late = (robot.tracker.latency_s if robot.tracker else 0.0) + self._devices.delay
         self._turn, self._gravity = robot.mount.rotation, np.array(robot.mount.gravity_m_per_s2, dtype=float)
         self._tilts = [self._turn.T @ -np.cross(axis, self._gravity) for axis in np.eye(3)[:2]]
@@ -113,7 +113,7 @@ class Signatures:
         self._gathered.append((sample, command))
         if len(self._gathered) < BLOCK:
             return None
-        block = self._block(int(self._reference.at(row - BLOCK // 2)))
+        block = self._block(int(self._reference.rows_at(row - BLOCK // 2)))
         self._gathered = []
         if block is None:
             self._blocks.clear()
@@ -176,12 +176,12 @@ class Signatures:
         left = block.points - near.equilibrium.points.ravel() - known + soft @ (inertia + rubbed)
         lengths = reference.lengths[now] + near.drive.T @ modes[1]
         if self._before is not None:
-            self._directions = turned(self._directions, lengths - self._before[0], PRESLIDING)
-            self._turning = turned(self._turning, self._area * (block.pressure - self._before[1]), WIDTH)
+            self._directions = dahl_step(self._directions, lengths - self._before[0], PRESLIDING)
+            self._turning = dahl_step(self._turning, self._area * (block.pressure - self._before[1]), WIDTH)
         self._before = lengths, block.pressure
         loaded = 1 - SHARE + SHARE * block.tension / self._middle
-        tilts = [self._fallen(near, soft, tilt) for tilt in self._tilts]
-        heavier = self._fallen(near, soft, self._turn.T @ self._gravity)
+        tilts = [self._compute_sag(near, soft, tilt) for tilt in self._tilts]
+        heavier = self._compute_sag(near, soft, self._turn.T @ self._gravity)
         stretched = self._stiffness * (reference.lengths[now] - self._length)
         columns = [
             left[:, None], -gain * (self._area * block.pressure), -gain * stretched, gain * block.tension, gain,
@@ -199,6 +199,6 @@ class Signatures:
         return np.linalg.solve(squares + SMALL * np.trace(squares) * np.eye(len(squares)), near.observe).T
 
     @staticmethod
-    def _fallen(near: ModalModel, soft: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-        """How far points move at rest if all masses are pulled by more gravity, (3,) in m/s² in the base frame, (3 · points,) in m."""
+    def _compute_sag(near: ModalModel, soft: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """Displacement of the points at rest by additional gravity, (3,) in m/s² in the base frame, (3 · points,) in m."""
         return soft @ (near.weights.reshape(len(near.weights), -1, 3).sum(axis=1) @ gravity)

@@ -132,5 +132,5 @@ def compare_scales(
     found, pairs = [], list(product(FRICTION_SCALES, STRENGTH_SCALES))
     for one, other in counted(pairs, progress, "noise levels of the filter", len(pairs)):
         settings = scale_noise(base, one, other)
-        found.append(Candidate(one, other, settings, prediction_errors(inputs, settings.knowing(friction, inputs.middle))))
+        found.append(Candidate(one, other, settings, prediction_errors(inputs, settings.with_friction_prior(friction, inputs.middle))))
     return tuple(found)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.special import chdtri
 
-from tepm_opt.control.estimation.dahl_friction import turned
+from tepm_opt.control.estimation.dahl_friction import dahl_step
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.modal_model import ModalModel
 
@@ -77,8 +77,8 @@ class FilterSettings:
     gate_probability: float = 1e-6
     most_rejections: int = 10
 
-    def knowing(self, friction: tuple[float, float] | None, middle: float) -> FilterSettings:
-        """Settings that begin with friction that a model has; these where it has none.
+    def with_friction_prior(self, friction: tuple[float, float] | None, middle: float) -> FilterSettings:
+        """Settings that begin with a model's friction; unchanged where it has none.
 
         Args:
             friction: constant part in N, and share of the tension.
@@ -120,7 +120,7 @@ class Operating:
     period: float
 
     @staticmethod
-    def of(model: ModalModel, forces: np.ndarray, period: float) -> Operating:
+    def from_modal_model(model: ModalModel, forces: np.ndarray, period: float) -> Operating:
         """Discrete model, exact for forces linear in a period (Franklin, Powell, Workman, Digital Control, 1998, section 6.3)."""
         count = len(model.stiffness)
         A = np.zeros((2 * count, 2 * count))
@@ -152,8 +152,8 @@ class Operating:
         weights = self.model.weights
         return weights @ other.model.shapes, weights @ (other.model.levels - self.model.levels)
 
-    def turned(self, motion: np.ndarray, other: Operating) -> np.ndarray:
-        """A motion [q, q'] that is meant about this point, (2 · modes,), as it is about another one."""
+    def transform_motion_to(self, motion: np.ndarray, other: Operating) -> np.ndarray:
+        """Transform a motion [q, q'] about this operating point, (2 · modes,), to one about another point."""
         if other is self:
             return motion
         turn, shift = other.seen_from(self)
@@ -261,9 +261,9 @@ class Estimator:
         settings, now, before = self.settings, self.operating, self._direction
         seen = now.model.drive.T @ self.mean[self._modes : 2 * self._modes]
         self._deviation = self._deviation + (1 - np.exp(-now.period / settings.rate_time)) * (seen - rates - self._deviation)
-        self._direction = turned(before, (rates + self._deviation) * now.period, settings.presliding_distance)
+        self._direction = dahl_step(before, (rates + self._deviation) * now.period, settings.presliding_distance)
         rise = forces[1] - forces[0] + (0.0 if self._tension is None else tension - self._tension)  # of p A
-        self._turning, self._tension = turned(self._turning, rise, settings.hysteresis_width), tension
+        self._turning, self._tension = dahl_step(self._turning, rise, settings.hysteresis_width), tension
         done = self._transition(forces, tension, np.abs(self._direction - before), then)
         self.mean = done.A @ self.mean + done.push
         self.covariance = done.A @ self.covariance @ done.A.T + done.kick @ done.kick.T
@@ -280,7 +280,7 @@ class Estimator:
         A[self._motion, self._motion] = now.A
         A[self._motion, self._unknown] = by_force
         A[self._motion, self._strength] = by_force * (forces.mean(axis=0) + tension)  # p A
-        A[self._motion, self._friction] = -by_force * self._direction * self.loaded(tension)
+        A[self._motion, self._friction] = -by_force * self._direction * self.friction_ratio_at(tension)
         A[self._motion, self._hysteresis] = -by_force * self._turning
         others = slice(self._bias.start, self._tip.start)
         A[self._unknown, self._unknown] *= np.exp(-period / settings.force_correlation_time)
@@ -312,10 +312,10 @@ class Estimator:
 
     @property
     def direction(self) -> np.ndarray:
-        """Which way friction pulls now, −1 … 1, (actuators,)."""
+        """Direction of friction now, −1 … 1, (actuators,)."""
         return self._direction
 
-    def loaded(self, tension: np.ndarray) -> np.ndarray:
+    def friction_ratio_at(self, tension: np.ndarray) -> np.ndarray:
         """Friction at a tension in N over that at the middle one."""
         return 1 - self.settings.load_share + self.settings.load_share * tension / self.middle
 

@@ -57,7 +57,7 @@ class LengthEstimator:
         self._half, self._area = model.layout.inputs // 2, model.values["A"]
         self._coordinates = np.eye(3 * model.layout.points, 3 * model.layout.points + self._half)
         self.forces = np.zeros(self._half)
-        self.equilibrium = self._at(self.forces, None)
+        self.equilibrium = self._solve_equilibrium(self.forces, None)
         self.residual = np.nan
 
     @property
@@ -88,9 +88,7 @@ class LengthEstimator:
     def _step(self, tracked: np.ndarray, used: np.ndarray, before: np.ndarray) -> bool:
         """One step; whether another one is worth it."""
         at, settings = self.equilibrium, self.settings
-        status, by_u, _, _ = self.model.statics.sensitivity(
-            at.x, at.inputs, True, self._loads.ravel(), self.model.theta, self._coordinates, False
-        )
+        status, by_u, _, _ = self.model.statics.sensitivity(at.x, at.load_case, self._coordinates, False)
         if status != Status.SOLVED:
             return False
         jacobian = by_u[used, : self._half] / self._area / settings.noise
@@ -99,13 +97,13 @@ class LengthEstimator:
         step = -np.linalg.solve(normal, jacobian.T @ missed + (self.forces - before) / settings.force_step**2)
         step *= min(1.0, settings.largest_step / max(float(np.abs(step).max()), 1e-12))
         for _ in range(4):
-            found = self._at(self.forces + step, at)
+            found = self._solve_equilibrium(self.forces + step, at)
             if found.solved:
                 self.forces, self.equilibrium = self.forces + step, found
                 return float(np.abs(step).max()) > settings.tolerance
             step /= 4
         return False
 
-    def _at(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
+    def _solve_equilibrium(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
         effective = np.concatenate([forces / self._area, np.zeros(self._half)])
         return equilibrium(self.model, effective, self._loads, start, mapped=True, explain=False)

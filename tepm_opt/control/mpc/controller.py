@@ -30,7 +30,7 @@ def make_step(setup: StepSetup) -> ControlStep:
     """
     half = len(setup.tension_max)
     doubts = Doubts(setup.model.layout.actuator_names, (setup.model.robot.input_max[:half], setup.tension_max))
-    return CompiledStep.of(setup, doubts) or PythonStep(setup, doubts)
+    return CompiledStep.from_setup(setup, doubts) or PythonStep(setup, doubts)
 
 
 class Mpc:
@@ -55,7 +55,7 @@ class Mpc:
         took = settings.computing if computing is None else computing
         if took is None:
             raise InputError("computing: None; valid: a time in s, or make_mpc(…), which measures it")
-        self.settings, self.setup = settings, StepSetup.of(model, reference, settings, took)
+        self.settings, self.setup = settings, StepSetup.from_model(model, reference, settings, took)
         self.reference = self.setup.reference
         self._step = make_step(self.setup)
         self._markers = Markers(model.layout.point_names, reference.period)
@@ -92,7 +92,7 @@ class Mpc:
     def command(self, sample: Sample) -> Command:
         """Set points for a sample; never NaN, always within the limits. What `prepare` has not prepared is prepared first."""
         self._look()
-        self._fresh = self._markers.placed(sample)
+        self._fresh = self._markers.undo_slips(sample)
         return self._step.feedback(self._fresh, self.settings.deadline)
 
     def prepare(self) -> None:
@@ -102,7 +102,7 @@ class Mpc:
 
     def telemetry(self) -> Telemetry:
         """Estimate, quadratic program and moves of the last step, and doubts as of the last preparation."""
-        told, slipped = self._step.telemetry(), self._markers.told()
+        told, slipped = self._step.telemetry(), self._markers.describe_slips()
         return replace(told, doubts={**told.doubts, **slipped}) if slipped else told
 
     def _look(self) -> None:
@@ -126,8 +126,8 @@ def make_mpc(model: CompiledModel, reference: Reference, settings: ControllerSet
     own = own_settings(settings, MpcSettings)
     if own.computing is not None:
         return Mpc(model, reference, own)
-    trial = StepSetup.of(model, reference, own, 0.0)
+    trial = StepSetup.from_model(model, reference, own, 0.0)
     return Mpc(model, reference, own, computing_time(make_step(trial), trial.reference))
 
 
-MPC = ControllerKind("mpc", "MPC", "predictive controller", make_mpc, ("use",), MpcSettings.of)
+MPC = ControllerKind("mpc", "MPC", "predictive controller", make_mpc, ("use",), MpcSettings.from_options)

@@ -34,13 +34,13 @@ class Weights:
     change: float = 0.18
 
 
-def holding(model: ModalModel) -> np.ndarray:
+def compute_holding_forces(model: ModalModel) -> np.ndarray:
     """Forces that hold the points where they are displaced to, (actuators, 3 · points) in N/m."""
     answer = model.observe @ (model.drive / model.stiffness[:, None])  # of the points at rest
     return np.linalg.solve(answer.T @ answer + RIDGE**2 * np.eye(answer.shape[1]), answer.T)
 
 
-def against(model: ModalModel, bias: np.ndarray) -> np.ndarray:
+def compensate_tip_bias(model: ModalModel, bias: np.ndarray) -> np.ndarray:
     """Smallest forces that take a displacement of the tip back at rest, (actuators, …) in N for (3, …) in m."""
     by_tip = model.gain[-3:]
     return -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
@@ -94,21 +94,21 @@ class Horizon:
         bend = (path[2:] - 2 * path[1:-1] + path[:-2]) / two.period**2
         drift = -bend - rate @ model.damping.T
         self.forces = reference.forces[rows[1:-1]]
-        self.dynamic = (-drift[1:] / model.stiffness) @ (holding(model) @ model.observe).T
+        self.dynamic = (-drift[1:] / model.stiffness) @ (compute_holding_forces(model) @ model.observe).T
         self._rate = rate[0]
         self._pushed = two.start @ drift[: self.stages].T + two.end @ drift[1 : self.stages + 1].T
         self.stage, self.by_start, self.by_end = two, two.start @ model.drive, two.end @ model.drive
         self._turn(operating)
 
-    def about(self, motion: np.ndarray, bias: np.ndarray) -> None:
-        """Take what was seen.
+    def set_initial_state(self, motion: np.ndarray, bias: np.ndarray) -> None:
+        """Set the state at stage 0, and predict the free motion and the state at rest from it.
 
         Args:
             motion: [q, q'] about the operating point at stage 0, (2 · modes,).
             bias: what the tip's position is off by in m, (3,).
         """
         count = len(self._rate)
-        self.rest_force = against(self.stage.model, bias)
+        self.rest_force = compensate_tip_bias(self.stage.model, bias)
         self.rest = np.concatenate([self.stage.model.static(self.rest_force), np.zeros(count)])
         self.free = np.empty((self.stages + 1, 2 * count))
         self.free[0] = motion
@@ -199,7 +199,7 @@ class Forecast:
         return H
 
     def gradient(self, begin: np.ndarray) -> np.ndarray:
-        """f, (stages · actuators,), for a deviation of the forces at stage 0, (actuators,) in N, after `Horizon.about`."""
+        """f, (stages · actuators,), for a deviation of the forces at stage 0, (actuators,) in N, after `Horizon.set_initial_state`."""
         horizon, inputs = self.horizon, len(begin)
         weights, modes, size = horizon.weights, len(horizon.rest) // 2, horizon.stages * inputs
         free = horizon.free[1:] + self._first @ begin

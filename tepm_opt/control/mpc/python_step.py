@@ -23,7 +23,7 @@ from tepm_opt.control.actuation.pressure_planner import PERIODS
 from tepm_opt.control.collision.constraints import PRESSED, KeepOutRows
 from tepm_opt.control.controller import Telemetry
 from tepm_opt.control.diagnostics.sensors import Doubts
-from tepm_opt.control.estimation.dahl_friction import course, turned
+from tepm_opt.control.estimation.dahl_friction import dahl_sequence, dahl_step
 from tepm_opt.control.estimation.kalman_filter import StateEstimate
 from tepm_opt.control.mpc.compiled.setup import StepSetup, rest_tension
 from tepm_opt.control.mpc.prediction import Forecast
@@ -124,17 +124,17 @@ class PythonStep:
         for passed in range(state.row, row):
             actuators.command = state.sent.command_at(passed)
             known = actuators.advance() + state.effects.forces
-            a, b = reference.at(np.array([passed, passed + 1]))
+            a, b = reference.rows_at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / reference.period
             estimator.predict(known, actuators.tension, rates, self._points.find(passed + 1))
         then, seen, directions = self._points.find(row + self.ahead), estimator.estimate(np.zeros(0)), [estimator.direction]
         for at in range(row, row + self.ahead):
-            a, b = reference.at(np.array([at, at + 1]))
+            a, b = reference.rows_at(np.array([at, at + 1]))
             change = reference.lengths[b] - reference.lengths[a] + reference.period * seen.deviation
-            directions.append(turned(directions[-1], change, settings.presliding_distance))
+            directions.append(dahl_step(directions[-1], change, settings.presliding_distance))
         preview, stages = self._setup.controller.pressure_planner.preview, self._setup.controller.stages
-        rows = reference.at(row + self.ahead + PERIODS * np.arange(-1, preview + 2))
-        courses = course(directions[-1], np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.presliding_distance)
+        rows = reference.rows_at(row + self.ahead + PERIODS * np.arange(-1, preview + 2))
+        courses = dahl_sequence(directions[-1], np.diff(reference.lengths[rows[1:]], axis=0)[:preview], settings.presliding_distance)
         foreseen = seen.friction * courses
         factor = 1 + settings.load_share / estimator.middle * foreseen
         self._forecast.horizon.is_blind = estimator.is_blind
@@ -150,17 +150,17 @@ class PythonStep:
         for at, direction in enumerate(ready.directions, state.row):
             actuators.command = state.sent.command_at(at)
             before, known = actuators.pressure, actuators.advance()
-            turning = turned(turning, setup.area * (actuators.pressure - before), setup.filter.hysteresis_width)
-            friction = estimate.friction * direction * state.estimator.loaded(actuators.tension) + estimate.hysteresis * turning
+            turning = dahl_step(turning, setup.area * (actuators.pressure - before), setup.filter.hysteresis_width)
+            friction = estimate.friction * direction * state.estimator.friction_ratio_at(actuators.tension) + estimate.hysteresis * turning
             motion = now.advance(motion, known + state.effects.forces + estimate.unknown - friction)
-        return Ahead(now.turned(motion, ready.then), actuators, turning)
+        return Ahead(now.transform_motion_to(motion, ready.then), actuators, turning)
 
     def _decide(self, ready: Prepared, estimate: StateEstimate, ahead: Ahead, until: float) -> tuple[Command, Step]:
         """Pressures, then tensions that know them, by a plan that is found until a time of the clock in s."""
         state, setup, horizon = self._state, self._setup, self._forecast.horizon
         stages, share, width = setup.controller.stages, setup.filter.load_share, setup.filter.hysteresis_width
         actuators, direction, on = ahead.actuators, ready.directions[-1], setup.first.enabled
-        horizon.about(ahead.motion, estimate.bias[-1])
+        horizon.set_initial_state(ahead.motion, estimate.bias[-1])
         # friction over the coming stages: what is foreseen of it in proportion to the tension, all else as at the tension's middle
         pulled, factor = estimate.friction * ready.courses, ready.factor
         still = pulled - share * ready.foreseen
@@ -168,12 +168,12 @@ class PythonStep:
         behind = estimate.hysteresis, ahead.turning
         pressures, reached = self._plan_pressures(estimate.unknown, still + factor * self._rest_tension, actuators, behind)
         begin = actuators.forces + unknown - horizon.forces[0] - estimate.hysteresis * ahead.turning
-        begin = begin - estimate.friction * direction * state.estimator.loaded(actuators.tension)
+        begin = begin - estimate.friction * direction * state.estimator.friction_ratio_at(actuators.tension)
         rises = setup.area * np.diff(np.vstack([actuators.pressure, reached]), axis=0)
-        turns = course(ahead.turning, rises, width)
+        turns = dahl_sequence(ahead.turning, rises, width)
         offset = actuators.area * reached - horizon.forces[1 : stages + 1] + unknown - still[:stages] - estimate.hysteresis * turns
         about = horizon, ready.then.model, ready.rows[2 : stages + 1], estimate.bias, begin, state.planned
-        soft = None if self._keep_out is None else self._keep_out.about(*about)
+        soft = None if self._keep_out is None else self._keep_out.linearise(*about)
         result = self._program.solve(self._forecast.gradient(begin), offset, actuators.tension, soft)
         state.pressed = soft is not None and result.violation > PRESSED
         state.plan = plan = self._take_plan(result, offset, actuators.tension, factor[:stages], until)
@@ -236,5 +236,5 @@ class PythonStep:
         wanted = (need - state.effects.forces + pulled) / actuators.area
         hysteresis, turning = behind
         rises = setup.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
-        wanted = wanted + hysteresis * course(turning, rises, setup.filter.hysteresis_width) / actuators.area
+        wanted = wanted + hysteresis * dahl_sequence(turning, rises, setup.filter.hysteresis_width) / actuators.area
         return setup.planner.plan(wanted, now, actuators.pressure, stages, actuators.lags)

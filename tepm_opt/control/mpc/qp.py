@@ -44,7 +44,7 @@ _INEXACT = Outcome(Ending.FAILED, "the answer is outside its bounds by more than
 
 @dataclass(frozen=True, eq=False)
 class QpResult:
-    """What `QpSolver.solve` found.
+    """Result of `QpSolver.solve`.
 
     Attributes:
         x: the minimiser, (variables,), checked to be finite and within bounds; None unless solved.
@@ -180,7 +180,7 @@ class QpSolver:
             flag, u, multipliers, more = self._run(warm)
             outcome, count = self._outcome(flag), count + more
             if outcome.solved:
-                x, beyond = self._within(u)
+                x, beyond = self._clip_to_bounds(u)
                 if x is not None:
                     return QpResult(x, self._scale * multipliers, outcome, count, beyond, time.perf_counter() - began)
                 outcome = _INEXACT
@@ -188,7 +188,7 @@ class QpSolver:
         return QpResult(outcome=outcome, iterations=count, seconds=time.perf_counter() - began)
 
     def _outcome(self, flag: int) -> Outcome:
-        """What DAQP's exit flag means."""
+        """Outcome that DAQP's exit flag stands for."""
         if flag in (1, 2):
             return _SOLVED
         if flag == -1:
@@ -231,7 +231,7 @@ class QpSolver:
         u, _, flag, info = model.solve()
         return flag, u, info["lam"], info["iterations"]
 
-    def _within(self, u: np.ndarray) -> tuple[np.ndarray | None, float]:
+    def _clip_to_bounds(self, u: np.ndarray) -> tuple[np.ndarray | None, float]:
         """x moved by rounding into its bounds, None where more than that is necessary, and how far its rows are beyond theirs."""
         n, values = self.variables, self._M @ u + self._rest
         x = np.minimum(np.maximum(values[:n], self._low[:n]), self._high[:n])

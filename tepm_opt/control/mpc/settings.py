@@ -1,4 +1,4 @@
-"""What can be asked of the predictive controller."""
+"""Options and settings of the predictive controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DAMPING = 1.5  # times the model's: dry friction of body and tendons takes from 
 
 
 class Use(Enum):
-    """Which actuators a controller uses."""
+    """Actuators that a controller uses."""
 
     BOTH = "both"
     TENSION = "tension"
@@ -58,7 +58,7 @@ class MpcSettings:
 
     @property
     def asked(self) -> dict[str, Option]:
-        """What the options of the command line say of these settings."""
+        """Options of the command line that give these settings."""
         return {"use": self.use.value}
 
     def in_real_time(self, period: float) -> MpcSettings:
@@ -66,7 +66,7 @@ class MpcSettings:
         return replace(self, deadline=min(self.deadline, period), computing=None)
 
     @staticmethod
-    def of(options: Mapping[str, Option]) -> MpcSettings:
+    def from_options(options: Mapping[str, Option]) -> MpcSettings:
         """Settings for options of the command line: "use", where it was given.
 
         Raises:

@@ -12,7 +12,7 @@ from tepm_opt.control.actuation.delay_line import CommandDelayLine
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.diagnostics.sensors import TrackerNoise
 from tepm_opt.control.estimation.kalman_filter import Estimator, Operating
-from tepm_opt.control.mpc.compiled.layout import kept
+from tepm_opt.control.mpc.compiled.layout import count_kept_points
 from tepm_opt.control.mpc.compiled.setup import StepSetup
 from tepm_opt.hw.rig import Sample
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
@@ -26,18 +26,18 @@ class OperatingPoints:
     """
 
     def __init__(self, setup: StepSetup) -> None:
-        self._setup, self._kept = setup, kept(setup.ahead)
+        self._setup, self._kept = setup, count_kept_points(setup.ahead)
         self._found: dict[int, tuple[int, Operating]] = {}
         self._newest: ModalModel | None = None
 
     def find(self, period: int) -> Operating:
         """The model about the reference at a period, linearised where it is not kept."""
         reference = self._setup.reference
-        row = int(reference.at(period))
+        row = int(reference.rows_at(period))
         at, found = self._found.get(row % self._kept, (-1, None))
         if found is None or at != row:
             self._newest = modal_model(reference.equilibria[row], self._newest)
-            found = Operating.of(self._newest.damped(self._setup.controller.damping), reference.forces[row], reference.period)
+            found = Operating.from_modal_model(self._newest.damped(self._setup.controller.damping), reference.forces[row], reference.period)
             self._found[row % self._kept] = row, found
         return found
 

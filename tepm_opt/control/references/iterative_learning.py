@@ -22,7 +22,7 @@ from tepm_opt.errors import InputError
 
 @dataclass(frozen=True)
 class LearningSettings:
-    """How much is learned from a round; tried on machines of seed 900 (`hw.simulation.family`).
+    """Settings of learning from round to round; tried on machines of seed 900 (`hw.simulation.family`).
 
     Attributes:
         gain: part of the error that the first round teaches.
@@ -47,7 +47,7 @@ DEFAULT = LearningSettings()
 
 
 class Learner:
-    """What is known of a path after some rounds.
+    """Correction of a path, learned over rounds.
 
     Args:
         path: where the tip shall be, (periods, 3) in m.
@@ -102,7 +102,7 @@ class Learner:
         self.correction = taken * np.minimum(1.0, self.settings.largest / np.maximum(length, 1e-12))
 
     def _repeating(self, rows: np.ndarray, short: np.ndarray) -> np.ndarray:
-        """What may repeat of what the tip was short of the path, at every target, (periods, 3) in m; between samples linear."""
+        """Part of the tip's error that may repeat, at every target, (periods, 3) in m; linear between samples."""
         settings, every = self.settings, np.arange(len(self.path))
         whole = np.stack([np.interp(every, rows, column) for column in short.T], axis=1)
         low_pass = butter(2, 2 * settings.bandwidth * self.period, output="sos")

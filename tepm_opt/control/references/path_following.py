@@ -54,11 +54,11 @@ class FreeReference(Reference):
         passed = self.clock.passed
         return self.period * (len(passed) - 1) + self.step * (len(self) - 1 - passed[-1])
 
-    def begun(self) -> FreeReference:
-        """The same path from its start, with a clock of its own."""
+    def rewind(self) -> FreeReference:
+        """Return the same path at its start, with a clock of its own."""
         return replace(self, clock=PathClock())
 
-    def at(self, periods: np.ndarray | int) -> np.ndarray:
+    def rows_at(self, periods: np.ndarray | int) -> np.ndarray:
         """Row numbers of periods, (…,): those decided, and from there on at the present pace."""
         periods, passed = np.maximum(periods, 0), self.clock.passed
         last = len(passed) - 1
@@ -66,9 +66,9 @@ class FreeReference(Reference):
         ahead = np.maximum(periods - last, 0) * FINE * self.clock.speed
         return np.clip(np.rint(known + ahead), 0, len(self) - 1).astype(int)
 
-    def over(self, period: int) -> bool:
+    def is_over(self, period: int) -> bool:
         """Whether the path was at its end a period before."""
-        return period > 0 and bool(self.at(period - 1) == len(self) - 1)
+        return period > 0 and bool(self.rows_at(period - 1) == len(self) - 1)
 
     def govern(self, period: int, errors: np.ndarray) -> None:
         """Decide on the rows up to a period, and on the pace after it.

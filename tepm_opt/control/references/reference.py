@@ -1,4 +1,4 @@
-"""Where the tip shall be at every control period, with the equilibria and axial forces that hold it there: what a controller previews."""
+"""Targets of the tip at every control period, with the equilibria and axial forces that hold it there, which a controller previews."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import IkSettings, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
@@ -53,7 +54,7 @@ class Reference:
 
     @property
     def path(self) -> np.ndarray:
-        """Where the tip shall be, by which errors are judged, (periods, 3) in m in G."""
+        """Targets of the tip by which errors are judged, (periods, 3) in m in G."""
         return self.tips if self.wanted is None else self.wanted
 
     def __len__(self) -> int:
@@ -74,20 +75,22 @@ class Reference:
         """Time between rows in s."""
         return self.period
 
-    def begun(self) -> Reference:
-        """The reference as a controller begins with it."""
+    def rewind(self) -> Reference:
+        """Return the reference at its start, as a controller begins with it."""
         return self
 
-    def over(self, period: int) -> bool:
+    def is_over(self, period: int) -> bool:
         """Whether a period is beyond the last target."""
         return period >= len(self)
 
     def govern(self, period: int, errors: np.ndarray) -> None:
         """Take note of the errors that a controller foresees, (stages,) in m, from a period on: time goes on as it does."""
 
-    def at(self, periods: np.ndarray | int) -> np.ndarray:
+    def rows_at(self, periods: np.ndarray | int) -> np.ndarray:
         """Row numbers of periods, (…,); those beyond the ends are at the ends."""
         return np.clip(periods, 0, len(self) - 1)
+
+    begun, over, at = RenamedMethod("rewind"), RenamedMethod("is_over"), RenamedMethod("rows_at")
 
     @cached_property
     def levels(self) -> np.ndarray:
@@ -154,8 +157,10 @@ def approach(model: CompiledModel, target: np.ndarray, seconds: float, period: f
     return rest + part * (target - rest)
 
 
-def along(trajectory: Trajectory, start_up: float = START_UP, laps: float = 1.0, period: float = PERIOD) -> tuple[np.ndarray, np.ndarray]:
-    """Tips along a trajectory, which speeds up to its timing and slows down from it smoothly.
+def sample_tips(
+    trajectory: Trajectory, start_up: float = START_UP, laps: float = 1.0, period: float = PERIOD
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sample the tips along a trajectory, which speeds up to its timing and slows down from it smoothly.
 
     A closed trajectory is run through before it counts while it speeds up, and on while it slows down, so that what counts has the
     trajectory's own timing. An open one starts and ends at its ends and counts as a whole.

@@ -1,4 +1,4 @@
-"""How fast a path can be driven: a timing law along it, from what actuators can follow.
+"""Timing law along a path: the largest speed that actuators can follow.
 
     |F'(s)| s' ≤ what motors and regulators change the axial forces by in a second,      |s''|, κ s'² ≤ a = ω_1² δ
 
@@ -32,7 +32,7 @@ IK_DEFAULT = IkSettings()
 
 @dataclass(frozen=True)
 class PaceSettings:
-    """How fast a path is driven whose progress is free.
+    """Limits of the speed along a path whose progress is free.
 
     Attributes:
         reserve: part of what motors and regulators can do that is left to the feedback.
@@ -98,7 +98,7 @@ def retimed(
     speed = gaussian_filter1d(minimum_filter1d(speed, 2 * width + 1, mode=mode), width / 2, mode=mode)
     if not trajectory.closed:
         speed[[0, -1]] = SLOWEST * speed.max()
-    speed = _reached(speed, largest, s[1], trajectory.closed)
+    speed = _limit_acceleration(speed, largest, s[1], trajectory.closed)
     time = np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))])
     last = POINTS if trajectory.closed else POINTS + 1
     return Trajectory(time[:last], curve(s[:last]), trajectory.closed)
@@ -106,7 +106,7 @@ def retimed(
 
 def _by_forces(model: CompiledModel, s: np.ndarray, forces: np.ndarray, settings: PaceSettings, closed: bool) -> np.ndarray:
     """Speeds in m/s, (points,), at which forces (points, actuators) in N along s change as fast as motors and regulators can."""
-    devices, half = Devices.of(model), forces.shape[1]
+    devices, half = Devices.from_model(model), forces.shape[1]
     area, limits = model.values["A"], model.robot.input_max
     middle = limits[half:] / 2
     pushed = np.clip(forces + middle, 0.0, area * limits[:half])
@@ -119,8 +119,8 @@ def _by_forces(model: CompiledModel, s: np.ndarray, forces: np.ndarray, settings
     return (rate / np.maximum(np.abs(slope), 1e-9)).min(axis=1)
 
 
-def _reached(speed: np.ndarray, largest: float, step: float, closed: bool) -> np.ndarray:
-    """Speeds that accelerations up to `largest` in m/s² lead to, forth and back; a closed path goes round twice."""
+def _limit_acceleration(speed: np.ndarray, largest: float, step: float, closed: bool) -> np.ndarray:
+    """Speeds limited to accelerations up to `largest` in m/s², forth and back; a closed path goes round twice."""
     squares = speed**2
     for _ in range(2 if closed else 1):
         for way in (1, -1):

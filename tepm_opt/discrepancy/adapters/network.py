@@ -59,7 +59,7 @@ def _suggest_values(effect: Effect, label: str, clock: np.ndarray, began: np.nda
 
 def candidates(model: Model) -> tuple[Candidate, ...]:
     """All effects that the model does not have yet, one for every detail of those that have one."""
-    layout = Layout.of(model.robot)
+    layout = Layout.from_robot(model.robot)
     every = [candidate(effect.name, detail, layout) for effect in effects() for detail in layout.details(effect.detail) or (None,)]
     present = {effect.label for effect in model.effects}
     return tuple(candidate for candidate in every if candidate.label not in present)
@@ -99,7 +99,7 @@ def with_selected_candidates(model: Model, values: Mapping[str, float], kept: It
     kept = [candidate for candidate in kept if candidate.name != PARAMETER]
     parameters = {name: values[name] for name, nominal in model.robot.parameters.model_dump().items() if values[name] != nominal}
     present = [(effect.name, effect.detail) for effect in model.effects] + [(c.name, c.detail) for c in kept]
-    layout = Layout.of(model.robot)
+    layout = Layout.from_robot(model.robot)
     return replace(model, parameters=parameters, effects=tuple(acting_effect(*each, values, layout) for each in present))
 
 

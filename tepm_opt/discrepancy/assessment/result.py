@@ -16,7 +16,7 @@ from tepm_opt.data.frames import Tabular
 from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.setup.errors import SetupError
-from tepm_opt.solvers.text import html_table, listed, shortened
+from tepm_opt.solvers.text import format_names, html_table, shortened
 
 
 class VerdictStatus(Enum):
@@ -65,7 +65,7 @@ class Named:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Named({self.candidate.label}, probability {self.probability:.3f}, {listed(list(self.parameters))})"
+        return f"Named({self.candidate.label}, probability {self.probability:.3f}, {format_names(list(self.parameters))})"
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ class Verdict(Tabular):
 
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
-        effects = listed([f"{named.candidate.label} {named.probability:.2f}" for named in self.effects], 2)
+        effects = format_names([f"{named.candidate.label} {named.probability:.2f}" for named in self.effects], 2)
         named = f", {shortened(effects, 60)}" if effects else ""
         return f"Verdict({self.status.value}{named}, {self.errors.gap_closed_fraction:.0%} of the gap closed)"
 

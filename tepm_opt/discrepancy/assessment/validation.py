@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.solvers.identify import ParameterEstimate, identify
-from tepm_opt.solvers.parallel import beside
+from tepm_opt.solvers.parallel import run_concurrently
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.start import predictions
 
@@ -77,7 +77,7 @@ def compare_models(
         place = localise(dataset.runs, compared, noise, machine.signals, plant.static, seed, fits.problem.block)
         return recalibrated, place, _predict_black_box(dataset, recalibrated, plant.static)
 
-    (recalibrated, place, bound), (best, points) = beside(predict_recalibrated, predict_corrected, plant.concurrent)
+    (recalibrated, place, bound), (best, points) = run_concurrently(predict_recalibrated, predict_corrected, plant.concurrent)
     return Comparison({"nominal": nominal, "recalibrated": recalibrated, "corrected": points}, bound, place, best)
 
 

@@ -15,7 +15,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.preparation.settings import DEFAULT, PreparationSettings
 from tepm_opt.solvers.residuals import Residual
-from tepm_opt.solvers.text import listed, quantity
+from tepm_opt.solvers.text import format_names, quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,4 +205,8 @@ def _describe_loud_coordinates(found: NoiseEstimate, signals: Signals) -> list[s
     typical = float(np.nanmedian(found.levels)) if np.isfinite(found.levels).any() else np.inf
     columns = [f"{point} {axis}".strip() for point in signals.points for axis in signals.axes]
     more = [(level / typical, name) for level, name in zip(found.levels.ravel(), columns, strict=True) if level > 1.5 * typical]
-    return [f"Noise: {listed([name for _, name in more])} scatter by up to {max(more)[0]:.2g} times as much as the others."] if more else []
+    return (
+        [f"Noise: {format_names([name for _, name in more])} scatter by up to {max(more)[0]:.2g} times as much as the others."]
+        if more
+        else []
+    )

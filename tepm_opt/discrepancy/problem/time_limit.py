@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.text import listed
+from tepm_opt.solvers.text import format_names
 
 
 class TimeLimitError(PredictionError):
@@ -62,10 +62,10 @@ class TimeLimit:
     @property
     def remark(self) -> str:
         """Sentences about what was left out."""
-        names = listed(list(dict.fromkeys(effect.full_label for effects in self.untried for effect in effects)), 5)
+        names = format_names(list(dict.fromkeys(effect.full_label for effects in self.untried for effect in effects)), 5)
         sets = "one set" if len(self.untried) == 1 else f"{len(self.untried)} sets"
         left = [f"{sets} of effects unfitted, with {names}"] if self.untried else []
-        left += [f"undone: {listed(list(self.skipped), 3)}"] if self.skipped else []
+        left += [f"undone: {format_names(list(self.skipped), 3)}"] if self.skipped else []
         return (
             f"Time: the search ended after {self.minutes:g} minutes and left {'; '.join(left)}. "
             "Nothing of that is ruled out; the same command with more minutes goes on from there."

@@ -24,7 +24,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.text import listed, shortened
+from tepm_opt.solvers.text import format_names, shortened
 
 Effects = tuple[Candidate, ...]
 
@@ -70,7 +70,7 @@ class Hypothesis:
 
 def labels(hypothesis: Hypothesis) -> str:
     """Short text with the effects of a hypothesis."""
-    return listed([effect.full_label for effect in hypothesis.effects], 3) or "no effect"
+    return format_names([effect.full_label for effect in hypothesis.effects], 3) or "no effect"
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.shape_suggestions import apply_suggested_shapes
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
 from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import beside, in_parallel
+from tepm_opt.solvers.parallel import in_parallel, run_concurrently
 from tepm_opt.solvers.plant import Free, PredictionError
 from tepm_opt.solvers.residuals import Residual
 
@@ -151,7 +151,7 @@ def linearise(
     def probes() -> list[list[Residual] | None]:
         return in_parallel(lambda c: simulate_probe(estimate, c.probes[0]), variants, threads=threads)
 
-    simulated, changed = beside(slopes, probes, threads)
+    simulated, changed = run_concurrently(slopes, probes, threads)
     telling = _select_probes(estimate, simulated, [(c, found) for c, found in zip(variants, changed, strict=True) if found is not None])
     columns = {name: k for k, name in enumerate((*names, *(c.label for c, _ in telling)))}
     cells: list[Cell] = []

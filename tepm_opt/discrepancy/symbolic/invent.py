@@ -154,7 +154,7 @@ def _fit_and_judge(
     nominal, values = known.robot.parameters.model_dump(), fitted.plant.values
     changed = {name: value for name, value in values.items() if name in nominal and value != nominal[name]}
     every = [*((effect.name, effect.detail) for effect in known.effects), (written.name, None)]
-    effects = tuple(acting_effect(name, detail, values, Layout.of(known.robot)) for name, detail in every)
+    effects = tuple(acting_effect(name, detail, values, Layout.from_robot(known.robot)) for name, detail in every)
     runs = judged or estimate.problem.runs
     errors = error_on(estimate, runs), error_on(fitted, runs)
     beyond = tuple(find_extrapolations(fitted, made, formula, judged, settings))

@@ -106,7 +106,7 @@ def point_responses(
             inputs[:, at, : layout.inputs // 2] = place.columns(course) / model.values["A"]
         else:
             loads[:, at] = place.columns(course)
-    theta = np.vstack([Directions.of(model, free).parameters, np.zeros((ends[-1] - len(free), len(model.theta)))])
+    theta = np.vstack([Directions.from_names(model, free).parameters, np.zeros((ends[-1] - len(free), len(model.theta)))])
     found = _responses_along(course, theta, inputs, loads, settings.sample_spacing)
     known = {p: found[:, end - p.size : end] for p, end in zip(acting, ends[1:], strict=True)}
     known |= {place: np.sum([known[p] for p in acting if p.kind == "axial" and p.of == place.of], axis=0) for place in summed}
@@ -130,7 +130,7 @@ def _responses_along(course: Course, theta: np.ndarray, inputs: np.ndarray, load
         return np.moveaxis(_simulate_run(model, course.run, step, directions).sensitivities, 0, 1)
     rows, found = np.eye(3 * layout.points, 3 * layout.points + layout.inputs // 2), []
     for k, held in enumerate(_equilibria(model, course.run)):
-        _, by_u, by_load, by_theta = model.statics.sensitivity(held.x, held.inputs, False, held.loads.ravel(), model.theta, rows, True)
+        _, by_u, by_load, by_theta = model.statics.sensitivity(held.x, held.load_case, rows, True)
         along = theta @ np.asarray(by_theta).T + inputs[k] @ by_u.T + loads[k].reshape(len(theta), -1) @ by_load.T
         found.append(along.reshape(len(theta), layout.points, 3))
     return np.stack(found)
@@ -162,7 +162,9 @@ def normal_equations_by_place(
 
 def _columns(run: Run, residual: Residual, course: Course, by: np.ndarray, noise: float | np.ndarray) -> np.ndarray:
     """Change of a run's residuals, (coordinates, columns), from that of the points at the samples of the pass."""
-    return Residual.of(run, np.zeros_like(residual.values), by.swapaxes(0, 1), noise, None if course.static else course.time).by
+    return Residual.from_prediction(
+        run, np.zeros_like(residual.values), by.swapaxes(0, 1), noise, None if course.static else course.time
+    ).by
 
 
 def _normal(residual: Residual, columns: np.ndarray) -> Normal:

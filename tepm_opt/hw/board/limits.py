@@ -187,7 +187,7 @@ def _common_band(robot: Robot, lines: Calibration, limits: Limits) -> int:
     off = np.abs(max(zero, 0) + slope * np.maximum(codes - first, 0) - own).max(axis=0)
     rounding = 0.5 * limits.monitor_per_code / 256 + 0.5 * protocol.DAC_CODES / 256 + 1.5  # of code_zero, monitor_per_code, the rest
     room = (limits.monitor_trip - own[-1]) / lines.monitor / robot.actuation.pressure_max_Pa
-    names, mend = Layout.of(robot).actuator_names, "adjust zero and span at the regulators, or calibrate anew"
+    names, mend = Layout.from_robot(robot).actuator_names, "adjust zero and span at the regulators, or calibrate anew"
     if (off > OFF_LINE_PA * lines.monitor).any():
         worst = int(np.argmax(off / lines.monitor))
         far, most = 1e-3 * off[worst] / lines.monitor[worst], 1e-3 * OFF_LINE_PA

@@ -110,7 +110,7 @@ class SerialRig:
         tendons: Tendons = "tension",
         start: float = 5.0,
     ) -> None:
-        self.robot, self.layout = robot, Layout.of(robot)
+        self.robot, self.layout = robot, Layout.from_robot(robot)
         self._calibration = Calibration.of(robot)
         self._count = self.layout.inputs // 2
         self._tracker, self._clock, self._tendons = tracker, clock, tendons

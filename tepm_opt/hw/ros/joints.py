@@ -21,7 +21,7 @@ class RodChain:
     """
 
     def __init__(self, robot: Robot) -> None:
-        layout, mount = Layout.of(robot), robot.mount
+        layout, mount = Layout.from_robot(robot), robot.mount
         centres = layout.rest_positions(robot.parameters.r, robot.parameters.L_0).mean(axis=1)
         self.points = layout.point_names
         self.joints = tuple(f"{point}_{axis}" for point in self.points for axis in AXES)

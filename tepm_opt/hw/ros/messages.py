@@ -82,7 +82,7 @@ class RunMessages:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self._chain, actuators = RodChain(robot), ", ".join(Layout.of(robot).actuator_names)
+        self._chain, actuators = RodChain(robot), ", ".join(Layout.from_robot(robot).actuator_names)
         self._labels = f"Pa: {actuators}", f"N: {actuators}"
 
     def of_sample(self, sample: Sample, stamp: float) -> dict[str, Message]:

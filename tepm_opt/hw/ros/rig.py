@@ -46,7 +46,7 @@ class RosRig:
     simulated = None
 
     def __init__(self, address: str, robot: Robot) -> None:
-        self.robot, self._layout = robot, Layout.of(robot)
+        self.robot, self._layout = robot, Layout.from_robot(robot)
         host, port = parse_address(address)
         options: dict[str, bool | int | float | str] = {"type": "PoseArray", "topic": POINTS}
         own = TrackerLink(

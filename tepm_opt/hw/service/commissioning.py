@@ -246,7 +246,7 @@ class Commissioning:
             yield not_yet("dynamometers", "needs a robot file with [hardware].")
             yield not_yet("pressure monitors", "needs a robot file with [hardware].")
         else:
-            names, calibration = Layout.of(self._found).actuator_names, Calibration.of(self._found)
+            names, calibration = Layout.from_robot(self._found).actuator_names, Calibration.of(self._found)
             yield checks.dynamometers(names, status.dynamometers, calibration)
             yield checks.monitors(names, status.monitors, calibration, self._hello)
         on = [str(k + 1) for k in range(CHANNELS) if status.enabled & ~POSITION_MODE & 1 << k]
@@ -265,7 +265,7 @@ class Commissioning:
         try:
             tracker.first()
             yield right(name, f"{link.host}:{link.port} sends {', '.join(link.devices)}.")
-            yield checks.sensors(tracker, Layout.of(self._found).point_names)
+            yield checks.sensors(tracker, Layout.from_robot(self._found).point_names)
         except InputError as error:
             yield wrong(name, f"{error}.", "start PlusServer, see that its devices have these names, and that no firewall is between")
         finally:

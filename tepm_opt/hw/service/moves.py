@@ -45,7 +45,7 @@ class Single:
     @property
     def name(self) -> str:
         """Name of the actuator."""
-        return Layout.of(self.robot).actuator_names[self.actuator]
+        return Layout.from_robot(self.robot).actuator_names[self.actuator]
 
     @property
     def most(self) -> float:

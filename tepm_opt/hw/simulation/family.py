@@ -75,7 +75,7 @@ def random_machine(robot: str, seed: int, number: int) -> RigFile:
         InputError: as for `load_robot`.
     """
     known, base, random = load_robot(robot), load_rig_file(DEFAULT), np.random.default_rng([seed, number])
-    names = Layout.of(known).actuator_names
+    names = Layout.from_robot(known).actuator_names
     drawn = {name: float(random.uniform(each.low, each.high)) for name, each in VARIED.items()}
     losses = random.uniform(VARIED["loss"].low, VARIED["loss"].high, len(names))
     machine = base.model_copy(

@@ -19,7 +19,7 @@ def machine_of(file: RigFile) -> Machine:
     """
     engine = file.simulation.engine
     if engine != "mujoco":
-        built = library(Layout.of(file.nominal))
+        built = library(Layout.from_robot(file.nominal))
         try:
             if built is not None:
                 return CompiledMachine(file, built)

@@ -50,7 +50,7 @@ class SimulatedRig:
     def __init__(self, file: RigFile | str | Path = DEFAULT, wait: Callable[[float], None] = lambda _: None, watched: bool = True) -> None:
         self.file = file if isinstance(file, RigFile) else load_rig_file(file)
         self.robot = self.file.nominal
-        self.layout = Layout.of(self.robot)
+        self.layout = Layout.from_robot(self.robot)
         self.time = 0.0
         self.machine = machine_of(self.file)
         self._distortions = [item for item in self.machine.imperfections.values() if type(item).measure is not Imperfection.measure]

@@ -60,7 +60,7 @@ def fitted(file: RigFile, robot: Robot) -> RigFile:
 
 def _imperfections(imperfections: Imperfections, own: Robot, robot: Robot, ratios: Ratios) -> Imperfections:
     """Those that do something, scaled and dealt out anew."""
-    names = Layout.of(own).actuator_names, Layout.of(robot).actuator_names
+    names = Layout.from_robot(own).actuator_names, Layout.from_robot(robot).actuator_names
     changed: list[Imperfection] = []
     for item in imperfections.active.values():
         mine = ratios

@@ -27,7 +27,7 @@ KERNEL_FLAGS = ("-O1", *_ALLOCATION, *FLAGS[1:])
 
 @dataclass(frozen=True)
 class Unit:
-    """What is compiled together: kernels, sizes and index arrays, and the loops around them.
+    """Parts that are compiled together: kernels, sizes and index arrays, and the loops around them.
 
     Attributes:
         kernels: CasADi functions; of a Jacobian `<name>_by` the C text also gets `<name>_by_nnz`, `…_row` and `…_col`.

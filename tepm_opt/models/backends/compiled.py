@@ -18,15 +18,14 @@ from tepm_opt.models.backends.interface import (
     SHARED,
     STATUSES,
     Allotment,
-    Drive,
-    Effort,
+    InverseNewton,
     InverseProblem,
+    LoadCase,
     Pose,
-    Record,
-    Scheme,
     Solution,
     Status,
 )
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Record, Scheme
 from tepm_opt.models.backends.step_control import STEP_CONTROL
 from tepm_opt.models.dynamics import Dynamics
 from tepm_opt.models.effect import BEGAN, CLOCK
@@ -142,59 +141,55 @@ class CompiledStatics:
             raise MemoryError("no room for the effective actuation")
         return array["a"].copy()
 
-    def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
-    ) -> Solution:
+    def statics(self, x: np.ndarray, case: LoadCase, tolerance: float, max_iterations: int) -> Solution:
         """See `StaticsBackend.statics`."""
         array, at = self._arrays.array, self._arrays.address
-        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
-        status = self._statics(at["x"], at["u"], mapped, at["external"], at["theta"], tolerance, max_iterations, at["observed"], at["info"])
+        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, case.u, case.external, case.theta
+        status = self._statics(
+            at["x"], at["u"], case.mapped, at["external"], at["theta"], tolerance, max_iterations, at["observed"], at["info"]
+        )
         return Solution(STATUSES[status], array["x"].copy(), array["observed"].copy(), *array["info"].tolist())
 
     def sensitivity(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, by_theta: bool
     ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
         """See `StaticsBackend.sensitivity`."""
         array, at, rows = self._arrays.array, self._arrays.address, len(weights)
-        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
+        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, case.u, case.external, case.theta
         array["weights"][:rows] = weights
         status = self._sensitivity(
-            at["x"], at["u"], mapped, at["external"], at["theta"], rows, at["weights"],
+            at["x"], at["u"], case.mapped, at["external"], at["theta"], rows, at["weights"],
             at["by_u"], at["by_external"], at["by_theta"] if by_theta else None,
         )  # fmt: skip
         gradient = array["by_theta"][:rows].copy() if by_theta else None
         return STATUSES[status], array["by_u"][:rows].copy(), array["by_external"][:rows].copy(), gradient
 
-    def matrices(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def matrices(self, x: np.ndarray, case: LoadCase) -> tuple[np.ndarray, np.ndarray]:
         """See `StaticsBackend.matrices`; the storage is column by column, as LAPACK has it."""
         array, at = self._arrays.array, self._arrays.address
-        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, u, external, theta
-        self._matrices(at["x"], at["u"], mapped, at["external"], at["theta"], at["stiffness"], at["damping"])
+        array["x"][:], array["u"][:], array["external"][:], array["theta"][:] = x, case.u, case.external, case.theta
+        self._matrices(at["x"], at["u"], case.mapped, at["external"], at["theta"], at["stiffness"], at["damping"])
         return array["stiffness"].copy().T, array["damping"].copy().T
 
     def inverse(
-        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, targets: np.ndarray, newton: InverseNewton
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:
         """See `StaticsBackend.inverse`."""
         array, at, half = self._arrays.array, self._arrays.address, len(targets)
-        array["x"][:], array["a"][:half], array["a"][half:] = x, pressures, 0.0
-        array["external"][:], array["theta"][:], array["weights"][:half], array["targets"][:] = external, theta, weights, targets
+        array["x"][:], array["a"][:half], array["a"][half:] = x, case.u[:half], 0.0
+        array["external"][:], array["theta"][:], array["weights"][:half], array["targets"][:] = case.external, case.theta, weights, targets
         status = self._inverse(
             at["x"], at["a"], at["external"], at["theta"], at["weights"], at["targets"],
-            max_step, target_tolerance, tolerance, max_iterations, at["info"],
+            newton.max_step, newton.target_tolerance, newton.tolerance, newton.max_iterations, at["info"],
         )  # fmt: skip
         return STATUSES[status], array["x"].copy(), array["a"][:half].copy(), int(array["info"][0])
 
     def response(
-        self, x: np.ndarray, actuation: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray,
-        tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, tolerance: float, max_iterations: int
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:
         """See `StaticsBackend.response`."""
         array, at, rows = self._arrays.array, self._arrays.address, len(weights)
-        array["x"][:], array["a"][:], array["external"][:], array["theta"][:] = x, actuation, external, theta
+        array["x"][:], array["a"][:], array["external"][:], array["theta"][:] = x, case.u, case.external, case.theta
         array["weights"][:rows] = weights
         status = self._response(
             at["x"], at["a"], at["external"], at["theta"], rows, at["weights"], tolerance, max_iterations,
@@ -293,9 +288,8 @@ class CompiledTimeStepper:
         return state, tangents
 
     def integrate(
-        self, state: tuple[np.ndarray, np.ndarray], drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray,
-        record: Record,
-    ) -> tuple[Status, Effort]:  # fmt: skip
+        self, state: tuple[np.ndarray, np.ndarray], drive: Drive, first: int, last: int, scheme: Scheme, record: Record
+    ) -> tuple[Status, Effort]:
         """See `TimeStepper.integrate`."""
         carried, tangents = state
         directions, groups, samples = len(drive.d_theta), tangents.shape[1], len(drive.time)
@@ -306,7 +300,7 @@ class CompiledTimeStepper:
         info = np.zeros(7)
         status = self._integrate(
             scheme.kind, drive.hold, first, last, samples, time.ctypes.data, rows.ctypes.data, scheme.step, scheme.error, scheme.smooth,
-            scheme.tolerance, MAX_CORRECTION, theta.ctypes.data, carried.ctypes.data, record.observed.ctypes.data,
+            scheme.tolerance, MAX_CORRECTION, drive.theta.ctypes.data, carried.ctypes.data, record.observed.ctypes.data,
             record.trajectory.ctypes.data, groups, d_theta.ctypes.data, None if d_rows is None else d_rows.ctypes.data,
             tangents.ctypes.data, d_observed.ctypes.data, drive.knots.ctypes.data, len(drive.knots), info.ctypes.data,
         )  # fmt: skip

@@ -1,18 +1,15 @@
-"""What the backends take and leave, whichever does it: statuses, constants, arguments and results."""
+"""Interface of the backends of statics in C and in Python, with statuses and constants of all backends."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from tepm_opt.outcome import Ending
-
-if TYPE_CHECKING:
-    from tepm_opt.models.dynamics import Dynamics
 
 LANES = 4
 """Doubles in a vector of the C: segments or directions that go through a kernel together."""
@@ -44,7 +41,7 @@ IMPLICIT, EXPLICIT, MODES, GUARDS = 0, 1, 10, 4  # schemes; modes of the slow mo
 
 
 class Status(IntEnum):
-    """How a call of a backend ended."""
+    """Status with which a call of a backend ended."""
 
     SOLVED = 0
     UNSTABLE = 1
@@ -89,11 +86,27 @@ SHARED: Mapping[str, float] = {
     "STAGE_ITERATIONS": STAGE_ITERATIONS, "MAX_HALVINGS": MAX_HALVINGS, "IMPLICIT": IMPLICIT, "EXPLICIT": EXPLICIT,
     **{status.name: status.value for status in Status},
 }  # fmt: skip
-"""What the C is told as macros."""
+"""Constants that the C gets as macros."""
+
+
+class LoadCase(NamedTuple):
+    """Inputs, forces and parameters under which a network is in equilibrium.
+
+    Attributes:
+        u: inputs, (inputs,) in Pa and N.
+        mapped: whether `u` is already the effective actuation behind the effects' input maps.
+        external: forces on the points in G, (3 · points,) in N.
+        theta: parameters, (parameters,) in SI.
+    """
+
+    u: np.ndarray
+    mapped: bool
+    external: np.ndarray
+    theta: np.ndarray
 
 
 class Solution(NamedTuple):
-    """What `StaticsBackend.statics` returns: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
+    """Result of `StaticsBackend.statics`: status, levels (n + 1, block), observations (points in G, then lengths), iterations,
     largest residual force in N, energy in J."""
 
     status: Status
@@ -106,7 +119,7 @@ class Solution(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Allotment:
-    """How axial forces become inputs, F_a = p A − λ (Eq. (3)), through the effects' input maps.
+    """Rule by which axial forces become inputs, F_a = p A − λ (Eq. (3)), through the effects' input maps.
 
     Attributes:
         area: A in m².
@@ -123,9 +136,26 @@ class Allotment:
     fine: bool
 
 
+@dataclass(frozen=True)
+class InverseNewton:
+    """Step and tolerances of Newton's method on levels and pressures together.
+
+    Attributes:
+        max_step: largest change of a pressure in a step in Pa; steps beyond it are shortened.
+        target_tolerance: of the sums in m.
+        tolerance: of the forces in N.
+        max_iterations: most iterations.
+    """
+
+    max_step: float
+    target_tolerance: float
+    tolerance: float
+    max_iterations: int
+
+
 @dataclass(frozen=True, eq=False)
 class InverseProblem:
-    """What the inverse kinematics of many targets have in common; one that has as many weighted sums as actuators.
+    """Problem that the inverse kinematics of many targets have in common, with as many weighted sums as actuators.
 
     Attributes:
         external: forces on the points in G, (3 · points,) in N.
@@ -171,93 +201,71 @@ class Pose(NamedTuple):
 
 
 class StaticsBackend(Protocol):
-    """What a backend offers; arrays are float64 and C-contiguous, levels x have the shape (n + 1, block)."""
+    """Backend of statics and inverse kinematics; arrays are float64 and C-contiguous, levels x have the shape (n + 1, block)."""
 
     def actuation(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Effective actuation a = [pressures, tensions] behind the effects' input maps."""
         ...
 
-    def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
-    ) -> Solution:
+    def statics(self, x: np.ndarray, case: LoadCase, tolerance: float, max_iterations: int) -> Solution:
         """Equilibrium from a start, under inputs and external forces.
 
         Args:
             x: levels to start from, (n + 1, block) in m.
-            u: inputs, (inputs,) in Pa and N.
-            mapped: whether `u` is already the effective actuation behind the effects' input maps.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: inputs, forces and parameters.
             tolerance: largest residual force of a solution in N.
             max_iterations: of Newton's method.
         """
         ...
 
     def sensitivity(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, by_theta: bool
     ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
         """Status, and gradients of weighted observations by u, external forces and parameters (None without `by_theta`), (rows, …) each.
 
         Args:
             x: levels of an equilibrium, (n + 1, block) in m.
-            u: inputs, (inputs,) in Pa and N.
-            mapped: whether `u` is already the effective actuation behind the effects' input maps.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: inputs, forces and parameters.
             weights: of the observations (points in G, then lengths), (rows, 3 · points + lengths).
             by_theta: whether to differentiate by the parameters, too.
         """
         ...
 
-    def matrices(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def matrices(self, x: np.ndarray, case: LoadCase) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness in N/m and damping matrix in N s/m of the free levels in lower banded storage, (2 · block, n · block) each.
 
         Args:
             x: levels at which to evaluate, (n + 1, block) in m.
-            u: inputs, (inputs,) in Pa and N.
-            mapped: whether `u` is already the effective actuation behind the effects' input maps.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: inputs, forces and parameters.
         """
         ...
 
     def inverse(
-        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, targets: np.ndarray, newton: InverseNewton
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:
         """Status, levels, effective pressures (tensions are 0) and iterations at which weighted observations have their targets.
 
         Newton on levels and pressures together, from a start nearby.
 
         Args:
             x: levels to start from, (n + 1, block) in m.
-            pressures: effective ones to start from, (actuators,) in Pa.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters.
+            case: mapped, with effective pressures to start from; its tensions are not looked at.
             weights: of the observations (points in G, then lengths) in as many sums as actuators, (actuators, observations).
             targets: of the sums, (actuators,).
-            max_step: largest change of a pressure in a step in Pa; steps beyond it are shortened.
-            target_tolerance: of the sums in m.
-            tolerance: of the forces in N.
-            max_iterations: of Newton's method.
+            newton: step and tolerances.
         """
         ...
 
     def response(
-        self, x: np.ndarray, actuation: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray,
-        tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, tolerance: float, max_iterations: int
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:
         """Status, levels and observations in equilibrium, and the derivatives of weighted observations by the actuation, (rows, inputs).
 
         `statics` and `sensitivity` in one call; there are no derivatives where the status is not SOLVED.
 
         Args:
             x: levels to start from, (n + 1, block) in m.
-            actuation: effective actuation, (inputs,) in Pa and N.
-            external: forces on the points in G, (3 · points,) in N.
-            theta: parameters, (parameters,) in SI.
+            case: mapped.
             weights: of the observations (points in G, then lengths), (rows, 3 · points + lengths).
             tolerance: largest residual force of a solution in N.
             max_iterations: of Newton's method.
@@ -286,115 +294,5 @@ class StaticsBackend(Protocol):
             x: levels to start from, (n + 1, block) in m.
             actuation: effective actuation to start from, (inputs,); its tensions are 0.
             cold: whether to bring levels into equilibrium under the actuation before.
-        """
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """What moves a network over time, and the directions in which to differentiate.
-
-    Attributes:
-        time: of the samples in s, increasing, (samples,).
-        rows: inputs u and external forces on the points in G, (samples, inputs + 3 · points).
-        hold: whether a row holds until the next sample, instead of changing linearly.
-        d_theta: changes of the parameters, (directions, parameters).
-        d_rows: changes of the rows, (samples, directions, inputs + 3 · points); None for none.
-        knots: times in s at which adaptive steps end, as the rows jump or bend there, increasing.
-    """
-
-    time: np.ndarray
-    rows: np.ndarray
-    hold: bool
-    d_theta: np.ndarray
-    d_rows: np.ndarray | None = None
-    knots: np.ndarray = field(default_factory=lambda: np.zeros(0))
-
-    def __repr__(self) -> str:
-        return f"Drive({len(self.time)} samples, {'held' if self.hold else 'linear'}, {len(self.d_theta)} directions)"
-
-
-@dataclass(frozen=True)
-class Scheme:
-    """How to step in time.
-
-    Attributes:
-        kind: IMPLICIT or EXPLICIT.
-        step: longest step in s; 0 where steps adapt.
-        error: of the nodes in m at which adaptive steps aim.
-        smooth: whether the order of the scheme can be relied on for estimates; else adaptive steps count on order 1.
-        tolerance: of Newton's residuals in N, at which its iterations end in any case.
-    """
-
-    kind: int
-    step: float
-    error: float = 0.0
-    smooth: bool = True
-    tolerance: float = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """What a time stepper leaves at the samples.
-
-    Attributes:
-        observed: points in G, then lengths, (samples, 3 · points + lengths) in m.
-        trajectory: levels in m and their velocities in m/s, (samples, 2, n + 1, block).
-        d_observed: the observed along each direction, (samples, 3 · points + lengths, directions).
-    """
-
-    observed: np.ndarray
-    trajectory: np.ndarray
-    d_observed: np.ndarray
-
-    def __repr__(self) -> str:
-        return f"Record({len(self.observed)} samples, {self.d_observed.shape[-1]} directions)"
-
-    @staticmethod
-    def empty(dynamics: Dynamics, samples: int, directions: int) -> Record:
-        """A record filled with NaN."""
-        layout = dynamics.layout
-        observed = 3 * layout.points + layout.inputs // 2
-        shapes = (samples, observed), (samples, 2, layout.levels + 1, layout.block), (samples, observed, directions)
-        return Record(*(np.full(shape, np.nan) for shape in shapes))
-
-
-@dataclass
-class Effort:
-    """What a time stepper took: steps, Newton iterations, factorisations, halved steps, time reached in s; of adaptive steps the
-    estimated error in m so far; the longest step in s."""
-
-    steps: float = 0
-    iterations: float = 0
-    factors: float = 0
-    halvings: float = 0
-    reached: float = 0
-    error: float = 0
-    longest: float = 0
-
-
-class TimeStepper(Protocol):
-    """What a backend offers."""
-
-    dynamics: Dynamics
-
-    def start(self, x: np.ndarray, directions: int) -> Any:
-        """State at rest in an equilibrium x, (n + 1, block)."""
-        ...
-
-    def integrate(
-        self, state: Any, drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray, record: Record
-    ) -> tuple[Status, Effort]:
-        """Move the state from one sample to a later one; returns status and effort.
-
-        Rows first + 1 … last are recorded, and row 0 when `first` is 0.
-
-        Args:
-            state: what `start` or the last call has left; changed in place.
-            drive: inputs and forces at all samples, and the directions.
-            first, last: numbers of the samples, from 0.
-            scheme: how to step.
-            theta: parameters, (parameters,) in SI; where effects ask what time it is, the clock is that of each moment, `began` as given.
-            record: what is filled.
         """
         ...

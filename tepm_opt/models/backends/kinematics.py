@@ -12,7 +12,9 @@ from tepm_opt.models.backends.interface import (
     SEED_STEPS,
     SEED_TOLERANCE,
     Allotment,
+    InverseNewton,
     InverseProblem,
+    LoadCase,
     Pose,
     Status,
 )
@@ -24,38 +26,39 @@ class PythonKinematics(PythonStatics):
     """Reference backend, statics and inverse kinematics."""
 
     def inverse(
-        self, x: np.ndarray, pressures: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, targets: np.ndarray,
-        max_step: float, target_tolerance: float, tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, int]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, targets: np.ndarray, newton: InverseNewton
+    ) -> tuple[Status, np.ndarray, np.ndarray, int]:
         """See `StaticsBackend.inverse`."""
-        layout, a = self.network.layout, np.concatenate([pressures, np.zeros(len(pressures))])
-        for iteration in range(max_iterations):
-            _, P, level_0 = self.prepare(a, True, external, theta)
+        layout, theta, half = self.network.layout, case.theta, len(targets)
+        a = np.concatenate([case.u[:half], np.zeros(half)])
+        case = LoadCase(a, True, case.external, theta)  # which follows a
+        for iteration in range(newton.max_iterations):
+            _, P, level_0 = self.prepare(*case)
             x = np.concatenate([level_0[None], x[1:]])
             at = self.assemble(x, P, theta)
             try:
                 factor = sla.cholesky_banded(at.band, lower=True)
             except np.linalg.LinAlgError:
-                return Status.INDEFINITE, x, a[: len(pressures)], iteration
+                return Status.INDEFINITE, x, a[:half], iteration
             errors = weights @ self.observe(x, theta) - targets
-            if np.abs(errors).max() < target_tolerance and np.abs(at.force).max() < tolerance:
-                return Status.SOLVED, x, a[: len(pressures)], iteration
+            if np.abs(errors).max() < newton.target_tolerance and np.abs(at.force).max() < newton.tolerance:
+                return Status.SOLVED, x, a[:half], iteration
             if not np.abs(errors).max() < 1e3:
-                return Status.STALLED, x, a[: len(pressures)], iteration
-            by_a = self.sensitivity(x, a, True, external, theta, weights, False)[1]
+                return Status.STALLED, x, a[:half], iteration
+            by_a = self.sensitivity(x, case, weights, False)[1]
             settled = np.zeros_like(x)
             settled[1:] = sla.cho_solve_banded((factor, True), at.force.ravel()).reshape(at.force.shape)
             settling = np.array([self._directional(x, theta, weight, settled) for weight in weights])
             try:
-                change = np.linalg.solve(by_a[:, : len(pressures)], settling - errors)
+                change = np.linalg.solve(by_a[:, :half], settling - errors)
             except np.linalg.LinAlgError:
-                return Status.STALLED, x, a[: len(pressures)], iteration
-            a[: len(pressures)] += change * min(1.0, max_step / np.abs(change).max())
-            force = self.assemble(x, self.prepare(a, True, external, theta)[1], theta).force
+                return Status.STALLED, x, a[:half], iteration
+            a[:half] += change * min(1.0, newton.max_step / np.abs(change).max())
+            force = self.assemble(x, self.prepare(*case)[1], theta).force
             step = np.zeros((layout.levels + 1, layout.block))
             step[1:] = -sla.cho_solve_banded((factor, True), force.ravel()).reshape(force.shape)
             x = move(x, step)
-        return Status.EXHAUSTED, x, a[: len(pressures)], max_iterations
+        return Status.EXHAUSTED, x, a[:half], newton.max_iterations
 
     def _directional(self, x: np.ndarray, theta: np.ndarray, weight: np.ndarray, direction: np.ndarray) -> float:
         """Change of a weighted sum of the observations when the levels move in a direction."""
@@ -64,14 +67,13 @@ class PythonKinematics(PythonStatics):
         return float(by_x.ravel() @ direction.ravel())
 
     def response(
-        self, x: np.ndarray, actuation: np.ndarray, external: np.ndarray, theta: np.ndarray, weights: np.ndarray,
-        tolerance: float, max_iterations: int,
-    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, tolerance: float, max_iterations: int
+    ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray]:
         """See `StaticsBackend.response`."""
-        found = self.statics(x, actuation, True, external, theta, tolerance, max_iterations)
+        found = self.statics(x, case, tolerance, max_iterations)
         if found.status != Status.SOLVED:
-            return found.status, found.x, found.observed, np.zeros((len(weights), len(actuation)))
-        status, by_a, _, _ = self.sensitivity(found.x, actuation, True, external, theta, weights, False)
+            return found.status, found.x, found.observed, np.zeros((len(weights), len(case.u)))
+        status, by_a, _, _ = self.sensitivity(found.x, case, weights, False)
         return status, found.x, found.observed, by_a
 
     def allocate(self, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -82,10 +84,10 @@ class PythonKinematics(PythonStatics):
             inputs[:half] = on_grid(inputs, allotment.grid, allotment.limit)[:half]
             self._correct(inputs, forces, allotment, theta, slice(half, None), -1.0)
         rounded = on_grid(inputs, allotment.grid, allotment.limit)
-        return inputs, rounded, float(np.abs(self._missing(inputs, forces, allotment, theta)).max())
+        return inputs, rounded, float(np.abs(self._compute_missing_forces(inputs, forces, allotment, theta)).max())
 
-    def _missing(self, inputs: np.ndarray, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> np.ndarray:
-        """Axial forces that the inputs miss in N."""
+    def _compute_missing_forces(self, inputs: np.ndarray, forces: np.ndarray, allotment: Allotment, theta: np.ndarray) -> np.ndarray:
+        """Axial forces in N that the inputs do not make, (actuators,)."""
         effective, half = self.actuation(inputs, theta), len(forces)
         return forces - (allotment.area * effective[:half] - effective[half:])
 
@@ -93,7 +95,7 @@ class PythonKinematics(PythonStatics):
         """Change one part of the inputs in place, within limits, until the forces are met or nothing moves."""
         boost, before = np.ones(len(forces)), np.full(len(forces), np.inf)
         for _ in range(ALLOCATION_STEPS):
-            missing = self._missing(inputs, forces, allotment, theta)
+            missing = self._compute_missing_forces(inputs, forces, allotment, theta)
             if np.abs(missing).max() < ALLOCATION_PRECISION:
                 return
             unanswered = (np.abs(missing) > 0.9 * np.abs(before)) & (np.sign(missing) == np.sign(before))  # what was overshot did answer
@@ -109,17 +111,15 @@ class PythonKinematics(PythonStatics):
         self, problem: InverseProblem, targets: np.ndarray, x: np.ndarray, actuation: np.ndarray, cold: bool
     ) -> tuple[list[Pose], Status]:
         """See `StaticsBackend.configurations`; takes one a call."""
-        half, area, fixed = len(problem.weights), problem.allotment.area, (problem.external, problem.theta)
+        half, area, case = len(problem.weights), problem.allotment.area, LoadCase(actuation, True, problem.external, problem.theta)
         if cold:
-            seed = self.statics(x, actuation, True, *fixed, SEED_TOLERANCE, SEED_STEPS)
+            seed = self.statics(x, case, SEED_TOLERANCE, SEED_STEPS)
             if seed.status != Status.SOLVED:
                 return [], seed.status
             x = seed.x
         sums = np.concatenate([targets[0], np.zeros(half - 3)])
-        status, x, pressures, steps = self.inverse(
-            x, actuation[:half], *fixed, problem.weights, sums,
-            problem.max_step / area, problem.tolerance, problem.force_tolerance, problem.max_iterations,
-        )  # fmt: skip
+        newton = InverseNewton(problem.max_step / area, problem.tolerance, problem.force_tolerance, problem.max_iterations)
+        status, x, pressures, steps = self.inverse(x, case, problem.weights, sums, newton)
         if status != Status.SOLVED:
             return [], status
         observed, forces = self.observe(x, problem.theta), area * pressures
@@ -129,6 +129,6 @@ class PythonKinematics(PythonStatics):
         if room < -LIMIT_SLACK:
             return [], Status.BEYOND
         effective = np.concatenate([pressures, actuation[half:]])
-        force = self.assemble(x, self.prepare(effective, True, *fixed)[1], problem.theta).force
+        force = self.assemble(x, self.prepare(*case._replace(u=effective))[1], problem.theta).force
         inputs, rounded, missed = self.allocate(forces, problem.allotment, problem.theta)
         return [Pose(x, effective, observed, inputs, rounded, steps, float(np.abs(force).max()), missed, room)], Status.SOLVED

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.models.backends.interface import JUMP_TIME, Record, Status
+from tepm_opt.models.backends.interface import JUMP_TIME, Status
+from tepm_opt.models.backends.motion_interface import Record
 from tepm_opt.models.backends.motion_run import Run, bounded
 from tepm_opt.models.backends.motion_stages import State, Unsolved
 from tepm_opt.models.backends.step_control import FIRST_STEP, LEAST, MEMORY, MOST_OVER, RICHARDSON, SHARE, SHORTEST, STILL
@@ -15,7 +16,7 @@ from tepm_opt.models.backends.step_control import FIRST_STEP, LEAST, MEMORY, MOS
 
 @dataclass
 class Carried:
-    """What is carried from call to call; steps that do not adapt only have `fine`.
+    """State carried from call to call; steps that do not adapt only have `fine`.
 
     `step` is to be tried next in s, `ratio` what the last pair added over what it may, `error` the largest so far in m, `moved` the
     largest way of a pair of late in m.
@@ -27,6 +28,23 @@ class Carried:
     ratio: float = 1.0
     error: float = 0.0
     moved: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class StepPair:
+    """Two fine steps of equal length and the coarse one beside them.
+
+    Attributes:
+        start: before the steps.
+        middle: fine motion between the steps.
+        end: after them.
+        h: length of a fine step in s.
+    """
+
+    start: Carried
+    middle: State
+    end: Carried
+    h: float
 
 
 def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> Status:
@@ -59,7 +77,7 @@ def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> 
         except Unsolved:
             status = Status.STUCK
         else:
-            error, added, interpolated, moved = _judged(start, middle, carried, h)
+            error, added, interpolated, moved = _measure_errors(StepPair(start, middle, carried, h))
             error, added = error / run.divisor, added / run.divisor
             carried.moved = max(moved, start.moved * np.exp(-2 * h / STILL))
             aim = min(
@@ -85,8 +103,11 @@ def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> 
         run.effort.reached = t
         while sample <= last and time[sample] <= t + JUMP_TIME:
             part, off = float(time[sample] - begun) / (2 * h), 1 / RICHARDSON if scheme.smooth else 0.0
-            x, v = _between(start, middle, carried, part, h, off, lambda state: (state.x, state.v))
-            d_x = _between(start, middle, carried, part, h, off, lambda state: (state.d["x"], state.d["v"]))[0] if carried.fine.d else None
+            pair = StepPair(start, middle, carried, h)
+            x, v = _interpolate_pair(pair, part, off, lambda state: (state.x, state.v))
+            d_x = None
+            if carried.fine.d:
+                d_x, _ = _interpolate_pair(pair, part, off, lambda state: (state.d["x"], state.d["v"]))
             run.record(record, sample, x, v, d_x)
             sample += 1
     return Status.SOLVED
@@ -97,21 +118,23 @@ def _fitting(wanted: float, left: float) -> float:
     return left / 2 if 2 * wanted > left * (1 - 1e-9) else left / 4 if 4 * wanted > left else wanted
 
 
-def _judged(start: Carried, middle: State, end: Carried, h: float) -> tuple[float, ...]:
+def _measure_errors(pair: StepPair) -> tuple[float, ...]:
     """Distances in m, of the farthest node: of fine and coarse motion at the end of a pair, by how much the pair has changed it beside what
     the difference of the velocities explains, from an interpolation within its steps, and over the pair."""
-    (x_0, v_0), (x_1, v_1) = ((c.fine.x - c.coarse.x, c.fine.v - c.coarse.v) for c in (start, end))
-    a, b = start.fine, end.fine
-    off = (a.x + b.x) / 2 + h * (a.v - b.v) / 4 - middle.x
+    (x_0, v_0), (x_1, v_1) = ((c.fine.x - c.coarse.x, c.fine.v - c.coarse.v) for c in (pair.start, pair.end))
+    a, b, h = pair.start.fine, pair.end.fine, pair.h
+    off = (a.x + b.x) / 2 + h * (a.v - b.v) / 4 - pair.middle.x
     rest = x_1 - x_0 - h * (v_1 + v_0)
     return tuple(float(np.linalg.norm(e[1:].reshape(-1, 3), axis=1).max()) for e in (x_1, rest, off / 16, b.x - a.x))
 
 
-Pair = tuple[np.ndarray, np.ndarray]
+Moving = tuple[np.ndarray, np.ndarray]
+"""Positions and velocities."""
 
 
-def _between(start: Carried, middle: State, end: Carried, part: float, h: float, off: float, of: Callable[[State], Pair]) -> Pair:
-    """Positions and velocities at a part of a pair of steps of length h, with the estimated error taken away."""
+def _interpolate_pair(pair: StepPair, part: float, off: float, of: Callable[[State], Moving]) -> Moving:
+    """Positions and velocities at a part of a pair of steps, with the share `off` of the coarse step's difference taken away."""
+    start, middle, end, h = pair.start, pair.middle, pair.end, pair.h
     first, half = (of(middle), of(end.fine)) if part > 0.5 else (of(start.fine), of(middle)), 2 * part - (part > 0.5)
     x, v = _hermite(*first, h, half)
     for scale, a, b in ((off, start.fine, end.fine), (-off, start.coarse, end.coarse)):
@@ -120,7 +143,7 @@ def _between(start: Carried, middle: State, end: Carried, part: float, h: float,
     return x, v
 
 
-def _hermite(a: Pair, b: Pair, h: float, p: float) -> Pair:
+def _hermite(a: Moving, b: Moving, h: float, p: float) -> Moving:
     """Cubic through positions and velocities at the ends of a span of length h, at a part of it."""
     q = 1 - p
     x = q * q * (1 + 2 * p) * a[0] + p * p * (1 + 2 * q) * b[0] + h * p * q * (q * a[1] - p * b[1])

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tepm_opt.models.backends.interface import (
-    EXPLICIT,
-    JUMP_TIME,
-    MAX_HALVINGS,
-    STAYS,
-    Record,
-    Status,
-)
+from tepm_opt.models.backends.interface import EXPLICIT, JUMP_TIME, MAX_HALVINGS, STAYS, Status
+from tepm_opt.models.backends.motion_interface import Record
 from tepm_opt.models.backends.motion_stages import Stage, Stages, State, Unsolved
 
 if TYPE_CHECKING:
@@ -102,8 +96,8 @@ class Run(Stages):
         known[:, : 2 * block], known[:, 2 * block : 4 * block] = pairs(d_x), pairs(d_v)
         return {"x": d_v, "v": (d_v - d["v"]) / step, "y": (by @ known)[:, 2 * block :]}
 
-    def begin(self, state: State) -> None:
-        """Rest under the first row, and how it moves along the directions."""
+    def set_initial_state(self, state: State) -> None:
+        """Set a state to rest under the first row, with its derivatives along the directions."""
         t = float(self.drive.time[0])
         state.u, _, along = (part[: self.inputs] for part in self.look(t, False))
         if state.d:

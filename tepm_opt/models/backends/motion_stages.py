@@ -10,14 +10,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from tepm_opt.models.backends.interface import (
-    JUMP_TIME,
-    MAX_CORRECTION,
-    STAGE_ITERATIONS,
-    Drive,
-    Effort,
-    Scheme,
-)
+from tepm_opt.models.backends.interface import JUMP_TIME, MAX_CORRECTION, STAGE_ITERATIONS
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Scheme
 from tepm_opt.models.backends.rotations import move
 from tepm_opt.models.backends.step_control import CLOSE, RICHARDSON, SLOW
 from tepm_opt.models.effect import BEGAN, CLOCK
@@ -64,15 +58,14 @@ class Stages:
 
     Args:
         of: the time stepper.
-        drive: inputs and forces.
-        theta: parameters.
+        drive: inputs, forces and parameters.
         scheme: how to step.
     """
 
-    def __init__(self, of: PythonTimeStepper, drive: Drive, theta: np.ndarray, scheme: Scheme) -> None:
-        self.of, self.drive, self.theta, self.scheme = of, drive, theta.copy(), scheme
+    def __init__(self, of: PythonTimeStepper, drive: Drive, scheme: Scheme) -> None:
+        self.of, self.drive, self.theta, self.scheme = of, drive, drive.theta.copy(), scheme
         self.inputs = of.dynamics.layout.inputs
-        self.thetas = np.broadcast_to(self.theta, (of.n, len(theta)))
+        self.thetas = np.broadcast_to(self.theta, (of.n, len(self.theta)))
         self.timed = [of.dynamics.parameter_names.index(name) for name in (CLOCK, BEGAN) if name in of.dynamics.parameter_names]
         self.effort = Effort()
         self.P, self.external, self.level_0 = np.zeros((of.n, 1)), np.zeros(0), np.zeros(0)
@@ -92,7 +85,7 @@ class Stages:
         return t - float(self.of.values("delay", self.theta)[0][int(forces)].item())
 
     def later(self, forces: bool = False) -> np.ndarray:
-        """How much later commands, or known forces, act along the directions at the time that functions know, (directions,)."""
+        """Derivatives of the delay of commands, or of known forces, along the directions at the time that functions know, (directions,)."""
         return np.asarray(self.of._sparse("delay_by", self.theta) @ self.drive.d_theta.T)[int(forces)]
 
     def look(self, t: float, left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.models.backends.interface import ENERGY_NOISE, PLAIN_NEWTON, Solution, Status
+from tepm_opt.models.backends.interface import ENERGY_NOISE, PLAIN_NEWTON, LoadCase, Solution, Status
 from tepm_opt.models.backends.rotations import move
 from tepm_opt.models.network import ROWS, Network
 
@@ -116,12 +116,10 @@ class PythonStatics:
                 if shift > 1e12:
                     raise
 
-    def statics(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, tolerance: float, max_iterations: int
-    ) -> Solution:
+    def statics(self, x: np.ndarray, case: LoadCase, tolerance: float, max_iterations: int) -> Solution:
         """See `StaticsBackend.statics`; the algorithm is described in docs/explanation/architecture.md."""
-        status, x, *info = self._newton(x, *self.prepare(u, mapped, external, theta)[1:], theta, tolerance, max_iterations)
-        return Solution(status, x, self.observe(x, theta), *info)
+        status, x, *info = self._newton(x, *self.prepare(*case)[1:], case.theta, tolerance, max_iterations)
+        return Solution(status, x, self.observe(x, case.theta), *info)
 
     def observe(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Reference points in G and actuator lengths (3 · points + lengths,) of levels x."""
@@ -169,11 +167,11 @@ class PythonStatics:
         return None
 
     def sensitivity(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray, weights: np.ndarray, by_theta: bool
+        self, x: np.ndarray, case: LoadCase, weights: np.ndarray, by_theta: bool
     ) -> tuple[Status, np.ndarray, np.ndarray, np.ndarray | None]:
         """See `StaticsBackend.sensitivity`: one factorisation, one adjoint solve a row."""
-        layout = self.network.layout
-        a, P, level_0 = self.prepare(u, mapped, external, theta)
+        layout, (u, mapped, external, theta) = self.network.layout, case
+        a, P, level_0 = self.prepare(*case)
         x = np.concatenate([level_0[None], x[1:]])
         at = self.assemble(x, P, theta)
         shapes = (len(u), external.size, len(theta))
@@ -205,10 +203,8 @@ class PythonStatics:
             results[0][row], results[1][row], results[2][row] = by_a, by_external, total
         return Status.SOLVED, results[0], results[1], results[2] if by_theta else None
 
-    def matrices(
-        self, x: np.ndarray, u: np.ndarray, mapped: bool, external: np.ndarray, theta: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def matrices(self, x: np.ndarray, case: LoadCase) -> tuple[np.ndarray, np.ndarray]:
         """See `StaticsBackend.matrices`."""
-        _, P, level_0 = self.prepare(u, mapped, external, theta)
+        _, P, level_0 = self.prepare(*case)
         x = np.concatenate([level_0[None], x[1:]])
-        return self.assemble(x, P, theta).band, self.damping(x, P, theta)
+        return self.assemble(x, P, case.theta).band, self.damping(x, P, case.theta)

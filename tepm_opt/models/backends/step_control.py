@@ -38,4 +38,4 @@ STEP_CONTROL: Mapping[str, float] = {
     "STILL": STILL,
     "CLOSE": CLOSE,
 }
-"""What the C is told as macros."""
+"""Constants that the C gets as macros."""

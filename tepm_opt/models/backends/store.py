@@ -28,7 +28,7 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def cache_folder() -> Path:
-    """Where libraries are kept: $TEPM_OPT_CACHE or the user's cache folder."""
+    """Folder in which libraries are kept: $TEPM_OPT_CACHE or the user's cache folder."""
     return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_path("tepm_opt"))
 
 
@@ -91,7 +91,7 @@ def _own_folder(reason: str) -> tempfile.TemporaryDirectory[str]:
 
 def load(folder: Path, name: str, symbols: Sequence[str]) -> ctypes.CDLL | None:
     """The library of a name that was kept; None where there is none that is whole, the own user's, and has these symbols."""
-    for path, _ in _whole(folder, name, ".so"):
+    for path, _ in _read_intact_files(folder, name, ".so"):
         try:
             return open_library(path, symbols)
         except (OSError, AttributeError):
@@ -101,11 +101,11 @@ def load(folder: Path, name: str, symbols: Sequence[str]) -> ctypes.CDLL | None:
 
 def read_file(folder: Path, name: str, suffix: str) -> bytes | None:
     """The file of a name that was kept; None where there is none that is whole and the own user's."""
-    return next((content for _, content in _whole(folder, name, suffix)), None)
+    return next((content for _, content in _read_intact_files(folder, name, suffix)), None)
 
 
-def _whole(folder: Path, name: str, suffix: str) -> Iterator[tuple[Path, bytes]]:
-    """Files of a name that are as they were written, and the own user's, with their contents."""
+def _read_intact_files(folder: Path, name: str, suffix: str) -> Iterator[tuple[Path, bytes]]:
+    """Read the files of a name that are as they were written, and the own user's, with their contents."""
     for path in sorted(folder.glob(f"{name}-*{suffix}")):
         try:
             content = _read(path)

@@ -15,8 +15,9 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import csr_array
 
-from tepm_opt.models.backends.interface import Drive, Effort, Record, Scheme, Status
+from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.backends.motion_adaptive import Carried, adapt
+from tepm_opt.models.backends.motion_interface import Drive, Effort, Record, Scheme
 from tepm_opt.models.backends.motion_run import Run
 from tepm_opt.models.backends.motion_stages import State
 from tepm_opt.models.backends.step_control import FIRST_STEP
@@ -90,14 +91,12 @@ class PythonTimeStepper:
         state = State(x.copy(), zero["v"], np.zeros_like(x), zero["u"], zero["y_inputs"], zero["y_edges"], d=d)
         return Carried(state, state)
 
-    def integrate(
-        self, state: Carried, drive: Drive, first: int, last: int, scheme: Scheme, theta: np.ndarray, record: Record
-    ) -> tuple[Status, Effort]:
+    def integrate(self, state: Carried, drive: Drive, first: int, last: int, scheme: Scheme, record: Record) -> tuple[Status, Effort]:
         """See `TimeStepper.integrate`."""
-        run = Run(self, drive, theta, scheme)
+        run = Run(self, drive, scheme)
         run.effort.reached = float(drive.time[first])
         if first == 0:
-            run.begin(state.fine)
+            run.set_initial_state(state.fine)
             run.record(record, 0, state.fine.x, state.fine.v, state.fine.d.get("x"))
             state.coarse, state.step, state.ratio = replace(state.fine, d=dict(state.fine.d)), FIRST_STEP, 1.0
         run.take_stock(state.fine, float(drive.time[first]))

@@ -15,7 +15,7 @@ from tepm_opt.models.effects.known_loads import KnownLoads
 __all__ = ["STANDARD", "effects", "find_effect", "register", "unregister"]
 
 STANDARD: tuple[Effect, ...] = (Gravity(), KnownLoads())
-"""What every model carries; model files do not list it."""
+"""Effects that every model carries; model files do not list them."""
 
 
 @cache

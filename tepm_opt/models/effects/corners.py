@@ -9,7 +9,7 @@ SMALLEST_WIDTH = 1e-12  # keeps the corner's formula finite where the threshold 
 STRAIGHT = 1e-3  # of a corner's width: over less the mean is the value in the middle
 
 
-def above(signal: ca.SX, threshold: ca.SX, rounding: ca.SX | float = ROUNDING) -> ca.SX:
+def subtract_threshold(signal: ca.SX, threshold: ca.SX, rounding: ca.SX | float = ROUNDING) -> ca.SX:
     """max(signal - threshold, 0), its corner rounded by a parabola so that the gain is continuous.
 
     `rounding` is the half-width of the rounded corner over the threshold.

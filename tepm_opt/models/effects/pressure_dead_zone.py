@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from tepm_opt.models.effect import Context, Effect, Parameter
-from tepm_opt.models.effects.corners import ROUNDING, above
+from tepm_opt.models.effects.corners import ROUNDING, subtract_threshold
 
 
 class PressureDeadZone(Effect):
@@ -29,4 +29,4 @@ class PressureDeadZone(Effect):
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
         corner = parameters["threshold"], parameters["rounding"]
-        return above(pressure, *corner) - above(ca.SX(0), *corner), tension
+        return subtract_threshold(pressure, *corner) - subtract_threshold(ca.SX(0), *corner), tension

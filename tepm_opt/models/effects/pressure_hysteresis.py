@@ -38,7 +38,7 @@ class PressureHysteresis(Effect):
 
     def pressure_begun(self, pressure: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
         play = self._play(ca.fabs(pressure), ca.SX.ones(*pressure.shape), parameters, context)
-        return parameters["filled"] * play.after(ca.SX.zeros(*pressure.shape), ca.SX(1))
+        return parameters["filled"] * play.advance(ca.SX.zeros(*pressure.shape), ca.SX(1))
 
     def pressure_memory(self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         return self._play(rate, rate > 0, parameters, context)

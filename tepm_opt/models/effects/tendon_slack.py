@@ -11,7 +11,7 @@ from tepm_opt.models.effects.corners import ROUNDING, SMALLEST_WIDTH, mean_ramp
 
 
 class TendonSlack(Effect):
-    """What is commanded up to a tension only takes up slack: max(λ - max(tension - take_up · stretch, 0), 0) is in the tendon.
+    """Slack of tendons, which commands up to a tension only take up: max(λ - max(tension - take_up · stretch, 0), 0) is in the tendon.
 
     A muscle that lengthens takes up slack, too: `take_up` is the elasticity of motor and dynamometer (N/m) times the muscle's length,
     the stretch that of each edge over its rest length. Corners are rounded.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from ctypes import c_int
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import daqp
 import numpy as np
@@ -32,6 +32,29 @@ KEPT = 2e-3  # by which rows may be broken
 CURVED = 1e-7  # least curvature of the programs, beside the largest
 
 
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """Unknowns of the program, (unknowns,), and the program linearised about them."""
+
+    x: np.ndarray
+    rows: Rows
+
+
+@dataclass(frozen=True, eq=False)
+class _Merit:
+    """Merit to be minimised: duration or none, effort with its weight, and broken rows with their price."""
+
+    program: Program
+    weight: float
+    price: float
+
+    def evaluate(self, at: _Iterate) -> float:
+        """Merit of an iterate."""
+        least = float(np.exp(at.x[0])) if self.program.task.duration is None else 0.0
+        beyond, residuals = at.rows.beyond, at.rows.residuals
+        return least + self.weight / 2 * float(residuals @ residuals) + self.price * float(beyond.sum()) + float(beyond @ beyond) / 2
+
+
 def solve(task: PlanTask, bulge: np.ndarray | None = None) -> PlannedMotion:
     """The fastest motion from rest to rest or, with a duration, the one of least effort.
 
@@ -43,41 +66,44 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None) -> PlannedMotion:
     duration = task.duration or _first(task, bulge)
     program = Program(task, duration / SPACING)
     x = program.guess(duration, bulge)
-    rows = program.about(x)
-    trust, count, multipliers, price = TRUST, 0, None, PRICE
-    weight = 2 * task.effort_weight if task.duration is None else 2 / max(float(rows.residuals @ rows.residuals), 1e-3)
+    at = _Iterate(x, program.linearise(x))
+    trust, count, multipliers = TRUST, 0, None
+    weight = 2 * task.effort_weight if task.duration is None else 2 / max(float(at.rows.residuals @ at.rows.residuals), 1e-3)
+    merit = _Merit(program, weight, PRICE)
     why = ""
     while count < task.max_iterations:
         count += 1
-        step, gain, multipliers = _step(program, x, rows, weight, price, trust, multipliers)
+        step, gain, multipliers = _find_step(merit, at, trust, multipliers)
         if step is None:
             why = "a quadratic program failed"
             break
-        if gain < CLOSE * _merit(program, x, rows, weight, price) or trust < SMALLEST_TRUST:
-            if float(rows.beyond.max()) <= KEPT or price >= DEAREST:
+        if gain < CLOSE * merit.evaluate(at) or trust < SMALLEST_TRUST:
+            if float(at.rows.beyond.max()) <= KEPT or merit.price >= DEAREST:
                 break
-            price, trust = DEARER * price, TRUST  # breaking rows was cheaper than keeping them (Nocedal and Wright, section 18.5)
+            # breaking rows was cheaper than keeping them (Nocedal and Wright, section 18.5)
+            merit, trust = replace(merit, price=DEARER * merit.price), TRUST
             continue
-        there, real, tried = _better(program, x, rows, step, weight, price)
+        there, real = _take_step(merit, at, step)
         if real < SURE * gain:  # the rows are curved: once more with what they missed (Fletcher's second-order correction)
+            rows, tried = at.rows, there.rows
             bent = replace(rows, values=tried.values - rows.slopes @ step, residuals=tried.residuals - rows.residual_slopes @ step)
-            again, _, _ = _step(program, x, bent, weight, price, trust, multipliers)
+            again, _, _ = _find_step(merit, _Iterate(at.x, bent), trust, multipliers)
             if again is not None:
-                second = _better(program, x, rows, again, weight, price)
+                second = _take_step(merit, at, again)
                 if second[1] > real:
-                    step, (there, real, tried) = again, second
+                    step, (there, real) = again, second
         if real > DOUBTFUL * gain:
             if real > SURE * gain:
                 trust = min(2 * trust, TRUST)
         else:
             trust = min(trust, max(float(np.abs(step[1 : 1 + program.places]).max()), 1e-3)) / 4
         if real > 0:
-            x, rows = there, tried
+            at = there
     else:
         why = f"{count} quadratic programs were not enough"
-    if not why and (beyond := float(rows.beyond.max())) > KEPT:
+    if not why and (beyond := float(at.rows.beyond.max())) > KEPT:
         why = f"limits stay broken by {beyond:.2g} of their unit"
-    duration, place, air = program.splines(x)
+    duration, place, air = program.splines(at.x)
     outcome = Outcome(Ending.NOT_CONVERGED, why) if why else Outcome()
     return PlannedMotion(duration, place, task.route, air, outcome, count, time.perf_counter() - began)
 
@@ -85,49 +111,31 @@ def solve(task: PlanTask, bulge: np.ndarray | None = None) -> PlannedMotion:
 def _first(task: PlanTask, bulge: np.ndarray | None) -> float:
     """A first guess of the duration in s, rather too short: from there it goes quickest."""
     plain, duration = Program(replace(task, limits=replace(task.limits, frequencies=()))), FIRST
-    while duration < LONGEST / LONGER and float(plain.about(plain.guess(duration, bulge)).beyond.max()) > WRONG:
+    while duration < LONGEST / LONGER and float(plain.linearise(plain.guess(duration, bulge)).beyond.max()) > WRONG:
         duration *= LONGER
-    if task.limits.frequencies and float((full := Program(task)).about(full.guess(duration, bulge)).beyond.max()) > WRONG:
+    if task.limits.frequencies and float((full := Program(task)).linearise(full.guess(duration, bulge)).beyond.max()) > WRONG:
         return max(duration, *(2 * np.pi / frequency for frequency in task.limits.frequencies))
     return duration
 
 
-def _better(program: Program, x: np.ndarray, rows: Rows, step: np.ndarray, weight: float, price: float) -> tuple[np.ndarray, float, Rows]:
-    """Where a step goes, what it gains, and the program there.
-
-    Args:
-        program, x, rows: the program about x.
-        step: from there.
-        weight, price: of the effort, and of broken rows.
-    """
-    there = x + step
-    tried = program.about(there)
-    return there, _merit(program, x, rows, weight, price) - _merit(program, there, tried, weight, price), tried
+def _take_step(merit: _Merit, at: _Iterate, step: np.ndarray) -> tuple[_Iterate, float]:
+    """End of a step, and its gain."""
+    there = _Iterate(at.x + step, merit.program.linearise(at.x + step))
+    return there, merit.evaluate(at) - merit.evaluate(there)
 
 
-def _merit(program: Program, x: np.ndarray, rows: Rows, weight: float, price: float) -> float:
-    """What is to be small: duration or none, effort, and the price of broken rows.
-
-    Args:
-        program, x, rows: the program about x.
-        weight, price: of the effort, and of broken rows.
-    """
-    least = float(np.exp(x[0])) if program.task.duration is None else 0.0
-    beyond = rows.beyond
-    return least + weight / 2 * float(rows.residuals @ rows.residuals) + price * float(beyond.sum()) + float(beyond @ beyond) / 2
-
-
-def _step(
-    program: Program, x: np.ndarray, rows: Rows, weight: float, price: float, trust: float, multipliers: np.ndarray | None
+def _find_step(
+    merit: _Merit, at: _Iterate, trust: float, multipliers: np.ndarray | None
 ) -> tuple[np.ndarray | None, float, np.ndarray | None]:
     """Step of the program linearised, the gain it foresees, and its multipliers; None where the solver failed.
 
     Args:
-        program, x, rows: the program about x.
-        weight, price: of the effort, and of broken rows.
+        merit: of the program.
+        at: from where.
         trust: of the lengths.
         multipliers: of the program before.
     """
+    program, weight, x, rows = merit.program, merit.weight, at.x, at.rows
     task, inner = program.task, slice(1, 1 + program.places)
     hessian = weight * rows.residual_slopes.T @ rows.residual_slopes
     gradient = weight * rows.residual_slopes.T @ rows.residuals
@@ -149,7 +157,7 @@ def _step(
     if solver.setup(hessian, gradient, rows.slopes, upper, lower, sense, dual_start=multipliers)[0] < 0:
         return None, 0.0, None
     ones = np.ones(len(sense))
-    solver.soft_weights(rho_l=ones, rho_u=ones, w_l=price * ones, w_u=price * ones)
+    solver.soft_weights(rho_l=ones, rho_u=ones, w_l=merit.price * ones, w_u=merit.price * ones)
     step, _, flag, info = solver.solve()
     if flag < 1 or not np.isfinite(step).all():
         return None, 0.0, None
@@ -157,5 +165,5 @@ def _step(
     moved = replace(rows, values=rows.values + rows.slopes @ step, residuals=rows.residuals + rows.residual_slopes @ step)
     part = 1 + step[0] + step[0] ** 2 / 2 - np.exp(step[0])  # of the duration, that the quadratic program does not see
     unseen = float(np.exp(x[0]) * part) if task.duration is None else 0.0
-    gain = _merit(program, x, rows, weight, price) - _merit(program, x + step, moved, weight, price) - unseen
+    gain = merit.evaluate(at) - merit.evaluate(_Iterate(x + step, moved)) - unseen
     return step, gain, info["lam"]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.models.backends.interface import Status
+from tepm_opt.models.backends.interface import InverseNewton, LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import network_matrices
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
@@ -31,7 +31,7 @@ MIN_BEND_MARGIN = 0.2  # rad of the whole arm's bend by which it does at least, 
 
 @dataclass(frozen=True)
 class FamilyFit:
-    """How the polynomials are made.
+    """Settings of the fit of the polynomials.
 
     Attributes:
         degree, nodes: total degree, and Chebyshev nodes along each length, of the configurations.
@@ -113,12 +113,12 @@ class Family:
         errors = f"points within {1e3 * self.point_error:.2g} mm, forces within {self.force_error:.2g} N"
         return f"Family({shortened(self.model.robot.name, 40)}, {errors})"
 
-    def within(self, lengths: np.ndarray) -> np.ndarray:
-        """Coordinates z (…, 3) in m as y."""
+    def normalise(self, lengths: np.ndarray) -> np.ndarray:
+        """Scale coordinates z (…, 3) in m to y, which is −1 … 1 over their range."""
         return (2 * lengths - self.low - self.high) / (self.high - self.low)
 
-    def moving(self, y: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """F (n, modules · 3) in N of y, y', y'' (n, 3) each, and its derivatives by all nine, (n, modules · 3, 9).
+    def compute_motion_forces(self, y: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Axial forces F (n, modules · 3) in N of motions y, y', y'' (n, 3) each, and their derivatives by all nine, (n, modules · 3, 9).
 
         Primes are derivatives by time in s.
         """
@@ -176,9 +176,8 @@ def _exact(model: CompiledModel, z: np.ndarray, start: Equilibrium) -> Equilibri
     half, observed = model.layout.inputs // 2, 3 * model.layout.points
     weights = np.hstack([np.zeros((half, observed)), np.eye(half)])
     targets, area = np.tile(lengths, model.layout.modules), model.values["A"]
-    status, x, pressures, _ = model.statics.inverse(
-        start.x, start.inputs[:half], np.zeros(observed), model.theta, weights, targets, 8.0 / area, 1e-10, 1e-9, 40
-    )
+    case = LoadCase(start.inputs, True, np.zeros(observed), model.theta)
+    status, x, pressures, _ = model.statics.inverse(start.x, case, weights, targets, InverseNewton(8.0 / area, 1e-10, 1e-9, 40))
     if status == Status.SOLVED:
         effective = np.concatenate([pressures, np.zeros(half)])
         found = equilibrium(model, effective, np.zeros((observed // 3, 3)), replace(start, x=x), mapped=True, explain=False)

@@ -84,16 +84,16 @@ class Program:
         air = x[1 + self.places :].reshape(-1, self.forces)
         return (
             float(np.exp(x[0])),
-            BSpline(_knots(self.task.intervals, ORDER), _held(self.ends[0], place, self.ends[1], HELD), ORDER),
-            BSpline(_knots(self.air_intervals, AIR_ORDER), _held(self.task.air[0], air, self.task.air[1], AIR_HELD), AIR_ORDER),
+            BSpline(_knots(self.task.intervals, ORDER), _join_ends(self.ends[0], place, self.ends[1], HELD), ORDER),
+            BSpline(_knots(self.air_intervals, AIR_ORDER), _join_ends(self.task.air[0], air, self.task.air[1], AIR_HELD), AIR_ORDER),
         )
 
-    def about(self, x: np.ndarray) -> Rows:
-        """Values and derivatives at x."""
+    def linearise(self, x: np.ndarray) -> Rows:
+        """Linearise the program: values and derivatives at x."""
         limits, T, n = self.task.limits, float(np.exp(x[0])), len(self.at)
         step = T / (n - 1)
         motion, by = self._motion(x, T)
-        needed, slopes = self.task.family.moving(motion[:, :3], motion[:, 3:6], motion[:, 6:])
+        needed, slopes = self.task.family.compute_motion_forces(motion[:, :3], motion[:, 3:6], motion[:, 6:])
         of_forces = np.einsum("nfj,njx->nfx", slopes, by)
         air, of_air = self._air(x)
         tension, of_tension = air[0] - needed, -of_forces
@@ -155,7 +155,7 @@ class Program:
             motion = np.hstack([value / T**power for power, value in enumerate(values)])
         else:
             (part, speed, change), (B, dB, ddB) = values, self.place
-            y, first, second, third = (one[:, :, None] for one in self.task.route.along(part[:, 0]))
+            y, first, second, third = (one[:, :, None] for one in self.task.route.evaluate(part[:, 0]))
             B, dB, ddB = B[:, None], dB[:, None], ddB[:, None]
             speed, change = speed[:, :, None], change[:, :, None]
             by[:, :3, inner] = first * B
@@ -243,8 +243,8 @@ def _knots(intervals: int, order: int) -> np.ndarray:
     return np.concatenate([np.zeros(order), np.linspace(0.0, 1.0, intervals + 1), np.ones(order)])
 
 
-def _held(first: np.ndarray, free: np.ndarray, last: np.ndarray, held: int) -> np.ndarray:
-    """All coefficients of a spline that rests at both ends."""
+def _join_ends(first: np.ndarray, free: np.ndarray, last: np.ndarray, held: int) -> np.ndarray:
+    """Join the free coefficients of a spline with those that let it rest at both ends."""
     return np.vstack([np.tile(first, (held, 1)), free, np.tile(last, (held, 1))])
 
 

@@ -181,7 +181,8 @@ def _plan(
     obstacles: tuple[Obstacle, ...], settings: PlanSettings, progress: Progress,
 ) -> MotionPlan:  # fmt: skip
     """A plan between two targets or, with parts, along many."""
-    mid, layout, devices, whole = _check(model, objective, duration, settings), model.layout, settings.devices or Devices.of(model), model
+    mid, devices = _check(model, objective, duration, settings), settings.devices or Devices.from_model(model)
+    layout, whole = model.layout, model
     model = _without_devices(model)
 
     def none(ending: Ending, message: str) -> MotionPlan:
@@ -208,7 +209,7 @@ def _plan(
         family = make_family(model, lengths, middle, settings.fit, bounded)
     except FamilyError as error:
         return none(Ending.NO_PLAN, f"the configurations about the task are not all stable: {error}")
-    y, area, half = family.within(lengths), model.values["A"], layout.inputs // 2
+    y, area, half = family.normalise(lengths), model.values["A"], layout.inputs // 2
     if layout.actuators > 3:  # inverse kinematics takes the least forces, which are a little beside the family
         y = family.reaching(targets, y)
         try:
@@ -217,7 +218,7 @@ def _plan(
             return none(Ending.NO_PLAN, f"at an end: {error}")
     air = area * ends[0].allocation.inputs[:half], area * ends[1].allocation.inputs[:half]
     sway = np.array([np.sqrt(modal_model(at, modes=2).stiffness) for at in (ends[0].equilibrium, family.middle, ends[1].equilibrium)])
-    friction = Friction.of(whole, settings.friction_doubt)
+    friction = Friction.from_model(whole, settings.friction_doubt)
     limits = _limits(model, ends, devices, friction, settings, (float(sway.min()), float(sway.max())))
     route = None if parts is None else Route(parts, y)
     way = float(np.linalg.norm(np.diff(targets, axis=0), axis=1).sum())
@@ -278,7 +279,7 @@ def _why(task: PlanTask, motion: PlannedMotion) -> str:
 
 
 def _blocked(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSettings) -> str:
-    """What is wrong with a configuration on the way: too little stability, a point in an obstacle; empty where nothing is."""
+    """Fault of a configuration on the way: too little stability, a point in an obstacle; empty where there is none."""
     if settings.min_stiffness is not None and (found := at.smallest_eigenvalue) < settings.min_stiffness:
         return f"its smallest stiffness eigenvalue is {found:.4f} N/m; valid: at least the margin of {settings.min_stiffness:g} N/m"
     for number, obstacle in enumerate(obstacles, start=1):
@@ -350,7 +351,7 @@ def _played(
     errors = [
         float(np.abs(fitted(y) - exact.reshape(rows, -1)).max()) for fitted, exact in ((family.points, points), (family.forces, held))
     ]
-    forces = held + family.moving(y, v, a)[0] - family.forces(y)
+    forces = held + family.compute_motion_forces(y, v, a)[0] - family.forces(y)
     wanted, rate = motion.air(part) / area, motion.air(part, 1) / area / motion.duration
     ahead = wanted + np.where(rate > 0, devices.filling, devices.exhausting) * rate
     effort = ((np.diff(area * ahead, axis=0) ** 2).sum() + (np.diff(area * wanted - forces, axis=0) ** 2).sum()) / time[1]

@@ -1,4 +1,4 @@
-"""What a program of planning is about, and what it finds: obstacles, limits, paths, motions."""
+"""Task and result of a program of planning: obstacles, limits, paths, motions."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def distance(obstacle: Obstacle) -> ca.Function:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a program keeps, in N, s and m.
+    """Limits that a program keeps, in N, s and m.
 
     Attributes:
         air: smallest and largest force of a muscle's pressure.
@@ -116,7 +116,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class PlanTask:
-    """What a program is about.
+    """Task of a program: ends, limits, obstacles and route.
 
     Attributes:
         family: of configurations.
@@ -145,7 +145,7 @@ class PlanTask:
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
-    """How a program ended.
+    """Motion that a program found, or the reason why there is none.
 
     Attributes:
         duration: in s.
@@ -179,7 +179,7 @@ class PlannedMotion:
         y, v, a = self.place(part), self.place(part, 1) * first, self.place(part, 2) * second
         if self.route is None:
             return y, v, a
-        along = self.route.along(y[:, 0])
+        along = self.route.evaluate(y[:, 0])
         return along[0], along[1] * v, along[2] * v**2 + along[1] * a
 
 
@@ -190,6 +190,6 @@ class Route:
         spline = make_interp_spline(parts, y, k=5)
         self.splines = [spline.derivative(order) if order else spline for order in range(4)]
 
-    def along(self, part: np.ndarray) -> list[np.ndarray]:
-        """y and its first three derivatives by the part, (n, 3) each, at parts (n,)."""
+    def evaluate(self, part: np.ndarray) -> list[np.ndarray]:
+        """Evaluate y and its first three derivatives by the part, (n, 3) each, at parts (n,)."""
         return [spline(np.clip(part, 0.0, 1.0)) for spline in self.splines]

@@ -1,4 +1,4 @@
-"""What planning comes to: the motion, its set points, its numbers."""
+"""Result of planning: the motion, its set points, its numbers."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ STEP = 0.01  # s, of simulations; fixed, so that small changes of a plan change 
 
 @dataclass(frozen=True)
 class Friction:
-    """What a tendon's end may pull more or less than its motor: a force that is bounded and otherwise unknown.
+    """Friction by which a tendon's end may pull more or less than its motor: a force that is bounded and otherwise unknown.
 
     Attributes:
         constant: part in N.
@@ -35,13 +35,13 @@ class Friction:
     share: float
 
     @staticmethod
-    def of(model: CompiledModel, doubt: float) -> Friction:
-        """What the model has, and a part of the tension beyond it."""
+    def from_model(model: CompiledModel, doubt: float) -> Friction:
+        """Friction of a model, with an additional share of the tension for doubt."""
         constant, share = model.tendon_friction or (0.0, 0.0)
         return Friction(constant, share + doubt)
 
     def offset(self, at: Equilibrium, tension: np.ndarray) -> float:
-        """How far this may hold the tip from an equilibrium with these tensions (modules · 3,) in N, at most and to first order, m."""
+        """Largest distance in m by which it may hold the tip from an equilibrium with tensions (modules · 3,) in N, to first order."""
         gain, forces = modal_model(at, modes=1).gain[-3:], self.constant + self.share * tension
         if len(forces) <= MANY:
             signs = np.array(list(itertools.product((-1.0, 1.0), repeat=len(forces))))

@@ -92,7 +92,7 @@ class Setting:
 
 def inputs_of(robot: Robot, pressures: dict[str, float] | None = None, tensions: dict[str, float] | None = None) -> np.ndarray:
     """u with pressures in Pa and tensions in N by actuator, zero elsewhere."""
-    names = Layout.of(robot).actuator_names
+    names = Layout.from_robot(robot).actuator_names
     inputs = np.zeros(2 * len(names))
     for name, value in (pressures or {}).items():
         inputs[names.index(name)] = value

@@ -103,14 +103,14 @@ static int prepare(step *o, long row) {
     const double *l = c->lengths + at_row(o, row + k) * NA, *m = c->lengths + at_row(o, row + k + 1) * NA;
     for (int j = 0; j < NA; j++) {
       double change = m[j] - l[j] + s->period * f->deviation[j];
-      o->directions[k][j] = direction[j] = turned(direction[j], change, s->presliding);
+      o->directions[k][j] = direction[j] = dahl_step(direction[j], change, s->presliding);
     }
   }
   for (int k = 0; k < PREVIEW; k++) {
     long at = row + o->ahead + PERIODS * k;
     const double *l = c->lengths + at_row(o, at) * NA, *m = c->lengths + at_row(o, at + PERIODS) * NA;
     for (int j = 0; j < NA; j++) {
-      o->courses[k][j] = direction[j] = turned(direction[j], m[j] - l[j], s->presliding);
+      o->courses[k][j] = direction[j] = dahl_step(direction[j], m[j] - l[j], s->presliding);
       o->foreseen[k][j] = f->mean[FRICTION + j] * direction[j];
       o->factor[k][j] = 1 + s->load_share / s->middle * o->foreseen[k][j];
     }
@@ -146,7 +146,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
         }
       }
       double plain = (need - a->extra[j] + still[k][j] + o->factor[k][j] * s->rest_tension[j]) / area[j];
-      direction = turned(direction, k ? s->area * (plain - before) : 0, s->width);
+      direction = dahl_step(direction, k ? s->area * (plain - before) : 0, s->width);
       wanted[k] = plain + mean[HYSTERESIS + j] * direction / area[j];
       before = plain;
     }
@@ -194,7 +194,7 @@ static void decide(step *o, const double *motion, const devices *acted, const do
     begin[j] = area[j] * acted->pressure[j] - acted->tension[j] + unknown - h->forces[0][j] - hysteresis * turning[j]
              - friction * direction[j] * loaded(o, acted->tension[j]);
     for (int k = 0; k < STAGES; k++) {
-      way = turned(way, s->area * (reached[k][j] - before), s->width);
+      way = dahl_step(way, s->area * (reached[k][j] - before), s->width);
       before = reached[k][j];
       offset[k][j] = area[j] * before - h->forces[k + 1][j] + unknown - still[k][j] - hysteresis * way;
     }
@@ -324,7 +324,7 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
     devices before = acted;
     advance(o, a, &acted, acting(o, row + k), area, forces);
     for (int j = 0; j < NA; j++) {
-      turning[j] = turned(turning[j], o->set.area * (acted.pressure[j] - before.pressure[j]), o->set.width);
+      turning[j] = dahl_step(turning[j], o->set.area * (acted.pressure[j] - before.pressure[j]), o->set.width);
       double more = a->extra[j] + f->mean[FORCE + j] - f->at->forces[j] - f->mean[FRICTION + j] * o->directions[k][j] * loaded(o, acted.tension[j])
                   - f->mean[HYSTERESIS + j] * turning[j];
       forces[0][j] += more;

@@ -27,7 +27,7 @@ add_executable(example example.c)
 target_link_libraries(example controller)
 """
 FILES = ("network.c", "step.c", "data.h", "sizes.h", "controller.h", "example.c", "CMakeLists.txt")
-"""What the folder holds: the network with its linearisation, the step, its data, what is declared, an example, how all is built."""
+"""Files of the folder: the network with its linearisation, the step, its data, what is declared, an example, how all is built."""
 
 
 def export_step(setup: StepSetup, folder: Path) -> None:

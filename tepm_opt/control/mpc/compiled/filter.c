@@ -136,10 +136,10 @@ static void predict(const step *o, filter *f, double forces[2][NA], const double
     double seen = 0, before = f->direction[j];
     for (int i = 0; i < NQ; i++) seen += now->drive[i][j] * f->mean[NQ + i];
     f->deviation[j] += s->rate_share * (seen - rates[j] - f->deviation[j]);
-    f->direction[j] = turned(before, (rates[j] + f->deviation[j]) * s->period, s->presliding);
+    f->direction[j] = dahl_step(before, (rates[j] + f->deviation[j]) * s->period, s->presliding);
     over[j] = fabs(f->direction[j] - before);
     double rise = forces[1][j] - forces[0][j] + (f->begun ? tension[j] - f->tension[j] : 0);
-    f->turning[j] = turned(f->turning[j], rise, s->width);
+    f->turning[j] = dahl_step(f->turning[j], rise, s->width);
     f->tension[j] = tension[j];
   }
   f->begun = 1;

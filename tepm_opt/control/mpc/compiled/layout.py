@@ -1,4 +1,4 @@
-"""What the C of a step is told: sizes as macros, settings and results as structures of doubles."""
+"""Layout of the data that the C of a step takes: sizes as macros, settings and results as structures of doubles."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Sizes:
     memory: int
 
     @staticmethod
-    def of(model: CompiledModel, stages: int, preview: int, window: int, ahead: int, memory: int) -> Sizes:
+    def from_model(model: CompiledModel, stages: int, preview: int, window: int, ahead: int, memory: int) -> Sizes:
         """Sizes for a model.
 
         Args:
@@ -98,7 +98,7 @@ class Sizes:
         """
         macros = {
             "NA": self.actuators, "NP": self.points, "NQ": self.modes, "NSHAPE": self.shapes, "NCO": self.free, "NLEVELS": self.levels,
-            "STAGES": self.stages, "PREVIEW": self.preview, "WINDOW": self.window, "KEPT": kept(self.ahead),
+            "STAGES": self.stages, "PREVIEW": self.preview, "WINDOW": self.window, "KEPT": count_kept_points(self.ahead),
             "SWEEPS": SWEEPS, "NOISE_WINDOW": WINDOW, "NOISE_EVERY": EVERY, "MOST_LATE": MOST_LATE, "MOST_ITERATIONS": ITERATIONS,
             "MEMORY": self.memory, "EFFECTS": int(input_motion is not None),
         }  # fmt: skip
@@ -110,8 +110,8 @@ class Sizes:
         return "\n".join((*lines, *((folder / name).read_text(encoding="utf-8") for name in FILES)))
 
 
-def kept(ahead: int) -> int:
-    """Operating points that are kept, more than lie between an estimate and the point that is looked ahead to, `ahead` periods or more."""
+def count_kept_points(ahead: int) -> int:
+    """Number of operating points to keep: more than lie between an estimate and the point `ahead` periods or more later."""
     return 16 * -(-(ahead + MOST_LATE + 4) // 16)
 
 

@@ -1,4 +1,4 @@
-"""What a step of the predictive controller is made of, and its settings by the names they have in C."""
+"""Set-up of a step of the predictive controller, and its settings by the names they have in C."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ Told = dict[str, float | np.ndarray]
 
 
 FITS = "a model in C, both kinds of actuators, no obstacles, a path with time, 2 stages or more"
-"""What a step in C is for."""
+"""Conditions for a step in C."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepSetup:
-    """What a step in C or in Python is made of.
+    """Model, reference, settings and sizes that a step in C or in Python is made of.
 
     Attributes:
         model: compiled.
@@ -79,8 +79,8 @@ class StepSetup:
     effects: InputEffects
 
     @staticmethod
-    def of(model: CompiledModel, reference: Reference, settings: MpcSettings, computing: float) -> StepSetup:
-        """The set-up of a model and settings, for a reference that has not begun.
+    def from_model(model: CompiledModel, reference: Reference, settings: MpcSettings, computing: float) -> StepSetup:
+        """Set-up for a model and settings, with the reference at its start.
 
         Args:
             model: compiled.
@@ -88,8 +88,8 @@ class StepSetup:
             settings: of the controller.
             computing: time in s from a sample to its command, which counts as delay.
         """
-        robot, half, reference = model.robot, model.layout.inputs // 2, reference.begun()
-        devices, tracker, period = Devices.of(model), robot.tracker, reference.period
+        robot, half, reference = model.robot, model.layout.inputs // 2, reference.rewind()
+        devices, tracker, period = Devices.from_model(model), robot.tracker, reference.period
         pressure_max, tension_max = robot.input_max[:half], robot.input_max[half:]
         late = (tracker.latency_s if tracker else 0.0) + devices.delay
         ahead = int(max(np.ceil(late / period - 1e-9), np.ceil((late + computing) / period - SLACK)))
@@ -97,7 +97,7 @@ class StepSetup:
         first = _first_command(model, reference.forces[0], settings)
         start = modal_model(reference.equilibria[0]).damped(settings.damping)
         believed = settings.filter or replace(FilterSettings(), **model.model.filter)
-        filtering = believed.knowing(model.tendon_friction, settings.mid_range * float(tension_max[0]))
+        filtering = believed.with_friction_prior(model.tendon_friction, settings.mid_range * float(tension_max[0]))
         planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)
         effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         return StepSetup(model, reference, settings, filtering, devices, planner, tension_max, ahead, noise, first, start, effects)
@@ -123,7 +123,7 @@ class StepSetup:
         planner = self.controller.pressure_planner
         function = self.input_motion
         memory = 0 if function is None else function.numel_in(2)
-        return Sizes.of(self.model, self.controller.stages, planner.preview, planner.slope_window, self.ahead, memory)
+        return Sizes.from_model(self.model, self.controller.stages, planner.preview, planner.slope_window, self.ahead, memory)
 
     @property
     def input_motion(self) -> ca.Function | None:
@@ -201,7 +201,7 @@ def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, t
 
 
 def told_of_settings(settings: MpcSettings, filtering: FilterSettings, period: float) -> Told:
-    """What is wanted and believed, with control periods in s."""
+    """Settings of controller and filter by their names in C, for a control period in s."""
     weights, planner = settings.weights, settings.pressure_planner
     same = (
         *("force_drift", "strength_std", "strength_drift", "friction", "friction_std", "friction_drift", "reversal_noise", "load_share"),

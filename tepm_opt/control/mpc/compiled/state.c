@@ -102,7 +102,7 @@ static inline double within(double x, double low, double high) { return least(mo
 static inline long at_row(const step *o, long row) { return row < 0 ? 0 : row >= o->way.rows ? o->way.rows - 1 : row; }
 
 /* Direction after a change (Dahl). */
-static inline double turned(double direction, double change, double distance) {
+static inline double dahl_step(double direction, double change, double distance) {
   double sign = change > 0 ? 1 : -1;
   return change == 0 ? direction : sign + (direction - sign) * exp(-fabs(change) / distance);
 }

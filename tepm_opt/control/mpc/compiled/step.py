@@ -81,7 +81,7 @@ class CompiledStep:
         self._picked = self._columns()
 
     @staticmethod
-    def of(setup: StepSetup, doubts: Doubts) -> CompiledStep | None:
+    def from_setup(setup: StepSetup, doubts: Doubts) -> CompiledStep | None:
         """The compiled step of a setup, as its backend asks for; None, where that is "auto", if there is none for it or no compiler.
 
         Raises:
@@ -164,7 +164,7 @@ class CompiledStep:
         found = [np.zeros(shape) for shape in shapes]
         self._point(self._at, (ctypes.c_void_p * len(found))(*(array.ctypes.data for array in found)))
         basis, values, damping, drive, observe, gain, *discrete = found
-        weights, row = basis[:, :modes].T * self._held["masses"], int(reference.at(row))
+        weights, row = basis[:, :modes].T * self._held["masses"], int(reference.rows_at(row))
         model = ModalModel(reference.equilibria[row], basis, weights, values[:modes], damping, drive, observe, gain)
         A, start, end = discrete
         return Operating(model, reference.forces[row], A, start, end, reference.period)
@@ -201,7 +201,7 @@ class CompiledStep:
 
 
 def _address(library: ctypes.CDLL, name: str) -> int:
-    """Where a function of a library is."""
+    """Address of a function of a library."""
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
 
 

@@ -58,7 +58,7 @@ class Body:
     @staticmethod
     def of(robot: Robot, seed: int = 0) -> Body:
         """The nominal network of a robot."""
-        layout, value = Layout.of(robot), robot.parameters
+        layout, value = Layout.from_robot(robot), robot.parameters
         nodes = layout.rest_positions(value.r, value.L_0)
         factors = {VERTICAL: (1.0, 1.0), HORIZONTAL: (value.alpha_1, value.beta_1)}
         stiff, damp = np.array([factors.get(edge.kind, (value.alpha_2, value.beta_2)) for edge in layout.edges]).T

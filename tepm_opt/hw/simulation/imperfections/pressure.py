@@ -134,5 +134,5 @@ class ActuatorGain(Imperfection):
     loss: dict[str, Annotated[float, between(-1, 1, "of the pressure's force")]] = Field(default_factory=dict)
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
-        factor = 1 - of_actuators(self.loss, Layout.of(robot), "actuator_gain: loss")
+        factor = 1 - of_actuators(self.loss, Layout.from_robot(robot), "actuator_gain: loss")
         return StaticMap(lambda pressure: pressure * factor, Numbers("gain", channels=(factor,)))

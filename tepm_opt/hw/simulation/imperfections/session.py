@@ -103,7 +103,7 @@ class TendonSlip(Imperfection):
     instant_s: Instant = 0.0
 
     def tension_stage(self, robot: Robot) -> TensionStage:
-        return Slip(of_actuators(self.share, Layout.of(robot), "tendon_slip: share"), self.instant_s)
+        return Slip(of_actuators(self.share, Layout.from_robot(robot), "tendon_slip: share"), self.instant_s)
 
 
 class TrackerDrift(Imperfection):

@@ -31,7 +31,7 @@ class ActuatorOffset(Imperfection):
         lengthened(body, of_actuators(self.length_m, body.layout, "actuator_offset: length_m"))
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
-        return shifted(of_actuators(self.zero_Pa, Layout.of(robot), "actuator_offset: zero_Pa")) if self.zero_Pa else None
+        return shifted(of_actuators(self.zero_Pa, Layout.from_robot(robot), "actuator_offset: zero_Pa")) if self.zero_Pa else None
 
 
 def shifted(zero: np.ndarray) -> StaticMap:
@@ -56,7 +56,7 @@ class ActuatorScatter(Imperfection):
         lengthened(body, self.drawn(body.layout)[1])
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
-        area, _ = self.drawn(Layout.of(robot))
+        area, _ = self.drawn(Layout.from_robot(robot))
         return StaticMap(lambda pressure: pressure * area, Numbers("gain", channels=(area,))) if self.area_spread else None
 
 
@@ -92,6 +92,6 @@ class TensionGain(Imperfection):
     bend: Annotated[float, between(-0.2, 0.2, "of the tension")] = 0.0
 
     def tension_stage(self, robot: Robot) -> TensionStage:
-        layout, largest = Layout.of(robot), float(robot.actuation.tension_max_N)
+        layout, largest = Layout.from_robot(robot), float(robot.actuation.tension_max_N)
         loss, zero = of_actuators(self.loss, layout, "tension_gain: loss"), of_actuators(self.zero_N, layout, "tension_gain: zero_N")
         return LoadCell(loss, zero, self.bend, largest)

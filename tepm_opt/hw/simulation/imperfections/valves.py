@@ -113,5 +113,5 @@ class RegulatorLeak(Imperfection):
     critical_ratio: Annotated[float, between(0, 0.6, "")] = 0.3
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
-        share = of_actuators(self.share, Layout.of(robot), "regulator_leak: share")
+        share = of_actuators(self.share, Layout.from_robot(robot), "regulator_leak: share")
         return Leak(share, self.time_s, self.critical_ratio) if share.any() else None
