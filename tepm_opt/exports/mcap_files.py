@@ -151,7 +151,7 @@ def _poses(places: np.ndarray, row: int, at: int) -> dict[str, Any]:
 
 
 def _value(value: np.generic) -> str | float | None:
-    """What JSON has for it: infinite numbers and those that are none are null."""
+    """Convert a value to one that JSON has: infinite numbers and NaN are null."""
     plain = value.item()
     return plain if isinstance(plain, str) else float(plain) if np.isfinite(plain) else None
 

@@ -102,7 +102,7 @@ def in_mujoco(model: Model) -> tuple[Model, dict[str, str]]:
 
 
 def _reason(kind: Effect, alone: Model) -> str | None:
-    """Why MuJoCo cannot express an effect; None where it can."""
+    """Explain why MuJoCo cannot express an effect; None where it can."""
     for hook, reason in REASONS.items():
         if kind.has(hook):
             return reason
@@ -142,7 +142,7 @@ def _body(model: Model) -> _Body | str:
 
 
 def _of_muscles(slope: np.ndarray, axial: slice, layout: Layout) -> np.ndarray | None:
-    """How axial forces change with the pressure and the tension of their own muscle, (2, modules · actuators); None where more changes.
+    """Extract slopes of axial forces by pressure and tension of their own muscle, (2, modules · actuators); None if others matter, too.
 
     Args:
         slope: of the properties by the inputs, (n, rows, inputs).

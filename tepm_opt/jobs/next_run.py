@@ -30,7 +30,7 @@ from tepm_opt.models.robot import builtin_robots
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.patterns import Pattern, PatternContext
 from tepm_opt.recording.plan import PlannedRun
-from tepm_opt.recording.probing import drawn, random_run, varied
+from tepm_opt.recording.probing import draw_pattern, random_run, varied
 from tepm_opt.recording.reach import Reach, reach_of, unbearable
 from tepm_opt.recording.standard import PlannedPattern, plan_text
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
@@ -150,7 +150,7 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
             found = rig.proposal(make(), estimates)
             tried.extend([found] if found else [])
 
-    look(lambda: drawn(random, rig.model.robot, rig.reach, rig.seconds, rig.loads), DRAWS)
+    look(lambda: draw_pattern(random, rig.model.robot, rig.reach, rig.seconds, rig.loads), DRAWS)
     for _ in range(ROUNDS):
         tried.sort(key=lambda each: -each.sigmas)
         for each in list(islice((each for each in tried if rig.bears(each, estimates)), KEPT)):

@@ -109,7 +109,7 @@ def _measured_columns(names: tuple[str, ...]) -> tuple[list[str], list[str], lis
 
 
 def _others(sample: Sample, channels: Channels) -> dict[str, float]:
-    """What a rig measured besides positions, by column."""
+    """Collect the measurements of a sample besides positions, by column."""
     columns: dict[str, float] = {}
     for values, labels in zip((sample.pressures, sample.tensions, sample.lengths), _measured_columns(channels.actuators), strict=True):
         if values is not None:

@@ -31,7 +31,7 @@ Level = dict[str, Number]
 
 @dataclass(frozen=True)
 class PatternContext:
-    """What a run of a plan is worked out for.
+    """Robot, sample rate and folder for which a run of a plan is worked out.
 
     Attributes:
         robot: that it moves.
@@ -79,7 +79,7 @@ class PatternContext:
 
 
 class RunPlan(Section):
-    """What all runs of a plan have: every run starts with `lead_s` of steady inputs."""
+    """A run of a plan; every one starts with `lead_s` of steady inputs."""
 
     file: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w. -]*\.csv$", description="a plain file name ending in .csv")]
     role: Role
@@ -113,7 +113,7 @@ Knots = list[tuple[float, np.ndarray]]
 
 
 class Pattern(RunPlan):
-    """What all built-in patterns have: they start from `rest`, return to it and stay there for `rest_s`, all of that `repeats` times."""
+    """A built-in pattern: it starts from `rest`, returns to it and stays there for `rest_s`, all of that `repeats` times."""
 
     rest: Level = Field(default_factory=dict)
     rest_s: Seconds = 2.0
@@ -137,11 +137,11 @@ class Pattern(RunPlan):
 
     @abstractmethod
     def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
-        """What happens between `rest` (columns,) and `rest`."""
+        """List the pattern's knots between `rest` (columns,) and `rest`."""
 
 
 class HeldPattern(Pattern):
-    """What `steps` and `random` share: from level to level, each reached within `rise_s` and held for `hold_s`."""
+    """Base of `steps` and `random`: goes from level to level, each reached within `rise_s` and held for `hold_s`."""
 
     rise_s: Seconds
     hold_s: Seconds

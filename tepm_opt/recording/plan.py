@@ -106,13 +106,13 @@ def read_plan(path: str | Path) -> RecordingPlan:
     runs = []
     for k, entry in enumerate(content.runs):
         where = f"{path}: runs entry {k + 1}"
-        planned = _planned(entry, where)
+        planned = _parse_entry(entry, where)
         setup = PatternContext(robot, content.sample_rate_hz, path.parent, f"{where} ({planned.file})")
         runs.append(PlannedRun(planned.file, planned.role, planned.setpoints(setup)))
     return RecordingPlan(content.name, robot, source, content.sample_rate_hz, content.position_noise_m, tuple(runs))
 
 
-def _planned(entry: dict[str, Any], where: str) -> RunPlan:
+def _parse_entry(entry: dict[str, Any], where: str) -> RunPlan:
     if ("inputs" in entry) == ("pattern" in entry):
         raise InputError(f"{where}: valid: either pattern = one of {', '.join(PATTERNS)}, or inputs = a set-point file")
     if "inputs" in entry:

@@ -16,8 +16,8 @@ SPREAD = 0.3  # of the logarithm of a level or a time that is varied
 TIMES = ("rise_s", "from_hz", "to_hz", "period_s", "amplitude_Pa")
 
 
-def drawn(random: np.random.Generator, robot: Robot, reach: Reach, seconds: float, loads: bool = True) -> Pattern:
-    """A run of one of the patterns: steps or poses, a sweep, random levels, circles.
+def draw_pattern(random: np.random.Generator, robot: Robot, reach: Reach, seconds: float, loads: bool = True) -> Pattern:
+    """Draw a run of one of the patterns: steps or poses, a sweep, random levels, circles.
 
     Args:
         random: what is drawn from.
@@ -76,7 +76,7 @@ def random_run(random: np.random.Generator, reach: Reach, seconds: float, rest: 
 
 def varied(random: np.random.Generator, pattern: Pattern) -> Pattern | None:
     """A run near another one: its levels, rises and frequencies changed by about a third; None where that is no run."""
-    content = {key: _changed(random, key, value) for key, value in pattern.model_dump(exclude_unset=True).items()}
+    content = {key: _perturb(random, key, value) for key, value in pattern.model_dump(exclude_unset=True).items()}
     if isinstance(pattern, Steps):
         count, before = len(pattern.levels), pattern.rise_s * (len(pattern.levels) + 1) + pattern.hold_s * len(pattern.levels)
         content["hold_s"] = round((before - content["rise_s"] * (count + 1)) / count, 2)
@@ -88,12 +88,12 @@ def varied(random: np.random.Generator, pattern: Pattern) -> Pattern | None:
         return None
 
 
-def _changed(random: np.random.Generator, key: str, value: Any) -> Any:
-    """A part of a pattern: tables of levels and times are changed, the rest stays."""
+def _perturb(random: np.random.Generator, key: str, value: Any) -> Any:
+    """Change levels and times in a part of a pattern at random; the rest stays."""
     if isinstance(value, dict):
         return {name: _rounded(number * np.exp(SPREAD * random.normal())) for name, number in value.items()}
     if isinstance(value, list) and key in ("levels", "amplitudes"):
-        return [_changed(random, key, part) for part in value]
+        return [_perturb(random, key, part) for part in value]
     if key in TIMES:
         return _rounded(value * np.exp(SPREAD * random.normal()))
     return value

@@ -48,7 +48,7 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
     tension, pull, force = share * np.array(reach.tension), share * min(reach.tension), _rounded(share * reach.force)
     modules = range(layout.modules)
 
-    def of(module: int, actuator: int) -> str:
+    def actuator_name(module: int, actuator: int) -> str:
         return names[module * count + actuator % count]
 
     def times(periods: float, shortest: float = 0.1) -> float:
@@ -57,15 +57,15 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
     def level(**values: float) -> Level:
         return {name: _rounded(value) for name, value in values.items()}
 
-    each = [(module, of(module, k)) for module in modules for k in range(count)]
+    each = [(module, actuator_name(module, k)) for module in modules for k in range(count)]
     middle, swing = 0.4 * common, min(0.42 * least, 0.35 * common)
     against: list[Level] = []
     for module in modules:
-        all_of, first = f"pressure_{module + 1}_Pa", f"pressure_{of(module, 0)}_Pa"
+        all_of, first = f"pressure_{module + 1}_Pa", f"pressure_{actuator_name(module, 0)}_Pa"
         for sign in (1, -1):
             against.append(level(**{all_of: middle - sign * swing, first: middle + sign * swing}))
     for module in modules:
-        muscle, tendon = of(module, -1 if module % 2 == 0 else 0), of(module, 0 if module % 2 == 0 else -1)
+        muscle, tendon = actuator_name(module, -1 if module % 2 == 0 else 0), actuator_name(module, 0 if module % 2 == 0 else -1)
         against.append(level(**{f"pressure_{muscle}_Pa": middle + 1.2 * swing, f"tension_{tendon}_N": 0.43 * pull}))
     runs: list[tuple[Pattern, str]] = [
         (
@@ -191,7 +191,7 @@ def _bends(robot: Robot, amplitudes: np.ndarray) -> list[Level]:
 
 
 def _under_load(layout: Layout, alone: np.ndarray, common: float, module: int) -> list[Level]:
-    """What moves while a force acts on the tip: two muscles of a module, then all."""
+    """List the levels while a force acts on the tip: two muscles of a module, then all."""
     own = layout.actuator_names[module * layout.actuators :][:2]
     first, second = ({f"pressure_{name}_Pa": _rounded(LIGHT * common + 0.45 * alone.min())} for name in own)
     return [first, {}, second, {}, {"pressure_Pa": _rounded(0.46 * common)}]
