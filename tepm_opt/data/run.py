@@ -111,8 +111,8 @@ class RunSet:
     gauges: tuple[str, ...] = ()
 
     @staticmethod
-    def of(name: str, runs: Iterable[Run]) -> RunSet:
-        """Some runs."""
+    def from_runs(name: str, runs: Iterable[Run]) -> RunSet:
+        """Make a set of runs under a name."""
         found = RunSet()
         found.name, found.runs = name, tuple(runs)
         return found

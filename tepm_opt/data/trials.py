@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from tepm_opt.data.channels import TIME
 from tepm_opt.data.datasets import DESCRIPTION, RunEntry
-from tepm_opt.data.documents import Section, between, read_toml, validated
+from tepm_opt.data.documents import Section, read_toml, require_range, validated
 from tepm_opt.data.run import Run, RunSet, Start
 from tepm_opt.data.signals import Signals
 from tepm_opt.data.tables import read_table
@@ -33,7 +33,7 @@ class TrialsDescription(Section):
     noise: Annotated[dict[str, float], Field(description="1 sigma of each output, in its unit")]
     static: bool = False
     start: Start = "equilibrium"
-    piece_s: Annotated[float, between(1e-6, 1e6, "s")] | None = None
+    piece_s: Annotated[float, require_range(1e-6, 1e6, "s")] | None = None
     gauges: list[str] = Field(default_factory=list)
     runs: list[TrialEntry]
 

@@ -92,8 +92,8 @@ def _registry() -> dict[str, RigKind]:
     return {kind.name: kind for kind in (*BUILT_IN, *(point.load() for point in entry_points(group="tepm_opt.rigs")))}
 
 
-def _named(target: str) -> tuple[str, str]:
-    """A simulated rig's file and the engine asked for."""
+def _split_engine(target: str) -> tuple[str, str]:
+    """Split a target into a simulated rig's file and the engine asked for."""
     name, at, engine = target.rpartition("@")
     return (target, "") if not at or Path(target).is_file() or "/" in engine else (name, engine)  # of a file's name
 
@@ -101,13 +101,13 @@ def _named(target: str) -> tuple[str, str]:
 def _simulated(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.rig import SimulatedRig
     from tepm_opt.hw.simulation.rigfile import DEFAULT, builtin_rigs, load_rig_file
-    from tepm_opt.hw.simulation.scaling import fitted
+    from tepm_opt.hw.simulation.scaling import scale_rig
     from tepm_opt.models.channels import channels_of
 
-    name, engine = _named(target)
+    name, engine = _split_engine(target)
     file = load_rig_file(name or DEFAULT)
     if robot is not None and (name or DEFAULT) in builtin_rigs():
-        file = fitted(file, robot)
+        file = scale_rig(file, robot)
     elif robot is not None and channels_of(robot) != channels_of(file.nominal):
         raise InputError(
             f"rig {name}: simulates the robot {file.nominal.name!r}, the model's is {robot.name!r}; name the rig's (--robot {file.robot}), "
@@ -124,7 +124,7 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
 def _simulated_robot(target: str) -> str:
     from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
 
-    return str(load_rig_file(_named(target)[0] or DEFAULT).robot)
+    return str(load_rig_file(_split_engine(target)[0] or DEFAULT).robot)
 
 
 def _bench(target: str, robot: Robot | None) -> Rig:

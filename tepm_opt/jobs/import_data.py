@@ -21,7 +21,7 @@ from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.importing.advice import try_entries, with_tried_entries
 from tepm_opt.data.importing.clocks import time_map
 from tepm_opt.data.importing.guess import guess_map, orientations, triples
-from tepm_opt.data.importing.maps import ImportMap, Wanted, map_of, wanted
+from tepm_opt.data.importing.maps import ImportMap, Wanted, map_of, resolve_entries
 from tepm_opt.data.importing.plausible import left_out, notes_of, refuse_implausible
 from tepm_opt.data.importing.refusals import PUT, key, refusal, toml
 from tepm_opt.data.importing.resample import GAP
@@ -181,7 +181,7 @@ def _import(given: ImportMap, sheets: Sequence[Sheet], where: str, name: str) ->
     """Runs of the columns of files."""
     robot = load_robot(given.robot) if given.robot is not None else None
     channels = channels_of(robot) if robot is not None else None
-    asked = wanted(given, channels, where)
+    asked = resolve_entries(given, channels, where)
     if channels is not None and not given.position:
         raise _no_position(given, sheets, channels)
     parts = parts_of(given, sheets, asked)

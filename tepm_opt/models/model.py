@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between, read_text, read_toml, toml_string, validated
+from tepm_opt.data.documents import Section, read_text, read_toml, require_range, toml_string, validated
 from tepm_opt.data.files import write_atomically
 from tepm_opt.data.markup import html_table
 from tepm_opt.errors import InputError, unknown_name
@@ -158,10 +158,10 @@ def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -
 class _FilterTable(Section):
     """Noise levels of the predictive controller's filter; `FilterSettings` says what each is."""
 
-    friction_std: Annotated[float, between(0.0, 100.0, "N")] = 0.0
-    friction_drift: Annotated[float, between(0.0, 100.0, "N/√s")] = 0.0
-    strength_std: Annotated[float, between(0.0, 1.0, "")] = 0.0
-    strength_drift: Annotated[float, between(0.0, 1.0, "1/√s")] = 0.0
+    friction_std: Annotated[float, require_range(0.0, 100.0, "N")] = 0.0
+    friction_drift: Annotated[float, require_range(0.0, 100.0, "N/√s")] = 0.0
+    strength_std: Annotated[float, require_range(0.0, 1.0, "")] = 0.0
+    strength_drift: Annotated[float, require_range(0.0, 1.0, "1/√s")] = 0.0
 
 
 FILTER_UNITS = {"friction_std": "N", "friction_drift": "N/√s", "strength_std": "of p A", "strength_drift": "1/√s"}

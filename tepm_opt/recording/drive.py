@@ -101,7 +101,7 @@ class Driver:
     def apply(self, inputs: np.ndarray) -> None:
         """Command u (inputs,) in Pa and N."""
         self.inputs = np.clip(inputs, 0.0, self.channels.limits)
-        self.rig.apply(Command.of(self.inputs))
+        self.rig.apply(Command.from_inputs(self.inputs))
 
     @property
     def sample(self) -> Sample:

@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Number, Section, between
+from tepm_opt.data.documents import Number, Section, require_range
 from tepm_opt.data.run import Role
 from tepm_opt.data.setpoints import FORCE_COLUMNS, SetPoints, read_setpoints
 from tepm_opt.errors import InputError, unknown_name
@@ -21,9 +21,9 @@ from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import Robot
 from tepm_opt.recording.drive import refuse_unplayable
 
-Seconds = Annotated[float, between(0, 3600, "s")]
-Lead = Annotated[float, between(0.5, 60, "s")]
-Hertz = Annotated[float, between(1e-3, 1e3, "Hz")]
+Seconds = Annotated[float, require_range(0, 3600, "s")]
+Lead = Annotated[float, require_range(0.5, 60, "s")]
+Hertz = Annotated[float, require_range(1e-3, 1e3, "Hz")]
 Count = Annotated[int, Field(strict=True, ge=1, le=10000, description="1 … 10000")]
 Level = dict[str, Number]
 """Values of inputs and tip forces by name; see `PatternContext.level`."""
@@ -201,7 +201,7 @@ class Sweep(Pattern):
     amplitudes: Annotated[list[Level], Field(min_length=1, description="at least one table of inputs")]
     from_hz: Hertz = 0.1
     to_hz: Hertz = 2.0
-    duration_s: Annotated[float, between(1, 3600, "s")] = 30.0
+    duration_s: Annotated[float, require_range(1, 3600, "s")] = 30.0
 
     def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """See `Pattern.knots`."""
@@ -220,10 +220,10 @@ class Circle(Pattern):
     """Pressures of a module out of phase by the angles of its actuators, so that its bending goes round; fades in and out over a turn."""
 
     pattern: Literal["circle"] = "circle"
-    amplitude_Pa: Annotated[float, between(0, 2e7, "Pa")]
+    amplitude_Pa: Annotated[float, require_range(0, 2e7, "Pa")]
     modules: list[Annotated[int, Field(strict=True, ge=1, description="numbers of modules")]] | None = None
-    period_s: Annotated[float, between(0.1, 3600, "s")] = 10.0
-    turns: Annotated[float, between(1, 1e4, "turns")] = 3.0
+    period_s: Annotated[float, require_range(0.1, 3600, "s")] = 10.0
+    turns: Annotated[float, require_range(1, 1e4, "turns")] = 3.0
 
     def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """See `Pattern.knots`."""

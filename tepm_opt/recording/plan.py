@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between, read_toml, validated
+from tepm_opt.data.documents import Section, read_toml, require_range, validated
 from tepm_opt.data.run import Role, Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
@@ -21,8 +21,8 @@ from tepm_opt.recording.patterns import PATTERNS, FileRun, PatternContext, RunPl
 class _PlanFile(Section):
     name: Annotated[str, Field(min_length=1, description="any text")]
     robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")] = "kang2017"
-    sample_rate_hz: Annotated[float, between(1, 1e4, "Hz")] = 50.0
-    position_noise_m: Annotated[float, between(0, 0.1, "m, 1 sigma per axis")] | None = None
+    sample_rate_hz: Annotated[float, require_range(1, 1e4, "Hz")] = 50.0
+    position_noise_m: Annotated[float, require_range(0, 0.1, "m, 1 sigma per axis")] | None = None
     runs: Annotated[list[dict[str, Any]], Field(min_length=1, description="at least one [[runs]]")]
 
 

@@ -354,7 +354,7 @@ def test_holding_hands_on_what_failed(world: World) -> None:
         rig.stop()
         single = moves.Single(rig.robot, 0)
         rig._armed = False
-        holding = moves.holding(rig, single.command(0.0))
+        holding = moves.keep_sending(rig, single.command(0.0))
         with pytest.raises(RuntimeError, match="open it anew"), holding:
             time.sleep(0.2)
         assert rig.board.state is State.IDLE

@@ -136,7 +136,7 @@ def _drive(
     from tepm_opt.hw.board.calibration import Calibration
     from tepm_opt.hw.service import calibrate, moves
 
-    calibration = Calibration.of(single.robot)
+    calibration = Calibration.from_robot(single.robot)
     true, volts, counts, last = [], [], [], 0.0
     for level in levels:
         value = 1e3 * level
@@ -151,7 +151,7 @@ def _drive(
         mark = "" if settled else ", which did not settle within 15 s"
         stderr.print(f"  {single.name} at {level:g} kPa: monitor {read / 1e3:.1f} kPa{mark}", highlight=False)
         if gauge:
-            with moves.holding(rig, single.command(value), threaded):
+            with moves.keep_sending(rig, single.command(value), threaded):
                 true[-1] = 1e-3 * _reading(f"Gauge at actuator {single.name}, kPa:", single.most / 1e3)
     moves.glide(rig, single, last, 0.0)
     return np.array(true), np.array(volts), np.array(counts)
@@ -248,7 +248,7 @@ def _loaded(robot: str | None, out: Path | None) -> Robot:
     from tepm_opt.models.robot import load_robot
 
     found = load_robot(robot or "kang2017")
-    Calibration.of(found)
+    Calibration.from_robot(found)
     return found
 
 

@@ -144,7 +144,7 @@ def limits(
     from tepm_opt.models.robot import load_robot
 
     found = load_robot(robot or "kang2017")
-    text = Limits.of(found).header(found.name)
+    text = Limits.from_robot(found).header(found.name)
     if out is None:
         print(text, end="")
         return SOLVED
@@ -202,8 +202,8 @@ def jog(
         with line.rig(found, tendons="position" if no_tendon else "tension") as rig, _live() as show:
             single.refuse(value, rig)
             for now, commanded, sample in moves.jog(rig, single, value, seconds):
-                measured = single.measured(sample)
-                if moves.held(now, seconds):
+                measured = single.read_measured(sample)
+                if moves.is_held(now, seconds):
                     kept.append(measured)
                 position = rig.board.positions[single.actuator]
                 steps = max(steps, position)
@@ -212,7 +212,7 @@ def jog(
                 show(f"{single.name}: {commanded / scale:.2f} {unit} commanded, {measured / scale:.2f} {unit} measured{wound}")
             rig.stop()
         mean = float(np.nanmean(kept)) if np.isfinite(kept).any() else float("nan")
-        travel = steps / Calibration.of(found).steps_mm[single.actuator]
+        travel = steps / Calibration.from_robot(found).steps_mm[single.actuator]
         wound = f", the motor wound {steps} steps, {travel:.2f} mm of tendon" if single.tension else ""
         say(f"{single.name}: {value / scale:g} {unit} commanded, {mean / scale:.3g} {unit} measured while held{wound}.")
         if not no_tendon and not abs(mean - value) < max(0.1 * value, 0.02 * single.most):

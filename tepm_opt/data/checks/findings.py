@@ -53,10 +53,10 @@ class Subject:
     def __repr__(self) -> str:
         return f"Subject({self.run!r})"
 
-    def found(
+    def make_finding(
         self, severity: Severity, channel: str, message: str, rows: Sequence[int] | np.ndarray = (), is_setup: bool = False
     ) -> Finding:
-        """A finding about rows of the run; the message names their lines in the file.
+        """Make a finding about rows of the run; the message names their lines in the file.
 
         Args:
             severity: how bad it is.

@@ -8,7 +8,7 @@ import numpy as np
 
 from tepm_opt.data.importing.dates import are_local_times, local_seconds
 from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted, fits, time_with
-from tepm_opt.data.importing.refusals import TableError, lines_of, named, question, refusal, toml
+from tepm_opt.data.importing.refusals import TableError, lines_of, question, quote_columns, refusal, toml
 from tepm_opt.data.importing.resample import Clock
 from tepm_opt.data.importing.rolling import DAY, HOUR, MINUTE, period_of, time_parts, unroll
 from tepm_opt.data.importing.sources import Sheet, optional
@@ -70,8 +70,8 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     if period is not None:
         raw[kept], times = unroll(raw[kept], period)
         if times:
-            told = (f"{sheet.path.name}: {named(names)} (time) rolls over at {period * one:g} s, {times} times: counted on",)
-    time = raw * one if one >= 1 or not np.all(raw[kept] == np.round(raw[kept])) else _whole(raw, one)
+            told = (f"{sheet.path.name}: {quote_columns(names)} (time) rolls over at {period * one:g} s, {times} times: counted on",)
+    time = raw * one if one >= 1 or not np.all(raw[kept] == np.round(raw[kept])) else _convert_to_seconds(raw, one)
     steps = np.diff(time[kept])
     if (back := np.flatnonzero(steps < 0) + 1).size:
         raise _goes_back(given, sheet, entry, names, raw, kept, back, one, rows)
@@ -114,8 +114,8 @@ def _read_counter(given: ImportMap, sheet: Sheet, names: list[str], entry: TimeM
     return seconds(given, sheet, own, entry, entry.units[0], counted=True)[rows].astype(float), one, entry.rolls_over_at
 
 
-def _whole(values: np.ndarray, one: float) -> np.ndarray:
-    """Whole numbers of a small unit in s, to the ns far from 0."""
+def _convert_to_seconds(values: np.ndarray, one: float) -> np.ndarray:
+    """Convert whole numbers of a small unit to s, to the ns far from 0."""
     whole = round(1 / one)
     return values // whole + (values % whole) * one
 
@@ -152,7 +152,7 @@ def _refuse_part(given: ImportMap, sheet: Sheet, entry: TimeMap, own: str) -> No
     """Refuse a column that is a part of a time as the whole of it."""
     parts = time_parts(sheet)
     if own in parts and len(parts) > 1 and len(entry.names) == 1:
-        what = f"column {own!r} is a part of a time; the parts are {named(parts)}"
+        what = f"column {own!r} is a part of a time; the parts are {quote_columns(parts)}"
         raise refusal(sheet.path, what, time_with(given, entry, column=list(parts), unit=list(parts.values())))
 
 
@@ -250,14 +250,14 @@ def _no_time(given: ImportMap, sheet: Sheet, columns: list[Name]) -> InputError:
     if not columns:
         what = f"no time in the map for the columns of this file; found: {', '.join(sheet.order)}"
         return refusal(sheet.path, what, mended or time_with(given, entry, rate_hz=sheet.rate or 100))
-    return refusal(sheet.path, f"time: no {named(columns)}; found: {', '.join(sheet.order)}", mended)
+    return refusal(sheet.path, f"time: no {quote_columns(columns)}; found: {', '.join(sheet.order)}", mended)
 
 
 def _other_rows(each: Wanted, sheet: Sheet, name: str, own: str) -> InputError:
     rows = len(sheet.columns[name])
     alike = [one for one in each.columns if (found := sheet.name(one)) and len(sheet.columns[found]) == rows]
     fitting = [other for other, values in sheet.columns.items() if len(values) == rows and _increases(values)]
-    what = f"{each.place}: {named(alike)}: {rows} rows, but {named([own])} (time) has {len(sheet.columns[own])}"
+    what = f"{each.place}: {quote_columns(alike)}: {rows} rows, but {quote_columns([own])} (time) has {len(sheet.columns[own])}"
     return refusal(sheet.path, what, f"{each.place}.time = {toml(fitting[0])}" if fitting else "")
 
 

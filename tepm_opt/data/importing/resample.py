@@ -76,7 +76,7 @@ def grid_of(start: float, end: float, rate: float) -> np.ndarray:
 
 
 def reduction(clock: Clock, rate: float) -> int:
-    """How many steps of the fine grid, on which samples are filtered, make one of the new; 1: no filter."""
+    """Count the steps of the fine grid, on which samples are filtered, that make one of the new; 1: no filter."""
     return 1 if clock.rate <= LIKE * rate else int(np.ceil(clock.rate / rate - 1e-6))
 
 
@@ -87,8 +87,8 @@ def taps(steps: int) -> np.ndarray:
     return np.asarray(firwin(count | 1, (1 + PASS) / 2 / steps, window=("kaiser", beta)))  # type: ignore[arg-type]
 
 
-def measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) -> np.ndarray:
-    """One measured column on a grid: a cubic spline through the samples, on a fine grid through a filter without delay.
+def resample_measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) -> np.ndarray:
+    """Bring one measured column onto a grid: a cubic spline through the samples, on a fine grid through a filter without delay.
 
     Below 0.8 of half the new rate 0.999 … 1.001 passes, above half the new rate 0.001 at most. No sample is made up where there was
     none for 1.9 steps of the samples and, where they are filtered, a step of the grid.

@@ -34,7 +34,7 @@ Values = dict[str, Any]
 
 
 class State(IntEnum):
-    """What the board is doing. Only ARMED moves anything."""
+    """State of the board. Only ARMED moves anything."""
 
     IDLE = 0
     ARMED = 1
@@ -44,7 +44,7 @@ class State(IntEnum):
 
 
 class Fault(IntEnum):
-    """What was found wrong; a graver one has a greater number. All that were found are kept as bits, and the gravest decides.
+    """Fault that the board found; a graver one has a greater number. All that were found are kept as bits, and the gravest decides.
 
     From MONITOR on pressure cannot be trusted to follow: the board switches its outputs off, which vents everything.
     """
@@ -243,7 +243,7 @@ class Decoder:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[tuple[Message, Values]]:
-        """What became complete with these bytes, in order."""
+        """Take bytes; return the messages that they complete, in order."""
         *whole, self._rest = (self._rest + data).split(b"\0")
         self._rest = self._rest[-self.longest - 1 :]
         found = [self._message(encoded) for encoded in whole if encoded]

@@ -102,7 +102,7 @@ def increasing(text: str, name: str, least: float, most: float, unit: str) -> li
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """What a board told over some time.
+    """Raw counts that a board told over some time.
 
     Attributes:
         dynamometers, monitors: counts, (samples, 6).

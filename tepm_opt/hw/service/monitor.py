@@ -22,7 +22,7 @@ SILENT, BOOTING = 0.5, 3.0
 
 @dataclass(frozen=True, eq=False)
 class MonitorReading:
-    """What is known at one time.
+    """Readings of board and tracker at one time.
 
     Attributes:
         time: since the start in s.

@@ -69,7 +69,7 @@ class CompiledMachine(Machine):
 
 
 def _numbers(stage: Stage, kinds: tuple[str, ...]) -> Numbers:
-    """What a stage hands over.
+    """Get the numbers that a stage hands over to the compiled engine.
 
     Raises:
         Unknown: it has nothing to hand over, C does not know it in its place, or it inherits its numbers but not its steps.

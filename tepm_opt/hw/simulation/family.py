@@ -16,7 +16,7 @@ from tepm_opt.hw.simulation.imperfections.edges import StructuralFriction
 from tepm_opt.hw.simulation.imperfections.pressure import ActuatorGain, PressureHysteresis, RegulatorLag
 from tepm_opt.hw.simulation.imperfections.tendon import TendonFriction
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
-from tepm_opt.hw.simulation.scaling import MOST_CLAMPED, fitted
+from tepm_opt.hw.simulation.scaling import MOST_CLAMPED, scale_rig
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
 
@@ -86,7 +86,7 @@ def random_machine(robot: str, seed: int, number: int) -> RigFile:
             "imperfections": _imperfections(base.nominal, drawn),
         }
     )
-    found = fitted(machine, known)
+    found = scale_rig(machine, known)
     scattered = found.imperfections.replaced(ActuatorGain(loss=dict(zip(names, map(float, losses), strict=True))))
     return found.model_copy(update={"name": f"machine {number} of seed {seed}", "robot": robot, "imperfections": scattered})
 

@@ -77,7 +77,7 @@ def _section(title: str, section: Section, on: bool) -> Iterator[str]:
 
 
 def _valid(field: FieldInfo, value: Any) -> str:
-    """What a key may be, for its remark."""
+    """Describe the valid values of a key, for its remark."""
     choices = ("true", "false") if isinstance(value, bool) else get_args(field.annotation)
     valid = field.description or described(field.annotation) or " or ".join(map(str, choices))
     return f"by actuator or point, {valid}" if isinstance(value, Mapping) else valid

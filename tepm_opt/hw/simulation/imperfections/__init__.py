@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between
+from tepm_opt.data.documents import Section, require_range
 from tepm_opt.hw.simulation.imperfections.around import TetheredTip, TipDrag, TipWall
 from tepm_opt.hw.simulation.imperfections.base import Imperfection
 from tepm_opt.hw.simulation.imperfections.body import (
@@ -40,7 +40,7 @@ class TimeDelay(Imperfection):
 
     of_one_actuator: ClassVar[bool] = True
     of_devices: ClassVar[bool] = True
-    delay_s: Annotated[float, between(0, 10, "s")] = 0.0
+    delay_s: Annotated[float, require_range(0, 10, "s")] = 0.0
 
 
 class Imperfections(Section):
