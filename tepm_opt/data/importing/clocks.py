@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -74,7 +75,8 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     time = raw * one if one >= 1 or not np.all(raw[kept] == np.round(raw[kept])) else _convert_to_seconds(raw, one)
     steps = np.diff(time[kept])
     if (back := np.flatnonzero(steps < 0) + 1).size:
-        raise _goes_back(given, sheet, entry, names, raw, kept, back, one, rows)
+        lines = [line_of(sheet, int(row), rows) for row in kept]
+        raise _goes_back(given, sheet, entry, names, _CountedTime(raw[kept], one, lines), back)
     if (stands := np.flatnonzero(steps == 0) + 1).size:
         if entry.repeated is None:
             _refuse_part(given, sheet, entry, own)
@@ -120,30 +122,35 @@ def _convert_to_seconds(values: np.ndarray, one: float) -> np.ndarray:
     return values // whole + (values % whole) * one
 
 
-def _goes_back(
-    given: ImportMap,
-    sheet: Sheet,
-    entry: TimeMap,
-    names: list[str],
-    raw: np.ndarray,
-    kept: np.ndarray,
-    back: np.ndarray,
-    one: float,
-    rows: Rows,
-) -> TableError:
+@dataclass(frozen=True, eq=False)
+class _CountedTime:
+    """Time as a file counts it, without empty fields.
+
+    Attributes:
+        raw: the counts, (rows,).
+        one: one of them in s.
+        lines: of the file, one a count.
+    """
+
+    raw: np.ndarray
+    one: float
+    lines: list[int]
+
+
+def _goes_back(given: ImportMap, sheet: Sheet, entry: TimeMap, names: list[str], counter: _CountedTime, back: np.ndarray) -> TableError:
     """The refusal of a time that goes back: a part of a time, a counter that rolls over, a row that is cut off, a new run."""
-    own = names[0]
-    where = [line_of(sheet, int(kept[row]), rows) for row in back]
+    own, raw, one = names[0], counter.raw, counter.one
+    where = [counter.lines[row] for row in back]
     first = int(back[0])
-    before, behind = float(raw[kept[first - 1]]), float(raw[kept[first]])
+    before, behind = float(raw[first - 1]), float(raw[first])
     place, what = f"{sheet.path}: {lines_of(where)}", f"column {own!r} (time) goes back from {before * one:g} to {behind * one:g} s"
     _refuse_part(given, sheet, entry, own)
     if back.tolist() == [1] and sheet.lines:
-        return refusal(place, f"{what}: line {line_of(sheet, int(kept[0]), rows)} is cut off?", f"csv.first = {where[0]}")
-    if len(names) == 1 and (period := period_of(raw[kept], back, one)) is not None:
+        return refusal(place, f"{what}: line {counter.lines[0]} is cut off?", f"csv.first = {where[0]}")
+    if len(names) == 1 and (period := period_of(raw, back, one)) is not None:
         what = f"{what}: a counter that rolls over at {period:g}? (new runs instead: split = {toml(own)})"
         return refusal(place, what, time_with(given, entry, rolls_over_at=int(period) if period == int(period) else period))
-    if np.any(raw[kept[back]] > (raw[kept[0]] + raw[kept[back - 1]]) / 2):  # not to the start
+    if np.any(raw[back] > (raw[0] + raw[back - 1]) / 2):  # not to the start
         return TableError(f"{place}: {what}; valid: rows in the order of time")
     return refusal(place, f"{what}; where a new run begins there", f"split = {toml(own)}")
 
