@@ -1,4 +1,4 @@
-"""How solvers, fits, plans and loops end: one vocabulary for all of them."""
+"""Endings of solvers, fits, plans and loops: one vocabulary for all of them."""
 
 from __future__ import annotations
 

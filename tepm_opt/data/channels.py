@@ -1,4 +1,4 @@
-"""Which columns a robot's data have, and how large their values can be: all that data need to know about a robot."""
+"""Columns of a robot's data and limits of their values: all that data need to know about a robot."""
 
 from __future__ import annotations
 

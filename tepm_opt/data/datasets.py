@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from tepm_opt.data.channels import Channels
-from tepm_opt.data.documents import Section, explain, read_toml, refusal, require_range, toml_string, validated
+from tepm_opt.data.documents import Section, explain, read_toml, refusal, require_range, toml_string, validate
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.markup import html_table
 from tepm_opt.data.run import Role, Run, RunSet, read_run_table, refuse_unusable, run_of, write_run
@@ -108,7 +108,7 @@ def read_description(folder: str | Path) -> Description:
         InputError: no such folder or file, no TOML, unknown or missing key, wrong value.
     """
     path = description_path(folder)
-    return validated(Description, read_toml(path), str(path))
+    return validate(Description, read_toml(path), str(path))
 
 
 def description_path(folder: str | Path) -> Path:
@@ -295,7 +295,7 @@ def description_of(dataset: DataSet, folder: Path) -> Description:
             for run, usual in zip(dataset.runs, in_session(dataset.runs, {}), strict=True)
         ],
     }
-    return validated(Description, content, str(folder / DESCRIPTION))
+    return validate(Description, content, str(folder / DESCRIPTION))
 
 
 def write_description(folder: str | Path, description: Description) -> None:

@@ -108,8 +108,8 @@ def toml_string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def validated(model: type[Checked], content: Mapping[str, Any], where: str) -> Checked:
-    """`content` checked by a pydantic model; `where` names the file in errors.
+def validate(model: type[Checked], content: Mapping[str, Any], where: str) -> Checked:
+    """Check `content` by a pydantic model; `where` names the file in errors.
 
     Raises:
         InputError: one fault in one line with file, key, value and what is valid.
@@ -183,10 +183,10 @@ class _Place:
             named.append(part)
             if isinstance(at, type) and issubclass(at, BaseModel):
                 section, field = at, at.model_fields.get(str(part))
-                at, valid = (None, None) if field is None else (field.annotation, field.description or described(field.annotation))
+                at, valid = (None, None) if field is None else (field.annotation, field.description or find_description(field.annotation))
             else:
                 at = _get_entry_type(at, part)
-                valid = valid or described(at)
+                valid = valid or find_description(at)
         return _Place(tuple(named), section, _without_none(at), valid)
 
     @property
@@ -245,10 +245,10 @@ def _literals(annotation: Any) -> list[str]:
     return [value for inner in get_args(annotation) for value in _literals(inner)]
 
 
-def described(annotation: Any) -> str | None:
-    """Description within an annotation, such as `Annotated[float, Field(description=…)] | None`."""
+def find_description(annotation: Any) -> str | None:
+    """Find the description within an annotation, such as `Annotated[float, Field(description=…)] | None`."""
     for inner in get_args(annotation):
-        found = inner.description if isinstance(inner, FieldInfo) else described(inner)
+        found = inner.description if isinstance(inner, FieldInfo) else find_description(inner)
         if found:
             return found
     return None

@@ -1,4 +1,4 @@
-"""What is put into a machine and what is measured of it: names, units and sizes."""
+"""Inputs and outputs of a machine: names, units and sizes."""
 
 from __future__ import annotations
 

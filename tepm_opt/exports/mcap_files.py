@@ -89,7 +89,7 @@ def _of_file(path: Path) -> dict[str, Mapping[str, np.ndarray]]:
         InputError: unreadable, or no `time_s` that increases.
     """
     table = read_table(path, text=lambda name: name != TIME)
-    table.increasing(TIME)
+    table.read_increasing(TIME)
     return {path.stem: table.columns}
 
 

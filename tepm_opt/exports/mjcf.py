@@ -36,7 +36,7 @@ REASONS: Mapping[str, str] = {
     "pressure_memory": "pressures that remember", "tension_memory": "tensions that remember",
     "delay": "commands that act late", "outputs": "what the tracker shows, not what the robot does",
 }  # fmt: skip
-"""What MuJoCo's tendons, joints and motors do not express, by the hook of an effect that does it."""
+"""Reasons why MuJoCo's tendons, joints and motors cannot express an effect, by its hook."""
 NO_SPRING, NOT_AFFINE = "edges that are no linear springs", "forces that are not a factor and an offset of their own inputs"
 CHANGES = "what changes during a session"
 _COLOURS = {VERTICAL: "0.16 0.38 0.62 1"}

@@ -1,4 +1,4 @@
-"""What every rig checks before it carries out a command."""
+"""Checks of a command that every rig makes before it carries it out."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def _split_engine(target: str) -> tuple[str, str]:
     return (target, "") if not at or Path(target).is_file() or "/" in engine else (name, engine)  # of a file's name
 
 
-def _simulated(target: str, robot: Robot | None) -> Rig:
+def _open_simulated(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.rig import SimulatedRig
     from tepm_opt.hw.simulation.rigfile import DEFAULT, builtin_rigs, load_rig_file
     from tepm_opt.hw.simulation.scaling import scale_rig
@@ -127,13 +127,13 @@ def _simulated_robot(target: str) -> str:
     return str(load_rig_file(_split_engine(target)[0] or DEFAULT).robot)
 
 
-def _bench(target: str, robot: Robot | None) -> Rig:
+def _open_bench(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.bench import BenchRig
 
     return BenchRig(target) if target else BenchRig()
 
 
-def _replay(target: str, robot: Robot | None) -> Rig:
+def _open_replay(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.replay import ReplayRig
 
     if not target:
@@ -141,7 +141,7 @@ def _replay(target: str, robot: Robot | None) -> Rig:
     return ReplayRig(target, robot or _recorded_robot(Path(target).parent))
 
 
-def _serial(target: str, robot: Robot | None) -> Rig:
+def _open_serial(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.board.rig import open_serial
 
     if not target:
@@ -149,7 +149,7 @@ def _serial(target: str, robot: Robot | None) -> Rig:
     return open_serial(target, robot or load_robot("kang2017"))
 
 
-def _ros(target: str, robot: Robot | None) -> Rig:
+def _open_ros(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.ros.rig import open_ros
 
     return open_ros(target, robot)
@@ -164,15 +164,15 @@ def _recorded_robot(folder: Path) -> str:
 
 
 BUILT_IN = (
-    RigKind("sim", "sim, sim:FILE, sim:FILE@ENGINE", _simulated, _simulated_robot, "simulated robot"),
-    RigKind("bench", "bench, bench:FILE", _bench, description="simulated bench of one actuator"),
+    RigKind("sim", "sim, sim:FILE, sim:FILE@ENGINE", _open_simulated, _simulated_robot, "simulated robot"),
+    RigKind("bench", "bench, bench:FILE", _open_bench, description="simulated bench of one actuator"),
     RigKind(
         "replay",
         "replay:FILE",
-        _replay,
+        _open_replay,
         lambda target: _recorded_robot(Path(target).parent) if target else "kang2017",
         "a run of a data set, played again",
     ),
-    RigKind("serial", "serial:PORT", _serial, description="the real robot behind its control board"),
-    RigKind("ros2", "ros2, ros2:HOST:PORT", _ros, description="a robot behind nodes of ROS 2, by rosbridge"),
+    RigKind("serial", "serial:PORT", _open_serial, description="the real robot behind its control board"),
+    RigKind("ros2", "ros2, ros2:HOST:PORT", _open_ros, description="a robot behind nodes of ROS 2, by rosbridge"),
 )

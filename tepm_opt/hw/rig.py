@@ -1,4 +1,4 @@
-"""What every rig offers: read, apply, stop. A controller cannot tell which rig it has."""
+"""Interface of every rig: read, apply, stop. A controller cannot tell which rig it has."""
 
 from __future__ import annotations
 

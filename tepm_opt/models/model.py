@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, read_text, read_toml, require_range, toml_string, validated
+from tepm_opt.data.documents import Section, read_text, read_toml, require_range, toml_string, validate
 from tepm_opt.data.files import write_atomically
 from tepm_opt.data.markup import html_table
 from tepm_opt.errors import InputError, unknown_name
@@ -49,7 +49,7 @@ class Model:
         check_parameters(self.robot, self.parameters, "model")
         layout = Layout.of(self.robot)
         check_effects(self.effects, layout, "model")
-        validated(_FilterTable, self.filter, "model: filter")
+        validate(_FilterTable, self.filter, "model: filter")
         object.__setattr__(self, "effects", tuple(_with_shapes(effect, layout) for effect in self.effects))
 
     def with_parameters(self, **values: float) -> Model:
@@ -105,7 +105,7 @@ def check_parameters(robot: Robot, values: Mapping[str, float], where: str) -> N
     for name in values:
         if name not in UNITS:
             raise unknown_name("parameter", name, UNITS, where)
-    validated(Parameters, {**robot.parameters.model_dump(), **values}, f"{where}: parameters")
+    validate(Parameters, {**robot.parameters.model_dump(), **values}, f"{where}: parameters")
 
 
 def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
@@ -196,13 +196,13 @@ def read_model(path: str | Path) -> Model:
     """
     path = Path(path)
     where = str(path)
-    table = validated(_ModelFile, read_toml(path, WAY), where)
+    table = validate(_ModelFile, read_toml(path, WAY), where)
     source = table.robot if table.robot in builtin_robots() else str(path.parent / table.robot)
     robot = load_robot(source, where)
     check_parameters(robot, table.parameters, where)
     effects = tuple(ActiveEffect(entry.name, entry.detail, entry.parameters) for entry in table.effects)
     check_effects(effects, Layout.of(robot), where)
-    validated(_FilterTable, table.filter, f"{where}: filter")
+    validate(_FilterTable, table.filter, f"{where}: filter")
     parameters, levels = ({name: float(value) for name, value in part.items()} for part in (table.parameters, table.filter))
     return Model(robot, parameters, effects, source, levels)
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.data.documents import Section, Vector, parse_toml, read_text, require_range, validated
+from tepm_opt.data.documents import Section, Vector, parse_toml, read_text, require_range, validate
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.hardware import Hardware
 
@@ -255,4 +255,4 @@ def parse_robot(text: str, where: str) -> Robot:
     Raises:
         InputError: as for `load_robot`.
     """
-    return validated(Robot, parse_toml(text, where, WAY), where)
+    return validate(Robot, parse_toml(text, where, WAY), where)

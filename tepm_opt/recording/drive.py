@@ -81,12 +81,12 @@ class Driver:
             RuntimeError: the rig's time stands still.
         """
         try:
-            return self._checked(self.rig.read())
+            return self._check_sample(self.rig.read())
         except EOFError as error:
             raise InputError(f"the rig has no more samples: {error}") from error
 
-    def _checked(self, sample: Sample) -> Sample:
-        """A sample that came, looked at; see `read`."""
+    def _check_sample(self, sample: Sample) -> Sample:
+        """Check a sample that came; see `read`."""
         if sample.points.shape != (len(self.channels.points), 3):
             raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(self.channels.points)}; another robot?")
         self._stalled = self._stalled + 1 if self._times and sample.time <= self._times[-1] else 0
@@ -187,7 +187,7 @@ class Driver:
                 self.apply(_interpolate(time, setpoints.inputs, self.now - origin + self.period / 2))
                 sample = self.read()
             elif (found := next(ahead, None)) is not None:
-                sample = self._checked(found)
+                sample = self._check_sample(found)
             else:
                 left = int((last / rate + origin - self._times[-1]) / self.period)
                 ahead = iter(simulated.read_many(min(max(left, 1), AHEAD)))

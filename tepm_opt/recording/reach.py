@@ -1,4 +1,4 @@
-"""How far a robot's inputs may go and how fast it sways: what the levels and times of a recording plan follow from."""
+"""Levels that a robot's inputs may reach and its sway, from which levels and times of a recording plan follow."""
 
 from __future__ import annotations
 

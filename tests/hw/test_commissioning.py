@@ -301,7 +301,7 @@ class TestLines:
     @pytest.mark.parametrize("text", ["1", "a,b", "0,100,100", "-5,100", "0,900", ""])
     def test_wrong_values(self, text: str) -> None:
         with pytest.raises(InputError, match="--weights-g"):
-            calibrate.increasing(text, "--weights-g", 0, 700, "g")
+            calibrate.parse_increasing(text, "--weights-g", 0, 700, "g")
 
     def test_parts_keep_the_others(self, tmp_path: Path) -> None:
         robot = load_robot("kang2017")

@@ -360,8 +360,8 @@ def test_longest_step_is_that_of_all_modes():
         stiffness = -force.T / 1e-7 / weights[:, None]
         body.stiffness[:] = body.damping
         soft = CompiledMachine(file, library())
-        soft.network._kept["stiffness"][:] = soft.network._filled(body.stiffness)
-        soft.network._kept["preload"][:] = soft.network._filled(body.stiffness * body.rest)
+        soft.network._kept["stiffness"][:] = soft.network._fill_up(body.stiffness)
+        soft.network._kept["preload"][:] = soft.network._fill_up(body.stiffness * body.rest)
         soft.network.load(np.zeros((4, 3)))
         damping = -soft.network.forces_at_rest(1e-7 * np.eye(size), np.zeros((size, *soft.network.rest[1:].shape[:2]))).T
         system = np.block([[np.zeros((size, size)), np.eye(size)], [-stiffness, -damping / 1e-7 / weights[:, None]]])

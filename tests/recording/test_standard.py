@@ -15,7 +15,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
 from tepm_opt.recording.patterns import PatternContext
 from tepm_opt.recording.plan import read_plan
-from tepm_opt.recording.probing import draw_pattern, random_run, varied
+from tepm_opt.recording.probing import draw_pattern, random_run, vary_pattern
 from tepm_opt.recording.reach import BEND, Reach, reach_of, unbearable
 from tepm_opt.recording.standard import plan_text, sample_rate, standard_runs, wiring_runs
 from tepm_opt.solvers.statics import solve_statics
@@ -126,7 +126,7 @@ def test_varied_runs_stay_near_and_as_long(reach: Reach) -> None:
     setup = PatternContext(robot, 50.0, Path(), "here")
     random = np.random.default_rng(1)
     base = random_run(random, reach, 30.0)
-    other = varied(random, base)
+    other = vary_pattern(random, base)
     assert other is not None
     assert other != base
     assert other.setpoints(setup).time[-1] == pytest.approx(base.setpoints(setup).time[-1], rel=0.05)

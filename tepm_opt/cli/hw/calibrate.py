@@ -51,7 +51,7 @@ def tension(
 
     found, which = _prepared(robot, actuator, out)
     most = 1e3 * found.actuation.tension_max_N / calibrate.STANDARD_GRAVITY
-    masses = calibrate.increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
+    masses = calibrate.parse_increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
     names = Layout.of(found).actuator_names
 
     def work() -> int:
@@ -98,7 +98,7 @@ def pressure(
     from tepm_opt.models.layout import Layout
 
     found, which = _prepared(robot, actuator, out)
-    levels = calibrate.increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
+    levels = calibrate.parse_increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
     names = Layout.of(found).actuator_names
 
     def work() -> int:

@@ -140,7 +140,7 @@ def limits(
     """Write the limits and calibration of a robot file as a header of the firmware. Both have to agree, or the robot cannot be armed."""
     from tepm_opt.data.files import write_atomically
     from tepm_opt.hw.board.limits import TITLE, Limits
-    from tepm_opt.hw.service.checks import flashing
+    from tepm_opt.hw.service.checks import flash_command
     from tepm_opt.models.robot import load_robot
 
     found = load_robot(robot or "kang2017")
@@ -153,7 +153,7 @@ def limits(
     write_atomically(out, text)
     actuation = found.actuation
     say(f"{out}: {actuation.pressure_max_Pa / 1e3:g} kPa, {actuation.tension_max_N:g} N and the calibration of robot {found.name}")
-    say(f"Now flash the firmware: {flashing(None)} LIMITS={out.resolve()}")
+    say(f"Now flash the firmware: {flash_command(None)} LIMITS={out.resolve()}")
     return SOLVED
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.data.documents import Number, Section, Vector, read_toml, require_range, validated
+from tepm_opt.data.documents import Number, Section, Vector, read_toml, require_range, validate
 from tepm_opt.data.sizes import FARTHEST
 from tepm_opt.solvers.planning.program import HalfSpace, Obstacle, Sphere, TurnedBox
 
@@ -192,4 +192,4 @@ def read_obstacles(path: str | Path) -> Obstacles:
         InputError: unreadable file, no TOML (with the line), unknown or missing key, a value out of its range, a name given twice, nothing
             in it.
     """
-    return Obstacles(validated(ObstacleFile, read_toml(path), str(path)))
+    return Obstacles(validate(ObstacleFile, read_toml(path), str(path)))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.checks.findings import Finding, Subject
-from tepm_opt.data.checks.inputs import check_inputs, excited
+from tepm_opt.data.checks.inputs import check_inputs, is_excited
 from tepm_opt.data.checks.motion import check_motion
 from tepm_opt.data.checks.points import check_points, wrong_units
 from tepm_opt.data.checks.time import check_time
@@ -56,7 +56,7 @@ def _check_together(dataset: DataSet, subjects: list[Subject]) -> Iterator[Findi
     for role in ROLES:
         if not any(run.role == role for run in dataset.runs):
             yield make_finding("warning", f"no run has the role {role!r}")
-    if dataset.fit and not any(excited(subject) for subject in subjects if subject.run.role == "fit"):
+    if dataset.fit and not any(is_excited(subject) for subject in subjects if subject.run.role == "fit"):
         yield make_finding("error", "no run to fit to excites anything: nothing can be learnt from them")
     for k, run in enumerate(dataset.runs):
         for other in dataset.runs[:k]:

@@ -1,4 +1,4 @@
-"""What a check of data finds, and the statistics that the checks share: robust ones, so that noise raises no alarm."""
+"""Findings of checks of data, and the statistics that the checks share: robust ones, so that noise raises no alarm."""
 
 from __future__ import annotations
 

@@ -55,12 +55,12 @@ def check_inputs(subject: Subject) -> Iterator[Finding]:
     for quantity in quantities(subject):
         yield from _range(subject, quantity)
     yield from _force(subject)
-    if run.rows > 1 and not excited(subject):
+    if run.rows > 1 and not is_excited(subject):
         yield subject.make_finding("warning", "", "nothing is excited: no input or tip force changes by 0.5 % of its range")
     yield from _check_measured_inputs(subject)
 
 
-def excited(subject: Subject) -> bool:
+def is_excited(subject: Subject) -> bool:
     """Whether an input or the tip force changes by more than 0.5 % of its range (where that is unknown: at all)."""
     tension = subject.channels.tension_max
     scale = np.append(subject.channels.limits, 3 * [tension])

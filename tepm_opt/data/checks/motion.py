@@ -14,7 +14,7 @@ SPEED, ACCELERATION = 5.0, 50.0
 """Beyond what the paper's robot does, in heights a second (squared): free sway from 2.5 N at the tip reaches 3.5 and 20. Robots that sway
 more quickly are allowed more."""
 SWAY = 0.01
-"""Of its height, gone under steady inputs: a robot that does so is not at rest; below, what it stands on may vibrate."""
+"""Part of its height that a robot goes under steady inputs if it is not at rest; below, its stand may vibrate."""
 SHORT = 0.2
 """Part of a run for which a point may be frozen and the others still tell."""
 

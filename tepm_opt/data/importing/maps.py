@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from tepm_opt.data.channels import TIME, Channels
-from tepm_opt.data.documents import Number, Section, Vector, read_toml, require_range, validated
+from tepm_opt.data.documents import Number, Section, Vector, read_toml, require_range, validate
 from tepm_opt.data.importing.refusals import BETWEEN, PUT, key, refusal, toml
 from tepm_opt.data.importing.units import factor, nearest
 from tepm_opt.data.run import Start
@@ -23,7 +23,7 @@ from tepm_opt.errors import InputError
 NAMED = f'{PUT}robot = "kang2017"'
 ISO = "iso"  # unit of date and time as text
 Name = str | int
-"""Of a column: its header, or its number from 1."""
+"""Name of a column: its header, or its number from 1."""
 Columns = Annotated[
     str | int | list[str | int],
     Field(description='a pattern such as "p{module}{actuator}", "m{point}_{axis}" or "pos_{n}", or a list of names or numbers (from 1)'),
@@ -253,7 +253,7 @@ def map_of(content: Mapping[str, Any], path: str | Path) -> ImportMap:
         InputError: unknown key (lists the valid ones), wrong value.
     """
     path = Path(path)
-    found = validated(ImportMap, content, str(path))
+    found = validate(ImportMap, content, str(path))
     beside = path.parent / found.robot if found.robot else None
     return found.model_copy(update={"robot": str(beside)}) if beside is not None and beside.is_file() else found
 

@@ -68,8 +68,8 @@ def _sizes(run: ImportedRun, each: Wanted, values: np.ndarray, limit: float) -> 
     raise refusal(_where(run, each), what, f"{each.place}.unit = {toml(best)}")
 
 
-def _expected(each: Wanted, channels: Channels) -> np.ndarray:
-    """Distance from the base in m that each mapped point has at rest, (points,)."""
+def _compute_rest_distances(each: Wanted, channels: Channels) -> np.ndarray:
+    """Compute the distance from the base in m that each mapped point has at rest, (points,)."""
     assert channels.height is not None
     names = list(dict.fromkeys(target.partition("_")[0] for target in each.targets))
     return channels.height * np.array([channels.points.index(name) + 1 for name in names]) / len(channels.points)
@@ -84,7 +84,7 @@ def _distances(run: ImportedRun, each: Wanted, values: np.ndarray, channels: Cha
         with np.errstate(all="ignore"):
             distance = np.linalg.norm(times * points - np.array(channels.base)[None, :, None], axis=1)
         seen = [float(np.median(one[np.isfinite(one)])) if np.isfinite(one).any() else np.nan for one in distance]
-        return float(np.nanmedian(np.array(seen) / _expected(each, channels))) if np.isfinite(seen).any() else 1.0
+        return float(np.nanmedian(np.array(seen) / _compute_rest_distances(each, channels))) if np.isfinite(seen).any() else 1.0
 
     if NEAR <= (found := ratio(1.0)) <= FAR:
         return

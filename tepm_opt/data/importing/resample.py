@@ -122,12 +122,12 @@ def resample_measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: 
             before = int(np.floor((grid[first] - time[0]) * rate * steps + CLOSE))
             behind = int(np.floor((time[-1] - grid[last - 1]) * rate * steps + CLOSE))
             fine = grid[first] + np.arange(-before, (last - first - 1) * steps + behind + 1) / (rate * steps)
-            found[rows] = _filtered(_curve(time, part, fine), steps, before)[: last - first]
+            found[rows] = _decimate(_curve(time, part, fine), steps, before)[: last - first]
     return found
 
 
-def _filtered(fine: np.ndarray, steps: int, first: int) -> np.ndarray:
-    """Every so many steps of a fine grid through the filter, from the row `first` on; the ends go on mirrored through their last values."""
+def _decimate(fine: np.ndarray, steps: int, first: int) -> np.ndarray:
+    """Filter a fine grid and take every so many steps, from the row `first` on; ends go on mirrored through their last values."""
     beyond = steps * -(-(len(taps(steps)) // 2) // steps)
     beyond += -(first + beyond) % steps
     whole = np.pad(fine, beyond, mode="reflect", reflect_type="odd")
@@ -147,8 +147,8 @@ def _curve(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.interp(at, time, values) if len(time) < 4 else CubicSpline(time, values)(at)
 
 
-def commanded(clock: Clock, values: np.ndarray, grid: np.ndarray, hold: bool) -> np.ndarray:
-    """One column that is put in on a grid, never filtered.
+def resample_commanded(clock: Clock, values: np.ndarray, grid: np.ndarray, hold: bool) -> np.ndarray:
+    """Bring one column that is put in onto a grid, never filtered.
 
     Args:
         clock: times of the samples.

@@ -13,7 +13,7 @@ from tepm_opt.data.channels import TIME
 from tepm_opt.data.importing.clocks import time_map
 from tepm_opt.data.importing.maps import ImportMap, Wanted, fits, time_with
 from tepm_opt.data.importing.refusals import refusal, toml
-from tepm_opt.data.importing.resample import commanded, grid_of, reduction, resample_measured
+from tepm_opt.data.importing.resample import grid_of, reduction, resample_commanded, resample_measured
 from tepm_opt.data.importing.samples import Samples
 from tepm_opt.data.importing.sources import Sheet
 from tepm_opt.data.run import Role
@@ -173,10 +173,10 @@ def rate_of(given: ImportMap, found: Sequence[Samples], where: str) -> float:
     return asked or clock.own_rate
 
 
-def imported(
+def import_run(
     given: ImportMap, part: Part, wanted: Sequence[Wanted], role: Role, rate: float | None, found: Sequence[Samples]
 ) -> ImportedRun:
-    """A run on its grid, from the time at which all columns have begun to that at which the first ends.
+    """Bring a run onto its grid, from the time at which all columns have begun to that at which the first ends.
 
     Args:
         given: the map.
@@ -211,7 +211,7 @@ def imported(
             place = np.searchsorted(each.clock.time, grid + 1e-9, side="right") - 1
             columns[each.target] = each.values[np.maximum(place, 0)]
         elif each.wanted.driven:
-            columns[each.target] = commanded(each.clock, each.values, grid, each.wanted.source.between == "hold")
+            columns[each.target] = resample_commanded(each.clock, each.values, grid, each.wanted.source.between == "hold")
         else:
             columns[each.target] = resample_measured(each.clock, each.values, grid, rate)
     left = (start - min(starts.values()), max(end for end in ends.values() if np.isfinite(end)) - end)
@@ -253,7 +253,7 @@ def _merge_equilibria(found: Sequence[Samples]) -> dict[str, np.ndarray]:
     return {each.target: each.values if each.column is not None else np.full(rows, each.values[0]) for each in found}
 
 
-def filtered(samples: Samples, rate: float | None) -> int:
+def count_filter_steps(samples: Samples, rate: float | None) -> int:
     """Count the steps of the filter's fine grid that make one of the data set's; 1 where nothing is filtered."""
     unfiltered = samples.clock is None or samples.wanted.driven or samples.values.dtype.kind == "U" or rate is None
     return 1 if unfiltered or samples.clock is None or rate is None else reduction(samples.clock, rate)

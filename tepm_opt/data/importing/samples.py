@@ -182,7 +182,7 @@ def _numbers(each: Wanted, sheet: Sheet, names: Sequence[str], raw: Sequence[np.
             found.append(instants_in_s(values))
             continue
         texts = np.array([str(value) for value in values], dtype=np.str_)
-        parsed = np.array([_parsed(text, lost_texts) for text in texts])
+        parsed = np.array([_parse_field(text, lost_texts) for text in texts])
         wrong = np.flatnonzero(np.isinf(parsed))
         if wrong.size and each.place.startswith("extra"):
             found.append(texts)
@@ -200,8 +200,8 @@ def _numbers(each: Wanted, sheet: Sheet, names: Sequence[str], raw: Sequence[np.
     return [np.where(gone, np.nan, values) for gone, values in zip(lost, found, strict=True)]
 
 
-def _parsed(text: str, lost: Sequence[str]) -> float:
-    """A field as a number: NaN where it is empty or stands for a lost sample, infinite where it is neither."""
+def _parse_field(text: str, lost: Sequence[str]) -> float:
+    """Read a field as a number: NaN where it is empty or stands for a lost sample, infinite where it is neither."""
     if not text or text in lost:
         return np.nan
     try:

@@ -29,7 +29,7 @@ LIVE_ZERO = 1638
 LOUD = 0.8
 """The threshold of a broken wire is at most this part of any sensor's zero."""
 TITLE = "// Limits and calibration of robot "
-"""How the header begins."""
+"""Beginning of the header."""
 RANGES = {
     "code_zero": (-0x2000, 4094, "the DAC ends there"),
     "codes_per_MPa": (1, 0xFFFF, "the DAC's codes a MPa"),
@@ -44,7 +44,7 @@ RANGES = {
     "position_max": (1, 29999, "a motor that winds further is stopped"),
     "steps_per_1000_counts": (1, 900, "the gain of the board's tension loop"),
 }
-"""What the firmware can hold or compiles, and why; as in its `config.h`."""
+"""Ranges that the firmware can hold or compiles, and why; as in its `config.h`."""
 
 
 @dataclass(frozen=True)

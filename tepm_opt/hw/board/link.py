@@ -21,7 +21,7 @@ from tepm_opt.hw.board.status import REASONS, BoardStatus, Hello, LinkStatistics
 from tepm_opt.hw.board.strangers import Overheard
 
 TRIES, PATIENCE = 5, 0.05
-"""How often a request is sent, and seconds until it is sent again."""
+"""Number of times that a request is sent, and seconds until it is sent again."""
 SILENT = 0.2
 """Seconds without STATUS, or without one that acknowledges set points, after which none is sent any more."""
 VENTING, AGAIN = 2.0, 0.1

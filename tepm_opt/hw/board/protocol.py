@@ -1,4 +1,4 @@
-"""What host and board say to each other: the one description of the protocol. `firmware/protocol.h` is written from it.
+"""Messages between host and board: the one description of the protocol. `firmware/protocol.h` is written from it.
 
 A frame on the line is COBS(payload + CRC) and a zero byte (Cheshire and Baker 1999). The CRC is CRC-16/GENIBUS of the payload, high byte
 first: it begins with ones and is sent inverted, so that zeros before or after a frame damage it. A payload is a code and the fields of
@@ -209,7 +209,7 @@ LIMITS = Message(
         ("steps_per_1000_counts", "H"),
     ),
 )
-"""What the firmware was compiled with, in its own units; `limits.py` says what they mean. Its CRC stands in HELLO and ARM."""
+"""Limits that the firmware was compiled with, in its own units; `limits.py` says what they mean. Its CRC stands in HELLO and ARM."""
 TO_BOARD = (SET, ARM, CLEAR, ESTOP, CONFIG, ASK, DISARM)
 TO_HOST = (STATUS, ACK, HELLO, LIMITS)
 REQUESTS = (ARM, CLEAR, ESTOP, CONFIG, ASK, DISARM)

@@ -1,4 +1,4 @@
-"""What a board says about itself, and how that reads."""
+"""Status of a board, and its decoding."""
 
 from __future__ import annotations
 

@@ -28,9 +28,9 @@ TOOLS = {"make": "make", "avr-gcc": "gcc-avr avr-libc arduino-core-avr", "avrdud
 ALIVE = (0.25, 4.75)
 """Volts of a dynamometer that is neither open nor shorted, as in the firmware's `config.h`."""
 SLACK_N, NO_PRESSURE_PA = 0.2, 20e3
-"""What a dynamometer without tension and a monitor without pressure show at the most."""
+"""Largest readings of a dynamometer without tension and of a monitor without pressure."""
 LISTEN_S, FEWEST_HZ, WORST_SHARE = 2.0, 50.0, 0.01
-"""How long the line is listened to; STATUS a second, and share of them lost or damaged, from which on it is good."""
+"""Seconds for which the line is listened to; least STATUS a second, and largest share of them lost or damaged, of a good one."""
 
 
 class Mark(Enum):
@@ -101,17 +101,17 @@ def device_of(port: str) -> str:
 
 def flash(port: str | None) -> str:
     """Say in words how to put the firmware on a board."""
-    return f"flash the firmware: {flashing(port)} (BOARD=uno for an Uno)"
+    return f"flash the firmware: {flash_command(port)} (BOARD=uno for an Uno)"
 
 
-def flashing(port: str | None) -> str:
-    """The command that puts the firmware on a board."""
+def flash_command(port: str | None) -> str:
+    """Give the command that puts the firmware on a board."""
     return f"make -C {FIRMWARE} flash PORT={device_of(port or 'PORT')}"
 
 
 def flash_limits(port: str | None, robot: str) -> str:
     """The commands that put firmware with the limits and calibration of a robot file on a board."""
-    return f"tepm hw limits --robot {robot} --out limits.h && {flashing(port)} LIMITS=$PWD/limits.h"
+    return f"tepm hw limits --robot {robot} --out limits.h && {flash_command(port)} LIMITS=$PWD/limits.h"
 
 
 def packages() -> Check:

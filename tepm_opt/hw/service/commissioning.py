@@ -36,13 +36,13 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
 
 BUTTON_S = 30.0
-"""How long the emergency stop button is waited for."""
+"""Seconds for which the emergency stop button is waited for."""
 MENDS: dict[int, str] = {
     Result.ESTOP_PRESSED: "release the emergency stop button; is its wire (closed contact to ground) whole?",
     Result.MONITOR: "is the regulator fed, is its monitor wired, has the air gone? `tepm hw monitor` shows what it measures",
     Result.BUS: "see to the DACs' supply and wires",
 }
-"""What to do where CLEAR is refused, by the reason."""
+"""Advice where CLEAR is refused, by the reason."""
 
 
 def by_hand(port: str, robot: str, actuator: str) -> list[str]:

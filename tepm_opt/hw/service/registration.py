@@ -1,4 +1,4 @@
-"""Where the base stands in the tracker's frame, and how the sensors sit on the arm, from a calibration recording.
+"""Pose of the base in the tracker's frame and places of the sensors on the arm, from a calibration recording.
 
 A sensor's pose (R, t) puts its reference point at R h + t; the model puts it at R_z b + t_z, with the base pose (R_z, t_z) sought. This is
 hand–eye calibration (robot–world form) in positions. The start is Umeyama's rigid fit (IEEE TPAMI 13(4), 1991) of b to t with the holders

@@ -64,7 +64,7 @@ class CompiledMachine(Machine):
         done, arrays = self.network.record(np.array(at, dtype=np.int64), commands, forces)
         self.now = self.network.rig.now
         if done == 0:
-            raise self.diverged(at[0])
+            raise self.make_divergence_error(at[0])
         return Frames(*arrays) if done == len(at) else Frames(*(each[:done] for each in arrays))
 
 

@@ -87,7 +87,7 @@ def random_machine(robot: str, seed: int, number: int) -> RigFile:
         }
     )
     found = scale_rig(machine, known)
-    scattered = found.imperfections.replaced(ActuatorGain(loss=dict(zip(names, map(float, losses), strict=True))))
+    scattered = found.imperfections.replace_kinds(ActuatorGain(loss=dict(zip(names, map(float, losses), strict=True))))
     return found.model_copy(update={"name": f"machine {number} of seed {seed}", "robot": robot, "imperfections": scattered})
 
 
@@ -95,7 +95,7 @@ def _imperfections(robot: Robot, drawn: dict[str, float]) -> Imperfections:
     """The imperfections of a machine but for its muscles' losses, for values drawn by the names of `VARIED`."""
     known = robot.actuation
     height = robot.parameters.L_0 / robot.geometry.segments_per_module
-    return Imperfections().replaced(
+    return Imperfections().replace_kinds(
         TimeDelay(delay_s=drawn["delay"]),
         RegulatorLag(fill_s=drawn["filling"] * known.filling_time_s, exhaust_s=drawn["exhausting"] * known.exhausting_time_s),
         StructuralFriction(share=drawn["body_share"]),

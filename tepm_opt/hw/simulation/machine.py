@@ -158,8 +158,8 @@ class Machine(ABC):
             Diverged: the positions left all bounds before the first of the steps.
         """
 
-    def diverged(self, at: int) -> Diverged:
-        """The error that says that the positions left all bounds before a step, and what can be done."""
+    def make_divergence_error(self, at: int) -> Diverged:
+        """Make the error that says that the positions left all bounds before a step, and what can be done."""
         told = f"the simulation diverged before {at * self.step:.3f} s in steps of {self.step:.3g} s (at rest it bears {self.limit:.3g} s)"
         shorter = f"simulation.step_s is too long (try {self.step / 2:.2g} in a rig file)"
         return Diverged(f"{told}: inputs or loads are more than the robot bears, or {shorter}")

@@ -31,7 +31,7 @@ class MujocoMachine(Machine):
             nodes = self.network.nodes
             found.append((nodes, self.network.points(nodes), self.actuation.pressure.copy(), self.actuation.tension.copy()))
         if not found:
-            raise self.diverged(at[0])
+            raise self.make_divergence_error(at[0])
         return Frames(*(np.array(each) for each in zip(*found, strict=True)))
 
     def _advance(self, until: int, commands: Timeline, forces: Timeline) -> None:

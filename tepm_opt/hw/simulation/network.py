@@ -1,4 +1,4 @@
-"""What both engines' networks are: nodes in the base frame, and what is seen of them."""
+"""Base of both engines' networks: nodes in the base frame, and what is seen of them."""
 
 from __future__ import annotations
 

@@ -209,7 +209,7 @@ class SimulatedRig:
         """
         step, tracker, first = self.machine.step, self.file.tracker, self._frame
         told = [round(frame / tracker.rate_hz / step) for frame in range(first, first + count)]
-        at = self._exposed(told)
+        at = self._find_exposures(told)
         frames = self.machine.record(at, self._commands, self._forces)
         self._present, done = (frames.nodes[-1], frames.points[-1]), len(frames.points)
         self._frame += done
@@ -232,8 +232,8 @@ class SimulatedRig:
             samples.append(self._freshness.look(sample, command) if self._watched else sample)
         return samples
 
-    def _exposed(self, told: list[int]) -> list[int]:
-        """Steps at which frames are exposed that say that it was at these: a clock that runs apart, jitter. None is before the last."""
+    def _find_exposures(self, told: list[int]) -> list[int]:
+        """Find the steps at which frames are exposed that tell these steps: a clock that runs apart, jitter. None is before the last."""
         imperfections, step = self.file.imperfections, self.machine.step
         skew, jitter = imperfections.clock_skew, imperfections.sample_jitter
         if not (skew.active or jitter.active):

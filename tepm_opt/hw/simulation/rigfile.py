@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, InstanceOf, model_validator
 
-from tepm_opt.data.documents import Section, read_toml, require_range, validated
+from tepm_opt.data.documents import Section, read_toml, require_range, validate
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.simulation.devices import Dynamometer, PressureMonitor, Regulator, Stepper, TrackerDevice
 from tepm_opt.hw.simulation.faults import Fault
@@ -110,7 +110,7 @@ def load_rig_file(rig: str | Path = DEFAULT) -> RigFile:
 
 
 def _read(path: Path) -> RigFile:
-    file = validated(RigFile, read_toml(path), str(path))
+    file = validate(RigFile, read_toml(path), str(path))
     if isinstance(file.robot, str) and file.robot not in builtin_robots():
         file = file.model_copy(update={"robot": str(path.parent / file.robot)})
     file.true_robot  # noqa: B018  unreadable robots are refused here, not when the rig starts

@@ -45,8 +45,8 @@ def scale_rig(file: RigFile, robot: Robot) -> RigFile:
             "stepper": _times(
                 file.stepper, rate_limit_N_per_s=_divide_or_one(robot.actuation.tension_rate_N_per_s, own.actuation.tension_rate_N_per_s)
             ),
-            "pressure_monitor": _scaled(file.pressure_monitor, ratios),
-            "dynamometer": _scaled(file.dynamometer, ratios),
+            "pressure_monitor": _scale_section(file.pressure_monitor, ratios),
+            "dynamometer": _scale_section(file.dynamometer, ratios),
             "tracker": _times(
                 file.tracker,
                 rate_hz=_divide_or_one(meant.rate_Hz, told.rate_Hz),
@@ -67,7 +67,7 @@ def _imperfections(imperfections: Imperfections, own: Robot, robot: Robot, ratio
         if isinstance(item, StructuralFriction):  # bristles sit in edges, which are the stiffer the more of them make a muscle
             finer = robot.geometry.segments_per_module / own.geometry.segments_per_module
             mine = {**ratios, "_N_per_m": finer * ratios["_N_per_m"], "_N_s_per_m": finer * ratios["_N_s_per_m"]}
-        found = _dealt(_scaled(item, mine), *names)
+        found = _dealt(_scale_section(item, mine), *names)
         if isinstance(item, TimeDelay):
             found = _times(item, delay_s=_divide_or_one(robot.actuation.command_delay_s, own.actuation.command_delay_s))
         if isinstance(item, RegulatorLag):
@@ -80,7 +80,7 @@ def _imperfections(imperfections: Imperfections, own: Robot, robot: Robot, ratio
             most = MOST_CLAMPED * robot.parameters.L_0 / robot.geometry.segments_per_module
             found = found.model_copy(update={"clamped_length_m": min(found.clamped_length_m, most)})
         changed.append(found)
-    return imperfections.replaced(*changed)
+    return imperfections.replace_kinds(*changed)
 
 
 def _ratios(own: Robot, robot: Robot) -> dict[str, float]:
@@ -102,8 +102,8 @@ def _divide_or_one(value: float, own: float) -> float:
     return value / own if own else 1.0
 
 
-def _scaled(section: Any, ratios: Ratios) -> Any:
-    """A section whose numbers are scaled by the ratio of what the end of their name says is their unit."""
+def _scale_section(section: Any, ratios: Ratios) -> Any:
+    """Scale the numbers of a section by the ratio of their unit, which the end of their name tells."""
     ends = sorted(ratios, key=len, reverse=True)
     rules = {name: next((ratios[end] for end in ends if name.endswith(end)), 1.0) for name in type(section).model_fields}
     return _times(section, **rules)

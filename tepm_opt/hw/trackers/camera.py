@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Number, Section, Vector, read_json, read_toml, require_range, validated
+from tepm_opt.data.documents import Number, Section, Vector, read_json, read_toml, require_range, validate
 from tepm_opt.hw.trackers.receiver import CONNECT_S, require_package
 
 Pixels = Annotated[int, Field(strict=True, ge=16, le=20000, description="16 … 20000 px")]
@@ -45,7 +45,7 @@ def read_calibration(path: str | Path) -> CameraCalibration:
         InputError: it cannot be read, or is none.
     """
     is_json = Path(path).suffix.lower() == ".json"
-    return validated(CameraCalibration, read_json(Path(path), "tepm hw calibrate camera") if is_json else read_toml(path), str(path))
+    return validate(CameraCalibration, read_json(Path(path), "tepm hw calibrate camera") if is_json else read_toml(path), str(path))
 
 
 def calibration_text(calibration: CameraCalibration, notes: Sequence[str]) -> str:

@@ -87,8 +87,8 @@ class Imperfections(Section):
         """Imperfections of which only those act that `kept` is true for."""
         return self.model_copy(update={name: type(item)() for name, item in self if not kept(item)})
 
-    def replaced(self, *others: Imperfection) -> Imperfections:
-        """Imperfections with each of the given ones in the place of the one of its kind."""
+    def replace_kinds(self, *others: Imperfection) -> Imperfections:
+        """Put each of the given imperfections in the place of the one of its kind."""
         by_kind = {type(other): other for other in others}
         return self.model_copy(update={name: by_kind.get(type(item), item) for name, item in self})
 

@@ -1,4 +1,4 @@
-"""What the tip meets around it (foreign to SPEC section 5): a wall, a hose tied to it, drag. Places and forces are in the frame G."""
+"""Surroundings that the tip meets (foreign to SPEC section 5): a wall, a hose tied to it, drag. Places and forces are in the frame G."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an imperfection of a rig is: sizes in a rig file, zero where it vanishes, and only the hooks that it needs.
+"""Imperfections of a rig: sizes in a rig file, zero where they vanish, and only the hooks that they need.
 
 None of these forms is taken from the model's own effects: each is written in another functional form, so that a test of the
 model on the rig proves something.

@@ -122,10 +122,10 @@ class PressureCrosstalk(Imperfection):
             ring[here, beside] = ring[beside, here] = 1.0
         mixing = np.kron(np.eye(robot.modules), ring)
 
-        def squeezed(pressure: np.ndarray) -> np.ndarray:
+        def squeeze(pressure: np.ndarray) -> np.ndarray:
             return pressure + self.share * largest * (np.maximum(pressure, 0) / largest) ** self.exponent @ mixing
 
-        return StaticMap(squeezed, Numbers("squeeze", (self.share, largest, self.exponent), (mixing,)))
+        return StaticMap(squeeze, Numbers("squeeze", (self.share, largest, self.exponent), (mixing,)))
 
 
 class ActuatorGain(Imperfection):

@@ -13,7 +13,7 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
 
-def lengthened(body: Body, lengths: np.ndarray) -> None:
+def lengthen(body: Body, lengths: np.ndarray) -> None:
     """Add lengths (modules · actuators,) in m to the rest lengths of the muscles, in place."""
     layout = body.layout
     each = lengths.reshape(layout.modules, layout.actuators) / layout.segments
@@ -28,7 +28,7 @@ class ActuatorOffset(Imperfection):
     zero_Pa: dict[str, Annotated[float, require_range(-1e5, 1e5, "Pa")]] = Field(default_factory=dict)
 
     def change_body(self, body: Body) -> None:
-        lengthened(body, of_actuators(self.length_m, body.layout, "actuator_offset: length_m"))
+        lengthen(body, of_actuators(self.length_m, body.layout, "actuator_offset: length_m"))
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
         return shift_zeros(of_actuators(self.zero_Pa, Layout.of(robot), "actuator_offset: zero_Pa")) if self.zero_Pa else None
@@ -53,7 +53,7 @@ class ActuatorScatter(Imperfection):
         return 1 + self.area_spread * area, self.length_spread_m * length
 
     def change_body(self, body: Body) -> None:
-        lengthened(body, self.draw_scatter(body.layout)[1])
+        lengthen(body, self.draw_scatter(body.layout)[1])
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
         area, _ = self.draw_scatter(Layout.of(robot))
