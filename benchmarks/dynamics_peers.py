@@ -55,7 +55,7 @@ class MujocoRun:
     """The motion in MuJoCo with RK4: one call a sample, no Python in a step."""
 
     def __init__(self, scene: Scene, step: float, sample: float, samples: int) -> None:
-        self._network = MujocoNetwork(Body.of(scene.model.robot), step)
+        self._network = MujocoNetwork(Body.from_robot(scene.model.robot), step)
         self._start = free(scene.rest) - self._network.rest[1:].ravel()
         self._force = scene.forces(scene.bent.inputs)
         self._sample, self._samples, self._steps = sample, samples, round(sample / step)

@@ -7,7 +7,7 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.callable_plant import Simulator
 from tepm_opt.discrepancy.laws.effect import Law, Quantity
 
-m = Simulator("motor", Signals.of(["voltage"], ["speed"], "rad/s"))
+m = Simulator("motor", Signals.from_names(["voltage"], ["speed"], "rad/s"))
 m.parameter("gain", 12.0, "rad/s/V")
 m.parameter("time", 0.3, "s", within=0.3)
 

@@ -17,7 +17,7 @@ ALONG = (np.arange(PIECES) + 0.5) / PIECES
 AXES = ("x", "y", "z")  # z down
 STATIONS = {"p1": 0.33, "p2": 0.58, "p3": 0.79, "p4": 1.0}  # of the markers, in parts of the length
 
-m = Simulator("tentacle", Signals.of(["tension_1", "tension_2"], list(STATIONS), "m", axes=AXES))
+m = Simulator("tentacle", Signals.from_names(["tension_1", "tension_2"], list(STATIONS), "m", axes=AXES))
 for k, direction in enumerate((0.5, 2.5)):
     m.parameter(f"bend_{k + 1}", 1.0, "1/(N m)", low=0.1, high=10)  # radius on which the tendon runs, over EI
     m.parameter(f"direction_{k + 1}", direction, "rad", low=direction - 1, high=direction + 1)

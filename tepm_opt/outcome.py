@@ -1,4 +1,4 @@
-"""How solvers, fits, plans and loops end: one vocabulary for all of them."""
+"""Endings of solvers, fits, plans and loops: one vocabulary for all of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Ending(StrEnum):
-    """How a piece of work ended; the values stand in summaries and logs."""
+    """Kind of end of a piece of work; the values stand in summaries and logs."""
 
     SOLVED = "solved"
     DONE = "done"
@@ -42,7 +42,7 @@ PROPER = (Ending.SOLVED, Ending.DONE)
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a piece of work ended, and why.
+    """End of a piece of work and its reason.
 
     Attributes:
         ending: the kind of end.

@@ -26,8 +26,8 @@ def silent(stage: str, done: float, of: float) -> None:
     """Take no note: the default of all long work."""
 
 
-def counted(items: Iterable[Item], progress: Progress, stage: str, of: int) -> Iterator[Item]:
-    """The items, each told to `progress` once what was made of it is asked for the next one.
+def track(items: Iterable[Item], progress: Progress, stage: str, of: int) -> Iterator[Item]:
+    """Iterate over items and report progress after each one has been processed.
 
     Args:
         items: any iterable.
@@ -41,8 +41,8 @@ def counted(items: Iterable[Item], progress: Progress, stage: str, of: int) -> I
         progress(stage, done, of)
 
 
-def named(progress: Progress, name: str) -> Progress:
-    """The same progress with a name before every stage, such as the file of a run.
+def with_prefix(progress: Progress, name: str) -> Progress:
+    """Put a name before every stage that is reported to a progress, such as the file of a run.
 
     Args:
         progress: told.

@@ -24,7 +24,7 @@ from tests.study_gallery import GALLERY, steered
 def rested(rig: str, name: str, inputs: np.ndarray) -> np.ndarray:
     """True tip in m where a rig rests under inputs."""
     found = open_rig(rig, load_robot(name))
-    found.apply(Command.of(inputs))
+    found.apply(Command.from_inputs(inputs))
     assert found.simulated is not None
     return found.simulated.true_points[-1]
 
@@ -54,7 +54,7 @@ def test_a_while_on_the_simulated_rig(name: str) -> None:
     rig = open_rig("sim@mujoco", robot)
     half = robot.modules * robot.actuators
     before = rig.read().points[-1]
-    rig.apply(Command.of(np.append(0.25 * robot.actuation.pressure_max_Pa * np.eye(half)[0], np.zeros(half))))
+    rig.apply(Command.from_inputs(np.append(0.25 * robot.actuation.pressure_max_Pa * np.eye(half)[0], np.zeros(half))))
     sample = [rig.read() for _ in range(60)][-1]
     assert (rig.robot.name, len(sample.points)) == (name, 2 * robot.modules)
     assert 0.02 < np.linalg.norm(sample.points[-1] - before) / (robot.modules * robot.parameters.L_0) < 1.5

@@ -14,7 +14,7 @@ from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, RobotOption, folder_for, stdout, warn
 from tepm_opt.cli.progress import shown
 from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
-from tepm_opt.progress import named
+from tepm_opt.progress import with_prefix
 
 MEASURED = "measured.csv"
 
@@ -43,7 +43,7 @@ def play(
     try:
         with folder_for(file.parent), stopped_by_signals(), publisher(ros, foxglove) as shows, shown(as_json) as progress:
             opened = opener(rig, found, seed, shows)(seed)
-            measured = tepm.play(opened, setpoints, found, file, rate, named(progress, inputs.name))
+            measured = tepm.play(opened, setpoints, found, file, rate, with_prefix(progress, inputs.name))
     except KeyboardInterrupt:
         warn(f"interrupted: the rig is stopped; {left}")
         return INTERRUPTED

@@ -1,4 +1,4 @@
-"""Which columns a robot's data have, and how large their values can be: all that data need to know about a robot."""
+"""Columns of a robot's data and limits of their values: all that data need to know about a robot."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Channels:
 
     @staticmethod
     def from_header(names: Iterable[str]) -> Channels:
-        """What the columns of a file say by themselves; magnitudes stay unknown."""
+        """Read channels from the names of a file's columns; magnitudes stay unknown."""
         names = list(names)
         actuators = {found[1] for name in names if (found := _ACTUATOR.fullmatch(name))}
         count = max((int(found[1]) for name in names if (found := _POINT.fullmatch(name))), default=0)

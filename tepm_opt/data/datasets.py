@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from tepm_opt.data.channels import Channels
-from tepm_opt.data.documents import Section, between, explain, read_toml, refusal, toml_string, validated
+from tepm_opt.data.documents import Section, explain, read_toml, refusal, require_range, toml_string, validate
 from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.markup import html_table
 from tepm_opt.data.run import Role, Run, RunSet, read_run_table, refuse_unusable, run_of, write_run
@@ -29,10 +29,10 @@ class RunEntry(Section):
 
     file: Annotated[str, Field(min_length=1, description="the name of a CSV file in the folder")]
     role: Role
-    began_s: Annotated[float, between(0, 1e7, "s after the first run")] | None = None
+    began_s: Annotated[float, require_range(0, 1e7, "s after the first run")] | None = None
 
     @model_validator(mode="after")
-    def _inside(self) -> RunEntry:
+    def _check_file(self) -> RunEntry:
         if PurePosixPath(self.file).is_absolute() or ".." in PurePosixPath(self.file).parts or "\\" in self.file:
             raise ValueError(f"file = {self.file!r} is not in the folder of the data set; valid: the name of a CSV file in it")
         return self
@@ -43,8 +43,8 @@ class Description(Section):
 
     name: Annotated[str, Field(min_length=1, description="any text")]
     robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")]
-    sample_rate_hz: Annotated[float, between(1e-3, 1e6, "Hz")] | None = None
-    position_noise_m: Annotated[float, between(0, 0.1, "m, 1 sigma per axis")] | None = None
+    sample_rate_hz: Annotated[float, require_range(1e-3, 1e6, "Hz")] | None = None
+    position_noise_m: Annotated[float, require_range(0, 0.1, "m, 1 sigma per axis")] | None = None
     static: Annotated[bool, Field(strict=True, description="true where the rows are equilibria")] = False
     runs: list[RunEntry]
 
@@ -108,7 +108,7 @@ def read_description(folder: str | Path) -> Description:
         InputError: no such folder or file, no TOML, unknown or missing key, wrong value.
     """
     path = description_path(folder)
-    return validated(Description, read_toml(path), str(path))
+    return validate(Description, read_toml(path), str(path))
 
 
 def description_path(folder: str | Path) -> Path:
@@ -127,7 +127,7 @@ def description_path(folder: str | Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class FolderReading:
-    """What could be read of a data set's folder, each file once.
+    """Runs that could be read from a data set's folder, each file once, and faults of the others.
 
     Attributes:
         folder: that was read.
@@ -174,7 +174,7 @@ def read_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> Fo
     faults: list[tuple[str, str]] = []
     refused: list[InputError] = []
 
-    def found(file: str, error: InputError) -> None:
+    def note_fault(file: str, error: InputError) -> None:
         faults.append((file, str(error).removeprefix(f"{folder / file}: ")))
         refused.append(error)
 
@@ -188,7 +188,7 @@ def read_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> Fo
         try:
             channels = channels_of(_robot_source(folder, description))
         except InputError as error:
-            found(DESCRIPTION, error)
+            note_fault(DESCRIPTION, error)
     runs = []
     for entry in description.runs:
         try:
@@ -196,7 +196,7 @@ def read_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> Fo
             channels = channels or Channels.from_header(table.columns)
             runs.append(run_of(table, entry.file, entry.role, channels, description.static))
         except InputError as error:
-            found(entry.file, error)
+            note_fault(entry.file, error)
             continue
         try:
             refuse_unusable(table, channels, description.static)
@@ -205,7 +205,7 @@ def read_folder(folder: str | Path, channels_of: ChannelsOf | None = None) -> Fo
     try:
         runs = in_session(runs, {entry.file: entry.began_s for entry in description.runs}, f"{path}: ")
     except InputError as error:
-        found(DESCRIPTION, error)
+        note_fault(DESCRIPTION, error)
     dataset = dataset_of(folder, description, channels or Channels((), ()), runs)
     listed = tuple(entry.file for entry in description.runs)
     return FolderReading(folder, listed, dataset, tuple(faults), next(iter(refused), None))
@@ -295,7 +295,7 @@ def description_of(dataset: DataSet, folder: Path) -> Description:
             for run, usual in zip(dataset.runs, in_session(dataset.runs, {}), strict=True)
         ],
     }
-    return validated(Description, content, str(folder / DESCRIPTION))
+    return validate(Description, content, str(folder / DESCRIPTION))
 
 
 def write_description(folder: str | Path, description: Description) -> None:

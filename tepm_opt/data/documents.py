@@ -27,8 +27,8 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-def between(low: float, high: float, unit: str) -> Any:
-    """Range that a value in this unit can sensibly have, so that a wrong unit is caught."""
+def require_range(low: float, high: float, unit: str) -> Any:
+    """Constrain a field to the range that a value in this unit can sensibly have, so that a wrong unit is caught."""
     return Field(ge=low, le=high, allow_inf_nan=False, strict=True, description=f"{low:g} … {high:g} {unit}".rstrip())
 
 
@@ -108,8 +108,8 @@ def toml_string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def validated(model: type[Checked], content: Mapping[str, Any], where: str) -> Checked:
-    """`content` checked by a pydantic model; `where` names the file in errors.
+def validate(model: type[Checked], content: Mapping[str, Any], where: str) -> Checked:
+    """Check `content` by a pydantic model; `where` names the file in errors.
 
     Raises:
         InputError: one fault in one line with file, key, value and what is valid.
@@ -132,7 +132,7 @@ def explain(model: type[BaseModel], failure: ValidationError) -> list[str]:
 
 
 def _explain(model: type[BaseModel], error: Any) -> str:
-    place = _Place.of(model, error["loc"])
+    place = _Place.locate(model, error["loc"])
     kind, value, message = error["type"], error["input"], error["msg"].lower().replace(" after validation", "")
     valid = f"; valid: {place.valid}" if place.valid else ""
     if kind == "value_error":
@@ -157,7 +157,7 @@ def _keys_of(section: type[BaseModel]) -> list[str]:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where in a document a fault is.
+    """Place of a fault in a document.
 
     Attributes:
         named: keys and indices that lead there.
@@ -172,7 +172,7 @@ class _Place:
     valid: str | None
 
     @staticmethod
-    def of(model: type[BaseModel], location: Sequence[int | str]) -> _Place:
+    def locate(model: type[BaseModel], location: Sequence[int | str]) -> _Place:
         """Follow pydantic's location through tables, lists and alternatives, whose own names are left out."""
         at, section, valid, named = model, None, None, []
         for part in location:
@@ -183,10 +183,10 @@ class _Place:
             named.append(part)
             if isinstance(at, type) and issubclass(at, BaseModel):
                 section, field = at, at.model_fields.get(str(part))
-                at, valid = (None, None) if field is None else (field.annotation, field.description or described(field.annotation))
+                at, valid = (None, None) if field is None else (field.annotation, field.description or find_description(field.annotation))
             else:
-                at = _within(at, part)
-                valid = valid or described(at)
+                at = _get_entry_type(at, part)
+                valid = valid or find_description(at)
         return _Place(tuple(named), section, _without_none(at), valid)
 
     @property
@@ -201,7 +201,7 @@ class _Place:
 
     @property
     def around(self) -> str:
-        """What the last key or index is in."""
+        """The list or table that the last key or index is in, in words."""
         return _words(self.named[:-1])
 
     @property
@@ -230,8 +230,8 @@ def _without_none(annotation: Any) -> Any:
     return _without_none(kinds[0]) if optional else annotation
 
 
-def _within(annotation: Any, part: int | str) -> Any:
-    """Type of an entry of a list or a table; None where unknown."""
+def _get_entry_type(annotation: Any, part: int | str) -> Any:
+    """Get the type of an entry of a list or a table; None where unknown."""
     kinds = get_args(annotation)
     if isinstance(part, str):
         return kinds[1] if get_origin(annotation) is dict else None
@@ -245,10 +245,10 @@ def _literals(annotation: Any) -> list[str]:
     return [value for inner in get_args(annotation) for value in _literals(inner)]
 
 
-def described(annotation: Any) -> str | None:
-    """Description within an annotation, such as `Annotated[float, Field(description=…)] | None`."""
+def find_description(annotation: Any) -> str | None:
+    """Find the description within an annotation, such as `Annotated[float, Field(description=…)] | None`."""
     for inner in get_args(annotation):
-        found = inner.description if isinstance(inner, FieldInfo) else described(inner)
+        found = inner.description if isinstance(inner, FieldInfo) else find_description(inner)
         if found:
             return found
     return None

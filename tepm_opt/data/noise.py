@@ -1,4 +1,4 @@
-"""How precise measured positions are."""
+"""Noise of measured positions."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ Data = TypeVar("Data", bound=RunSet)
 
 
 def strays(time: np.ndarray, points: np.ndarray, modelled: np.ndarray | None = None, noise: float | np.ndarray = 0.0) -> np.ndarray:
-    """Which samples of each point stray: off the cubic through their neighbours, which are on theirs, (rows, points).
+    """Find samples of each point that stray: off the cubic through their neighbours, which are on theirs, (rows, points) of bool.
 
     What a model says is taken away first. No stray is what is as rough as the model's own motion or as the samples around it, nor three
     samples in a row: a motion may be so.
@@ -48,7 +48,7 @@ def strays(time: np.ndarray, points: np.ndarray, modelled: np.ndarray | None = N
 
 
 def far(time: np.ndarray) -> np.ndarray:
-    """Which samples, (rows,), have neighbours beyond a gap, which tell nothing."""
+    """Find samples with neighbours beyond a gap, which tell nothing, (rows,) of bool."""
     apart = np.zeros(len(time), dtype=bool)
     apart[2:-2] = time[4:] - time[:-4] > WIDE * np.median(np.diff(time))
     return apart
@@ -64,11 +64,13 @@ def _strays(time: np.ndarray, measured: np.ndarray, modelled: np.ndarray, least:
     """
     weights, alone = _weights(time), far(time)
     left, limit = measured - modelled, float(np.sqrt(chi2.isf(CHANCE, measured.shape[1])))
-    rough = ROUGH * maximum_filter1d(np.abs(_off(weights, modelled)), 5, axis=0)
-    noise = np.maximum(MAD * np.median(np.abs(_off(weights, left)), axis=0), np.maximum(least, 1e-9 * np.ptp(left, axis=0) + 1e-300))
+    rough = ROUGH * maximum_filter1d(np.abs(_subtract_cubic(weights, modelled)), 5, axis=0)
+    noise = np.maximum(
+        MAD * np.median(np.abs(_subtract_cubic(weights, left)), axis=0), np.maximum(least, 1e-9 * np.ptp(left, axis=0) + 1e-300)
+    )
     found = _first_two(left, limit * noise) | _first_two(left[::-1], limit * noise)[::-1]
     for _ in range(ROUNDS):
-        off = np.abs(_off(weights, _mended(time, left, found)))
+        off = np.abs(_subtract_cubic(weights, _interpolate_strays(time, left, found)))
         smooth = SMALL * percentile_filter(off, PART, size=(AROUND, 1), mode="nearest")
         size = np.linalg.norm(np.where(off > rough, off, 0.0) / np.maximum(noise, smooth), axis=1)
         size[alone] = 0.0
@@ -76,13 +78,13 @@ def _strays(time: np.ndarray, measured: np.ndarray, modelled: np.ndarray, least:
         if not new.any():
             break
         found |= new
-    found &= np.linalg.norm((left - _mended(time, left, found)) / noise, axis=1) > limit  # some were only beside strays
+    found &= np.linalg.norm((left - _interpolate_strays(time, left, found)) / noise, axis=1) > limit  # some were only beside strays
     crowded = maximum_filter1d(uniform_filter1d(found.astype(float), 5), 5) > (MOST + 0.5) / 5
     return np.asarray(found & ~crowded)
 
 
 def stuck(points: np.ndarray) -> np.ndarray:
-    """Which samples of each point are exactly those before them for long, in all axes, where noise forbids it, (rows, points).
+    """Find samples of each point that equal those before them for long, in all axes, where noise forbids it, (rows, points) of bool.
 
     Args:
         points: measured, (rows, points, axes); of one axis alone nobody can say so, it may rest within its resolution.
@@ -98,8 +100,8 @@ def stuck(points: np.ndarray) -> np.ndarray:
     return found
 
 
-def _mended(time: np.ndarray, left: np.ndarray, strayed: np.ndarray) -> np.ndarray:
-    """Values with strays on straight lines between those beside them, (rows, axes)."""
+def _interpolate_strays(time: np.ndarray, left: np.ndarray, strayed: np.ndarray) -> np.ndarray:
+    """Put strays onto straight lines between the samples beside them, (rows, axes)."""
     if not strayed.any():
         return left
     return np.stack([np.interp(time, time[~strayed], column[~strayed]) for column in left.T], axis=1)
@@ -126,8 +128,8 @@ def _weights(time: np.ndarray) -> np.ndarray:
     return weights / np.linalg.norm(weights, axis=0)
 
 
-def _off(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Samples less the cubic through the two before and the two after; 0 where there are none, (rows, axes)."""
+def _subtract_cubic(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Subtract from samples the cubic through the two before and the two after; 0 where there are none, (rows, axes)."""
     off = np.zeros_like(values)
     off[2:-2] = sum(weight[:, None] * values[k : len(values) - 4 + k] for k, weight in enumerate(weights))
     return off
@@ -147,8 +149,8 @@ def without_strays(dataset: Data, modelled: Sequence[np.ndarray], noise: float |
         for run, points, still in zip(dataset.runs, modelled, held, strict=True)
     ]
     every = sum(int(np.isfinite(run.points).any(axis=2).sum()) for run in dataset.runs)
-    said = _said("Outliers", found, every, "jump away from their neighbours and back", dataset)
-    said += _said("Frozen", held, every, "are exactly those before them", dataset)
+    said = _summarize_removal("Outliers", found, every, "jump away from their neighbours and back", dataset)
+    said += _summarize_removal("Frozen", held, every, "are exactly those before them", dataset)
     if not said:
         return dataset, []
     lost = [one | other for one, other in zip(found, held, strict=True)]
@@ -156,8 +158,8 @@ def without_strays(dataset: Data, modelled: Sequence[np.ndarray], noise: float |
     return dataset.with_runs(runs), said
 
 
-def _said(kind: str, found: Sequence[np.ndarray], every: int, how: str, dataset: RunSet) -> list[str]:
-    """How many samples are left out and why, in a sentence; none where there are none."""
+def _summarize_removal(kind: str, found: Sequence[np.ndarray], every: int, how: str, dataset: RunSet) -> list[str]:
+    """Say how many samples are left out and why, in a sentence; none where there are none."""
     counts = [int(lost.sum()) for lost in found]
     if not any(counts):
         return []

@@ -16,7 +16,7 @@ Wanted = TypeVar("Wanted")
 
 
 def run_file(path: Path, name: str, valid: str, wanted: Callable[[ModuleType], Wanted]) -> Wanted:
-    """What is wanted of the module that a Python file makes, which is run; it may import what stands beside it.
+    """Run a Python file and take what is wanted from its module; it may import what stands beside it.
 
     Args:
         path: of the file.
@@ -50,7 +50,7 @@ def run_file(path: Path, name: str, valid: str, wanted: Callable[[ModuleType], W
 
 
 def _failure(error: BaseException, path: Path) -> str:
-    """Where in the file and how it failed, in a line."""
+    """Describe in a line an error and its place in the file."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     line, text = next(reversed(lines), None), " ".join(str(error).split())
     if isinstance(error, SyntaxError) and error.filename == str(path):

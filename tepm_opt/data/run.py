@@ -111,8 +111,8 @@ class RunSet:
     gauges: tuple[str, ...] = ()
 
     @staticmethod
-    def of(name: str, runs: Iterable[Run]) -> RunSet:
-        """Some runs."""
+    def from_runs(name: str, runs: Iterable[Run]) -> RunSet:
+        """Make a set of runs under a name."""
         found = RunSet()
         found.name, found.runs = name, tuple(runs)
         return found
@@ -145,8 +145,8 @@ class RunSet:
         raise unknown_name("run", file, [run.file for run in self.runs], self.name)
 
 
-def spaced(run: Run, apart: float) -> Run:
-    """The samples of a run that are at least so many seconds apart, and its last one."""
+def thin_out(run: Run, apart: float) -> Run:
+    """Keep samples of a run that are at least so many seconds apart, and its last one."""
     time = run.time
     first = np.searchsorted(time, np.arange(time[0], time[-1], apart) - 1e-6 * apart)
     kept = np.unique(np.append(first, run.rows - 1))
@@ -220,7 +220,7 @@ def refuse_unusable(table: Table, channels: Channels, static: bool) -> None:
         InputError: with file, line and column.
     """
     if not static:
-        table.increasing(TIME)
+        table.read_increasing(TIME)
     for name in (*channels.inputs, *(name for name in FORCE_COLUMNS if name in table)):
         table.column(name)
     for name in channels.coordinates:

@@ -72,7 +72,7 @@ def read_setpoints(path: str | Path, actuators: Sequence[str], limits: np.ndarra
             outside 0 … limit, row with some inputs and not others, time that does not increase, inputs or forces in another unit.
     """
     table = read_table(path)
-    time = table.increasing("time_s")
+    time = table.read_increasing("time_s")
     names = input_columns(actuators)
     for name in table.columns:
         if INPUT.fullmatch(name) and name not in names:

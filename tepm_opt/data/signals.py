@@ -1,4 +1,4 @@
-"""What is put into a machine and what is measured of it: names, units and sizes."""
+"""Inputs and outputs of a machine: names, units and sizes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
+
+from tepm_opt.renamed import RenamedMethod
 
 HIGH = 0.8  # of the range
 
@@ -73,10 +75,10 @@ class Signals:
     regimes: tuple[Regime, ...] = ()
 
     @staticmethod
-    def of(
+    def from_names(
         inputs: Sequence[str], outputs: Sequence[str], unit: str = "", limits: Sequence[float] = (), axes: Sequence[str] = ("",)
     ) -> Signals:
-        """Single inputs and outputs, each of its own kind.
+        """Make signals of single inputs and outputs, each of its own kind.
 
         Args:
             inputs: names of their columns.
@@ -91,6 +93,8 @@ class Signals:
             regimes.append(Regime(f"high {name}", f"at high {name}", (k,), low=HIGH, measured=True))
             regimes.append(Regime(f"low {name}", f"at low {name}", (k,), high=1 - HIGH, measured=True))
         return Signals(tuple(inputs), tuple(limits) or (inf,) * len(inputs), tuple(outputs), tuple(axes), unit, parts, tuple(regimes))
+
+    of = RenamedMethod("from_names")
 
     @property
     def columns(self) -> tuple[str, ...]:

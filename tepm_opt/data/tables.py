@@ -58,8 +58,8 @@ class Table:
             found = "is empty" if np.isnan(value) else f"= {value:g}"
             raise InputError(f"{self.path}: line {self.lines[row]}: {name} {found}; valid: {valid}")
 
-    def increasing(self, name: str) -> np.ndarray:
-        """A column of finite values, each larger than the one before.
+    def read_increasing(self, name: str) -> np.ndarray:
+        """Read a column of finite values, each larger than the one before.
 
         Raises:
             InputError: as for `column`, or a value that does not increase.
@@ -176,9 +176,9 @@ def csv_text(rows: Iterable[Sequence[str]]) -> str:
 def _line(row: Sequence[str]) -> str:
     line = ",".join(row)
     if line.count(",") > len(row) - 1 or any(mark in line for mark in '"\r\n'):
-        line = ",".join(map(_quoted, row))
+        line = ",".join(map(_quote, row))
     return line + "\n" if line or len(row) != 1 else '""\n'
 
 
-def _quoted(field: str) -> str:
+def _quote(field: str) -> str:
     return '"' + field.replace('"', '""') + '"' if any(mark in field for mark in ',"\r\n') else field

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from tepm_opt.data.channels import TIME
 from tepm_opt.data.datasets import DESCRIPTION, RunEntry
-from tepm_opt.data.documents import Section, between, read_toml, validated
+from tepm_opt.data.documents import Section, read_toml, require_range, validate
 from tepm_opt.data.run import Run, RunSet, Start
 from tepm_opt.data.signals import Signals
 from tepm_opt.data.tables import read_table
@@ -33,7 +33,7 @@ class TrialsDescription(Section):
     noise: Annotated[dict[str, float], Field(description="1 sigma of each output, in its unit")]
     static: bool = False
     start: Start = "equilibrium"
-    piece_s: Annotated[float, between(1e-6, 1e6, "s")] | None = None
+    piece_s: Annotated[float, require_range(1e-6, 1e6, "s")] | None = None
     gauges: list[str] = Field(default_factory=list)
     runs: list[TrialEntry]
 
@@ -83,7 +83,7 @@ def read_trials(folder: str | Path, signals: Signals, static: bool = False) -> T
     path = folder / DESCRIPTION
     if not path.is_file():
         raise InputError(f"data set {folder} has no {DESCRIPTION}")
-    description = validated(TrialsDescription, read_toml(path), str(path))
+    description = validate(TrialsDescription, read_toml(path), str(path))
     if description.static and not static:
         raise InputError(f"{path}: static = true, but the machine's runs are motions; valid: a plant with static = True")
     if static and description.piece_s is not None:
@@ -111,7 +111,7 @@ def _read(path: Path, entry: TrialEntry, start: Start, signals: Signals, static:
         more = f" (and {', '.join(missing[1:])})" if len(missing) > 1 else ""
         raise InputError(f"{path}: column {missing[0]!r} is missing{more}; found: {', '.join(table.columns)}")
     if not static:
-        table.increasing(TIME)
+        table.read_increasing(TIME)
     for name in signals.inputs:
         table.column(name)
     for name in signals.columns:

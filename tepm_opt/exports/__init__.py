@@ -1,1 +1,1 @@
-"""What other programs read: C, CasADi's function files, MuJoCo's models, logs."""
+"""Files for other programs: C, CasADi's function files, MuJoCo's models, logs."""

@@ -23,7 +23,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.statics import DEFAULT
 
 FILES = ("robot.h", "robot_sizes.h", "robot_statics.c", "robot_motion.c", "example.c", "inputs.txt", "CMakeLists.txt")
-"""What the folder holds: what is declared, its sizes and names, the code, an example with its input, how all is built."""
+"""Files of the folder: declarations, sizes and names, the code, an example with its input, a CMake file."""
 HISTORY = 64
 """Rows of inputs that a motion remembers where commands act late; else it needs the first one and the last two."""
 MOTION_TOLERANCE = 1e-8

@@ -67,8 +67,8 @@ def _levels(x: ca.MX, level_0: ca.MX, block: int) -> tuple[ca.MX, ca.MX]:
     return levels[:, :-1], levels[:, 1:]
 
 
-def _summed(force: ca.MX, block: int) -> ca.MX:
-    """Forces on the free levels, (n · block,), of those on the segments' ends, (2 · block, n)."""
+def _sum_at_levels(force: ca.MX, block: int) -> ca.MX:
+    """Sum the forces on the segments' ends, (2 · block, n), at the free levels, (n · block,)."""
     below = ca.horzcat(force[:block, 1:], ca.MX.zeros(block, 1))
     return ca.vec(force[block:, :] + below)
 
@@ -86,7 +86,7 @@ def _network(model: CompiledModel, actuation: ca.Function, x: ca.MX, u: ca.MX, f
     lower, upper = _levels(x, level_0, layout.block)
     arguments = lower, upper, P, ca.repmat(theta, 1, layout.levels)
     energy = ca.sum2(kernels["segment_energy"].map(layout.levels)(*arguments))
-    residual = _summed(kernels["segment_gradient"].map(layout.levels)(*arguments), layout.block)
+    residual = _sum_at_levels(kernels["segment_gradient"].map(layout.levels)(*arguments), layout.block)
     points, lengths = kernels["observe"].call([ca.vertcat(level_0, x), theta])
     results = [energy, residual, points, lengths]
     return ca.Function("network", [x, u, force], results, ["x", "u", "force"], ["energy", "residual", "points", "lengths"])
@@ -108,7 +108,7 @@ def _motion(model: CompiledModel, x: ca.MX, a: ca.MX, force: ca.MX) -> ca.Functi
     at = [lower, upper, slower, faster, ca.reshape(y, states, layout.levels), ca.MX.zeros(1, layout.levels), P]
     pulled, rates, _ = kernels["segment_motion"].map(layout.levels).call([*at, ca.repmat(theta, 1, layout.levels)])
     mass = ca.vec(ca.repmat(P[stepper.mass_row, :], layout.block, 1))
-    acceleration = -_summed(pulled, layout.block) / mass
+    acceleration = -_sum_at_levels(pulled, layout.block) / mass
     points, lengths = kernels["observe"].call([ca.vertcat(level_0, x), theta])
     names = ["x", "v", "y", "a", "force"], ["acceleration", "rate", "points", "lengths"]
     return ca.Function("motion", [x, v, y, a, force], [acceleration, ca.vec(rates), points, lengths], *names)

@@ -89,7 +89,7 @@ def _of_file(path: Path) -> dict[str, Mapping[str, np.ndarray]]:
         InputError: unreadable, or no `time_s` that increases.
     """
     table = read_table(path, text=lambda name: name != TIME)
-    table.increasing(TIME)
+    table.read_increasing(TIME)
     return {path.stem: table.columns}
 
 
@@ -151,7 +151,7 @@ def _poses(places: np.ndarray, row: int, at: int) -> dict[str, Any]:
 
 
 def _value(value: np.generic) -> str | float | None:
-    """What JSON has for it: infinite numbers and those that are none are null."""
+    """Convert a value to one that JSON has: infinite numbers and NaN are null."""
     plain = value.item()
     return plain if isinstance(plain, str) else float(plain) if np.isfinite(plain) else None
 

@@ -36,7 +36,7 @@ REASONS: Mapping[str, str] = {
     "pressure_memory": "pressures that remember", "tension_memory": "tensions that remember",
     "delay": "commands that act late", "outputs": "what the tracker shows, not what the robot does",
 }  # fmt: skip
-"""What MuJoCo's tendons, joints and motors do not express, by the hook of an effect that does it."""
+"""Reasons why MuJoCo's tendons, joints and motors cannot express an effect, by its hook."""
 NO_SPRING, NOT_AFFINE = "edges that are no linear springs", "forces that are not a factor and an offset of their own inputs"
 CHANGES = "what changes during a session"
 _COLOURS = {VERTICAL: "0.16 0.38 0.62 1"}
@@ -102,7 +102,7 @@ def in_mujoco(model: Model) -> tuple[Model, dict[str, str]]:
 
 
 def _reason(kind: Effect, alone: Model) -> str | None:
-    """Why MuJoCo cannot express an effect; None where it can."""
+    """Explain why MuJoCo cannot express an effect; None where it can."""
     for hook, reason in REASONS.items():
         if kind.has(hook):
             return reason
@@ -142,7 +142,7 @@ def _body(model: Model) -> _Body | str:
 
 
 def _of_muscles(slope: np.ndarray, axial: slice, layout: Layout) -> np.ndarray | None:
-    """How axial forces change with the pressure and the tension of their own muscle, (2, modules · actuators); None where more changes.
+    """Extract slopes of axial forces by pressure and tension of their own muscle, (2, modules · actuators); None if others matter, too.
 
     Args:
         slope: of the properties by the inputs, (n, rows, inputs).

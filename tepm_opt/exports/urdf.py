@@ -45,7 +45,7 @@ def urdf(robot: Robot) -> str:
     with warnings.catch_warnings():  # at gimbal lock any of its angles will do
         warnings.simplefilter("ignore", UserWarning)
         angles = Rotation.from_matrix(mount.rotation).as_euler("xyz")
-    _joint(root, "mount", "fixed", FRAME, "base", np.asarray(mount.base_position_m), angles)
+    _joint(root, "mount", "fixed", (FRAME, "base"), np.asarray(mount.base_position_m), angles)
     parent, start, reach = "base", 0.0, robot.parameters.L_0 * robot.modules
     for point, length in zip(chain.points, chain.lengths.tolist(), strict=True):
         for axis, child in zip(AXES, (f"{point}_fork", f"{point}_rod", point), strict=True):
@@ -56,7 +56,7 @@ def urdf(robot: Robot) -> str:
                 _add(_add(visual, "geometry"), "cylinder", radius=robot.parameters.r, length=length)
                 _add(visual, "material", name="rod")
             slides = axis == "z"
-            joint = _joint(root, f"{point}_{axis}", "prismatic" if slides else "revolute", parent, child, np.array([0, 0, start]))
+            joint = _joint(root, f"{point}_{axis}", "prismatic" if slides else "revolute", (parent, child), np.array([0, 0, start]))
             _add(joint, "axis", xyz=[int(axis == each) for each in AXES])
             most = reach if slides else np.pi
             _add(joint, "limit", lower=-most, upper=most, effort=0, velocity=0)
@@ -70,12 +70,12 @@ def _link(root: Xml.Element, name: str) -> Xml.Element:
 
 
 def _joint(
-    root: Xml.Element, name: str, kind: str, parent: str, child: str, place: np.ndarray, turn: np.ndarray | None = None
+    root: Xml.Element, name: str, kind: str, links: tuple[str, str], place: np.ndarray, turn: np.ndarray | None = None
 ) -> Xml.Element:
     joint = _add(root, "joint", name=name, type=kind)
     _add(joint, "origin", xyz=place, rpy=np.zeros(3) if turn is None else turn)
-    _add(joint, "parent", link=parent)
-    _add(joint, "child", link=child)
+    for tag, link in zip(("parent", "child"), links, strict=True):
+        _add(joint, tag, link=link)
     return joint
 
 

@@ -1,4 +1,4 @@
-"""What every rig checks before it carries out a command."""
+"""Checks of a command that every rig makes before it carries it out."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def check_command(command: Command, robot: Robot) -> np.ndarray:
     if enabled.dtype != bool:
         raise InputError("command: enabled has to be true or false for each actuator")
     checked = np.concatenate([command.pressures, command.tensions, enabled]).astype(float, copy=False)
-    checked[: 2 * count] = _within(checked[None, : 2 * count], robot)
+    checked[: 2 * count] = _clip_rounding(checked[None, : 2 * count], robot)
     return checked
 
 
-def _within(values: np.ndarray, robot: Robot) -> np.ndarray:
-    """Inputs (rows, 2 · modules · actuators) without what rounding puts beyond the robot's limits.
+def _clip_rounding(values: np.ndarray, robot: Robot) -> np.ndarray:
+    """Clip inputs (rows, 2 · modules · actuators) that rounding puts beyond the robot's limits.
 
     Raises:
         InputError: a value is NaN or outside the limits.
@@ -56,8 +56,8 @@ def check_setpoints(setpoints: SetPoints, robot: Robot) -> np.ndarray:
     Raises:
         InputError: a value that is NaN or outside the robot's limits, or a tip force that is not finite.
     """
-    check_command(Command.of(setpoints.inputs[0]), robot)  # how many there are
-    values = np.column_stack([_within(setpoints.inputs, robot), np.ones((len(setpoints.inputs), setpoints.inputs.shape[1] // 2))])
+    check_command(Command.from_inputs(setpoints.inputs[0]), robot)  # how many there are
+    values = np.column_stack([_clip_rounding(setpoints.inputs, robot), np.ones((len(setpoints.inputs), setpoints.inputs.shape[1] // 2))])
     if not np.isfinite(setpoints.tip_force).all():
         raise InputError("set points: a tip force is not a finite number")
     return values

@@ -226,8 +226,8 @@ class FreshnessMonitor:
         half = len(self._actuators)
         parts = (None, None) if commands is None else (commands[:half], commands[half:])
         measured = {}
-        for (kind, channels), values, own in zip(self._gauges.items(), (sample.pressures, sample.tensions), parts, strict=True):
-            measured[kind] = values if values is None else self._look_at_gauges(kind, channels, values, sample.time, own, gauged, faults)
+        for kind, values, own in zip(self._gauges, (sample.pressures, sample.tensions), parts, strict=True):
+            measured[kind] = values if values is None else self._look_at_gauges(kind, values, sample.time, own, gauged, faults)
         if not faults and not withheld.any():
             return sample
         points, transforms = sample.points, sample.transforms
@@ -324,10 +324,10 @@ class FreshnessMonitor:
         self._place[usable], self._placed[usable] = there[usable], now
 
     def _look_at_gauges(
-        self, kind: str, channels: _Channels, values: np.ndarray, now: float, commands: np.ndarray | None, gauged: bool,
-        faults: dict[str, str],
-    ) -> np.ndarray:  # fmt: skip
-        """Readings (actuators,) with NaN where a gauge is frozen."""
+        self, kind: str, values: np.ndarray, now: float, commands: np.ndarray | None, gauged: bool, faults: dict[str, str]
+    ) -> np.ndarray:
+        """Put NaN where a gauge is frozen into readings (actuators,)."""
+        channels = self._gauges[kind]
         if gauged:
             channels.update(values[:, None], now, commands)
         frozen = channels.find_frozen(now)

@@ -1,4 +1,4 @@
-"""What stops a rig that is driven: measured values beyond their limits, and measurements that stop coming."""
+"""Guard that stops a rig that is driven: at measured values beyond their limits, and where measurements stop coming."""
 
 from __future__ import annotations
 

@@ -92,22 +92,22 @@ def _registry() -> dict[str, RigKind]:
     return {kind.name: kind for kind in (*BUILT_IN, *(point.load() for point in entry_points(group="tepm_opt.rigs")))}
 
 
-def _named(target: str) -> tuple[str, str]:
-    """A simulated rig's file and the engine asked for."""
+def _split_engine(target: str) -> tuple[str, str]:
+    """Split a target into a simulated rig's file and the engine asked for."""
     name, at, engine = target.rpartition("@")
     return (target, "") if not at or Path(target).is_file() or "/" in engine else (name, engine)  # of a file's name
 
 
-def _simulated(target: str, robot: Robot | None) -> Rig:
+def _open_simulated(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.rig import SimulatedRig
     from tepm_opt.hw.simulation.rigfile import DEFAULT, builtin_rigs, load_rig_file
-    from tepm_opt.hw.simulation.scaling import fitted
+    from tepm_opt.hw.simulation.scaling import scale_rig
     from tepm_opt.models.channels import channels_of
 
-    name, engine = _named(target)
+    name, engine = _split_engine(target)
     file = load_rig_file(name or DEFAULT)
     if robot is not None and (name or DEFAULT) in builtin_rigs():
-        file = fitted(file, robot)
+        file = scale_rig(file, robot)
     elif robot is not None and channels_of(robot) != channels_of(file.nominal):
         raise InputError(
             f"rig {name}: simulates the robot {file.nominal.name!r}, the model's is {robot.name!r}; name the rig's (--robot {file.robot}), "
@@ -124,16 +124,16 @@ def _simulated(target: str, robot: Robot | None) -> Rig:
 def _simulated_robot(target: str) -> str:
     from tepm_opt.hw.simulation.rigfile import DEFAULT, load_rig_file
 
-    return str(load_rig_file(_named(target)[0] or DEFAULT).robot)
+    return str(load_rig_file(_split_engine(target)[0] or DEFAULT).robot)
 
 
-def _bench(target: str, robot: Robot | None) -> Rig:
+def _open_bench(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.simulation.bench import BenchRig
 
     return BenchRig(target) if target else BenchRig()
 
 
-def _replay(target: str, robot: Robot | None) -> Rig:
+def _open_replay(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.replay import ReplayRig
 
     if not target:
@@ -141,7 +141,7 @@ def _replay(target: str, robot: Robot | None) -> Rig:
     return ReplayRig(target, robot or _recorded_robot(Path(target).parent))
 
 
-def _serial(target: str, robot: Robot | None) -> Rig:
+def _open_serial(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.board.rig import open_serial
 
     if not target:
@@ -149,7 +149,7 @@ def _serial(target: str, robot: Robot | None) -> Rig:
     return open_serial(target, robot or load_robot("kang2017"))
 
 
-def _ros(target: str, robot: Robot | None) -> Rig:
+def _open_ros(target: str, robot: Robot | None) -> Rig:
     from tepm_opt.hw.ros.rig import open_ros
 
     return open_ros(target, robot)
@@ -164,15 +164,15 @@ def _recorded_robot(folder: Path) -> str:
 
 
 BUILT_IN = (
-    RigKind("sim", "sim, sim:FILE, sim:FILE@ENGINE", _simulated, _simulated_robot, "simulated robot"),
-    RigKind("bench", "bench, bench:FILE", _bench, description="simulated bench of one actuator"),
+    RigKind("sim", "sim, sim:FILE, sim:FILE@ENGINE", _open_simulated, _simulated_robot, "simulated robot"),
+    RigKind("bench", "bench, bench:FILE", _open_bench, description="simulated bench of one actuator"),
     RigKind(
         "replay",
         "replay:FILE",
-        _replay,
+        _open_replay,
         lambda target: _recorded_robot(Path(target).parent) if target else "kang2017",
         "a run of a data set, played again",
     ),
-    RigKind("serial", "serial:PORT", _serial, description="the real robot behind its control board"),
-    RigKind("ros2", "ros2, ros2:HOST:PORT", _ros, description="a robot behind nodes of ROS 2, by rosbridge"),
+    RigKind("serial", "serial:PORT", _open_serial, description="the real robot behind its control board"),
+    RigKind("ros2", "ros2, ros2:HOST:PORT", _open_ros, description="a robot behind nodes of ROS 2, by rosbridge"),
 )

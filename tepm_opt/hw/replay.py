@@ -75,7 +75,7 @@ class ReplayRig:
         self._wait(time - self.time)
         self.time = time
         self._row += 1
-        measured = [self._measured(form, row) for form in ("pressure_{}_measured_Pa", "tension_{}_measured_N", "length_{}_m")]
+        measured = [self._read_measured_row(form, row) for form in ("pressure_{}_measured_Pa", "tension_{}_measured_N", "length_{}_m")]
         extra = {name: float(values[row]) for name, values in self.run.extra.items() if values.dtype.kind == "f"}
         points = self.run.points[row].copy()
         lost = [name for name, point in zip(self.layout.point_names, points, strict=True) if np.isnan(point).any()]
@@ -101,7 +101,7 @@ class ReplayRig:
     @property
     def recorded(self) -> Command:
         """The set points of the last sample's row (the first row's before the first `read`); recordings do not have ENA, so all are on."""
-        return Command.of(self.run.inputs[max(self._row - 1, 0)])
+        return Command.from_inputs(self.run.inputs[max(self._row - 1, 0)])
 
     def __enter__(self) -> ReplayRig:
         """The rig itself."""
@@ -120,7 +120,7 @@ class ReplayRig:
         sigma = float(np.median(rough)) / 0.6745 / math.sqrt(20) if len(rough) else 0.0  # third differences have 20 times the variance
         return noise if sigma >= NOISY * noise.point else replace(noise, point=0.0)
 
-    def _measured(self, form: str, row: int) -> np.ndarray | None:
+    def _read_measured_row(self, form: str, row: int) -> np.ndarray | None:
         columns = [self.run.extra.get(form.format(name)) for name in self.layout.actuator_names]
         present = [column for column in columns if column is not None]
         return np.array([column[row] for column in present]) if len(present) == len(columns) else None

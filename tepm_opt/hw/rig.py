@@ -1,4 +1,4 @@
-"""What every rig offers: read, apply, stop. A controller cannot tell which rig it has."""
+"""Interface of every rig: read, apply, stop. A controller cannot tell which rig it has."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.robot import Robot
+from tepm_opt.renamed import RenamedMethod
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +29,13 @@ class Command:
     enabled: np.ndarray
 
     @staticmethod
-    def of(inputs: np.ndarray) -> Command:
-        """A command with all motors enabled, from u = [pressures, tensions] of shape (2 · modules · actuators,) in Pa and N."""
+    def from_inputs(inputs: np.ndarray) -> Command:
+        """Make a command with all motors enabled from u = [pressures, tensions] of shape (2 · modules · actuators,) in Pa and N."""
         inputs = np.asarray(inputs, dtype=float)
         half = len(inputs) // 2
         return Command(inputs[:half], inputs[half:], np.ones(half, dtype=bool))
+
+    of = RenamedMethod("from_inputs")
 
     def __repr__(self) -> str:
         pressures, tensions = (np.array2string(values, precision=3) for values in (1e-3 * self.pressures, self.tensions))
@@ -41,7 +44,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What a rig measured.
+    """Measurements of a rig at one time.
 
     Attributes:
         time: of the sample in s since the rig's start (when the pose was true, not when it was read).
@@ -152,12 +155,12 @@ class Simulated(Rig, Protocol):
 
     @property
     def true_points(self) -> np.ndarray:
-        """Where the reference points are in truth at the last sample's time, in G, (points, 3) in m."""
+        """True reference points at the last sample's time, in G, (points, 3) in m."""
         ...
 
     @property
     def true_nodes(self) -> np.ndarray:
-        """Where all nodes are in truth at the last sample's time, in G, (n + 1, actuators, 3) in m."""
+        """True places of all nodes at the last sample's time, in G, (n + 1, actuators, 3) in m."""
         ...
 
     @property

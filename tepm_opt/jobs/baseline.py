@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.pipeline import learn_baseline
 from tepm_opt.discrepancy.stages import prepare
 from tepm_opt.discrepancy.state import Question
 from tepm_opt.errors import InputError
-from tepm_opt.progress import named
+from tepm_opt.progress import with_prefix
 
 BASELINE = "baseline.json"
 
@@ -72,7 +72,7 @@ class BaselineFile:
         key, progress = fingerprint([self.folder], *machine), question.progress
         if self.content is None or self.file is None:
             progress(f"fitting the model to {question.dataset.name}", 0, 0)
-            found = learn_baseline(replace(question, progress=named(progress, "baseline")))
+            found = learn_baseline(replace(question, progress=with_prefix(progress, "baseline")))
         elif self.content.get("key") != key:
             raise InputError(f"{self.file}: the data, the model or tepm-opt are not those of then; valid: --baseline {self.folder}")
         else:

@@ -10,7 +10,7 @@ from typing import Any
 from tepm_opt.control.controllers import DEFAULT, find_controller
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
-from tepm_opt.hw.simulation.scaling import fitted
+from tepm_opt.hw.simulation.scaling import scale_rig
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.compare import LoopTask, compare
 from tepm_opt.jobs.course import Course
@@ -150,4 +150,4 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
 
 def rig_of(model: CompiledModel) -> RigFile:
     """The virtual prototype, scaled to the model's robot."""
-    return fitted(load_rig_file(), model.robot)
+    return scale_rig(load_rig_file(), model.robot)

@@ -208,7 +208,7 @@ def run_excite(model: Model, noise: float | None = None, progress: Progress = si
     plan, channels = found.plan, channels_of(model.robot)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.from_model(model, channels)
-    sampled = in_session([run.sampled(plan.sample_rate, len(channels.points)) for run in plan.runs], {})
+    sampled = in_session([run.sample_at(plan.sample_rate, len(channels.points)) for run in plan.runs], {})
     progress(f"what {len(network.candidates)} effects would change", 0, 0)
     try:
         told = information(network, [run for run in sampled if run.role == "fit"], noise, network.candidates)

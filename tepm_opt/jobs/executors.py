@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.output import collect
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.parallel import cores, each_done
 
 PATIENCE = 10.0  # s until a scheduler has to answer
@@ -42,7 +42,7 @@ def sweep(
     workers = min(jobs or cores(), max(len(items), 1))
     opened = nullcontext(executor) if executor is not None or workers == 1 else processes(workers)
     with opened as found:
-        done, interrupted = collect(counted(each_done(work, items, found), progress, stage, len(items)))
+        done, interrupted = collect(track(each_done(work, items, found), progress, stage, len(items)))
     return [result for _, result in sorted(done, key=itemgetter(0))], interrupted
 
 

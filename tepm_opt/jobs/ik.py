@@ -16,7 +16,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.jobs.output import collect, endings, outcome_of, save_shapes, save_summary, shape_columns
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import Configuration, IkSettings, each_configuration
 from tepm_opt.solvers.statics import Equilibrium, solve_statics
@@ -150,7 +150,7 @@ def run_ik(
         raise InputError(f"mid-tension {mid_tension:g}; valid: 0 … {highest:g} N")
     asked = len(trajectory.time)
     found = each_configuration(model, trajectory.positions, mode, tip_force, mid_tension, settings)
-    points, interrupted = collect(counted(map(_checked, found), progress, f"inverse kinematics, {mode.value}", asked))
+    points, interrupted = collect(track(map(_checked, found), progress, f"inverse kinematics, {mode.value}", asked))
     count = len(points)
     part = Trajectory(trajectory.time[:count], trajectory.positions[:count], trajectory.closed and not interrupted)
     configurations, held, rounded = [p[0] for p in points], [p[1] for p in points], [p[2] for p in points]

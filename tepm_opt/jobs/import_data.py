@@ -21,11 +21,11 @@ from tepm_opt.data.files import output_folder, write_atomically
 from tepm_opt.data.importing.advice import try_entries, with_tried_entries
 from tepm_opt.data.importing.clocks import time_map
 from tepm_opt.data.importing.guess import guess_map, orientations, triples
-from tepm_opt.data.importing.maps import ImportMap, Wanted, map_of, wanted
+from tepm_opt.data.importing.maps import ImportMap, Wanted, map_of, resolve_entries
 from tepm_opt.data.importing.plausible import left_out, notes_of, refuse_implausible
 from tepm_opt.data.importing.refusals import PUT, key, refusal, toml
 from tepm_opt.data.importing.resample import GAP
-from tepm_opt.data.importing.runs import ImportedRun, filtered, imported, parts_of, rate_of, roles_of
+from tepm_opt.data.importing.runs import ImportedRun, count_filter_steps, import_run, parts_of, rate_of, roles_of
 from tepm_opt.data.importing.samples import samples_of
 from tepm_opt.data.importing.sources import Sheet, read_sheet
 from tepm_opt.data.run import run_of
@@ -84,7 +84,7 @@ class ImportRun(Checked):
                         "rate_hz": min((clock.rate for clock in clocks), default=None),
                         "jitter": max((clock.jitter for clock in clocks), default=0.0),
                         "longest_gap_s": max((float(clock.gaps.max()) for clock in clocks if clock.gaps.size), default=0.0),
-                        "filtered": any(filtered(s, self.rate) > 1 for s in own),
+                        "filtered": any(count_filter_steps(s, self.rate) > 1 for s in own),
                         "lost": 1 - finite.size / max(np.size(values), 1) if values else 0.0,
                     }
                 )
@@ -181,14 +181,14 @@ def _import(given: ImportMap, sheets: Sequence[Sheet], where: str, name: str) ->
     """Runs of the columns of files."""
     robot = load_robot(given.robot) if given.robot is not None else None
     channels = channels_of(robot) if robot is not None else None
-    asked = wanted(given, channels, where)
+    asked = resolve_entries(given, channels, where)
     if channels is not None and not given.position:
         raise _no_position(given, sheets, channels)
     parts = parts_of(given, sheets, asked)
     roles = roles_of(given, [part.name for part in parts], where)
     samples = [samples_of(given, asked, part.sheets, part.rows) for part in parts]
     rate = None if given.static else min(rate_of(given, found, where) for found in samples)
-    runs = [imported(given, part, asked, roles[part.name], rate, found) for part, found in zip(parts, samples, strict=True)]
+    runs = [import_run(given, part, asked, roles[part.name], rate, found) for part, found in zip(parts, samples, strict=True)]
     dataset = None
     findings: list[Finding] = []
     if channels is None:

@@ -30,7 +30,7 @@ from tepm_opt.models.robot import builtin_robots
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.patterns import Pattern, PatternContext
 from tepm_opt.recording.plan import PlannedRun
-from tepm_opt.recording.probing import drawn, random_run, varied
+from tepm_opt.recording.probing import draw_pattern, random_run, vary_pattern
 from tepm_opt.recording.reach import Reach, reach_of, unbearable
 from tepm_opt.recording.standard import PlannedPattern, plan_text
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
@@ -106,12 +106,12 @@ class Rig:
             return None
         if abs(planned.setpoints.time[-1] - self.seconds) > 0.05 * self.seconds:
             return None
-        run = planned.sampled(self.rate, len(channels_of(self.model.robot).points))
+        run = planned.sample_at(self.rate, len(channels_of(self.model.robot).points))
         return Proposal(pattern, planned, separation(estimates, run, self.noise))
 
     def bears(self, proposal: Proposal, estimates: Sequence[ParameterEstimate]) -> bool:
         """Whether the machine stands under all set points and swings no farther than models are trusted, whichever hypothesis is true."""
-        robot, run = self.model.robot, proposal.planned.sampled(self.rate, len(channels_of(self.model.robot).points))
+        robot, run = self.model.robot, proposal.planned.sample_at(self.rate, len(channels_of(self.model.robot).points))
         farthest = FARTHEST * robot.modules * robot.parameters.L_0
         for plant in (without_run_restriction(estimate.plant) for estimate in estimates):
             if isinstance(plant, NetworkPlant) and unbearable(plant.model, proposal.planned.setpoints, motion=False):
@@ -150,11 +150,11 @@ def best_run(rig: Rig, estimates: Sequence[ParameterEstimate], seed: int, progre
             found = rig.proposal(make(), estimates)
             tried.extend([found] if found else [])
 
-    look(lambda: drawn(random, rig.model.robot, rig.reach, rig.seconds, rig.loads), DRAWS)
+    look(lambda: draw_pattern(random, rig.model.robot, rig.reach, rig.seconds, rig.loads), DRAWS)
     for _ in range(ROUNDS):
         tried.sort(key=lambda each: -each.sigmas)
         for each in list(islice((each for each in tried if rig.bears(each, estimates)), KEPT)):
-            look(lambda each=each: varied(random, each.pattern), NEAR)
+            look(lambda each=each: vary_pattern(random, each.pattern), NEAR)
     for each in sorted(tried, key=lambda each: -each.sigmas):
         if each.sigmas > LEAST and rig.bears(each, estimates):
             return each

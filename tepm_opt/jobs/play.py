@@ -11,7 +11,7 @@ from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import Robot
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.drive import refuse_unplayable
-from tepm_opt.recording.measure import MeasuredRun, journal_path, measure
+from tepm_opt.recording.measure import MeasuredRun, RunOutput, journal_path, measure
 
 
 def play(rig: Rig, setpoints: SetPoints, robot: Robot, out: str | Path, rate: float = 50.0, progress: Progress = silent) -> MeasuredRun:
@@ -35,6 +35,6 @@ def play(rig: Rig, setpoints: SetPoints, robot: Robot, out: str | Path, rate: fl
         raise InputError(f"{out} exists; name another file")
     refuse_unplayable(setpoints, "set points")
     journal = journal_path(output_folder(out.parent), out.name)
-    measured = measure(rig, setpoints, robot, journal, out, "validation", rate, progress)
+    measured = measure(rig, setpoints, robot, RunOutput(out, journal, "validation", rate), progress)
     journal.unlink()
     return measured

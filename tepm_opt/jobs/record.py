@@ -19,8 +19,8 @@ from tepm_opt.data.journal import mend_journal
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig
 from tepm_opt.models.robot import builtin_robots
-from tepm_opt.progress import Progress, named, silent
-from tepm_opt.recording.measure import UNFINISHED, journal_path, measure
+from tepm_opt.progress import Progress, silent, with_prefix
+from tepm_opt.recording.measure import UNFINISHED, RunOutput, journal_path, measure
 from tepm_opt.recording.plan import RecordingPlan
 
 LOG, ROBOT = "recording.json", "robot.toml"
@@ -104,8 +104,9 @@ def record(
         if rig.simulated is None and np.any(force != hanging):
             ask(f"{file}: make the force on the tip x, y, z = {', '.join(f'{value:g}' for value in force)} N")
             hanging = force
-        told = named(progress, f"{file} ({number} of {len(plan.runs)})")
-        measured = measure(rig, setpoints, plan.robot, journal, folder / file, planned.role, plan.sample_rate, told, at_once=True)
+        told = with_prefix(progress, f"{file} ({number} of {len(plan.runs)})")
+        out = RunOutput(folder / file, journal, planned.role, plan.sample_rate)
+        measured = measure(rig, setpoints, plan.robot, out, told, at_once=True)
         finished.add(file)
         log["runs"][file] = {
             "fingerprint": planned.fingerprint(plan.robot, plan.sample_rate),

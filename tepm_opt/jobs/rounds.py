@@ -102,7 +102,7 @@ def read_correction(path: str | Path) -> np.ndarray:
         InputError: no such file, a column that is missing, a value that is no number, a time that does not increase.
     """
     table = read_table(path)
-    table.increasing(COLUMNS[0])
+    table.read_increasing(COLUMNS[0])
     return np.column_stack([table.column(name) for name in COLUMNS[1:]])
 
 

@@ -15,7 +15,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.jobs.output import collect, endings, outcome_of, save_shapes, save_summary, shape_columns
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.statics import Equilibrium, solve_statics, without_inputs
 
 
@@ -108,5 +108,5 @@ def run_statics(model: CompiledModel, setpoints: SetPoints, progress: Progress =
         InputError: inputs outside the robot's limits.
     """
     count = len(setpoints.time)
-    equilibria, interrupted = collect(counted(_equilibria(model, setpoints), progress, "statics", count))
+    equilibria, interrupted = collect(track(_equilibria(model, setpoints), progress, "statics", count))
     return StaticsRun(model, setpoints, equilibria, interrupted)

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from tepm_opt.data.documents import Number, Section, between
+from tepm_opt.data.documents import Number, Section, require_range
 
 COUNTS_PER_V = 32768 / 5
 """Counts that a board sends for a volt: all analog inputs are given as if converted with 15 bits over 5 V."""
@@ -69,11 +69,11 @@ class TrackerLink(Section):
     port: Annotated[int, Field(strict=True, ge=1, le=65535, description="1 … 65535")] = 18944
     devices: Annotated[tuple[str, ...], Field(description="names of the transforms, from the base to the tip")]
     holders_m: tuple[Point, ...] | None = None
-    units_per_m: Annotated[float, between(1e-3, 1e6, "(1000: poses are in mm)")] = 1000.0
-    latency_s: Annotated[float, between(0, 1, "s")] = 0.0
+    units_per_m: Annotated[float, require_range(1e-3, 1e6, "(1000: poses are in mm)")] = 1000.0
+    latency_s: Annotated[float, require_range(0, 1, "s")] = 0.0
     """Age of a pose when it gets its time stamp."""
-    rate_hz: Annotated[float, between(1, 1000, "Hz a sensor")] = 100.0
-    largest_step_m: Annotated[float, between(1e-4, 1, "m")] = 0.05
+    rate_hz: Annotated[float, require_range(1, 1000, "Hz a sensor")] = 100.0
+    largest_step_m: Annotated[float, require_range(1e-4, 1, "m")] = 0.05
     """Further than this in one frame is a jump, not a motion."""
 
     @model_validator(mode="after")

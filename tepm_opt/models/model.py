@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between, read_text, read_toml, toml_string, validated
+from tepm_opt.data.documents import Section, read_text, read_toml, require_range, toml_string, validate
 from tepm_opt.data.files import write_atomically
 from tepm_opt.data.markup import html_table
 from tepm_opt.errors import InputError, unknown_name
@@ -52,7 +52,7 @@ class Model:
         check_parameters(self.robot, self.parameters, "model")
         layout = Layout.from_robot(self.robot)
         check_effects(self.effects, layout, "model")
-        validated(_FilterTable, self.filter, "model: filter")
+        validate(_FilterTable, self.filter, "model: filter")
         object.__setattr__(self, "effects", tuple(_with_shapes(effect, layout) for effect in self.effects))
 
     def with_parameters(self, **values: float) -> Model:
@@ -108,7 +108,7 @@ def check_parameters(robot: Robot, values: Mapping[str, float], where: str) -> N
     for name in values:
         if name not in UNITS:
             raise unknown_name("parameter", name, UNITS, where)
-    validated(Parameters, {**robot.parameters.model_dump(), **values}, f"{where}: parameters")
+    validate(Parameters, {**robot.parameters.model_dump(), **values}, f"{where}: parameters")
 
 
 def check_effect(effect: ActiveEffect, layout: Layout, where: str) -> None:
@@ -161,10 +161,10 @@ def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -
 class _FilterTable(Section):
     """Noise levels of the predictive controller's filter; `FilterSettings` says what each is."""
 
-    friction_std: Annotated[float, between(0.0, 100.0, "N")] = 0.0
-    friction_drift: Annotated[float, between(0.0, 100.0, "N/√s")] = 0.0
-    strength_std: Annotated[float, between(0.0, 1.0, "")] = 0.0
-    strength_drift: Annotated[float, between(0.0, 1.0, "1/√s")] = 0.0
+    friction_std: Annotated[float, require_range(0.0, 100.0, "N")] = 0.0
+    friction_drift: Annotated[float, require_range(0.0, 100.0, "N/√s")] = 0.0
+    strength_std: Annotated[float, require_range(0.0, 1.0, "")] = 0.0
+    strength_drift: Annotated[float, require_range(0.0, 1.0, "1/√s")] = 0.0
 
 
 FILTER_UNITS = {"friction_std": "N", "friction_drift": "N/√s", "strength_std": "of p A", "strength_drift": "1/√s"}
@@ -199,13 +199,13 @@ def read_model(path: str | Path) -> Model:
     """
     path = Path(path)
     where = str(path)
-    table = validated(_ModelFile, read_toml(path, WAY), where)
+    table = validate(_ModelFile, read_toml(path, WAY), where)
     source = table.robot if table.robot in builtin_robots() else str(path.parent / table.robot)
     robot = load_robot(source, where)
     check_parameters(robot, table.parameters, where)
     effects = tuple(ActiveEffect(entry.name, entry.detail, entry.parameters) for entry in table.effects)
     check_effects(effects, Layout.from_robot(robot), where)
-    validated(_FilterTable, table.filter, f"{where}: filter")
+    validate(_FilterTable, table.filter, f"{where}: filter")
     parameters, levels = ({name: float(value) for name, value in part.items()} for part in (table.parameters, table.filter))
     return Model(robot, parameters, effects, source, levels)
 

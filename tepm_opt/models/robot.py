@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.data.documents import Section, Vector, between, parse_toml, read_text, validated
+from tepm_opt.data.documents import Section, Vector, parse_toml, read_text, require_range, validate
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.hardware import Hardware
 
@@ -26,7 +26,7 @@ class Geometry(Section):
     modules: Annotated[int, Field(strict=True, ge=1, le=20, description="1 … 20")]
     segments_per_module: Annotated[int, Field(strict=True, ge=1, le=100, description="1 … 100")]
     actuator_angles_deg: Annotated[
-        tuple[Annotated[float, between(-360, 360, "deg")], ...], Field(min_length=3, max_length=12, description="3 … 12 angles")
+        tuple[Annotated[float, require_range(-360, 360, "deg")], ...], Field(min_length=3, max_length=12, description="3 … 12 angles")
     ]
     bracing: Literal["crossed", "single"]
     guide: Annotated[bool, Field(strict=True, description="true where the plates slide on straight rails along the base axis")] = False
@@ -45,16 +45,16 @@ class Geometry(Section):
 class Parameters(Section):
     """The physical parameters, all symbolic in the network; symbols are the paper's."""
 
-    L_0: Annotated[float, between(1e-3, 10, "m")]
-    r: Annotated[float, between(1e-3, 0.3, "m")]
-    A: Annotated[float, between(1e-7, 1e-2, "m^2")]
-    m_d: Annotated[float, between(1e-4, 100, "kg")]
-    K_a: Annotated[float, between(0, 1e5, "N/m")]
-    c_a: Annotated[float, between(0, 500, "N s/m")]
-    alpha_1: Annotated[float, between(1e-6, 1e5, "")]
-    alpha_2: Annotated[float, between(1e-6, 1e5, "")]
-    beta_1: Annotated[float, between(0, 1e5, "")]
-    beta_2: Annotated[float, between(0, 1e5, "")]
+    L_0: Annotated[float, require_range(1e-3, 10, "m")]
+    r: Annotated[float, require_range(1e-3, 0.3, "m")]
+    A: Annotated[float, require_range(1e-7, 1e-2, "m^2")]
+    m_d: Annotated[float, require_range(1e-4, 100, "kg")]
+    K_a: Annotated[float, require_range(0, 1e5, "N/m")]
+    c_a: Annotated[float, require_range(0, 500, "N s/m")]
+    alpha_1: Annotated[float, require_range(1e-6, 1e5, "")]
+    alpha_2: Annotated[float, require_range(1e-6, 1e5, "")]
+    beta_1: Annotated[float, require_range(0, 1e5, "")]
+    beta_2: Annotated[float, require_range(0, 1e5, "")]
 
 
 UNITS: Mapping[str, str] = {
@@ -70,16 +70,16 @@ class Actuation(Section):
     late they act.
     """
 
-    pressure_max_Pa: Annotated[float, between(1e3, 2e7, "Pa")]
-    pressure_full_scale_Pa: Annotated[float, between(1e3, 2e7, "Pa")]
-    pressure_resolution: Annotated[float, between(0, 0.5, "of full scale")]
-    tension_max_N: Annotated[float, between(1e-3, 1e4, "N")]
-    tension_full_scale_N: Annotated[float, between(1e-3, 1e4, "N")]
-    tension_resolution: Annotated[float, between(0, 0.5, "of full scale")]
-    filling_time_s: Annotated[float, between(0, 10, "s")] = 0.0
-    exhausting_time_s: Annotated[float, between(0, 10, "s")] = 0.0
-    tension_rate_N_per_s: Annotated[float, between(0, 1e5, "N/s")] = 0.0
-    command_delay_s: Annotated[float, between(0, 1, "s")] = 0.0
+    pressure_max_Pa: Annotated[float, require_range(1e3, 2e7, "Pa")]
+    pressure_full_scale_Pa: Annotated[float, require_range(1e3, 2e7, "Pa")]
+    pressure_resolution: Annotated[float, require_range(0, 0.5, "of full scale")]
+    tension_max_N: Annotated[float, require_range(1e-3, 1e4, "N")]
+    tension_full_scale_N: Annotated[float, require_range(1e-3, 1e4, "N")]
+    tension_resolution: Annotated[float, require_range(0, 0.5, "of full scale")]
+    filling_time_s: Annotated[float, require_range(0, 10, "s")] = 0.0
+    exhausting_time_s: Annotated[float, require_range(0, 10, "s")] = 0.0
+    tension_rate_N_per_s: Annotated[float, require_range(0, 1e5, "N/s")] = 0.0
+    command_delay_s: Annotated[float, require_range(0, 1, "s")] = 0.0
 
     @property
     def pressure_step(self) -> float:
@@ -148,9 +148,9 @@ class Mount(Section):
 class TrackerSpec(Section):
     """The position tracker: noise of a position (3-D), frames a second, age of a frame when it is read."""
 
-    noise_rms_m: Annotated[float, between(0, 0.1, "m")]
-    rate_Hz: Annotated[float, between(1, 4000, "Hz")] = 100.0
-    latency_s: Annotated[float, between(0, 1, "s")] = 0.0
+    noise_rms_m: Annotated[float, require_range(0, 0.1, "m")]
+    rate_Hz: Annotated[float, require_range(1, 4000, "Hz")] = 100.0
+    latency_s: Annotated[float, require_range(0, 1, "s")] = 0.0
 
 
 class Robot(Section):
@@ -159,7 +159,7 @@ class Robot(Section):
     name: Annotated[str, Field(min_length=1)]
     geometry: Geometry
     parameters: Parameters
-    priors: dict[str, Annotated[float, between(0, 10, "relative half-width")]] = Field(default_factory=dict)
+    priors: dict[str, Annotated[float, require_range(0, 10, "relative half-width")]] = Field(default_factory=dict)
     actuation: Actuation
     mount: Mount
     tracker: TrackerSpec
@@ -255,4 +255,4 @@ def parse_robot(text: str, where: str) -> Robot:
     Raises:
         InputError: as for `load_robot`.
     """
-    return validated(Robot, parse_toml(text, where, WAY), where)
+    return validate(Robot, parse_toml(text, where, WAY), where)

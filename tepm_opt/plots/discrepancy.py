@@ -97,7 +97,7 @@ def _comparable(result: Discovery) -> Discovery:
     noise = result.noise
     if not np.ndim(noise):
         return result
-    runs = RunSet.of(result.dataset.name, [replace(run, points=run.points / noise) for run in result.dataset.runs])
+    runs = RunSet.from_runs(result.dataset.name, [replace(run, points=run.points / noise) for run in result.dataset.runs])
     predictions = {name: [points / noise for points in each] for name, each in result.predictions.items()}
     return replace(result, dataset=runs, predictions=predictions, noise=1.0)
 

@@ -81,12 +81,12 @@ class Driver:
             RuntimeError: the rig's time stands still.
         """
         try:
-            return self._checked(self.rig.read())
+            return self._check_sample(self.rig.read())
         except EOFError as error:
             raise InputError(f"the rig has no more samples: {error}") from error
 
-    def _checked(self, sample: Sample) -> Sample:
-        """A sample that came, looked at; see `read`."""
+    def _check_sample(self, sample: Sample) -> Sample:
+        """Check a sample that came; see `read`."""
         if sample.points.shape != (len(self.channels.points), 3):
             raise InputError(f"the rig gives {len(sample.points)} points, the robot has {len(self.channels.points)}; another robot?")
         self._stalled = self._stalled + 1 if self._times and sample.time <= self._times[-1] else 0
@@ -101,7 +101,7 @@ class Driver:
     def apply(self, inputs: np.ndarray) -> None:
         """Command u (inputs,) in Pa and N."""
         self.inputs = np.clip(inputs, 0.0, self.channels.limits)
-        self.rig.apply(Command.of(self.inputs))
+        self.rig.apply(Command.from_inputs(self.inputs))
 
     @property
     def sample(self) -> Sample:
@@ -175,7 +175,7 @@ class Driver:
         """
         self._refuse_rate(rate)
         time = setpoints.time - setpoints.time[0]
-        origin = self._begin(setpoints, time)
+        origin = self._schedule_setpoints(setpoints, time)
         simulated, tolerance = self.rig.simulated, 0.45 * min(self.period, 1 / rate)
         ahead: Iterator[Sample] = iter(())
         due, last, late, sent = 0, int(np.floor(time[-1] * rate + 1e-6)), 0.0, self.now
@@ -184,10 +184,10 @@ class Driver:
             if simulated is None:
                 late = max(late, self.now - sent if self.now - sent > max(3 * self.period, 1.5 / rate) else 0.0)
                 sent = self.now
-                self.apply(_at(time, setpoints.inputs, self.now - origin + self.period / 2))
+                self.apply(_interpolate(time, setpoints.inputs, self.now - origin + self.period / 2))
                 sample = self.read()
             elif (found := next(ahead, None)) is not None:
-                sample = self._checked(found)
+                sample = self._check_sample(found)
             else:
                 left = int((last / rate + origin - self._times[-1]) / self.period)
                 ahead = iter(simulated.read_many(min(max(left, 1), AHEAD)))
@@ -195,7 +195,7 @@ class Driver:
             passed = sample.time - origin
             self.progress("recording", min(passed, time[-1]), time[-1])
             if passed >= due / rate - tolerance and passed > before + 1e-6:
-                given, half = _at(time, asked, passed), len(self.inputs)
+                given, half = _interpolate(time, asked, passed), len(self.inputs)
                 inputs, force = given[:half], given[half:]
                 self.inputs = inputs if simulated else self.inputs
                 yield Row(passed, inputs, force, sample, late)
@@ -210,8 +210,8 @@ class Driver:
                 f"sample rate {rate:g} Hz: the rig gives {own:g} samples a second; valid: {own:g}, {own / 2:g}, {own / 3:.4g}, …"
             )
 
-    def _begin(self, setpoints: SetPoints, time: np.ndarray) -> float:
-        """The rig's time at which the set points begin: when the next sample is due that is not yet past."""
+    def _schedule_setpoints(self, setpoints: SetPoints, time: np.ndarray) -> float:
+        """Give set points to a simulated rig; return the rig's time at which they begin, that of the next sample."""
         last = self._times[-1]
         origin = last + self.period * max(int(np.ceil((self.now - last) / self.period - 1e-6)), 1)
         if simulated := self.rig.simulated:
@@ -241,8 +241,8 @@ def refuse_unplayable(setpoints: SetPoints, where: str) -> None:
         raise InputError(f"{where}: row {int(np.argmax(empty)) + 1} has no inputs; a rig cannot play it")
 
 
-def _at(time: np.ndarray, values: np.ndarray, when: float) -> np.ndarray:
-    """Values (rows, …) at a time, linear between rows, (…,)."""
+def _interpolate(time: np.ndarray, values: np.ndarray, when: float) -> np.ndarray:
+    """Interpolate values (rows, …) at a time, linearly between rows, (…,)."""
     if len(time) == 1 or when <= time[0]:
         return values[0]
     k = min(int(time.searchsorted(when, side="right")) - 1, len(time) - 2)

@@ -41,16 +41,25 @@ class MeasuredRun:
         return f"MeasuredRun({self.run.file!r}, {self.run.rows} rows, {len(self.notes)} notes)"
 
 
+@dataclass(frozen=True)
+class RunOutput:
+    """Files of a run that is recorded, with its role and rate.
+
+    Attributes:
+        file: the CSV file to write in the end.
+        journal: for samples as they come, a new file.
+        role: of the run.
+        rate: of the samples kept, in Hz.
+    """
+
+    file: Path
+    journal: Path
+    role: Role
+    rate: float
+
+
 def measure(
-    rig: Rig,
-    setpoints: SetPoints,
-    robot: Robot,
-    journal: Path,
-    out: Path,
-    role: Role,
-    rate: float,
-    progress: Progress = silent,
-    at_once: bool = False,
+    rig: Rig, setpoints: SetPoints, robot: Robot, out: RunOutput, progress: Progress = silent, at_once: bool = False
 ) -> MeasuredRun:
     """Bring a rig to rest under the first row, send the set points, bring it back to zero, and write what was measured meanwhile.
 
@@ -60,10 +69,7 @@ def measure(
         rig: any rig, not yet entered.
         setpoints: linear between rows.
         robot: that they are for.
-        journal: for samples as they come, a new file.
-        out: the CSV file to write in the end.
-        role: of the run.
-        rate: of the samples kept, in Hz.
+        out: files to write, role and rate.
         progress: told of every stage in s.
         at_once: a rig of virtual time may rest under the first row from the start, and need not come back.
 
@@ -71,22 +77,22 @@ def measure(
         InputError: the rig has another robot, cannot push as the set points want, or a file cannot be written.
         RuntimeError: the rig gave no sample, or was stopped because of what it measured (`hw.guard.Stopped`).
     """
-    channels, force = channels_of(robot), setpoints.tip_force
+    channels, force, name = channels_of(robot), setpoints.tip_force, out.file.name
     at_once = at_once and rig.simulated is not None
     with rig:
         if channels_of(rig.robot) != channels:
             raise InputError(f"the rig's robot is {rig.robot.name!r}, the set points are for {robot.name!r}; name the robot that is there")
         if rig.simulated is None and np.any(force != force[0]):
-            raise InputError(f"{out.name}: the tip force changes, but this rig cannot push; hang a weight and give a constant force")
+            raise InputError(f"{name}: the tip force changes, but this rig cannot push; hang a weight and give a constant force")
         driver = Driver(rig, channels, progress)
         rested = driver.start(setpoints, at_once)
-        write_journal(journal, driver.follow(setpoints, rate), driver.sample, channels)
+        write_journal(out.journal, driver.follow(setpoints, out.rate), driver.sample, channels)
         if not at_once:
             driver.finish()
-    run = run_from_journal(journal, out.name, role, channels)
+    run = run_from_journal(out.journal, name, out.role, channels)
     if run is None:
-        raise RuntimeError(f"{out.name}: the rig gave no sample")
-    write_run(out, run, channels)
+        raise RuntimeError(f"{name}: the rig gave no sample")
+    write_run(out.file, run, channels)
     notes = [] if rested else ["the robot did not come to rest before the start"]
     if STATUS in run.extra:
         odd = run.extra[STATUS][run.extra[STATUS] != GOOD]
@@ -109,7 +115,7 @@ def _measured_columns(names: tuple[str, ...]) -> tuple[list[str], list[str], lis
 
 
 def _others(sample: Sample, channels: Channels) -> dict[str, float]:
-    """What a rig measured besides positions, by column."""
+    """Collect the measurements of a sample besides positions, by column."""
     columns: dict[str, float] = {}
     for values, labels in zip((sample.pressures, sample.tensions, sample.lengths), _measured_columns(channels.actuators), strict=True):
         if values is not None:

@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Number, Section, between
+from tepm_opt.data.documents import Number, Section, require_range
 from tepm_opt.data.run import Role
 from tepm_opt.data.setpoints import FORCE_COLUMNS, SetPoints, read_setpoints
 from tepm_opt.errors import InputError, unknown_name
@@ -21,9 +21,9 @@ from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import Robot
 from tepm_opt.recording.drive import refuse_unplayable
 
-Seconds = Annotated[float, between(0, 3600, "s")]
-Lead = Annotated[float, between(0.5, 60, "s")]
-Hertz = Annotated[float, between(1e-3, 1e3, "Hz")]
+Seconds = Annotated[float, require_range(0, 3600, "s")]
+Lead = Annotated[float, require_range(0.5, 60, "s")]
+Hertz = Annotated[float, require_range(1e-3, 1e3, "Hz")]
 Count = Annotated[int, Field(strict=True, ge=1, le=10000, description="1 … 10000")]
 Level = dict[str, Number]
 """Values of inputs and tip forces by name; see `PatternContext.level`."""
@@ -31,7 +31,7 @@ Level = dict[str, Number]
 
 @dataclass(frozen=True)
 class PatternContext:
-    """What a run of a plan is worked out for.
+    """Robot, sample rate and folder for which a run of a plan is worked out.
 
     Attributes:
         robot: that it moves.
@@ -79,7 +79,7 @@ class PatternContext:
 
 
 class RunPlan(Section):
-    """What all runs of a plan have: every run starts with `lead_s` of steady inputs."""
+    """A run of a plan; every one starts with `lead_s` of steady inputs."""
 
     file: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w. -]*\.csv$", description="a plain file name ending in .csv")]
     role: Role
@@ -113,7 +113,7 @@ Knots = list[tuple[float, np.ndarray]]
 
 
 class Pattern(RunPlan):
-    """What all built-in patterns have: they start from `rest`, return to it and stay there for `rest_s`, all of that `repeats` times."""
+    """A built-in pattern: it starts from `rest`, returns to it and stays there for `rest_s`, all of that `repeats` times."""
 
     rest: Level = Field(default_factory=dict)
     rest_s: Seconds = 2.0
@@ -137,11 +137,11 @@ class Pattern(RunPlan):
 
     @abstractmethod
     def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
-        """What happens between `rest` (columns,) and `rest`."""
+        """List the pattern's knots between `rest` (columns,) and `rest`."""
 
 
 class HeldPattern(Pattern):
-    """What `steps` and `random` share: from level to level, each reached within `rise_s` and held for `hold_s`."""
+    """Base of `steps` and `random`: goes from level to level, each reached within `rise_s` and held for `hold_s`."""
 
     rise_s: Seconds
     hold_s: Seconds
@@ -201,7 +201,7 @@ class Sweep(Pattern):
     amplitudes: Annotated[list[Level], Field(min_length=1, description="at least one table of inputs")]
     from_hz: Hertz = 0.1
     to_hz: Hertz = 2.0
-    duration_s: Annotated[float, between(1, 3600, "s")] = 30.0
+    duration_s: Annotated[float, require_range(1, 3600, "s")] = 30.0
 
     def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """See `Pattern.knots`."""
@@ -220,10 +220,10 @@ class Circle(Pattern):
     """Pressures of a module out of phase by the angles of its actuators, so that its bending goes round; fades in and out over a turn."""
 
     pattern: Literal["circle"] = "circle"
-    amplitude_Pa: Annotated[float, between(0, 2e7, "Pa")]
+    amplitude_Pa: Annotated[float, require_range(0, 2e7, "Pa")]
     modules: list[Annotated[int, Field(strict=True, ge=1, description="numbers of modules")]] | None = None
-    period_s: Annotated[float, between(0.1, 3600, "s")] = 10.0
-    turns: Annotated[float, between(1, 1e4, "turns")] = 3.0
+    period_s: Annotated[float, require_range(0.1, 3600, "s")] = 10.0
+    turns: Annotated[float, require_range(1, 1e4, "turns")] = 3.0
 
     def knots(self, rest: np.ndarray, setup: PatternContext) -> Knots:
         """See `Pattern.knots`."""

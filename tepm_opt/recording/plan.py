@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between, read_toml, validated
+from tepm_opt.data.documents import Section, read_toml, require_range, validate
 from tepm_opt.data.run import Role, Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
@@ -21,8 +21,8 @@ from tepm_opt.recording.patterns import PATTERNS, FileRun, PatternContext, RunPl
 class _PlanFile(Section):
     name: Annotated[str, Field(min_length=1, description="any text")]
     robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")] = "kang2017"
-    sample_rate_hz: Annotated[float, between(1, 1e4, "Hz")] = 50.0
-    position_noise_m: Annotated[float, between(0, 0.1, "m, 1 sigma per axis")] | None = None
+    sample_rate_hz: Annotated[float, require_range(1, 1e4, "Hz")] = 50.0
+    position_noise_m: Annotated[float, require_range(0, 0.1, "m, 1 sigma per axis")] | None = None
     runs: Annotated[list[dict[str, Any]], Field(min_length=1, description="at least one [[runs]]")]
 
 
@@ -43,8 +43,8 @@ class PlannedRun:
     def __repr__(self) -> str:
         return f"PlannedRun({self.file!r}, {self.role}, {self.setpoints.time[-1]:.3g} s)"
 
-    def sampled(self, rate: float, points: int) -> Run:
-        """The run as it will be recorded at a rate in Hz, with so many reference points that are not known yet (NaN)."""
+    def sample_at(self, rate: float, points: int) -> Run:
+        """Sample the run at a rate in Hz as it will be recorded, with so many reference points that are not known yet (NaN)."""
         asked = self.setpoints
         time = np.arange(int(np.floor(asked.time[-1] * rate + 1e-6)) + 1) / rate
         inputs, force = (np.stack([np.interp(time, asked.time, c) for c in part.T], axis=1) for part in (asked.inputs, asked.tip_force))
@@ -100,24 +100,24 @@ def read_plan(path: str | Path) -> RecordingPlan:
         InputError: unreadable file, no TOML, unknown key, pattern, input or robot, value out of range, file named twice.
     """
     path = Path(path)
-    content = validated(_PlanFile, read_toml(path), str(path))
+    content = validate(_PlanFile, read_toml(path), str(path))
     source = content.robot if content.robot in builtin_robots() else str(path.parent / content.robot)
     robot = load_robot(source)
     runs = []
     for k, entry in enumerate(content.runs):
         where = f"{path}: runs entry {k + 1}"
-        planned = _planned(entry, where)
+        planned = _parse_entry(entry, where)
         setup = PatternContext(robot, content.sample_rate_hz, path.parent, f"{where} ({planned.file})")
         runs.append(PlannedRun(planned.file, planned.role, planned.setpoints(setup)))
     return RecordingPlan(content.name, robot, source, content.sample_rate_hz, content.position_noise_m, tuple(runs))
 
 
-def _planned(entry: dict[str, Any], where: str) -> RunPlan:
+def _parse_entry(entry: dict[str, Any], where: str) -> RunPlan:
     if ("inputs" in entry) == ("pattern" in entry):
         raise InputError(f"{where}: valid: either pattern = one of {', '.join(PATTERNS)}, or inputs = a set-point file")
     if "inputs" in entry:
-        return validated(FileRun, entry, where)
+        return validate(FileRun, entry, where)
     name = str(entry["pattern"])
     if name not in PATTERNS:
         raise unknown_name("pattern", name, PATTERNS, where)
-    return validated(PATTERNS[name], entry, where)
+    return validate(PATTERNS[name], entry, where)

@@ -1,4 +1,4 @@
-"""How far a robot's inputs may go and how fast it sways: what the levels and times of a recording plan follow from."""
+"""Levels that a robot's inputs may reach and its sway, from which levels and times of a recording plan follow."""
 
 from __future__ import annotations
 
@@ -56,45 +56,45 @@ def reach_of(model: CompiledModel) -> Reach:
     half, pressure_max, tension_max = layout.inputs // 2, float(limits[0]), float(limits[-1])
     length = model.robot.modules * model.values["L_0"]
 
-    def held(pressure: float, at: int | None = None, value: float = 0.0, force: float = 0.0) -> Equilibrium:
+    def solve(pressure: float, at: int | None = None, value: float = 0.0, force: float = 0.0) -> Equilibrium:
         inputs = np.append(np.full(half, pressure), np.zeros(half))
         if at is not None:
             inputs[at] = value
         return solve_statics(model, inputs, [force, 0.0, 0.0] if force else None)
 
-    if not held(0.0).solved:
-        raise InputError(f"robot {model.robot.name}: it has no stable equilibrium without inputs: {held(0.0).outcome.message}")
-    common = _level(lambda p: held(p), MOST_COMMON * pressure_max, STRETCH * length)
+    if not solve(0.0).solved:
+        raise InputError(f"robot {model.robot.name}: it has no stable equilibrium without inputs: {solve(0.0).outcome.message}")
+    common = _level(lambda p: solve(p), MOST_COMMON * pressure_max, STRETCH * length)
     if common <= 0:
         raise InputError(f"robot {model.robot.name}: it is not stable under any pressure of all muscles; no plan moves it")
     first = [module * layout.actuators for module in range(layout.modules)]
     firm, light = FIRM * common, LIGHT * common
-    alone = tuple(_level(lambda p, k=k: held(0.0, k, p), MOST_ALONE * pressure_max, BEND * length) for k in first)
-    tension = tuple(_level(lambda t, k=k: held(firm, half + k, t), MOST_TENSION * tension_max, PULL * length) for k in first)
-    force = _level(lambda f: held(light, force=f), FORCE * model.values["A"] * pressure_max, PUSH * length)
-    swings = [mode.frequency for mode in modes(linearise(held(firm))) if mode.oscillates]
+    alone = tuple(_level(lambda p, k=k: solve(0.0, k, p), MOST_ALONE * pressure_max, BEND * length) for k in first)
+    tension = tuple(_level(lambda t, k=k: solve(firm, half + k, t), MOST_TENSION * tension_max, PULL * length) for k in first)
+    force = _level(lambda f: solve(light, force=f), FORCE * model.values["A"] * pressure_max, PUSH * length)
+    swings = [mode.frequency for mode in modes(linearise(solve(firm))) if mode.oscillates]
     return Reach(min(swings, default=SLOWEST), common, alone, tension, force)
 
 
-def _level(held: Callable[[float], Equilibrium], most: float, wanted: float) -> float:
+def _level(solve: Callable[[float], Equilibrium], most: float, wanted: float) -> float:
     """The level at which the tip is as far from where it was as wanted, or the largest that is stable, at most `most`."""
-    start = held(0.0).tip
+    start = solve(0.0).tip
 
-    def near(level: float) -> bool:
-        found = held(level)
+    def is_small(level: float) -> bool:
+        found = solve(level)
         return found.solved and float(np.linalg.norm(found.tip - start)) <= wanted
 
-    if near(most):
+    if is_small(most):
         return most
     low, high = 0.0, most
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        low, high = (middle, high) if near(middle) else (low, middle)
+        low, high = (middle, high) if is_small(middle) else (low, middle)
     return low
 
 
 def unbearable(model: CompiledModel, setpoints: SetPoints, motion: bool = True) -> str:
-    """Why a model does not bear set points: no stable equilibrium under one of them or, if asked for, no motion; else empty."""
+    """Explain why a model does not bear set points: no stable equilibrium under one of them or, if asked for, no motion; else empty."""
     inside = model.allows(setpoints.inputs)
     if not inside:
         return "inputs outside the robot's limits"

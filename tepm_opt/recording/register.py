@@ -26,7 +26,7 @@ PASSES, SAME_DEG = 12, 0.02
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What the sensors said at each row.
+    """Mean poses of the sensors at each row.
 
     Attributes:
         poses: means, (rows, points, 4, 4) in m; NaN where a sensor was lost.
@@ -91,7 +91,7 @@ def mean_pose(transforms: np.ndarray) -> np.ndarray:
 
 
 def base_points(robot: Robot, setpoints: SetPoints, rotation: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """Where the model has the reference points in the base frame, (rows, points, 3) in m; NaN where it has no equilibrium.
+    """Compute the model's reference points in the base frame, (rows, points, 3) in m; NaN where it has no equilibrium.
 
     Args:
         robot: whose mount does not count.

@@ -45,27 +45,27 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
     layout, period = Layout.from_robot(robot), 1.0 / reach.sway
     names, count = layout.actuator_names, layout.actuators
     common, alone, least = share * reach.common, share * np.array(reach.alone), share * min(reach.alone)
-    tension, pull, force = share * np.array(reach.tension), share * min(reach.tension), _rounded(share * reach.force)
+    tension, pull, force = share * np.array(reach.tension), share * min(reach.tension), _round_level(share * reach.force)
     modules = range(layout.modules)
 
-    def of(module: int, actuator: int) -> str:
+    def actuator_name(module: int, actuator: int) -> str:
         return names[module * count + actuator % count]
 
     def times(periods: float, shortest: float = 0.1) -> float:
         return max(round(periods * period, 1), shortest)
 
     def level(**values: float) -> Level:
-        return {name: _rounded(value) for name, value in values.items()}
+        return {name: _round_level(value) for name, value in values.items()}
 
-    each = [(module, of(module, k)) for module in modules for k in range(count)]
+    each = [(module, actuator_name(module, k)) for module in modules for k in range(count)]
     middle, swing = 0.4 * common, min(0.42 * least, 0.35 * common)
     against: list[Level] = []
     for module in modules:
-        all_of, first = f"pressure_{module + 1}_Pa", f"pressure_{of(module, 0)}_Pa"
+        all_of, first = f"pressure_{module + 1}_Pa", f"pressure_{actuator_name(module, 0)}_Pa"
         for sign in (1, -1):
             against.append(level(**{all_of: middle - sign * swing, first: middle + sign * swing}))
     for module in modules:
-        muscle, tendon = of(module, -1 if module % 2 == 0 else 0), of(module, 0 if module % 2 == 0 else -1)
+        muscle, tendon = actuator_name(module, -1 if module % 2 == 0 else 0), actuator_name(module, 0 if module % 2 == 0 else -1)
         against.append(level(**{f"pressure_{muscle}_Pa": middle + 1.2 * swing, f"tension_{tendon}_N": 0.43 * pull}))
     runs: list[tuple[Pattern, str]] = [
         (
@@ -110,7 +110,7 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
         (
             Sweep(
                 file="sweep.csv", role="fit", rest=level(pressure_Pa=0.34 * common), amplitudes=_bends(robot, 0.125 * alone),
-                from_hz=_rounded(0.12 * reach.sway), to_hz=_rounded(min(SWEEPS * reach.sway, sample_rate(robot) / 4)),
+                from_hz=_round_level(0.12 * reach.sway), to_hz=_round_level(min(SWEEPS * reach.sway, sample_rate(robot) / 4)),
                 duration_s=max(15.0, times(12.0)),
             ),
             f"bending to and fro through the sway's {reach.sway:.2g} Hz, in both directions",
@@ -129,7 +129,7 @@ def standard_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Plann
     runs += [
         (
             Circle(
-                file="circle.csv", role="validation", rest=level(pressure_Pa=0.49 * common), amplitude_Pa=_rounded(0.33 * least),
+                file="circle.csv", role="validation", rest=level(pressure_Pa=0.49 * common), amplitude_Pa=_round_level(0.33 * least),
                 period_s=times(4.8),
             ),
             "all modules bend round and round",
@@ -156,9 +156,9 @@ def wiring_runs(robot: Robot, reach: Reach, share: float = 1.0) -> tuple[Planned
     """
     layout = Layout.from_robot(robot)
     each = [(k // layout.actuators, name) for k, name in enumerate(layout.actuator_names)]
-    muscles = [{f"pressure_{name}_Pa": _rounded(0.5 * share * reach.alone[module])} for module, name in each]
-    tendons = [{f"tension_{name}_N": _rounded(share * reach.tension[module])} for module, name in each]
-    rest = {"pressure_Pa": _rounded(share * FIRM * reach.common)}
+    muscles = [{f"pressure_{name}_Pa": _round_level(0.5 * share * reach.alone[module])} for module, name in each]
+    tendons = [{f"tension_{name}_N": _round_level(share * reach.tension[module])} for module, name in each]
+    rest = {"pressure_Pa": _round_level(share * FIRM * reach.common)}
     return (
         PlannedPattern(
             Steps(file="muscles.csv", role="fit", rise_s=1.5, hold_s=1.0, rest_s=1.0, levels=_to_and_fro(muscles)),
@@ -186,15 +186,17 @@ def _bends(robot: Robot, amplitudes: np.ndarray) -> list[Level]:
     for module, amplitude in enumerate(amplitudes):
         parts = np.cos(robot.angles - robot.angles[0] - (np.pi / 2 if module % 2 == 0 else 0.0))
         own = names[module * robot.actuators : (module + 1) * robot.actuators]
-        found.append({f"pressure_{name}_Pa": _rounded(amplitude * part) for name, part in zip(own, parts, strict=True) if abs(part) > 1e-6})
+        found.append(
+            {f"pressure_{name}_Pa": _round_level(amplitude * part) for name, part in zip(own, parts, strict=True) if abs(part) > 1e-6}
+        )
     return found
 
 
 def _under_load(layout: Layout, alone: np.ndarray, common: float, module: int) -> list[Level]:
-    """What moves while a force acts on the tip: two muscles of a module, then all."""
+    """List the levels while a force acts on the tip: two muscles of a module, then all."""
     own = layout.actuator_names[module * layout.actuators :][:2]
-    first, second = ({f"pressure_{name}_Pa": _rounded(LIGHT * common + 0.45 * alone.min())} for name in own)
-    return [first, {}, second, {}, {"pressure_Pa": _rounded(0.46 * common)}]
+    first, second = ({f"pressure_{name}_Pa": _round_level(LIGHT * common + 0.45 * alone.min())} for name in own)
+    return [first, {}, second, {}, {"pressure_Pa": _round_level(0.46 * common)}]
 
 
 def _loads(robot: Robot, force: float) -> list[tuple[str, str, int, int, str]]:
@@ -206,8 +208,8 @@ def _loads(robot: Robot, force: float) -> list[tuple[str, str, int, int, str]]:
     return found if robot.geometry.guide else [*found, ("side_load", "x", 1, robot.modules - 1, "pulled sideways, over a pulley")]
 
 
-def _rounded(value: float) -> float:
-    """Two digits: a level that a person can read."""
+def _round_level(value: float) -> float:
+    """Round a level to two digits, which a person can read."""
     return float(f"{value:.2g}")
 
 

@@ -14,7 +14,7 @@ from tepm_opt.errors import unknown_name
 from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.parallel import each_done
@@ -210,7 +210,7 @@ def workspace_map(
     mount = model.robot.mount
     local = [np.array([[a * np.cos(direction), a * np.sin(direction), z] for a in across]) for z in height]
     targets = [row @ mount.rotation.T + mount.base_position_m for row in local]
-    done = dict(counted(each_done(partial(_gains_at, model, mode), targets, executor), progress, "workspace", len(targets)))
+    done = dict(track(each_done(partial(_gains_at, model, mode), targets, executor), progress, "workspace", len(targets)))
     rows = [done[k] for k in range(len(targets))]
     return WorkspaceMap(across, height, np.array([[gain is not None for gain in row] for row in rows]), rows)
 

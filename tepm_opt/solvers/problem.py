@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.data.run import Run, spaced
+from tepm_opt.data.run import Run, thin_out
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import START, Free, Plant
 from tepm_opt.solvers.prior import JointPrior
@@ -147,5 +147,5 @@ class Problem:
         """The problem with only those samples at which derivatives are taken; this one where that is every one."""
         if self.plant.static or not self.derivatives_apart or any(run.start != "equilibrium" for run in self.runs):
             return self
-        runs = tuple(spaced(run, self.derivatives_apart) for run in self.runs)
+        runs = tuple(thin_out(run, self.derivatives_apart) for run in self.runs)
         return replace(self, runs=runs, step=self.derivatives_apart, derivatives_apart=0.0)

@@ -228,5 +228,5 @@ def read_trajectory(path: str | Path, duration: float | None = None) -> Trajecto
     name = next((name for name in TIME_COLUMNS if name in table), None)
     if name and duration is not None:
         raise InputError(f"{path}: has a column {name!r}, so a duration does not fit")
-    time = table.increasing(name) if name else (duration or 8.0) * np.arange(count) / max(count - 1, 1)
+    time = table.read_increasing(name) if name else (duration or 8.0) * np.arange(count) / max(count - 1, 1)
     return Trajectory(time, np.stack(columns, axis=1))

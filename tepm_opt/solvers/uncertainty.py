@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from tepm_opt.errors import unknown_name
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
 from tepm_opt.solvers.parallel import each_done
 from tepm_opt.solvers.plant import PredictionError
@@ -70,7 +70,7 @@ def multi_start(
     if executor is None:
         fits = (_try_fit(max_iterations, task, _numbered(progress, task[0], starts)) for task in tasks)
     else:
-        done = dict(counted(each_done(partial(_try_fit, max_iterations), tasks, executor), progress, "fits", starts))
+        done = dict(track(each_done(partial(_try_fit, max_iterations), tasks, executor), progress, "fits", starts))
         fits = (done[number] for number in sorted(done))
     best = None
     for found in fits:

@@ -14,7 +14,7 @@ from tepm_opt.hw.guard import Stopped
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import DEFAULT, builtin_rigs, load_rig_file
-from tepm_opt.hw.simulation.scaling import fitted
+from tepm_opt.hw.simulation.scaling import scale_rig
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
 from tepm_opt.jobs.mpc import run_closed_loop
@@ -112,7 +112,7 @@ def simulated_rig(text: str = SIM, wait: Callable[[float], None] | None = None, 
         raise InputError(f"--rig {text!r}: the studio moves simulated rigs only; valid: {SIM}, {SIM}:FILE")
     name = name or DEFAULT
     file = load_rig_file(name)
-    return SimulatedRig(fitted(file, robot) if robot and name in builtin_rigs() else file, wait or Pace())
+    return SimulatedRig(scale_rig(file, robot) if robot and name in builtin_rigs() else file, wait or Pace())
 
 
 class LiveLoop:

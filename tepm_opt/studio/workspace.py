@@ -8,7 +8,7 @@ import numpy as np
 
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import solve_ik
 
@@ -59,7 +59,7 @@ def boundary(
     targets = np.array([0.0, 0.0, model.values["L_0"]]) + FAR * length * outward
     points = np.full(targets.shape, np.nan)
     wanted = [(row, column) for row in range(polar) for column in range(around if row else 1)]
-    for place in counted(iter(wanted), progress, "workspace", len(wanted)):
+    for place in track(iter(wanted), progress, "workspace", len(wanted)):
         found = solve_ik(model, mount.rotation @ targets[place] + mount.base_position_m, mode)
         if found.outcome.ending is not Ending.FAILED and found.equilibrium.solved:
             points[place] = found.equilibrium.tip

@@ -21,7 +21,7 @@ class RigContract:
         raise NotImplementedError
 
     def _small(self, rig: Rig) -> Command:
-        return Command.of(0.1 * rig.robot.input_max)
+        return Command.from_inputs(0.1 * rig.robot.input_max)
 
     def test_samples_have_the_shapes_of_the_robot(self) -> None:
         """Points of the robot, gauges of its actuators or none; times that rise and are not ahead of the rig's."""
@@ -44,8 +44,8 @@ class RigContract:
             for wrong in (np.nan, 1.01 * most[0], -0.01 * most[0]):
                 inputs = np.concatenate([good.pressures, good.tensions])
                 inputs[0] = wrong
-                _refuses(rig, Command.of(inputs))
-            _refuses(rig, Command.of(np.zeros(len(most) + 2)))
+                _refuses(rig, Command.from_inputs(inputs))
+            _refuses(rig, Command.from_inputs(np.zeros(len(most) + 2)))
             rig.apply(good)
             rig.read()
 

@@ -146,8 +146,8 @@ def test_json_and_nothing_else(tepm: Command, here: Path) -> None:
 def test_a_gauge_that_lies_is_told(tepm: Command, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the terminal, in the summary and by the exit status; the path is followed all the same."""
     monkeypatch.setattr("tepm_opt.jobs.course.FULL", Course(approach=2.0, pause=0.02))
-    weighed = SimulatedRig._weighed
-    monkeypatch.setattr(SimulatedRig, "_weighed", lambda rig, tensions: weighed(rig, tensions) - np.array([0, 0.5, 0, 0, 0, 0]))
+    weighed = SimulatedRig._measure_tensions
+    monkeypatch.setattr(SimulatedRig, "_measure_tensions", lambda rig, tensions: weighed(rig, tensions) - np.array([0, 0.5, 0, 0, 0, 0]))
     done = tepm("mpc", *SHORT)
     assert done.status == 1
     assert re.search(r"dynamometer 12 reads 0\.[45]\d* N low", " ".join(done.out.split())), "as far as it is known after two seconds"

@@ -52,7 +52,7 @@ class Changing(SimulatedRig):
     def __init__(self, file: RigFile, change: Change | None, at: float, seed: int) -> None:
         if change is not None:
             name = Layout.from_robot(file.nominal).actuator_names[change.number]
-            file = file.model_copy(update={"imperfections": file.imperfections.replaced(*change.before(name, at))})
+            file = file.model_copy(update={"imperfections": file.imperfections.replace_kinds(*change.before(name, at))})
         super().__init__(file)
         self.reseed(seed)
         self._change_at, self._what, self._done = at, change, False

@@ -56,7 +56,7 @@ def told_now(doubts: Doubts, actuators: Actuators, noise: TrackerNoise, late: fl
 def test_a_difference_is_told_once_it_stays() -> None:
     """By name, size and way; a short one, or a small one, is not."""
     devices = Devices(0.1, 0.1, np.inf, 0.0)
-    actuators = Actuators(devices, 5e-5, Command.of(np.zeros(6)), RegulatorLags(devices, 0.01, np.full(3, 5e5)))
+    actuators = Actuators(devices, 5e-5, Command.from_inputs(np.zeros(6)), RegulatorLags(devices, 0.01, np.full(3, 5e5)))
     doubts, noise = Doubts(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
     actuators.tension_offset = np.array([0.0, -0.4, 0.1])
     told = [told_now(doubts, actuators, noise, 0.0) for _ in range(STAYS + 1)]

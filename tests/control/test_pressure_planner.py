@@ -28,7 +28,7 @@ def planner(**settings) -> PressurePlanner:
 
 def actuators_at(pressure: float, tension: float, devices: Devices = DEVICES) -> Actuators:
     """The usual devices at rest in Pa and N."""
-    command = Command.of(np.append(np.full(6, pressure), np.full(6, tension)))
+    command = Command.from_inputs(np.append(np.full(6, pressure), np.full(6, tension)))
     return Actuators(devices, AREA, command, RegulatorLags(devices, STAGE / 2, LIMITS, pressure))
 
 
@@ -119,7 +119,7 @@ def test_devices_of_a_model_whose_lag_has_another_name(monkeypatch):
 def test_actuators_lag_and_slew():
     """Pressures exponentially, tensions at the motors' rate; F_a at the start and the end; a look ahead changes nothing."""
     actuators = actuators_at(1e5, 2.0)
-    actuators.command = Command.of(np.append(np.full(6, 2e5), np.full(6, 2.05)))
+    actuators.command = Command.from_inputs(np.append(np.full(6, 2e5), np.full(6, 2.05)))
     ahead = actuators.copy()
     before, after = ahead.advance()
     assert before == pytest.approx(AREA * 1e5 - 2.0)
@@ -172,7 +172,7 @@ def test_lags_are_learned_from_monitors(filling: float, exhausting: float) -> No
     actuators, pressure = actuators_at(1e5, 2.0), np.full(6, 1e5)
     for k in range(300):
         if k % 20 == 0:
-            actuators.command = Command.of(np.append(random.uniform(0.5e5, 4e5, 6), np.full(6, 2.0)))
+            actuators.command = Command.from_inputs(np.append(random.uniform(0.5e5, 4e5, 6), np.full(6, 2.0)))
         pressure = true.lag(pressure, actuators.command.pressures, 0.01)
         actuators.advance()
         actuators.correct(Sample(0.0, np.zeros((4, 3)), pressures=pressure + 5e3 + 500 * random.standard_normal(6)), 0.01)
@@ -185,7 +185,7 @@ def test_lags_are_learned_from_monitors(filling: float, exhausting: float) -> No
 def test_a_look_ahead_teaches_nothing() -> None:
     """Neither do readings that are not there."""
     actuators = actuators_at(1e5, 2.0)
-    actuators.command = Command.of(np.append(np.full(6, 3e5), np.full(6, 2.0)))
+    actuators.command = Command.from_inputs(np.append(np.full(6, 3e5), np.full(6, 2.0)))
     ahead = actuators.copy()
     for _ in range(20):
         ahead.advance()
@@ -211,11 +211,11 @@ def numbered(line: CommandDelayLine, rows: range) -> list[float]:
 
 def test_commands_on_their_way() -> None:
     """Each acts two periods after its sample, from the first sample's time on; those that act no more are forgotten."""
-    line = CommandDelayLine(Command.of(np.zeros(2)), 0.01, 2)
+    line = CommandDelayLine(Command.from_inputs(np.zeros(2)), 0.01, 2)
     assert line.take_time(5.0) == 0
     for row in range(20):
         assert line.take_time(5.0 + 0.01 * row) == row
-        line.send(5.0 + 0.01 * row, Command.of(np.array([row + 1.0, 0.0])))
+        line.send(5.0 + 0.01 * row, Command.from_inputs(np.array([row + 1.0, 0.0])))
     assert line.last.pressures[0] == 20.0
     assert numbered(line, range(18, 23)) == [17.0, 18.0, 19.0, 20.0, 20.0]
     assert len(line._entries) == MOST_LATE + 3
@@ -223,11 +223,11 @@ def test_commands_on_their_way() -> None:
 
 def test_commands_that_act_later_than_was_thought() -> None:
     """By three periods: sent ones and those to come; never by more than is allowed, nor before a period has passed."""
-    line = CommandDelayLine(Command.of(np.zeros(2)), 0.01, 2)
+    line = CommandDelayLine(Command.from_inputs(np.zeros(2)), 0.01, 2)
     line.take_time(0.0)
-    line.send(0.0, Command.of(np.array([1.0, 0.0])))
+    line.send(0.0, Command.from_inputs(np.array([1.0, 0.0])))
     line.postpone(3)
-    line.send(0.01, Command.of(np.array([2.0, 0.0])))
+    line.send(0.01, Command.from_inputs(np.array([2.0, 0.0])))
     assert numbered(line, range(4, 8)) == [0.0, 1.0, 2.0, 2.0]
     assert line.late == pytest.approx(0.03)
     line.postpone(100)

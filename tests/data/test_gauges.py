@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.preparation.measured_inputs import downstream_candidat
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.errors import InputError
 
-SIGNALS = Signals.of(("pressure", "valve"), ("y",), "m")
+SIGNALS = Signals.from_names(("pressure", "valve"), ("y",), "m")
 LAG, OFFSET = Candidate("lag", "pressure", stage="input"), Candidate("offset", "pressure", stage="input", gauge=True)
 OTHER, BODY = Candidate("lag", "valve", stage="input"), Candidate("friction", "pressure")
 
@@ -43,6 +43,6 @@ def test_an_input_is_measured_where_all_runs_have_its_column() -> None:
         Run(name, "fit", np.arange(3.0), np.zeros((3, 2)), np.zeros((3, 3)), np.zeros((3, 1, 1)), {"pressure_measured": measured})
         for name, measured in (("a", np.ones(3)), ("b", np.array([1.0, 2.0, np.nan])))
     ]
-    assert measured_inputs(both, Signals.of(("pressure",), ("y",))) == ("pressure",)
+    assert measured_inputs(both, Signals.from_names(("pressure",), ("y",))) == ("pressure",)
     bare = Run("c", "fit", np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 3)), np.zeros((3, 1, 1)))
-    assert measured_inputs([*both, bare], Signals.of(("pressure",), ("y",))) == ()
+    assert measured_inputs([*both, bare], Signals.from_names(("pressure",), ("y",))) == ()

@@ -99,7 +99,7 @@ def test_they_are_left_out_and_told() -> None:
     clean = swing()
     points, where = hit(noisy(clean), 0.01, 6e-3)
     points[300:350, 2] = points[300, 2]
-    dataset, said = without_strays(RunSet.of("a", [run(noisy(clean), "a.csv"), run(points, "b.csv")]), [clean, clean], NOISE)
+    dataset, said = without_strays(RunSet.from_runs("a", [run(noisy(clean), "a.csv"), run(points, "b.csv")]), [clean, clean], NOISE)
     assert [text.split(":")[0] for text in said] == ["Outliers", "Frozen"]
     assert "49 of 12000 samples (0.41 %) are exactly those before them, most in b.csv; they are left out." in said[1]
     assert np.isfinite(dataset.runs[0].points).all()
@@ -112,5 +112,5 @@ def test_they_are_left_out_and_told() -> None:
 
 def test_many_are_left_out_and_told_as_many() -> None:
     clean = swing()
-    _, said = without_strays(RunSet.of("a", [run(hit(noisy(clean), 0.08, 6e-3)[0])]), [clean], NOISE)
+    _, said = without_strays(RunSet.from_runs("a", [run(hit(noisy(clean), 0.08, 6e-3)[0])]), [clean], NOISE)
     assert said[0].endswith("That is more than 5 %: look at what measures.")

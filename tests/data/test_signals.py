@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tepm_opt.data.signals import Signals
 
 
 def test_signals_of_single_inputs_and_outputs() -> None:
-    signals = Signals.of(("force", "valve"), ("level", "speed"), "m", (5.0, 2.0))
+    signals = Signals.from_names(("force", "valve"), ("level", "speed"), "m", (5.0, 2.0))
     assert [(part.by, part.name, part.columns) for part in signals.parts] == [("input", "force", (0,)), ("input", "valve", (1,))]
     found = {regime.name: (regime.columns, regime.measured, regime.low, regime.high) for regime in signals.regimes}
     assert found == {
@@ -24,6 +25,14 @@ def test_signals_of_single_inputs_and_outputs() -> None:
 
 
 def test_limits_need_not_be_known() -> None:
-    signals = Signals.of(("force",), ("position",))
+    signals = Signals.from_names(("force",), ("position",))
     assert signals.ranges.tolist() == [np.inf]
-    assert Signals.of((), ("position",)).ranges.shape == (0,)
+    assert Signals.from_names((), ("position",)).ranges.shape == (0,)
+
+
+def test_signals_are_made_by_the_old_name() -> None:
+    """The warning stands where the old name does."""
+    with pytest.warns(DeprecationWarning, match=r"Signals\.of is now Signals\.from_names; the old name goes with version 0\.4"):
+        old = Signals.of(("force",), ("position",), "m", (5.0,))
+    assert old.inputs == ("force",)
+    assert old == Signals.from_names(("force",), ("position",), "m", (5.0,))

@@ -85,7 +85,7 @@ def test_wrong_values(tmp_path, rows, message):
     path.write_text(f"t,x\n{rows}")
     table = read_table(path)
     with pytest.raises(InputError) as error:
-        _ = table.increasing("t"), table.column("x")
+        _ = table.read_increasing("t"), table.column("x")
     assert str(error.value) == f"{path}: {message}"
 
 

@@ -14,7 +14,7 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.data.trials import pieces, read_trials
 from tepm_opt.errors import InputError
 
-SIGNALS = Signals.of(("force",), ("position", "angle"))
+SIGNALS = Signals.from_names(("force",), ("position", "angle"))
 TOML = """name = "a drive"
 runs = [
   { file = "one.csv", role = "fit" },
@@ -52,7 +52,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
 
 
 def test_inputs_need_not_be(tmp_path: Path) -> None:
-    trials = read_trials(written(tmp_path), Signals.of((), ("position", "angle")))
+    trials = read_trials(written(tmp_path), Signals.from_names((), ("position", "angle")))
     assert trials.runs[0].inputs.shape == (3, 0)
     assert set(trials.runs[0].extra) == {"force", "remark"}
 

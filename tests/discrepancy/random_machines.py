@@ -75,7 +75,7 @@ def equations(random: np.random.Generator, time: float) -> CasadiPlant:
 def function(random: np.random.Generator) -> CallablePlant:
     """A static map of the inputs, with a parameter that groups may have for themselves."""
     inputs, outputs, size = int(random.integers(1, 4)), int(random.integers(1, 4)), unit(random)
-    signals = Signals.of([f"u{k}" for k in range(inputs)], [f"y{k}" for k in range(outputs)], "m")
+    signals = Signals.from_names([f"u{k}" for k in range(inputs)], [f"y{k}" for k in range(outputs)], "m")
     m = Simulator("a map", signals)
     m.parameter("slope", 2.0, "1", within=0.5, groups=GROUPS if random.random() < 0.5 else ())
     m.parameter("bend", 0.1, "1", within=0.9)

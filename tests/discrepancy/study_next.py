@@ -67,7 +67,7 @@ class Case:
     def measured(self, planned: PlannedRun) -> Run:
         """What the machine measures in a further run."""
         last = self.runs[-1]
-        run = replace(planned.sampled(RATE, self.runs[0].points.shape[1]), began=last.began + last.duration + 5.0)
+        run = replace(planned.sample_at(RATE, self.runs[0].points.shape[1]), began=last.began + last.duration + 5.0)
         return made(self.network, self.truth, run, np.random.default_rng([self.seed, 9]))
 
     def odds(self, planned: PlannedRun) -> float:
@@ -109,7 +109,7 @@ def cases(network: SearchableNetwork, seed: int) -> Iterator[tuple[Case | None, 
         for name in random.permutation(names):
             number += 1
             designs = drawn(random, 4.0, 8.0, fit=int(random.integers(1, 3)), judges=0)
-            sampled = [PlannedRun(d.file, "fit", d.setpoints).sampled(RATE, len(channels.points)) for d in designs]
+            sampled = [PlannedRun(d.file, "fit", d.setpoints).sample_at(RATE, len(channels.points)) for d in designs]
             session = in_session(sampled, {})
             try:
                 told = information(network, session, NOISE, network.candidates)

@@ -64,7 +64,7 @@ def recording(
         start = [3.2 * float(command[0]) / (3.2 + (0.5 + mass) * GRAVITY * 0.3), 0.0]
         angle = solve_ivp(rates, (0.0, time[-1]), start, t_eval=time, max_step=STEP, rtol=1e-6).y[0] + NOISE * random.normal(size=len(time))
         runs.append(Run(f"r{k}.csv", "fit", time, command[:, None], np.zeros((len(time), 3)), angle[:, None, None], start="measured"))
-    return RunSet.of(name, runs)
+    return RunSet.from_runs(name, runs)
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.callable_plant import Simulator
 from tepm_opt.discrepancy.laws.effect import Law, Quantity
 
-m = Simulator("a lever on a spring", Signals.of(["torque"], ["angle"], "rad"))
+m = Simulator("a lever on a spring", Signals.from_names(["torque"], ["angle"], "rad"))
 m.parameter("compliance", 0.1, "rad/(N m)")
 m.effects([Law("dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),), smooth=False)], "torque", signal=4.0)
 m.effects([Law("stiffening", "body", (Quantity("part", "1", 0.0, (0.01, 0.1), -1.0, 1.0),))], "spring")
@@ -71,7 +71,7 @@ def line(run: Run, values: Mapping[str, Any]) -> np.ndarray:
 
 
 def parabola(groups: tuple[str, ...] = (), **more: Any) -> CallablePlant:
-    m = Simulator("a parabola", Signals.of(["u"], ["y"]))
+    m = Simulator("a parabola", Signals.from_names(["u"], ["y"]))
     m.parameter("a", 2.0)
     m.parameter("b", 1.0, std=0.5, groups=groups)
     return m.plant(line, static=True, **more)
@@ -93,7 +93,7 @@ def test_differences_keep_within_the_range() -> None:
         asked.append(values["a"])
         return np.full(run.rows, np.sqrt(values["a"] * (1 - values["a"])))
 
-    m = Simulator("roots", Signals.of(["u"], ["y"]))
+    m = Simulator("roots", Signals.from_names(["u"], ["y"]))
     m.parameter("a", 0.5, low=0.0, high=1.0)
     plant, run = m.plant(root, static=True), run_of(np.zeros((1, 1)), np.zeros((1, 1, 1)))
     for end in (0.0, 1.0):
@@ -109,7 +109,7 @@ def test_many_sets_of_values_at_once_are_one_call() -> None:
         calls.append(len(values["a"]))
         return values["a"][:, None] * run.inputs[:, 0] ** 2 + values["b"][:, None]
 
-    m = Simulator("a parabola", Signals.of(["u"], ["y"]))
+    m = Simulator("a parabola", Signals.from_names(["u"], ["y"]))
     m.parameter("a", 2.0)
     m.parameter("b", 1.0, std=0.5)
     run = run_of(np.linspace(0, 3, 7)[:, None], np.zeros((7, 1, 1)))
@@ -127,7 +127,7 @@ def test_states_that_a_run_begins_with() -> None:
         asked.append((height, speed))
         return height + speed * run.time - values["g"] / 2 * run.time**2
 
-    m = Simulator("a stone", Signals.of([], ["height"], "m"))
+    m = Simulator("a stone", Signals.from_names([], ["height"], "m"))
     m.parameter("g", 9.8, "m/s2")
     m.state("height", size=1.0)
     m.state("speed", size=5.0)
@@ -157,7 +157,7 @@ def test_what_a_function_can_get_wrong() -> None:
     run = run_of(np.ones((3, 1)), np.zeros((3, 1, 1)))
 
     def plant(simulate: Any) -> CallablePlant:
-        return Simulator("m", Signals.of(["u"], ["y"])).plant(simulate, static=True)
+        return Simulator("m", Signals.from_names(["u"], ["y"])).plant(simulate, static=True)
 
     with pytest.raises(InputError, match=r"outputs of the shape \(1, 2\); valid: \(3, 1, 1\)"):
         plant(lambda run, values: np.zeros(2)).predict(run)
@@ -172,7 +172,7 @@ def test_what_a_function_can_get_wrong() -> None:
 
 
 def test_what_a_plant_file_can_get_wrong() -> None:
-    m = Simulator("m", Signals.of(["u"], ["y"]))
+    m = Simulator("m", Signals.from_names(["u"], ["y"]))
     m.parameter("a", 2.0)
     with pytest.raises(InputError, match="'a' is there twice"):
         m.parameter("a", 2.0)
@@ -189,7 +189,7 @@ def test_what_a_plant_file_can_get_wrong() -> None:
 
 
 def test_static_data_need_no_time_and_points_have_axes(tmp_path: Path) -> None:
-    signals = Signals.of(["pull"], ["tip"], "m", axes=("x", "y"))
+    signals = Signals.from_names(["pull"], ["tip"], "m", axes=("x", "y"))
     columns = {"pull": np.arange(3.0), "tip_x": np.arange(3.0), "tip_y": np.array([1.0, np.nan, 3.0])}
     folder = data(tmp_path / "data", {"a.csv": columns}, "tip = 0.1", "static = true")
     run = read_trials(folder, signals, static=True).runs[0]

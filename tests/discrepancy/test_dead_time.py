@@ -82,7 +82,7 @@ def test_a_function_is_told_that_it_has_no_past() -> None:
 
     law = next(law for law in INPUT if law.delays)
     with pytest.raises(InputError, match="time_delay needs the past"):
-        Simulator("m", Signals.of(["u"], ["y"])).effects([law], "u", signal=1.0, time=1.0)
+        Simulator("m", Signals.from_names(["u"], ["y"])).effects([law], "u", signal=1.0, time=1.0)
 
 
 def test_beginnings_of_runs_at_work_are_left_out() -> None:
@@ -92,11 +92,11 @@ def test_beginnings_of_runs_at_work_are_left_out() -> None:
     points = u[:, None, None] + 0.0
     run = run_of(u, points, start="measured")
     other = run_of(u, points, "b.csv", start="measured")
-    shorter, remarks = remove_beginnings(RunSet.of("x", [run, other]), [points + left, points + 0.1], 0.05)
+    shorter, remarks = remove_beginnings(RunSet.from_runs("x", [run, other]), [points + left, points + 0.1], 0.05)
     assert [each.rows for each in shorter.runs] == [900, 1000]
     assert remarks[0].startswith("The first 2 s of a.csv are left out")
     rests = [replace(each, start="equilibrium") for each in (run, other)]
-    assert remove_beginnings(RunSet.of("x", rests), [points + left, points + 0.1], 0.05)[1] == []
+    assert remove_beginnings(RunSet.from_runs("x", rests), [points + left, points + 0.1], 0.05)[1] == []
 
 
 @pytest.mark.slow
@@ -113,7 +113,7 @@ def test_a_made_valve_is_found() -> None:
         noisy = np.array(out) + 0.05 * np.random.default_rng(9 + k).normal(size=len(u))
         role = "validation" if k == 3 else "fit"
         runs.append(replace(run_of(u, noisy[:, None, None], f"r{k}.csv", start="measured"), role=role))
-    verdict = discover(RunSet.of("made", runs), valve(), np.array([[0.05]])).verdict
+    verdict = discover(RunSet.from_runs("made", runs), valve(), np.array([[0.05]])).verdict
     assert [named.candidate.label for named in verdict.effects] == ["time_delay[command]"]
     assert verdict.effects[0].parameters["delay"].value == pytest.approx(0.65, abs=0.02)
 

@@ -59,7 +59,7 @@ def gauged(
             extra[f"{stem}_measured_{unit}"] = np.interp(time, fine, followed) + noise * random.normal(size=len(time))
         run = Run(asked.file, "fit", time, inputs, np.zeros((len(time), 3)), np.zeros((len(time), 4, 3)), extra)
         found.append(run)
-    return RunSet.of("gauged", found)
+    return RunSet.from_runs("gauged", found)
 
 
 def seen(data: RunSet) -> Any:

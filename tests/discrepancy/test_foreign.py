@@ -34,7 +34,7 @@ def test_a_run_of_another_machine_is_told_and_left_out() -> None:
     """Its springs are not those of the other five runs, to whose model nothing is missing then."""
     plant, other = two_masses(), two_masses().with_values({"spring": 60.0, "between": 20.0})
     runs = [recorded(other if number == 2 else plant, number) for number in range(6)]
-    verdict = discover(RunSet.of("two masses", runs), plant, NOISE).verdict
+    verdict = discover(RunSet.from_runs("two masses", runs), plant, NOISE).verdict
     assert verdict.status is VerdictStatus.SETUP_ERROR
     assert [(error.kind, error.channels) for error in verdict.setup] == [("foreign_run", ("2.csv",))]
     assert not verdict.effects

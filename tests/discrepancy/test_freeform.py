@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tepm_opt.data.run import Run, spaced
+from tepm_opt.data.run import Run, thin_out
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.symbolic import score
 from tepm_opt.discrepancy.symbolic.curves import Lags, Plays, Powers, Spline
@@ -160,7 +160,7 @@ class TestAlternatives:
 
 
 def test_samples_of_the_pass_are_the_runs(course: Course) -> None:
-    assert spaced(course.run, DEFAULT.sample_spacing).rows == course.run.rows
+    assert thin_out(course.run, DEFAULT.sample_spacing).rows == course.run.rows
 
 
 def test_a_law_is_judged_by_the_predictive_distribution_of_the_other_runs() -> None:

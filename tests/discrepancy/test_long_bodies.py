@@ -28,7 +28,7 @@ from tepm_opt.discrepancy.laws.rod import equilibrium
 from tepm_opt.discrepancy.laws.tendons import TENDONS
 
 ALONG = (np.arange(10) + 0.5) / 10
-m = Simulator("a rod", Signals.of(["tension"], ["middle", "tip"], "m", axes=("x", "z")))
+m = Simulator("a rod", Signals.from_names(["tension"], ["middle", "tip"], "m", axes=("x", "z")))
 m.parameter("bend", 1.0, "1/(N m)", within=0.5)
 m.parameter("weight", 20.0, "1/m2", within=0.5)
 m.parameter("tilt", 0.0, "rad", std=0.1, groups=("a", "b"))

@@ -9,7 +9,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation, localise
 
-SIGNALS = Signals.of(("u",), ("y",), "m")
+SIGNALS = Signals.from_names(("u",), ("y",), "m")
 TIME = np.arange(0, 60, 0.05)
 
 

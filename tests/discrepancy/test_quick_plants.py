@@ -128,12 +128,12 @@ def test_no_probe_gains_more_than_there_is() -> None:
 
 def test_validation_beyond_what_was_fitted_to_is_told() -> None:
     near, far = runs(2, 2.0)
-    signals = Signals.of(["inflow"], ["level"], "m")
+    signals = Signals.from_names(["inflow"], ["level"], "m")
     low, high = near.points.min(), near.points.max()
     far = replace(far, role="validation", inputs=near.inputs, points=np.full_like(far.points, (low + high) / 2 + 2.1 * (high - low) / 2))
-    (line,) = describe_extrapolation(RunSet.of("levels", [near, far]), signals)
+    (line,) = describe_extrapolation(RunSet.from_runs("levels", [near, far]), signals)
     assert "r1.csv leaves the range fitted to: level goes 2.1 times as far" in line
-    assert describe_extrapolation(RunSet.of("levels", [near, replace(far, points=near.points)]), signals) == []
+    assert describe_extrapolation(RunSet.from_runs("levels", [near, replace(far, points=near.points)]), signals) == []
 
 
 @pytest.mark.slow
@@ -152,7 +152,7 @@ def test_an_effect_that_begins_between_runs_is_told_with_its_runs(values: dict[s
         true = machine.with_values(values) if k >= 3 else machine
         points = true.predict(run).points + NOISE * random.normal(size=run.points.shape)
         measured.append(replace(run, points=points, role="validation" if k > 5 else "fit"))
-    verdict = discover(RunSet.of("tank", measured), tank().plant(), NOISE).verdict
+    verdict = discover(RunSet.from_runs("tank", measured), tank().plant(), NOISE).verdict
     told = {each.candidate.name: each for each in verdict.effects if each.probability > 0.3}
     assert verdict.status is VerdictStatus.INDISTINGUISHABLE
     assert set(told) == names

@@ -71,7 +71,7 @@ class FakeBoard:
     def __init__(self, robot: Robot) -> None:
         self.time, self.period, self._due = 0.0, 0.005, 0.005
         self.hello = {name: 0 for name, _ in HELLO.fields} | {"version": VERSION, "channels": 6, "monitors": 6, "timeout_ms": 100}
-        self.limits = Limits.of(robot)
+        self.limits = Limits.from_robot(robot)
         self.hello["limits"] = self.limits.check
         self.status: dict[str, Any] = {name: 0 for name, _ in STATUS.fields} | {"session": 0x10001}
         self.status |= {"dynamometers": (3277,) * 6, "monitors": (6554,) * 6, "positions": (0,) * 6}

@@ -57,7 +57,7 @@ def inputs(rig: SimulatedRig, pressure: Any = 0.0, tension: Any = 0.0) -> np.nda
 
 def resting(rig: SimulatedRig, pressure: Any = 0.0, tension: Any = 0.0) -> np.ndarray:
     """Lengths of the actuators in m where the rig rests before time starts."""
-    rig.apply(Command.of(inputs(rig, pressure, tension)))
+    rig.apply(Command.from_inputs(inputs(rig, pressure, tension)))
     return rig.true_lengths
 
 

@@ -20,7 +20,7 @@ from tests.hw.conftest import PRESSURE_MAX
 from tests.hw.emulator import FIRMWARE, Board
 from tests.hw.emulator.host import ZERO, Host
 
-LIMITS = Limits.of(load_robot("kang2017"))
+LIMITS = Limits.from_robot(load_robot("kang2017"))
 FLAVOURS = ("make", "arduino", "platformio")
 RECEIVED = 13
 """Bytes that the firmware takes in a pass."""

@@ -301,7 +301,7 @@ class TestLines:
     @pytest.mark.parametrize("text", ["1", "a,b", "0,100,100", "-5,100", "0,900", ""])
     def test_wrong_values(self, text: str) -> None:
         with pytest.raises(InputError, match="--weights-g"):
-            calibrate.increasing(text, "--weights-g", 0, 700, "g")
+            calibrate.parse_increasing(text, "--weights-g", 0, 700, "g")
 
     def test_parts_keep_the_others(self, tmp_path: Path) -> None:
         robot = load_robot("kang2017")
@@ -354,7 +354,7 @@ def test_holding_hands_on_what_failed(world: World) -> None:
         rig.stop()
         single = moves.Single(rig.robot, 0)
         rig._armed = False
-        holding = moves.holding(rig, single.command(0.0))
+        holding = moves.keep_sending(rig, single.command(0.0))
         with pytest.raises(RuntimeError, match="open it anew"), holding:
             time.sleep(0.2)
         assert rig.board.state is State.IDLE

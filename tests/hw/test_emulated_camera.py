@@ -15,7 +15,7 @@ from tepm_opt.hw.emulation.camera import CAMERA, EmulatedCamera, mount_before_ca
 from tepm_opt.hw.rig import Command
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file
-from tepm_opt.hw.simulation.scaling import fitted
+from tepm_opt.hw.simulation.scaling import scale_rig
 from tepm_opt.hw.trackers import open_link
 from tepm_opt.hw.trackers.camera import calibration_text
 from tepm_opt.models.hardware import TrackerLink
@@ -32,8 +32,8 @@ def mounted(mount: dict[str, list[float]]) -> Robot:
 
 def bent(robot: Robot) -> SimulatedRig:
     """A perfect arm that rests under 2 N in a tendon."""
-    rig = SimulatedRig(fitted(load_rig_file("perfect"), robot), watched=False)
-    rig.apply(Command.of(np.eye(12)[9] * 2.0))
+    rig = SimulatedRig(scale_rig(load_rig_file("perfect"), robot), watched=False)
+    rig.apply(Command.from_inputs(np.eye(12)[9] * 2.0))
     return rig
 
 

@@ -23,14 +23,14 @@ from tepm_opt.models.robot import load_robot, parse_robot, robot_text
 from tests.hw.test_loop import undisturbed
 
 ROBOT = load_robot("kang2017")
-LIMITS = Limits.of(ROBOT)
+LIMITS = Limits.from_robot(ROBOT)
 
 
 class VirtualPort:
     """A line to the board in virtual time, in which it sends STATUS every 5 ms."""
 
     def __init__(self) -> None:
-        self.time, self.board, self.command = 0.0, EmulatedBoard(ROBOT), Command.of(np.zeros(12))
+        self.time, self.board, self.command = 0.0, EmulatedBoard(ROBOT), Command.from_inputs(np.zeros(12))
         self._answers = b""
 
     def clock(self) -> float:
@@ -61,7 +61,7 @@ def test_a_rig_moves_what_the_board_gives_out() -> None:
     rig = SerialRig(port, ROBOT, clock=port.clock, threaded=False)
     wanted = np.r_[np.linspace(0.5e5, 3e5, 6), np.linspace(1, 6, 6)]
     for _ in range(20):
-        rig.apply(Command.of(wanted))
+        rig.apply(Command.from_inputs(wanted))
         sample = rig.read()
     np.testing.assert_allclose(port.command.pressures, wanted[:6], atol=300)
     np.testing.assert_allclose(port.command.tensions, wanted[6:], atol=1e-3)
@@ -77,7 +77,7 @@ def test_a_rig_moves_what_the_board_gives_out() -> None:
         port.read(0.005)
     assert not port.command.pressures.any()
     with pytest.raises(LinkError, match="HOST_TIMEOUT"):
-        rig.apply(Command.of(wanted))
+        rig.apply(Command.from_inputs(wanted))
 
 
 def set_point(session: int, sequence: int, pressure: int = 100, tendon: int = 4000) -> bytes:
@@ -143,7 +143,7 @@ def test_the_whole_chain_in_real_time(bench: str) -> None:
         samples = []
         with open_rig(bench, robot) as rig:
             for k in range(150):
-                rig.apply(Command.of(np.eye(12)[9] * min(k / 40, 2.0)))
+                rig.apply(Command.from_inputs(np.eye(12)[9] * min(k / 40, 2.0)))
                 samples.append(rig.read())
         return samples
 

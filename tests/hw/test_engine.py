@@ -207,7 +207,7 @@ def test_many_frames_at_once_are_those_one_by_one(name):
     for count in (1, 7, 20):
         for rig in (one, many):
             rig.push(np.array([0.0, 0.01 * count, 0.0]))
-            rig.apply(Command.of(inputs(rig, 1e4 * count, 0.5)))
+            rig.apply(Command.from_inputs(inputs(rig, 1e4 * count, 0.5)))
         for ours, other in zip(many.read_many(count), [one.read() for _ in range(count)], strict=True):
             assert (ours.time, ours.status) == (other.time, other.status)
             for part in ("points", "pressures", "tensions"):
@@ -344,7 +344,7 @@ def test_stiff_and_light_robots_get_shorter_steps():
         assert step < 2.5e-5
         assert 0.01 / step == pytest.approx(round(0.01 / step), abs=1e-9)
         rig.read()
-        rig.apply(Command.of(inputs(rig, [1e5, 0, 0])))
+        rig.apply(Command.from_inputs(inputs(rig, [1e5, 0, 0])))
         assert np.isfinite(rig.read_many(3)[-1].points).all()
 
 
@@ -352,7 +352,7 @@ def test_longest_step_is_that_of_all_modes():
     """Not far below RK4's limit for the eigenvalues of the network's linear equations, numerically differentiated, and never above."""
     for changes in ({}, {"c_a": 0.2}, {"m_d": 0.05}, {"beta_2": 30.0}):
         file = rig_file("compiled", robot_file(**changes, gravity_m_per_s2=(0, 0, 0)))
-        machine_, body = CompiledMachine(file, library()), Body.of(file.true_robot)
+        machine_, body = CompiledMachine(file, library()), Body.from_robot(file.true_robot)
         machine_.network.load(np.zeros((4, 3)))
         size = machine_.network.rest[1:].size
         force = machine_.network.forces_at_rest(1e-7 * np.eye(size), np.zeros((size, *machine_.network.rest[1:].shape[:2])))
@@ -360,14 +360,14 @@ def test_longest_step_is_that_of_all_modes():
         stiffness = -force.T / 1e-7 / weights[:, None]
         body.stiffness[:] = body.damping
         soft = CompiledMachine(file, library())
-        soft.network._kept["stiffness"][:] = soft.network._filled(body.stiffness)
-        soft.network._kept["preload"][:] = soft.network._filled(body.stiffness * body.rest)
+        soft.network._kept["stiffness"][:] = soft.network._fill_up(body.stiffness)
+        soft.network._kept["preload"][:] = soft.network._fill_up(body.stiffness * body.rest)
         soft.network.load(np.zeros((4, 3)))
         damping = -soft.network.forces_at_rest(1e-7 * np.eye(size), np.zeros((size, *soft.network.rest[1:].shape[:2]))).T
         system = np.block([[np.zeros((size, size)), np.eye(size)], [-stiffness, -damping / 1e-7 / weights[:, None]]])
         rates = np.linalg.eigvals(system)
         limit = max(h for h in np.geomspace(1e-5, 1e-2, 400) if (np.abs(amplified(h * rates)) <= 1 + 1e-6).all())
-        assert 0.75 * limit < longest_step(Body.of(file.true_robot)) < limit
+        assert 0.75 * limit < longest_step(Body.from_robot(file.true_robot)) < limit
 
 
 def amplified(z: np.ndarray) -> np.ndarray:
@@ -484,7 +484,7 @@ def test_timelines_grow_and_forget():
         known = {knot: kept for knot, kept in known.items() if knot < at} | {at: value}
         for step in range(now, now + 10):
             last = max(knot for knot in known if knot <= step)
-            assert (line.between(step, step) == known[last]).all()
+            assert (line.evaluate_between(step, step) == known[last]).all()
             assert line.next_knot(step, -1) == min((knot for knot in known if knot > step), default=-1)
         now += int(random.integers(0, 4))
         line.forget(now)

@@ -41,7 +41,7 @@ def test_structural_friction_has_its_breakaway_and_damping():
     """Edges hold with breakaway · F where they creep, slide with F, and feel the bristles' damping as soon as they move."""
     settings = {"sliding_N": 0.3, "breakaway_ratio": 1.5, "stribeck_m_per_s": 1e-3}
     law = StructuralFriction(**settings, bristle_stiffness_N_per_m=1000.0, bristle_damping_N_s_per_m=4.0)
-    body = Body.of(ROBOT, 0)
+    body = Body.from_robot(ROBOT, 0)
     length = body.rest[:, body.verticals]
 
     def force(rate: float, duration: float, steps: int) -> np.ndarray:

@@ -178,7 +178,7 @@ def test_set_points_are_for_one_arming(rig: SerialRig, line: Lossy) -> None:
 )
 def test_beyond_the_limit_of_the_board(kind: str, per_unit: float, zero: int) -> None:
     """Set points that exceed it by more than rounding are refused, not cut off in silence; the actuator is named."""
-    convert, most = getattr(Calibration.of(ROBOT), kind), 2000 + zero
+    convert, most = getattr(Calibration.from_robot(ROBOT), kind), 2000 + zero
     values = np.full(6, 1000 / per_unit)
     values[4] = (2000 + 0.9) / per_unit
     assert convert(values, most) == [1000 + zero] * 4 + [most, 1000 + zero]

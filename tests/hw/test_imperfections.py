@@ -19,7 +19,7 @@ G = 9.81
 
 def body_with(imperfection) -> Body:
     """The network of kang2017 changed by one imperfection."""
-    body = Body.of(load_robot("kang2017"), seed=3)
+    body = Body.from_robot(load_robot("kang2017"), seed=3)
     imperfection.change_body(body)
     return body
 
@@ -47,7 +47,7 @@ def test_payload():
     """A hanging bar is longer by m g / 3 K_a; beside the centre the plate's centre of mass is where it was put."""
     longer = resting(bar(G, payload={"mass_kg": 0.05})) - resting(bar(G))
     assert longer == pytest.approx(np.full(3, 0.05 * G / (3 * STIFFNESS)), rel=5e-3)
-    body, plain = body_with(Payload(mass_kg=0.1, eccentricity_m=(0.01, -0.005))), Body.of(load_robot("kang2017"))
+    body, plain = body_with(Payload(mass_kg=0.1, eccentricity_m=(0.01, -0.005))), Body.from_robot(load_robot("kang2017"))
     added = body.mass - plain.mass
     assert added.sum() == pytest.approx(0.1)
     assert added[-1] @ body.layout.rest_positions(RADIUS, LENGTH)[-1][:, :2] == pytest.approx(0.1 * np.array([0.01, -0.005]))
@@ -84,7 +84,7 @@ def test_rigid_plates():
     """Each of the bar's segments of 100 mm loses 20 mm to a plate: 80 % of the elongation is left."""
     clamped = bar(rigid_plates={"clamped_length_m": 0.02})
     assert resting(clamped, 0.3e6) - LENGTH == pytest.approx(np.full(3, 0.8 * 0.3e6 * AREA / STIFFNESS), rel=2e-3)
-    factor = body_with(RigidPlates(clamped_length_m=0.01)).stiffness / Body.of(load_robot("kang2017")).stiffness
+    factor = body_with(RigidPlates(clamped_length_m=0.01)).stiffness / Body.from_robot(load_robot("kang2017")).stiffness
     assert factor[:, 0] == pytest.approx(np.where(np.isin(np.arange(12), [0, 5, 6, 11]), 1 / 0.7, 1.0))
     assert factor[:, 3:6] == pytest.approx(1)  # horizontals
     with pytest.raises(InputError, match="leaves nothing of a segment"):
@@ -257,12 +257,12 @@ def test_regulator_lag():
     sections = {"pressure_monitor": {"fitted": True}}
     rig = bar(sections=sections, regulator_lag={"fill_s": 0.1, "exhaust_s": 0.3})
     rig.read()
-    rig.apply(Command.of(inputs(rig, 0.2e6)))
+    rig.apply(Command.from_inputs(inputs(rig, 0.2e6)))
     filled = read_until(rig, 0.1)[-1]
     assert filled.pressures == pytest.approx(np.full(3, 0.2e6 * (1 - np.exp(-1))), rel=1e-6)
     read_until(rig, 3.0)
     assert rig.true_lengths - LENGTH == pytest.approx(np.full(3, 0.2e6 * AREA / STIFFNESS), rel=2e-3)
-    rig.apply(Command.of(inputs(rig, 0.1e6)))
+    rig.apply(Command.from_inputs(inputs(rig, 0.1e6)))
     assert read_until(rig, 3.3)[-1].pressures == pytest.approx(np.full(3, 0.1e6 * (1 + np.exp(-1))), rel=1e-6)
 
 
@@ -308,12 +308,12 @@ def test_actuator_offset():
 def test_actuator_scatter():
     """Areas and lengths are what the draw says, and spread as they should; another draw is another machine."""
     layout = Layout.from_robot(load_robot("kang2017"))
-    many = [ActuatorScatter(area_spread=0.02, length_spread_m=1e-3, draw=k).drawn(layout) for k in range(300)]
+    many = [ActuatorScatter(area_spread=0.02, length_spread_m=1e-3, draw=k).draw_scatter(layout) for k in range(300)]
     areas, lengths = (np.array(part) for part in zip(*many, strict=True))
     assert (areas.mean(), areas.std()) == (pytest.approx(1, abs=2e-3), pytest.approx(0.02, rel=0.05))
     assert (lengths.mean(), lengths.std()) == (pytest.approx(0, abs=1e-4), pytest.approx(1e-3, rel=0.05))
     rig = bar(actuator_scatter={"area_spread": 0.02, "length_spread_m": 1e-3, "draw": 4})
-    area, length = ActuatorScatter(area_spread=0.02, length_spread_m=1e-3, draw=4).drawn(rig.layout)
+    area, length = ActuatorScatter(area_spread=0.02, length_spread_m=1e-3, draw=4).draw_scatter(rig.layout)
     assert resting(rig, 0.2e6) - LENGTH == pytest.approx(0.2e6 * AREA / STIFFNESS * area + length, abs=5e-5)
 
 
@@ -329,12 +329,12 @@ def test_choked_filling():
     sections = {"pressure_monitor": {"fitted": True}}
     rig = bar(sections=sections, choked_filling={"rate_per_s": 1.0, "supply_Pa": 1.4e6, "band_Pa": 2e4, "critical_ratio": 0.3})
     rig.read()
-    rig.apply(Command.of(inputs(rig, 0.3e6)))
+    rig.apply(Command.from_inputs(inputs(rig, 0.3e6)))
     frames = read_until(rig, 0.1)  # choked up to 0.3 · 1.5 MPa absolute
     rate = 1.0 * (1.4e6 + 101325.0)
     assert frames[-1].pressures == pytest.approx(np.full(3, 0.1 * rate), rel=1e-2)
     assert read_until(rig, 2.0)[-1].pressures == pytest.approx(np.full(3, 0.3e6), rel=1e-4)
-    rig.apply(Command.of(inputs(rig, 0.0)))
+    rig.apply(Command.from_inputs(inputs(rig, 0.0)))
     frames = read_until(rig, 2.05)  # choked while more than 3.3 times the atmosphere is inside
     assert frames[-1].pressures == pytest.approx(np.full(3, (0.3e6 + 101325.0) * np.exp(-0.05) - 101325.0), rel=1e-2)
 
@@ -387,7 +387,7 @@ def test_time_delay():
     """Nothing moves before the delay is over."""
     rig = bar(sections={"tracker": {"rate_hz": 1000}, "pressure_monitor": {"fitted": True}}, time_delay={"delay_s": 0.02})
     rig.read()
-    rig.apply(Command.of(inputs(rig, 0.1e6)))
+    rig.apply(Command.from_inputs(inputs(rig, 0.1e6)))
     samples = read_until(rig, 0.03)
     assert all((sample.pressures == 0).all() for sample in samples if sample.time <= 0.02)
     assert all((sample.pressures == 0.1e6).all() for sample in samples if sample.time > 0.0205)

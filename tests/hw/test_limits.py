@@ -56,7 +56,7 @@ def test_the_guide_has_the_numbers_of_the_firmware() -> None:
     ):
         assert number in text, number
     robot = load_robot("kang2017")
-    most, steps = robot.actuation, Limits.of(robot).position_max
+    most, steps = robot.actuation, Limits.from_robot(robot).position_max
     assert f"{most.pressure_max_Pa / 1e6:g} MPa, {most.tension_max_N:.1f} N, {steps} steps" in text
 
 
@@ -79,7 +79,7 @@ STRONG = {
 
 
 def test_the_firmware_is_that_of_the_robot_that_ships() -> None:
-    assert (FIRMWARE / "limits.h").read_text(encoding="utf-8") == Limits.of(load_robot("kang2017")).header("kang2017")
+    assert (FIRMWARE / "limits.h").read_text(encoding="utf-8") == Limits.from_robot(load_robot("kang2017")).header("kang2017")
 
 
 def lists(random: np.random.Generator, spread: float) -> Robot:
@@ -99,9 +99,9 @@ def test_no_actuator_is_taken_beyond_its_own_limits() -> None:
     random, refused = np.random.default_rng(2017), 0
     for _ in range(200):
         robot = lists(random, float(random.choice([0.0, 3e-3, 0.01, 0.02])))
-        own, most, pull = Calibration.of(robot), robot.actuation.pressure_max_Pa, robot.actuation.tension_max_N
+        own, most, pull = Calibration.from_robot(robot), robot.actuation.pressure_max_Pa, robot.actuation.tension_max_N
         try:
-            limits = Limits.of(robot)
+            limits = Limits.from_robot(robot)
         except InputError:
             refused += 1
             continue
@@ -150,7 +150,7 @@ def test_no_actuator_is_taken_beyond_its_own_limits() -> None:
 def test_robots_that_no_firmware_can_be_made_for(robot: Robot, message: str) -> None:
     """They are refused before anything is compiled or armed, by what a person can change; `tepm play` says it where it opens the rig."""
     with pytest.raises(InputError, match=message):
-        Limits.of(robot)
+        Limits.from_robot(robot)
     port = FakeBoard(load_robot("kang2017"))
     with pytest.raises(InputError, match=message):
         SerialRig(port, robot, clock=port.clock, threaded=False)
@@ -158,14 +158,14 @@ def test_robots_that_no_firmware_can_be_made_for(robot: Robot, message: str) -> 
 
 def test_zeros_of_all_kinds() -> None:
     """Commands below zero, monitors a little below or above it without a live zero, and the negative zero that a fit may give."""
-    below = Limits.of(robot_with(pressure={"zero_V": -0.05, "monitor_zero_V": -0.01}))
+    below = Limits.from_robot(robot_with(pressure={"zero_V": -0.05, "monitor_zero_V": -0.01}))
     assert (below.code_zero, below.monitor_zero, below.monitor_low) == (-41, 0, 0)
     assert below.pressure_max == int(-40.96 + 4551.11 * 0.5)
     assert protocol.LIMITS.unpack(below.payload())["code_zero"] == -41
-    assert Limits.of(robot_with(pressure={"monitor_zero_V": 0.2})).monitor_low == 0
-    assert Limits.of(robot_with(pressure={"monitor_zero_V": 0.26})).monitor_low == 851
+    assert Limits.from_robot(robot_with(pressure={"monitor_zero_V": 0.2})).monitor_low == 0
+    assert Limits.from_robot(robot_with(pressure={"monitor_zero_V": 0.26})).monitor_low == 851
     nothing = {"zero_V": (-0.0, 0.0, -0.0, 0.0, 0.0, -0.0)}
-    assert Limits.of(robot_with(pressure=nothing)) == Limits.of(load_robot("kang2017"))
+    assert Limits.from_robot(robot_with(pressure=nothing)) == Limits.from_robot(load_robot("kang2017"))
 
 
 STRONGER = {
@@ -192,16 +192,16 @@ def test_firmware_and_robot_file_that_disagree(name: str, swapped: bool) -> None
         pytest.raises(LinkError, match="firmware and robot file kang2017 disa") as raised,
     ):
         rig.apply(Command(np.zeros(6), np.zeros(6), np.ones(6, dtype=bool)))
-    said, mine, other = str(raised.value), asdict(Limits.of(robot)), asdict(Limits.of(flashed))
+    said, mine, other = str(raised.value), asdict(Limits.from_robot(robot)), asdict(Limits.from_robot(flashed))
     for key in mine:
         assert (f"{key} is {other[key]}" in said) == (mine[key] != other[key])
     assert "tepm hw limits" in said
     assert {kind for kind, _ in port.heard} == {protocol.ASK}
-    assert differences(flashed, Limits.of(robot))
+    assert differences(flashed, Limits.from_robot(robot))
 
 
 def test_differences_in_physical_units() -> None:
-    said = differences(robot_with(0.45e6, 6.0), Limits.of(load_robot("kang2017")))
+    said = differences(robot_with(0.45e6, 6.0), Limits.from_robot(load_robot("kang2017")))
     assert said[0] == "pressure_max is 2275 (499.9 kPa) in the firmware, 2048 (450 kPa) by the robot file"
     assert "tension_max is 26215 (7 N) in the firmware, 22938 (6 N) by the robot file" in said
     assert "position_max is 6667 (7 N) in the firmware, 5714 (6 N) by the robot file" in said
@@ -218,14 +218,14 @@ def test_limits_that_are_not_what_their_crc_says() -> None:
 def test_firmware_of_another_robot(tmp_path: Path, library: Path, board_factory: Callable[..., Board]) -> None:
     """The header of a stronger robot, compiled: the board arms for that robot, and not for the one that ships."""
     strong = robot_with(1.0e6, 14.0, **STRONG)
-    (tmp_path / "limits.h").write_text(Limits.of(strong).header(strong.name), encoding="utf-8")
+    (tmp_path / "limits.h").write_text(Limits.from_robot(strong).header(strong.name), encoding="utf-8")
     world = World(board_factory(build_firmware(tmp_path / "build", limits=tmp_path / "limits.h")))
     zero = Command(np.zeros(6), np.zeros(6), np.ones(6, dtype=bool))
     with SerialRig(world.port, load_robot("kang2017"), clock=world.clock, threaded=False) as rig:
         with pytest.raises(LinkError, match=r"codes_per_MPa is 2275 in the firmware, 4551 by the robot file; regulator_band is "):
             rig.apply(zero)
         with pytest.raises(LinkError, match="the board refuses ARM: its limits or calibration are not those of the robot file"):
-            rig.link.arm(Limits.of(load_robot("kang2017")).check)
+            rig.link.arm(Limits.from_robot(load_robot("kang2017")).check)
         assert rig.board.state is State.IDLE
     with SerialRig(world.port, strong, clock=world.clock, threaded=False) as rig:
         for _ in range(100):

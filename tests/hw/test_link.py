@@ -33,7 +33,7 @@ from tests.hw.lines import FakeBoard
 
 ROBOT = load_robot("kang2017")
 INPUTS = np.repeat([2e5, 1.0], 6)
-COMMAND = Command.of(INPUTS)
+COMMAND = Command.from_inputs(INPUTS)
 
 
 @pytest.fixture

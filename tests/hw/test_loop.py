@@ -47,7 +47,7 @@ class Checked(SerialRig):
         if self._goal is not None:
             self.off.append(np.r_[board.dac, board.positions - self.world._unwound] - self._goal)
         super().apply(command)
-        calibration = Calibration.of(self.robot)
+        calibration = Calibration.from_robot(self.robot)
         self._goal = np.r_[
             calibration.to_codes(command.pressures, self.limits.pressure_max),
             calibration.to_steps(command.tensions, self.limits.position_max),

@@ -43,9 +43,9 @@ def test_check_values_of_statics():
     """SPEC section 2: no input; two pressures; 2.5 N along x with 63.21° of tilt. Base frame: G is 50 mm above it."""
     rig = rig_of()
     assert rig.true_points[-1] == pytest.approx([0, 0, 0.396814 - 0.05], abs=1e-6)
-    rig.apply(Command.of(inputs(rig, [0.2e6] * 3 + [0.3e6] * 3)))
+    rig.apply(Command.from_inputs(inputs(rig, [0.2e6] * 3 + [0.3e6] * 3)))
     assert rig.true_points[-1] == pytest.approx([0, 0, 0.446164 - 0.05], abs=1e-6)
-    rig.apply(Command.of(inputs(rig)))
+    rig.apply(Command.from_inputs(inputs(rig)))
     rig.push(np.array([2.5, 0, 0]))
     assert rig.true_points[-1] == pytest.approx([0.27210, 0.00850, 0.26514 - 0.05], abs=1e-5)
     top = rig.true_nodes[-1]
@@ -92,7 +92,7 @@ def test_mounting_turns_gravity_and_points(mount):
     light = rig_of(robot_file(gravity_m_per_s2=(0, 0, 0), **mount))
     rotation, shift = light.robot.mount.rotation, np.array(light.robot.mount.base_position_m)
     assert light.true_points == pytest.approx(shift + np.outer([0.1, 0.2, 0.3, 0.4], rotation[:, 2]), abs=1e-9)
-    assert Body.of(rig_of(robot_file(**mount)).robot).gravity == pytest.approx(rotation.T @ [0, 0, -9.81])
+    assert Body.from_robot(rig_of(robot_file(**mount)).robot).gravity == pytest.approx(rotation.T @ [0, 0, -9.81])
 
 
 @pytest.mark.parametrize("changes", [
@@ -106,7 +106,7 @@ def test_other_robots(changes):
     robot = rig.robot
     heights = rig.robot.parameters.L_0 * np.arange(1, 2 * robot.modules + 1) / 2 - 0.05
     assert rig.true_points[:, 2] == pytest.approx(heights, abs=1e-9)
-    body = Body.of(robot)
+    body = Body.from_robot(robot)
     assert body.mass.sum() == pytest.approx(robot.modules * robot.parameters.m_d)
     resting(rig, 0.1e6)
     assert (rig.true_lengths > robot.parameters.L_0 + 0.001).all()
@@ -134,9 +134,9 @@ def test_divergence_is_said(tmp_path, monkeypatch, engine):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(machine, "longest_step", lambda body: 1.0)
     rig = rig_of(parameter_factors={"K_a": 5.0, "c_a": 5.0}, simulation={"engine": engine})
-    rig.apply(Command.of(inputs(rig)))
+    rig.apply(Command.from_inputs(inputs(rig)))
     rig.read()
-    rig.apply(Command.of(inputs(rig, [1e5, 0, 0, 0, 0, 0])))
+    rig.apply(Command.from_inputs(inputs(rig, [1e5, 0, 0, 0, 0, 0])))
     with pytest.raises(Diverged, match=r"before .* s in steps of 0.00025 s .*try 0.00013 in a rig file"):
         read_until(rig, 1.0)
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT

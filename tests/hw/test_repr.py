@@ -23,7 +23,7 @@ POSES = np.full((4, 4, 4), np.nan)
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (Command.of(np.repeat([1e5, 2.5], 3)), "Command([100. 100. 100.] kPa, [2.5 2.5 2.5] N, 3 of 3 motors on)"),
+        (Command.from_inputs(np.repeat([1e5, 2.5], 3)), "Command([100. 100. 100.] kPa, [2.5 2.5 2.5] N, 3 of 3 motors on)"),
         (SAMPLE, "Sample(1.230 s, tip [0.1 0.1 0.1] m, tracker lost s1)"),
         (Row(0.02, np.zeros(12), np.zeros(3), SAMPLE), "Row(0.020 s, Sample(1.230 s, tip [0.1 0.1 0.1] m, tracker lost s1))"),
         (Frame(0.5, np.array([[0.0, 0, 0], [np.nan, 0, 0]]), POSES, "tracker lost s2"), "Frame(0.500 s, 1 of 2 points, tracker lost s2)"),

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tepm_opt.hw import registry
 from tepm_opt.hw.registry import RigKind, open_rig
-from tepm_opt.hw.rig import Rig
+from tepm_opt.hw.rig import Command, Rig
 from tepm_opt.models.robot import load_robot
 from tepm_opt.testing import RigContract
 from tests.hw.test_emulation import bench
@@ -71,3 +72,12 @@ def test_a_rig_can_be_plugged_in() -> None:
         assert kind in registry.rig_kinds()
     finally:
         registry._registry.cache_clear()
+
+
+def test_commands_are_made_by_the_old_name() -> None:
+    """Packages of rigs and controllers may still call it."""
+    with pytest.warns(DeprecationWarning, match=r"Command\.of is now Command\.from_inputs; the old name goes with version 0\.4"):
+        command = Command.of(np.array([1e5, 2e5, 3.0, 4.0]))
+    assert command.pressures.tolist() == [1e5, 2e5]
+    assert command.tensions.tolist() == [3.0, 4.0]
+    assert command.enabled.all()

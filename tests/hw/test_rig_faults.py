@@ -8,7 +8,7 @@ import pytest
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.reference import Reference, approach, reference_of, sample_tips
-from tepm_opt.data.documents import validated
+from tepm_opt.data.documents import validate
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.faults import Fault, FaultInjector
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -67,7 +67,7 @@ REFUSED = [
 def test_refused_entries(entry, says):
     """With what is valid."""
     with pytest.raises(InputError, match=says.replace("(", r"\(")):
-        validated(RigFile, {"name": "x", "robot": "kang2017", "faults": [entry]}, "rig.toml")
+        validate(RigFile, {"name": "x", "robot": "kang2017", "faults": [entry]}, "rig.toml")
 
 
 @pytest.mark.parametrize("entry", [{"of": "s5"}, {"of": "pressure_31"}, {"kind": "swap", "of": "s1", "with": "tension_11"}])

@@ -124,13 +124,13 @@ def test_a_rosbridge_that_ends_is_an_error_for_who_commands(bridge: RosbridgeSta
     with open_rig(f"ros2:127.0.0.1:{bridge.port}") as rig:
         bridge.stop()
         with pytest.raises(ConnectionError, match="ROS: "):
-            wait(lambda: rig.apply(Command.of(np.zeros(12))))
+            wait(lambda: rig.apply(Command.from_inputs(np.zeros(12))))
 
 
 def test_a_run_is_published(bridge: RosbridgeStandIn) -> None:
     """Every sample and command, what is wrong, and the target; the rig's own members stay."""
     with to_ros(f"127.0.0.1:{bridge.port}") as ros, ros.watch(open_rig("sim")) as rig:
-        command = Command.of(0.1 * rig.robot.input_max)
+        command = Command.from_inputs(0.1 * rig.robot.input_max)
         rig.apply(command)
         samples = [rig.read() for _ in range(5)]
         assert rig.simulated is not None
@@ -170,7 +170,7 @@ def test_lost_points_and_gauges_that_there_are_not(bridge: RosbridgeStandIn) -> 
 def test_a_rosbridge_that_stalls_delays_nobody(bridge: RosbridgeStandIn) -> None:
     """What it does not take is dropped, oldest first, and counted; when it goes on so does the publisher."""
     with to_ros(f"127.0.0.1:{bridge.port}") as ros, ros.watch(open_rig("sim:perfect")) as rig:
-        rig.apply(Command.of(0.1 * rig.robot.input_max))
+        rig.apply(Command.from_inputs(0.1 * rig.robot.input_max))
         messages, sample = RunMessages(rig.robot), rig.read()
         wait(lambda: bridge.messages["/tepm/tip"])
         bridge.reading.clear()
@@ -242,7 +242,7 @@ def test_foxglove_gets_the_same_topics_and_stops() -> None:
         assert channels["/tepm/tip"]["schemaName"] == "foxglove.PoseInFrame"
         line.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channels["/tepm/tip"]["id"]}]}))
         time.sleep(0.2)
-        rig.apply(Command.of(0.1 * rig.robot.input_max))
+        rig.apply(Command.from_inputs(0.1 * rig.robot.input_max))
         sample = rig.read()
         data = line.recv()
         assert (data[0], struct.unpack("<I", data[1:5])[0]) == (1, 7)

@@ -12,7 +12,7 @@ from tepm_opt.hw.registry import open_rig
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rigfile import RigFile, builtin_rigs, load_rig_file
 from tepm_opt.hw.simulation.rigtext import rig_text
-from tepm_opt.hw.simulation.scaling import fitted
+from tepm_opt.hw.simulation.scaling import scale_rig
 from tepm_opt.models.robot import builtin_robots, load_robot
 from tests.hw.rigs import robot_file
 
@@ -20,8 +20,8 @@ from tests.hw.rigs import robot_file
 def test_the_papers_robot_has_the_prototype_itself() -> None:
     """Also under another name, whose numbers are the same."""
     prototype = load_rig_file()
-    assert fitted(prototype, load_robot("kang2017")) is prototype
-    renamed = fitted(prototype, load_robot("kang2017").model_copy(update={"name": "mine"}))
+    assert scale_rig(prototype, load_robot("kang2017")) is prototype
+    renamed = scale_rig(prototype, load_robot("kang2017").model_copy(update={"name": "mine"}))
     for name in set(RigFile.model_fields) - {"name", "robot"}:
         assert getattr(renamed, name) == getattr(prototype, name), name
 
@@ -30,7 +30,7 @@ def test_devices_are_the_robot_files_and_the_rest_keeps_its_share() -> None:
     """Twice the pressure, half the tension, other lags: by hand."""
     changes = {"pressure_max_Pa": 0.8e6, "tension_max_N": 3.5, "filling_time_s": 0.03, "tension_rate_N_per_s": 4.0, "command_delay_s": 0.01}
     robot = load_robot(robot_file(**changes, L_0=0.1, segments_per_module=12, K_a=717.72, noise_rms_m=5e-4, latency_s=0.03))
-    file, own = fitted(load_rig_file(), robot), load_rig_file()
+    file, own = scale_rig(load_rig_file(), robot), load_rig_file()
     found, was = file.imperfections, own.imperfections
     assert (found.regulator_lag.fill_s, found.regulator_lag.exhaust_s, found.time_delay.delay_s) == (0.03, 0.24, 0.01)
     assert (file.stepper.rate_limit_N_per_s, file.tracker.noise_rms_m, file.tracker.latency_s) == (4.0, 5e-4, 0.03)
@@ -46,7 +46,7 @@ def test_devices_are_the_robot_files_and_the_rest_keeps_its_share() -> None:
 def test_a_rig_file_reads_back_equal(name: str, tmp_path: Path) -> None:
     """As it is written, and with everything that is off switched on at what it is without."""
     for rig in builtin_rigs():
-        file = fitted(load_rig_file(rig), load_robot(name)).model_copy(update={"robot": name})
+        file = scale_rig(load_rig_file(rig), load_robot(name)).model_copy(update={"robot": name})
         path = tmp_path / f"{rig}.toml"
         text = rig_text(file, name)
         path.write_text(text, encoding="utf-8")
@@ -56,7 +56,7 @@ def test_a_rig_file_reads_back_equal(name: str, tmp_path: Path) -> None:
 
 
 def test_every_muscle_of_another_robot_has_a_loss() -> None:
-    losses = fitted(load_rig_file(), load_robot("four_muscles")).imperfections.actuator_gain.loss
+    losses = scale_rig(load_rig_file(), load_robot("four_muscles")).imperfections.actuator_gain.loss
     assert list(losses) == ["11", "12", "13", "14", "21", "22", "23", "24"]
     assert losses["23"] == losses["11"]
     assert len(random_machine("four_muscles", 1, 0).imperfections.actuator_gain.loss) == 8

@@ -67,7 +67,7 @@ def test_monitor_and_dynamometer():
     rig = bar(
         sections={"regulator": quantised, "stepper": quantised, "pressure_monitor": {"fitted": True}, "dynamometer": {"fitted": True}}
     )
-    rig.apply(Command.of(inputs(rig, 1e5, 1.0)))
+    rig.apply(Command.from_inputs(inputs(rig, 1e5, 1.0)))
     sample = rig.read()
     assert sample.pressures == pytest.approx(np.full(3, 22 * 4500.0))
     assert sample.tensions == pytest.approx(np.full(3, 952 * 1.05e-3))

@@ -390,7 +390,7 @@ def robot_with(**pressure: object) -> Robot:
 def test_calibration() -> None:
     """Lines of its own for every actuator, there and back."""
     robot = robot_with(V_per_MPa=tuple(np.linspace(5, 6, 6)), zero_V=0.1, monitor_zero_V=tuple(np.linspace(0.9, 1.1, 6)))
-    calibration = Calibration.of(robot)
+    calibration = Calibration.from_robot(robot)
     pressures = np.linspace(1e5, 4e5, 6)
     codes = calibration.to_codes(pressures, 4095)
     volts = np.array(codes) * 5 / 4096
@@ -412,4 +412,4 @@ def test_calibration() -> None:
 )
 def test_robots_that_do_not_fit(robot: Robot, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Calibration.of(robot)
+        Calibration.from_robot(robot)

@@ -33,7 +33,7 @@ def test_samples_come_at_the_trackers_rate_and_late():
     for _ in range(5):
         times.append((rig.read().time, rig.time))
     assert np.array(times) == pytest.approx(np.array([[0.01 * k, 0.01 * k + 0.015] for k in range(5)]))
-    rig.apply(Command.of(inputs(rig, 0.1e6)))  # at 0.055 s, effective at 0.060 s
+    rig.apply(Command.from_inputs(inputs(rig, 0.1e6)))  # at 0.055 s, effective at 0.060 s
     later = [rig.read() for _ in range(3)]
     assert [sample.time for sample in later] == pytest.approx([0.05, 0.06, 0.07])
     assert [float(sample.pressures[0]) for sample in later] == [0, 0, 0.1e6]
@@ -46,7 +46,7 @@ def test_first_command_is_where_the_robot_rests():
     assert resting(rig, 0.2e6)[0] == pytest.approx(resting(bar(), 0.2e6)[0], abs=1e-9)
     still = [rig.read().points for _ in range(10)]
     assert np.ptp(still, axis=0).max() < 1e-9
-    rig.apply(Command.of(inputs(rig)))
+    rig.apply(Command.from_inputs(inputs(rig)))
     assert rig.true_lengths[0] == pytest.approx(LENGTH + 0.2e6 * AREA / STIFFNESS, rel=1e-3)
     read_until(rig, 2.0)
     assert rig.true_lengths[0] == pytest.approx(LENGTH, abs=1e-5)
@@ -100,7 +100,7 @@ def test_real_time_is_an_argument():
 def test_stop_takes_all_away():
     """Leaving the rig, also by an exception, stops it."""
     rig = bar(sections={"pressure_monitor": {"fitted": True}, "dynamometer": {"fitted": True}})
-    rig.apply(Command.of(inputs(rig, 0.1e6, 1.0)))
+    rig.apply(Command.from_inputs(inputs(rig, 0.1e6, 1.0)))
     rig.read()
     with rig, pytest.raises(ZeroDivisionError):
         raise ZeroDivisionError
@@ -121,10 +121,10 @@ WRONG = {
 @pytest.mark.parametrize(("spoil", "message"), WRONG.values(), ids=WRONG)
 def test_wrong_commands_are_refused_and_change_nothing(spoil, message):
     rig = rig_of()
-    rig.apply(Command.of(inputs(rig, 1e5)))
+    rig.apply(Command.from_inputs(inputs(rig, 1e5)))
     before = rig.true_points
     with pytest.raises(InputError) as error:
-        rig.apply(Command.of(spoil(inputs(rig))))
+        rig.apply(Command.from_inputs(spoil(inputs(rig))))
     assert message in str(error.value)
     with pytest.raises(InputError):
         rig.schedule(SetPoints(np.arange(2.0), np.array([inputs(rig), np.full(12, np.nan)]), np.zeros((2, 3))))
@@ -136,9 +136,9 @@ def test_wrong_commands_are_refused_and_change_nothing(spoil, message):
 def run_of_prototype(seed: int) -> bytes:
     """Everything a controller sees in a short run of the default rig."""
     rig = SimulatedRig(load_rig_file().model_copy(update={"seed": seed}))
-    rig.apply(Command.of(inputs(rig, 5e4)))
+    rig.apply(Command.from_inputs(inputs(rig, 5e4)))
     rig.read()
-    rig.apply(Command.of(inputs(rig, [2e5, 1e5, 0, 0, 1e5, 2e5], 1.0)))
+    rig.apply(Command.from_inputs(inputs(rig, [2e5, 1e5, 0, 0, 1e5, 2e5], 1.0)))
     samples = read_until(rig, 0.2)
     return b"".join(np.concatenate([s.points.ravel(), s.pressures, s.tensions]).tobytes() for s in samples)
 
@@ -234,9 +234,9 @@ def test_replay(tmp_path):
     rig = ReplayRig(recording(tmp_path), wait=waits.append)
     with rig:
         first, second = rig.read(), rig.read()
-        rig.apply(Command.of(np.zeros(12)))
+        rig.apply(Command.from_inputs(np.zeros(12)))
         with pytest.raises(InputError):
-            rig.apply(Command.of(np.full(12, -1.0)))
+            rig.apply(Command.from_inputs(np.full(12, -1.0)))
         with pytest.raises(EOFError, match=r"ended after 2 samples, at 0.050 s"):
             rig.read()
     assert (first.time, second.time, waits) == (0.0, pytest.approx(0.05), [0.0, pytest.approx(0.05)])

@@ -76,7 +76,7 @@ def test_what_is_hidden_in_such_pulls_would_be_named(data: Path) -> None:
     truth = plant.with_values({**body, "tendon_slack[tension_1].slack": 1.0})
     runs = read_trials(data, plant.signals, static=True).runs
     made = [truth.predict(run).points + random.normal(0, 1e-3, run.points.shape) for run in runs]
-    found = discover(RunSet.of("made", [replace(run, points=at) for run, at in zip(runs, made, strict=True)]), plant, 1e-3).verdict
+    found = discover(RunSet.from_runs("made", [replace(run, points=at) for run, at in zip(runs, made, strict=True)]), plant, 1e-3).verdict
     assert [each.candidate.label for each in found.effects] == ["tendon_slack[tension_1]"], found.paragraph
     assert found.effects[0].parameters["slack"].value == pytest.approx(1.0, abs=0.1)
     assert found.effects[0].probability > 0.9

@@ -15,7 +15,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
 from tepm_opt.recording.patterns import PatternContext
 from tepm_opt.recording.plan import read_plan
-from tepm_opt.recording.probing import drawn, random_run, varied
+from tepm_opt.recording.probing import draw_pattern, random_run, vary_pattern
 from tepm_opt.recording.reach import BEND, Reach, reach_of, unbearable
 from tepm_opt.recording.standard import plan_text, sample_rate, standard_runs, wiring_runs
 from tepm_opt.solvers.statics import solve_statics
@@ -108,7 +108,7 @@ def test_drawn_runs_have_the_length_and_are_the_same_again(reach: Reach, tmp_pat
     robot = load_robot("kang2017")
     setup, kinds, within = PatternContext(robot, 50.0, Path(), "here"), set[str](), 0
     for seed in range(30):
-        one, again = (drawn(np.random.default_rng(seed), robot, reach, 30.0) for _ in range(2))
+        one, again = (draw_pattern(np.random.default_rng(seed), robot, reach, 30.0) for _ in range(2))
         assert one == again
         kinds.add(type(one).__name__)
         try:
@@ -126,11 +126,11 @@ def test_varied_runs_stay_near_and_as_long(reach: Reach) -> None:
     setup = PatternContext(robot, 50.0, Path(), "here")
     random = np.random.default_rng(1)
     base = random_run(random, reach, 30.0)
-    other = varied(random, base)
+    other = vary_pattern(random, base)
     assert other is not None
     assert other != base
     assert other.setpoints(setup).time[-1] == pytest.approx(base.setpoints(setup).time[-1], rel=0.05)
-    assert drawn(random, robot, reach, 30.0, loads=False).rest.keys() <= {"pressure_Pa"}
+    assert draw_pattern(random, robot, reach, 30.0, loads=False).rest.keys() <= {"pressure_Pa"}
 
 
 def test_plan_texts_hold_noise_and_large_and_small_numbers(reach: Reach, tmp_path: Path) -> None:

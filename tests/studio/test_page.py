@@ -247,7 +247,7 @@ def test_the_live_view_has_nothing_to_press() -> None:
     with LiveView(robot) as view:
         assert not view._server.gui._gui_input_handle_from_uuid
         for time_s, seen in ((0.0, points), (0.01, lost), (0.02, points)):
-            view.show(Sample(time_s, seen), Command.of(np.zeros(12)), np.array([0.0, 0.0, 0.35]))
+            view.show(Sample(time_s, seen), Command.from_inputs(np.zeros(12)), np.array([0.0, 0.0, 0.35]))
         assert view.settle()
         assert "tracked tip x 50.0" in view._words.content
         assert "off its target: **50.0 mm**" in view._words.content

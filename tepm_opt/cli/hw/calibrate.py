@@ -51,7 +51,7 @@ def tension(
 
     found, which = _prepared(robot, actuator, out)
     most = 1e3 * found.actuation.tension_max_N / calibrate.STANDARD_GRAVITY
-    masses = calibrate.increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
+    masses = calibrate.parse_increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
     names = Layout.from_robot(found).actuator_names
 
     def work() -> int:
@@ -98,7 +98,7 @@ def pressure(
     from tepm_opt.models.layout import Layout
 
     found, which = _prepared(robot, actuator, out)
-    levels = calibrate.increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
+    levels = calibrate.parse_increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
     names = Layout.from_robot(found).actuator_names
 
     def work() -> int:
@@ -136,7 +136,7 @@ def _drive(
     from tepm_opt.hw.board.calibration import Calibration
     from tepm_opt.hw.service import calibrate, moves
 
-    calibration = Calibration.of(single.robot)
+    calibration = Calibration.from_robot(single.robot)
     true, volts, counts, last = [], [], [], 0.0
     for level in levels:
         value = 1e3 * level
@@ -151,7 +151,7 @@ def _drive(
         mark = "" if settled else ", which did not settle within 15 s"
         stderr.print(f"  {single.name} at {level:g} kPa: monitor {read / 1e3:.1f} kPa{mark}", highlight=False)
         if gauge:
-            with moves.holding(rig, single.command(value), threaded):
+            with moves.keep_sending(rig, single.command(value), threaded):
                 true[-1] = 1e-3 * _reading(f"Gauge at actuator {single.name}, kPa:", single.most / 1e3)
     moves.glide(rig, single, last, 0.0)
     return np.array(true), np.array(volts), np.array(counts)
@@ -248,7 +248,7 @@ def _loaded(robot: str | None, out: Path | None) -> Robot:
     from tepm_opt.models.robot import load_robot
 
     found = load_robot(robot or "kang2017")
-    Calibration.of(found)
+    Calibration.from_robot(found)
     return found
 
 

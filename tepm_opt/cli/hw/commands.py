@@ -140,11 +140,11 @@ def limits(
     """Write the limits and calibration of a robot file as a header of the firmware. Both have to agree, or the robot cannot be armed."""
     from tepm_opt.data.files import write_atomically
     from tepm_opt.hw.board.limits import TITLE, Limits
-    from tepm_opt.hw.service.checks import flashing
+    from tepm_opt.hw.service.checks import flash_command
     from tepm_opt.models.robot import load_robot
 
     found = load_robot(robot or "kang2017")
-    text = Limits.of(found).header(found.name)
+    text = Limits.from_robot(found).header(found.name)
     if out is None:
         print(text, end="")
         return SOLVED
@@ -153,7 +153,7 @@ def limits(
     write_atomically(out, text)
     actuation = found.actuation
     say(f"{out}: {actuation.pressure_max_Pa / 1e3:g} kPa, {actuation.tension_max_N:g} N and the calibration of robot {found.name}")
-    say(f"Now flash the firmware: {flashing(None)} LIMITS={out.resolve()}")
+    say(f"Now flash the firmware: {flash_command(None)} LIMITS={out.resolve()}")
     return SOLVED
 
 
@@ -202,8 +202,8 @@ def jog(
         with line.rig(found, tendons="position" if no_tendon else "tension") as rig, _live() as show:
             single.refuse(value, rig)
             for now, commanded, sample in moves.jog(rig, single, value, seconds):
-                measured = single.measured(sample)
-                if moves.held(now, seconds):
+                measured = single.read_measured(sample)
+                if moves.is_held(now, seconds):
                     kept.append(measured)
                 position = rig.board.positions[single.actuator]
                 steps = max(steps, position)
@@ -212,7 +212,7 @@ def jog(
                 show(f"{single.name}: {commanded / scale:.2f} {unit} commanded, {measured / scale:.2f} {unit} measured{wound}")
             rig.stop()
         mean = float(np.nanmean(kept)) if np.isfinite(kept).any() else float("nan")
-        travel = steps / Calibration.of(found).steps_mm[single.actuator]
+        travel = steps / Calibration.from_robot(found).steps_mm[single.actuator]
         wound = f", the motor wound {steps} steps, {travel:.2f} mm of tendon" if single.tension else ""
         say(f"{single.name}: {value / scale:g} {unit} commanded, {mean / scale:.3g} {unit} measured while held{wound}.")
         if not no_tendon and not abs(mean - value) < max(0.1 * value, 0.02 * single.most):

@@ -55,7 +55,7 @@ def emulate(
     from tepm_opt.hw.emulation.bench import EmulatedBench
     from tepm_opt.hw.simulation.rig import SimulatedRig
     from tepm_opt.hw.simulation.rigfile import builtin_rigs, load_rig_file
-    from tepm_opt.hw.simulation.scaling import fitted
+    from tepm_opt.hw.simulation.scaling import scale_rig
     from tepm_opt.hw.trackers.receiver import require_package
     from tepm_opt.models.robot import load_robot
 
@@ -65,7 +65,7 @@ def emulate(
         require_package("cv2", "webcam", "--tracker webcam")
     file, found = load_rig_file(rig), load_robot(robot or "kang2017")
     if rig in builtin_rigs():
-        file = fitted(file, found)
+        file = scale_rig(file, found)
     elif robot:
         raise InputError(f"--robot {robot}: rig {rig} names its robot itself; leave the option out, or take a built-in rig")
     arm, name = SimulatedRig(file, watched=False), str(robot or file.robot)

@@ -89,7 +89,7 @@ class _View:
         from tepm_opt.models.layout import Layout
 
         self.names, self.points = Layout.from_robot(robot).actuator_names, Layout.from_robot(robot).point_names
-        self.calibration = Calibration.of(robot)
+        self.calibration = Calibration.from_robot(robot)
 
     def values(self, reading: MonitorReading) -> tuple[Sequence[float], Sequence[float]]:
         """Pressures in kPa and tensions in N of all actuators; NaN without a status, or where there are no monitors."""

@@ -29,12 +29,12 @@ def scaled(rig: str, robot: str | None) -> RigFile:
         InputError: no such rig or robot; a file has a robot of its own.
     """
     from tepm_opt.hw.simulation.rigfile import builtin_rigs, load_rig_file
-    from tepm_opt.hw.simulation.scaling import fitted
+    from tepm_opt.hw.simulation.scaling import scale_rig
 
     if robot and rig not in builtin_rigs():
         raise InputError(f"--robot {robot}: rig {rig} names its robot itself; leave the option out, or take a built-in rig")
     file = load_rig_file(rig)
-    return fitted(file, tepm.load_robot(robot)) if robot else file
+    return scale_rig(file, tepm.load_robot(robot)) if robot else file
 
 
 @app.command()

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.data.documents import Number, Section, Vector, between, read_toml, validated
+from tepm_opt.data.documents import Number, Section, Vector, read_toml, require_range, validate
 from tepm_opt.data.sizes import FARTHEST
 from tepm_opt.solvers.planning.program import HalfSpace, Obstacle, Sphere, TurnedBox
 
@@ -19,8 +19,8 @@ MARGIN = 0.010  # m
 TABLE = "table"
 
 Name = Annotated[str, Field(min_length=1, description="any text")]
-Margin = Annotated[float, between(0, 1, "m")]
-Size = Annotated[float, between(1e-4, 10, "m")]
+Margin = Annotated[float, require_range(0, 1, "m")]
+Size = Annotated[float, require_range(1e-4, 10, "m")]
 Place = Annotated[tuple[Number, Number, Number], Field(description="three numbers in m")]
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -86,7 +86,7 @@ class BoxObstacle(Section):
 class TableObstacle(Section):
     """A half space: all that is below a height, or behind a plane through a point, whose normal points to where the robot may be."""
 
-    height_m: Annotated[float, between(-FARTHEST, FARTHEST, "m")] | None = None
+    height_m: Annotated[float, require_range(-FARTHEST, FARTHEST, "m")] | None = None
     point_m: Place | None = None
     normal: Vector = (0.0, 0.0, 1.0)
     margin_m: Margin | None = None
@@ -192,4 +192,4 @@ def read_obstacles(path: str | Path) -> Obstacles:
         InputError: unreadable file, no TOML (with the line), unknown or missing key, a value out of its range, a name given twice, nothing
             in it.
     """
-    return Obstacles(validated(ObstacleFile, read_toml(path), str(path)))
+    return Obstacles(validate(ObstacleFile, read_toml(path), str(path)))

@@ -14,7 +14,7 @@ import numpy as np
 
 from tepm_opt.control.estimation.kalman_filter import DEFAULT, Estimator, FilterSettings, Operating
 from tepm_opt.errors import InputError
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 
 HORIZONS = (0.05, 0.15, 0.30)  # s; the longest is the controller's prediction horizon
 FRICTION_SCALES = (1.0, 0.3, 0.1)  # of the hand-set values; larger ones predicted worse in the study
@@ -130,7 +130,7 @@ def compare_scales(
         InputError: the log is too short, or the tip was not tracked.
     """
     found, pairs = [], list(product(FRICTION_SCALES, STRENGTH_SCALES))
-    for one, other in counted(pairs, progress, "noise levels of the filter", len(pairs)):
+    for one, other in track(pairs, progress, "noise levels of the filter", len(pairs)):
         settings = scale_noise(base, one, other)
         found.append(Candidate(one, other, settings, prediction_errors(inputs, settings.with_friction_prior(friction, inputs.middle))))
     return tuple(found)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import IkSettings, each_configuration
@@ -133,7 +133,7 @@ def reference_of(
         InputError: a tip is out of reach; names the time and why.
     """
     found = []
-    each = counted(each_configuration(model, tips, ActuationMode.HYBRID, settings=kinematics), progress, "inverse kinematics", len(tips))
+    each = track(each_configuration(model, tips, ActuationMode.HYBRID, settings=kinematics), progress, "inverse kinematics", len(tips))
     for k, configuration in enumerate(each):
         if not configuration.solved:
             raise InputError(f"reference: at {k * period:.2f} s, {tips[k].round(4).tolist()} m: {configuration.outcome.message}")

@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import IkSettings, each_configuration
 from tepm_opt.solvers.modal_model import modal_model
@@ -81,7 +81,7 @@ def retimed(
     length = np.concatenate([[0.0], np.cumsum(steps)])
     curve = CubicSpline(length, positions, bc_type="periodic" if trajectory.closed else "not-a-knot")
     s = np.linspace(0.0, length[-1], POINTS + 1)
-    each = counted(each_configuration(model, curve(s), ActuationMode.HYBRID, settings=kinematics), progress, "speed along the path", len(s))
+    each = track(each_configuration(model, curve(s), ActuationMode.HYBRID, settings=kinematics), progress, "speed along the path", len(s))
     forces, soft = [], np.inf
     for at, configuration in zip(s, each, strict=True):
         if not configuration.solved:

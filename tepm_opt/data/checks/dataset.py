@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.data.checks.findings import Finding, Subject
-from tepm_opt.data.checks.inputs import check_inputs, excited
+from tepm_opt.data.checks.inputs import check_inputs, is_excited
 from tepm_opt.data.checks.motion import check_motion
 from tepm_opt.data.checks.points import check_points, wrong_units
 from tepm_opt.data.checks.time import check_time
@@ -41,23 +41,23 @@ def _same_equilibria(subject: Subject) -> Iterator[Finding]:
     _, first = np.unique(values, axis=0, return_index=True)
     rows = np.setdiff1d(np.arange(len(values)), first)
     if rows.size:
-        yield subject.found("warning", "", "stands in the file before", rows)
+        yield subject.make_finding("warning", "", "stands in the file before", rows)
 
 
 def _check_together(dataset: DataSet, subjects: list[Subject]) -> Iterator[Finding]:
-    """What concerns several runs."""
+    """Find faults that concern several runs."""
 
-    def found(severity: Any, message: str) -> Finding:
+    def make_finding(severity: Any, message: str) -> Finding:
         return Finding(severity, DESCRIPTION, None, None, "", message)
 
     if not dataset.runs:
-        yield found("warning", "lists no runs")
+        yield make_finding("warning", "lists no runs")
         return
     for role in ROLES:
         if not any(run.role == role for run in dataset.runs):
-            yield found("warning", f"no run has the role {role!r}")
-    if dataset.fit and not any(excited(subject) for subject in subjects if subject.run.role == "fit"):
-        yield found("error", "no run to fit to excites anything: nothing can be learnt from them")
+            yield make_finding("warning", f"no run has the role {role!r}")
+    if dataset.fit and not any(is_excited(subject) for subject in subjects if subject.run.role == "fit"):
+        yield make_finding("error", "no run to fit to excites anything: nothing can be learnt from them")
     for k, run in enumerate(dataset.runs):
         for other in dataset.runs[:k]:
             if _same_positions(run, other):
@@ -86,7 +86,7 @@ def _declared_noise(dataset: DataSet, subjects: list[Subject]) -> Iterator[Findi
 
 
 def check_reading(reading: FolderReading) -> list[Finding]:
-    """What is wrong or doubtful in a data set's folder that was read: all faults, not the first.
+    """List all that is wrong or doubtful in a data set's folder that was read, not just the first fault.
 
     Runs are looked at once `dataset.toml` is right.
     """

@@ -1,4 +1,4 @@
-"""What a check of data finds, and the statistics that the checks share: robust ones, so that noise raises no alarm."""
+"""Findings of checks of data, and the statistics that the checks share: robust ones, so that noise raises no alarm."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ class Subject:
     def __repr__(self) -> str:
         return f"Subject({self.run!r})"
 
-    def found(
+    def make_finding(
         self, severity: Severity, channel: str, message: str, rows: Sequence[int] | np.ndarray = (), is_setup: bool = False
     ) -> Finding:
-        """A finding about rows of the run; the message names their lines in the file.
+        """Make a finding about rows of the run; the message names their lines in the file.
 
         Args:
             severity: how bad it is.

@@ -14,7 +14,7 @@ SPEED, ACCELERATION = 5.0, 50.0
 """Beyond what the paper's robot does, in heights a second (squared): free sway from 2.5 N at the tip reaches 3.5 and 20. Robots that sway
 more quickly are allowed more."""
 SWAY = 0.01
-"""Of its height, gone under steady inputs: a robot that does so is not at rest; below, what it stands on may vibrate."""
+"""Part of its height that a robot goes under steady inputs if it is not at rest; below, its stand may vibrate."""
 SHORT = 0.2
 """Part of a run for which a point may be frozen and the others still tell."""
 
@@ -43,7 +43,7 @@ def _rest(subject: Subject) -> Iterator[Finding]:
     """Velocity in the steady rows at the start, at most half a second: a run starts in equilibrium under its first row."""
     rows = min(subject.steady_rows, round(0.5 / subject.step) + 1)
     if rows < 8 or rows * subject.step < 0.1:
-        yield subject.found(
+        yield subject.make_finding(
             "warning", "", "inputs move at once: with half a second of steady inputs one could see that it starts at rest", [0]
         )
         return
@@ -63,7 +63,7 @@ def _rest(subject: Subject) -> Iterator[Finding]:
             way = float(np.max(np.ptp(start[seen], axis=0) - 6 * np.nan_to_num(subject.noise[k])))
     if name:
         message = f"not at rest at the start: moves at {1e3 * speed:.0f} mm/s under steady inputs"
-        yield subject.found("error" if way > SWAY * _height(subject) else "warning", name, message, range(rows))
+        yield subject.make_finding("error" if way > SWAY * _height(subject) else "warning", name, message, range(rows))
 
 
 def _repeats(subject: Subject) -> Iterator[Finding]:
@@ -76,7 +76,7 @@ def _repeats(subject: Subject) -> Iterator[Finding]:
     if changes.size > 10 and np.all(np.isfinite(subject.points[:20])) and np.median(np.diff(changes)) > 1.5:
         often = float(np.median(np.diff(changes)))
         message = f"every pose stands {often:.0f} times: the tracker is slower than the rows; keep the rows in which it is new"
-        yield subject.found("warning", "", message)
+        yield subject.make_finding("warning", "", message)
 
 
 def _frozen(subject: Subject) -> Iterator[Finding]:
@@ -103,11 +103,11 @@ def _frozen(subject: Subject) -> Iterator[Finding]:
                 message = f"frozen: the same value in {len(rows)} rows, {_value(point[rows[0]], channel)} m at first"
                 message += "" if subject.noisy else ", while inputs or other points move"
                 much = channel != name or len(rows) > SHORT * run.rows
-                yield subject.found("error" if subject.noisy and much else "warning", channel, message, rows)
+                yield subject.make_finding("error" if subject.noisy and much else "warning", channel, message, rows)
 
 
 def _value(point: np.ndarray, channel: str) -> str:
-    """What a frozen point (3,) stands at, or its coordinate where the channel is one."""
+    """Format the place of a frozen point (3,), or its coordinate where the channel is one."""
     axis = {"x": 0, "y": 1, "z": 2}.get(channel.split("_")[1]) if "_" in channel else None
     return f"{point[axis]:.4g}" if axis is not None else f"({', '.join(f'{value:.4g}' for value in point)})"
 
@@ -147,7 +147,7 @@ def _still(subject: Subject) -> Iterator[Finding]:
         measured = np.isfinite(points[:, k]).all(axis=1).mean() > 0.5
         if measured and motion.max() > 0.02 and motion[k] < least[k] < bent[k] / 3:
             message = f"stands still (within {1e3 * motion[k]:.2f} mm) while another point moves by {1e3 * motion.max():.0f} mm"
-            yield subject.found("error", name, message)
+            yield subject.make_finding("error", name, message)
 
 
 def _median(blocks: np.ndarray) -> np.ndarray:
@@ -178,10 +178,12 @@ def _spikes(subject: Subject) -> Iterator[Finding]:
         if spike.any():
             size = 1e3 * float(off[spike].max())
             message = f"spikes of up to {size:.0f} mm, {100 * share:.2g} % of the run's samples stray; leave such samples empty"
-            yield subject.found("error" if share > FEW or spike.mean() > 2 * FEW else "warning", name, message, rows[spike])
+            yield subject.make_finding("error" if share > FEW or spike.mean() > 2 * FEW else "warning", name, message, rows[spike])
         if jumps.any():
             size = 1e3 * float(np.linalg.norm(np.diff(values, axis=0)[jumps], axis=1).max())
-            yield subject.found("error", name, f"jumps by up to {size:.0f} mm within a row, faster than the robot can", rows[1:][jumps])
+            yield subject.make_finding(
+                "error", name, f"jumps by up to {size:.0f} mm within a row, faster than the robot can", rows[1:][jumps]
+            )
 
 
 def _copies(subject: Subject) -> Iterator[Finding]:
@@ -203,4 +205,4 @@ def _copies(subject: Subject) -> Iterator[Finding]:
     if copied:
         source = subject.run.line(int(copied[0][0] - back[copied[0][0]]))
         later = np.concatenate(copied)
-        yield subject.found("error", "", f"{len(later)} rows repeat the poses from line {source} on", later)
+        yield subject.make_finding("error", "", f"{len(later)} rows repeat the poses from line {source} on", later)

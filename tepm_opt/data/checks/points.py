@@ -16,7 +16,7 @@ def check_points(subject: Subject) -> Iterator[Finding]:
     """Sensors without samples, dropouts, codes for a missing sample, wrong units, points not in order along the robot."""
     points, names = subject.run.points, subject.channels.points
     for k, name in enumerate(names):
-        yield from _missing(subject, name, points[:, k])
+        yield from _check_dropouts(subject, name, points[:, k])
         yield from _codes(subject, name, points[:, k])
     if misplaced := list(wrong_units(subject)):
         yield from misplaced
@@ -25,30 +25,32 @@ def check_points(subject: Subject) -> Iterator[Finding]:
     yield from _order(subject)
 
 
-def _missing(subject: Subject, name: str, point: np.ndarray) -> Iterator[Finding]:
+def _check_dropouts(subject: Subject, name: str, point: np.ndarray) -> Iterator[Finding]:
     lost = ~np.isfinite(point)
     gone = np.asarray(lost.all(axis=1))
     if gone.all():
         others = np.isfinite(subject.points).any()  # they can still be used
-        yield subject.found("warning" if others else "error", name, "no sample in the whole run")
+        yield subject.make_finding("warning" if others else "error", name, "no sample in the whole run")
         return
     if (rows := np.flatnonzero(lost.any(axis=1) & ~gone)).size:
-        yield subject.found("warning", name, "part of the position is missing", rows)
+        yield subject.make_finding("warning", name, "part of the position is missing", rows)
     if not gone.any():
         return
     share, (length, first, last) = 100 * gone.mean(), longest(gone)
     gap = f"{length} rows ({length * subject.step:.3g} s)" if subject.step else f"{length} rows"
     message = f"dropouts: {share:.2g} % of the samples are missing, the longest gap {gap}, lines {subject.run.line(first)} to "
     message += f"{subject.run.line(last)}"
-    yield subject.found("warning", name, message, np.flatnonzero(gone))
+    yield subject.make_finding("warning", name, message, np.flatnonzero(gone))
 
 
 def _codes(subject: Subject, name: str, point: np.ndarray) -> Iterator[Finding]:
     zero = np.all(point == 0, axis=1)
     if zero.sum() > 1 and not zero.all():
-        yield subject.found("error", name, "all coordinates are 0, a code for a lost sample? Leave such fields empty", np.flatnonzero(zero))
+        yield subject.make_finding(
+            "error", name, "all coordinates are 0, a code for a lost sample? Leave such fields empty", np.flatnonzero(zero)
+        )
     if zero.all() and len(zero) > 1:
-        yield subject.found("error", name, "all coordinates are 0 in the whole run")
+        yield subject.make_finding("error", name, "all coordinates are 0 in the whole run")
 
 
 def _distances(subject: Subject) -> np.ndarray:
@@ -71,13 +73,13 @@ def wrong_units(subject: Subject) -> Iterator[Finding]:
     for name, ratio in zip(channels.points, ratios, strict=True):
         if ratio > LARGE:
             factor = min(LENGTHS, key=lambda unit: _mismatch(subject, unit))
-            yield subject.found("error", name, tell_places(ratio, LENGTHS[factor]))
+            yield subject.make_finding("error", name, tell_places(ratio, LENGTHS[factor]))
         elif channels.height is not None and ratio < 0.02:
-            yield subject.found("error", name, f"positions are {ratio:.3g} times what the robot's size lets expect: in km, not m?")
+            yield subject.make_finding("error", name, f"positions are {ratio:.3g} times what the robot's size lets expect: in km, not m?")
 
 
 def _mismatch(subject: Subject, factor: float) -> float:
-    """How far the points are from where the robot's size lets expect them, if a metre is written as `factor`; on a log scale."""
+    """Compare the points' distances with those that the robot's size lets expect, if a metre is written as `factor`; on a log scale."""
     run = replace(subject.run, points=subject.run.points / factor)
     ratios = _distances(Subject(run, subject.channels, subject.rate))
     known = ratios[np.isfinite(ratios) & (ratios > 0)]
@@ -90,7 +92,7 @@ def _places(subject: Subject) -> Iterator[Finding]:
     for name, ratio in zip(channels.points, _distances(subject), strict=True):
         if ratio > 1.7 or ratio < 0.4:
             message = f"typically {ratio:.2f} times as far from the base as at rest: are positions in G and is the robot file right?"
-            yield subject.found("warning", name, message)
+            yield subject.make_finding("warning", name, message)
     if channels.height is None or not channels.points:
         return
     start = subject.points[: min(subject.run.rows, 50), 0]
@@ -98,7 +100,7 @@ def _places(subject: Subject) -> Iterator[Finding]:
     if len(start):
         direction = np.median(start, axis=0) - channels.base
         if direction @ channels.axis < np.cos(np.deg2rad(50)) * np.linalg.norm(direction):
-            yield subject.found(
+            yield subject.make_finding(
                 "error", channels.points[0], "not above the base at the start: axes interchanged, or another frame than G?", is_setup=True
             )
 
@@ -124,7 +126,7 @@ def _order(subject: Subject) -> Iterator[Finding]:
         wrong = [names[k - first] for k in order[first:] if best[k] != k]
         lie = ", ".join(names[k - first] for k in best[first:])
         message = f"{' and '.join(wrong)} interchanged? Along the robot the points lie in the order {lie}"
-        yield subject.found("error", " ".join(wrong), message, is_setup=True)
+        yield subject.make_finding("error", " ".join(wrong), message, is_setup=True)
 
 
 def _length(between: np.ndarray, order: tuple[int, ...]) -> float:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 
 from tepm_opt.data.importing.dates import are_local_times, local_seconds
 from tepm_opt.data.importing.maps import ISO, ImportMap, Name, TimeMap, Wanted, fits, time_with
-from tepm_opt.data.importing.refusals import TableError, lines_of, named, question, refusal, toml
+from tepm_opt.data.importing.refusals import TableError, lines_of, question, quote_columns, refusal, toml
 from tepm_opt.data.importing.resample import Clock
 from tepm_opt.data.importing.rolling import DAY, HOUR, MINUTE, period_of, time_parts, unroll
 from tepm_opt.data.importing.sources import Sheet, optional
@@ -70,11 +71,12 @@ def clock_of(given: ImportMap, each: Wanted, sheet: Sheet, name: str, count: int
     if period is not None:
         raw[kept], times = unroll(raw[kept], period)
         if times:
-            told = (f"{sheet.path.name}: {named(names)} (time) rolls over at {period * one:g} s, {times} times: counted on",)
-    time = raw * one if one >= 1 or not np.all(raw[kept] == np.round(raw[kept])) else _whole(raw, one)
+            told = (f"{sheet.path.name}: {quote_columns(names)} (time) rolls over at {period * one:g} s, {times} times: counted on",)
+    time = raw * one if one >= 1 or not np.all(raw[kept] == np.round(raw[kept])) else _convert_to_seconds(raw, one)
     steps = np.diff(time[kept])
     if (back := np.flatnonzero(steps < 0) + 1).size:
-        raise _goes_back(given, sheet, entry, names, raw, kept, back, one, rows)
+        lines = [line_of(sheet, int(row), rows) for row in kept]
+        raise _goes_back(given, sheet, entry, names, _CountedTime(raw[kept], one, lines), back)
     if (stands := np.flatnonzero(steps == 0) + 1).size:
         if entry.repeated is None:
             _refuse_part(given, sheet, entry, own)
@@ -114,36 +116,41 @@ def _read_counter(given: ImportMap, sheet: Sheet, names: list[str], entry: TimeM
     return seconds(given, sheet, own, entry, entry.units[0], counted=True)[rows].astype(float), one, entry.rolls_over_at
 
 
-def _whole(values: np.ndarray, one: float) -> np.ndarray:
-    """Whole numbers of a small unit in s, to the ns far from 0."""
+def _convert_to_seconds(values: np.ndarray, one: float) -> np.ndarray:
+    """Convert whole numbers of a small unit to s, to the ns far from 0."""
     whole = round(1 / one)
     return values // whole + (values % whole) * one
 
 
-def _goes_back(
-    given: ImportMap,
-    sheet: Sheet,
-    entry: TimeMap,
-    names: list[str],
-    raw: np.ndarray,
-    kept: np.ndarray,
-    back: np.ndarray,
-    one: float,
-    rows: Rows,
-) -> TableError:
+@dataclass(frozen=True, eq=False)
+class _CountedTime:
+    """Time as a file counts it, without empty fields.
+
+    Attributes:
+        raw: the counts, (rows,).
+        one: one of them in s.
+        lines: of the file, one a count.
+    """
+
+    raw: np.ndarray
+    one: float
+    lines: list[int]
+
+
+def _goes_back(given: ImportMap, sheet: Sheet, entry: TimeMap, names: list[str], counter: _CountedTime, back: np.ndarray) -> TableError:
     """The refusal of a time that goes back: a part of a time, a counter that rolls over, a row that is cut off, a new run."""
-    own = names[0]
-    where = [line_of(sheet, int(kept[row]), rows) for row in back]
+    own, raw, one = names[0], counter.raw, counter.one
+    where = [counter.lines[row] for row in back]
     first = int(back[0])
-    before, behind = float(raw[kept[first - 1]]), float(raw[kept[first]])
+    before, behind = float(raw[first - 1]), float(raw[first])
     place, what = f"{sheet.path}: {lines_of(where)}", f"column {own!r} (time) goes back from {before * one:g} to {behind * one:g} s"
     _refuse_part(given, sheet, entry, own)
     if back.tolist() == [1] and sheet.lines:
-        return refusal(place, f"{what}: line {line_of(sheet, int(kept[0]), rows)} is cut off?", f"csv.first = {where[0]}")
-    if len(names) == 1 and (period := period_of(raw[kept], back, one)) is not None:
+        return refusal(place, f"{what}: line {counter.lines[0]} is cut off?", f"csv.first = {where[0]}")
+    if len(names) == 1 and (period := period_of(raw, back, one)) is not None:
         what = f"{what}: a counter that rolls over at {period:g}? (new runs instead: split = {toml(own)})"
         return refusal(place, what, time_with(given, entry, rolls_over_at=int(period) if period == int(period) else period))
-    if np.any(raw[kept[back]] > (raw[kept[0]] + raw[kept[back - 1]]) / 2):  # not to the start
+    if np.any(raw[back] > (raw[0] + raw[back - 1]) / 2):  # not to the start
         return TableError(f"{place}: {what}; valid: rows in the order of time")
     return refusal(place, f"{what}; where a new run begins there", f"split = {toml(own)}")
 
@@ -152,7 +159,7 @@ def _refuse_part(given: ImportMap, sheet: Sheet, entry: TimeMap, own: str) -> No
     """Refuse a column that is a part of a time as the whole of it."""
     parts = time_parts(sheet)
     if own in parts and len(parts) > 1 and len(entry.names) == 1:
-        what = f"column {own!r} is a part of a time; the parts are {named(parts)}"
+        what = f"column {own!r} is a part of a time; the parts are {quote_columns(parts)}"
         raise refusal(sheet.path, what, time_with(given, entry, column=list(parts), unit=list(parts.values())))
 
 
@@ -250,14 +257,14 @@ def _no_time(given: ImportMap, sheet: Sheet, columns: list[Name]) -> InputError:
     if not columns:
         what = f"no time in the map for the columns of this file; found: {', '.join(sheet.order)}"
         return refusal(sheet.path, what, mended or time_with(given, entry, rate_hz=sheet.rate or 100))
-    return refusal(sheet.path, f"time: no {named(columns)}; found: {', '.join(sheet.order)}", mended)
+    return refusal(sheet.path, f"time: no {quote_columns(columns)}; found: {', '.join(sheet.order)}", mended)
 
 
 def _other_rows(each: Wanted, sheet: Sheet, name: str, own: str) -> InputError:
     rows = len(sheet.columns[name])
     alike = [one for one in each.columns if (found := sheet.name(one)) and len(sheet.columns[found]) == rows]
     fitting = [other for other, values in sheet.columns.items() if len(values) == rows and _increases(values)]
-    what = f"{each.place}: {named(alike)}: {rows} rows, but {named([own])} (time) has {len(sheet.columns[own])}"
+    what = f"{each.place}: {quote_columns(alike)}: {rows} rows, but {quote_columns([own])} (time) has {len(sheet.columns[own])}"
     return refusal(sheet.path, what, f"{each.place}.time = {toml(fitting[0])}" if fitting else "")
 
 

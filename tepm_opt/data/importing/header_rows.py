@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from tepm_opt.data.importing.maps import Format
-from tepm_opt.data.importing.refusals import named, refusal, toml
+from tepm_opt.data.importing.refusals import quote_columns, refusal, toml
 from tepm_opt.data.importing.units import UNITS
 
 SEPARATORS = (",", ";", "\t", "|", " ")
@@ -167,7 +167,7 @@ class Shape:
         found = {each: self.usual(each) for each in SEPARATORS if each != self.separator}
         best = max(found, key=lambda each: (found[each], -SEPARATORS.index(each)))
         if found[best] > 1:
-            columns = named(fields_of(line, best)) if len(fields_of(line, best)) > 1 else repr(line.strip()[:60])
+            columns = quote_columns(fields_of(line, best)) if len(fields_of(line, best)) > 1 else repr(line.strip()[:60])
             what = f"line {number}: {columns} are separated by {best!r}, not {self.separator!r}"
             raise refusal(self.path, what, f"csv.separator = {toml(best)}")
 
@@ -176,7 +176,8 @@ class Shape:
         usual, own = self.usual(self.separator), self.form.header
         if usual <= 1 or len(fields_of(line, self.separator)) == usual or (number := self.header()) in (0, own):
             return
-        what = f"line {own}: {line.strip()[:60]!r} does not name the {usual} columns; line {number} does: {named(self._join_names(number))}"
+        found = quote_columns(self._join_names(number))
+        what = f"line {own}: {line.strip()[:60]!r} does not name the {usual} columns; line {number} does: {found}"
         raise refusal(self.path, what, *self._entries(number))
 
     def refuse_group_row(self, names: Sequence[str]) -> None:
@@ -186,7 +187,7 @@ class Shape:
             return
         number = self.header()
         if number > own and self.groups(number) == own:
-            what = f"line {own} names groups, line {number} their columns: {named(self._join_names(number))}"
+            what = f"line {own} names groups, line {number} their columns: {quote_columns(self._join_names(number))}"
             raise refusal(self.path, what, *self._entries(number))
 
     def refuse_units_row(self, names: Sequence[str], first: int) -> None:

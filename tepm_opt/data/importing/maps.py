@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from tepm_opt.data.channels import TIME, Channels
-from tepm_opt.data.documents import Number, Section, Vector, between, read_toml, validated
+from tepm_opt.data.documents import Number, Section, Vector, read_toml, require_range, validate
 from tepm_opt.data.importing.refusals import BETWEEN, PUT, key, refusal, toml
 from tepm_opt.data.importing.units import factor, nearest
 from tepm_opt.data.run import Start
@@ -23,7 +23,7 @@ from tepm_opt.errors import InputError
 NAMED = f'{PUT}robot = "kang2017"'
 ISO = "iso"  # unit of date and time as text
 Name = str | int
-"""Of a column: its header, or its number from 1."""
+"""Name of a column: its header, or its number from 1."""
 Columns = Annotated[
     str | int | list[str | int],
     Field(description='a pattern such as "p{module}{actuator}", "m{point}_{axis}" or "pos_{n}", or a list of names or numbers (from 1)'),
@@ -31,11 +31,11 @@ Columns = Annotated[
 
 
 class TimeMap(Section):
-    """Where a file's time is."""
+    """Columns of a file's time, with their unit."""
 
     column: Annotated[Name | list[Name], Field(description="name or number of a column, or a list: hours, minutes, seconds")] | None = None
     unit: Annotated[str | list[str], Field(description='a unit of time, "iso" for date and time as text, or a list')] = "s"
-    rate_hz: Annotated[float, between(1e-3, 1e6, "Hz")] | None = None
+    rate_hz: Annotated[float, require_range(1e-3, 1e6, "Hz")] | None = None
     rolls_over_at: Annotated[Number, Field(gt=0, description="value at which the counter begins again, in its unit")] | None = None
     date: Literal["day first", "month first"] | None = None
     file: Annotated[str, Field(description='pattern of the file\'s name: "*_tracker.csv"')] | None = None
@@ -60,7 +60,7 @@ class TimeMap(Section):
 
 
 class Source(Section):
-    """Where values come from, and what makes SI of them: unit · (scale · x + offset)."""
+    """Origin of values, and their conversion to SI: unit · (scale · x + offset)."""
 
     unit: Annotated[str, Field(description="a unit, such as mm, bar or N")] = ""
     scale: Number = 1.0
@@ -98,7 +98,7 @@ class Single(Source):
 
 
 class Format(Section):
-    """How text files are written. Line numbers count from 1."""
+    """Format of text files. Line numbers count from 1."""
 
     separator: Annotated[str, Field(min_length=1, max_length=1, description="one character")] | None = None
     decimal: Literal[".", ","] = "."
@@ -111,7 +111,7 @@ class Format(Section):
 
 
 class Frame(Section):
-    """How the tracker's axes lie in G."""
+    """Axes of the tracker in G, and its offset."""
 
     axes: Annotated[list[str], Field(description="three of x, y, z, each with - or without: G's x, y, z are the tracker's …")] = Field(
         default_factory=lambda: list(AXES)
@@ -139,7 +139,7 @@ class ImportMap(Section):
 
     name: Annotated[str, Field(min_length=1, description="any text")] | None = None
     robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")] | None = None
-    rate_hz: Annotated[float, between(1e-3, 1e6, "Hz")] | None = None
+    rate_hz: Annotated[float, require_range(1e-3, 1e6, "Hz")] | None = None
     static: Annotated[bool, Field(strict=True, description="true where the rows are equilibria")] = False
     split: Annotated[Name, Field(description="a column; a new value begins a new run, or time that goes back")] | None = None
     validation: Annotated[list[str], Field(description='names of runs: ["run3", "circle*"]')] | None = None
@@ -160,7 +160,7 @@ class ImportMap(Section):
 
     @field_validator("time", mode="before")
     @classmethod
-    def _listed(cls, time: Any) -> Any:
+    def _wrap_single_time(cls, time: Any) -> Any:
         return [time] if isinstance(time, dict) else time
 
     @model_validator(mode="after")
@@ -215,12 +215,12 @@ class Wanted:
 
     @property
     def si(self) -> float:
-        """What one of its unit is in SI."""
+        """Size of its unit in SI."""
         return factor(self.source.unit, self.dimension)
 
 
 def fits(pattern: str, name: str) -> tuple[str, ...] | None:
-    """What stands for each `*` of a pattern in a file's name; None where it does not fit."""
+    """Match a file's name with a pattern: the text of each `*`; None where it does not fit."""
     found = re.fullmatch("(.*)".join(map(re.escape, pattern.split("*"))), name)
     return None if found is None else found.groups()
 
@@ -253,13 +253,13 @@ def map_of(content: Mapping[str, Any], path: str | Path) -> ImportMap:
         InputError: unknown key (lists the valid ones), wrong value.
     """
     path = Path(path)
-    found = validated(ImportMap, content, str(path))
+    found = validate(ImportMap, content, str(path))
     beside = path.parent / found.robot if found.robot else None
     return found.model_copy(update={"robot": str(beside)}) if beside is not None and beside.is_file() else found
 
 
-def wanted(given: ImportMap, channels: Channels | None, where: str) -> list[Wanted]:
-    """What the map fills, checked: units, names of actuators and points, numbers of columns.
+def resolve_entries(given: ImportMap, channels: Channels | None, where: str) -> list[Wanted]:
+    """Resolve a map's entries to the columns that they fill, checked: units, names of actuators and points, numbers of columns.
 
     Args:
         given: the map.

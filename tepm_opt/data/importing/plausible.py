@@ -10,7 +10,7 @@ import numpy as np
 
 from tepm_opt.data.channels import Channels
 from tepm_opt.data.importing.maps import QUANTITIES, Frame, ImportMap, Wanted
-from tepm_opt.data.importing.refusals import named, refusal, toml
+from tepm_opt.data.importing.refusals import quote_columns, refusal, toml
 from tepm_opt.data.importing.runs import ImportedRun
 from tepm_opt.data.importing.units import UNITS, USUAL, likely
 from tepm_opt.data.setpoints import AXES
@@ -68,8 +68,8 @@ def _sizes(run: ImportedRun, each: Wanted, values: np.ndarray, limit: float) -> 
     raise refusal(_where(run, each), what, f"{each.place}.unit = {toml(best)}")
 
 
-def _expected(each: Wanted, channels: Channels) -> np.ndarray:
-    """Distance from the base in m that each mapped point has at rest, (points,)."""
+def _compute_rest_distances(each: Wanted, channels: Channels) -> np.ndarray:
+    """Compute the distance from the base in m that each mapped point has at rest, (points,)."""
     assert channels.height is not None
     names = list(dict.fromkeys(target.partition("_")[0] for target in each.targets))
     return channels.height * np.array([channels.points.index(name) + 1 for name in names]) / len(channels.points)
@@ -84,13 +84,13 @@ def _distances(run: ImportedRun, each: Wanted, values: np.ndarray, channels: Cha
         with np.errstate(all="ignore"):
             distance = np.linalg.norm(times * points - np.array(channels.base)[None, :, None], axis=1)
         seen = [float(np.median(one[np.isfinite(one)])) if np.isfinite(one).any() else np.nan for one in distance]
-        return float(np.nanmedian(np.array(seen) / _expected(each, channels))) if np.isfinite(seen).any() else 1.0
+        return float(np.nanmedian(np.array(seen) / _compute_rest_distances(each, channels))) if np.isfinite(seen).any() else 1.0
 
     if NEAR <= (found := ratio(1.0)) <= FAR:
         return
     best = min(USUAL["length"], key=lambda unit: abs(np.log(max(ratio(UNITS["length"][unit] / each.si), 1e-12))))
     read = f"if in {each.source.unit or 'm'}"
-    what = f"position: {named(each.columns)}: {found:.3g} times as far from the base as the robot's size allows {read}"
+    what = f"position: {quote_columns(each.columns)}: {found:.3g} times as far from the base as the robot's size allows {read}"
     raise refusal(_where(run, each), what, f"position.unit = {toml(best)}")
 
 
@@ -120,9 +120,8 @@ def _upright(run: ImportedRun, each: Wanted | None, channels: Channels) -> None:
     best = max(
         right, key=lambda frame: (round(rise(frame.rotation), 6), sum(map(eq, frame.axes, AXES)), "".join(frame.axes).count("-") == 0)
     )
-    what = (
-        f"position: {named(each.columns[-3:])}: not above the base at the start, x, y, z = {', '.join(f'{value:.3f}' for value in place)} m"
-    )
+    found = f"x, y, z = {', '.join(f'{value:.3f}' for value in place)} m"
+    what = f"position: {quote_columns(each.columns[-3:])}: not above the base at the start, {found}"
     entry = f"frame.axes = {toml(best.axes)}" if rise(best.rotation) >= TILT else ""
     raise refusal(
         _where(run, each),
@@ -132,7 +131,7 @@ def _upright(run: ImportedRun, each: Wanted | None, channels: Channels) -> None:
 
 
 def notes_of(given: ImportMap, wanted: Sequence[Wanted], channels: Channels | None) -> list[str]:
-    """What a robot's map leaves open, in words."""
+    """List in words what a robot's map leaves open."""
     if channels is None:
         return []
     found = []

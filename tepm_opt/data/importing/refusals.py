@@ -57,8 +57,8 @@ def key(name: str) -> str:
     return name if name and all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name) else json.dumps(name)
 
 
-def named(columns: Iterable[Any]) -> str:
-    """Columns for people, all of them: "column 'p1'", "columns 'p1', 'p2' and 'p3'"."""
+def quote_columns(columns: Iterable[Any]) -> str:
+    """Name columns for people, all of them: "column 'p1'", "columns 'p1', 'p2' and 'p3'"."""
     texts = [repr(each) for each in columns]
     return f"column {texts[0]}" if len(texts) == 1 else f"columns {', '.join(texts[:-1])} and {texts[-1]}"
 

@@ -76,7 +76,7 @@ def grid_of(start: float, end: float, rate: float) -> np.ndarray:
 
 
 def reduction(clock: Clock, rate: float) -> int:
-    """How many steps of the fine grid, on which samples are filtered, make one of the new; 1: no filter."""
+    """Count the steps of the fine grid, on which samples are filtered, that make one of the new; 1: no filter."""
     return 1 if clock.rate <= LIKE * rate else int(np.ceil(clock.rate / rate - 1e-6))
 
 
@@ -87,8 +87,8 @@ def taps(steps: int) -> np.ndarray:
     return np.asarray(firwin(count | 1, (1 + PASS) / 2 / steps, window=("kaiser", beta)))  # type: ignore[arg-type]
 
 
-def measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) -> np.ndarray:
-    """One measured column on a grid: a cubic spline through the samples, on a fine grid through a filter without delay.
+def resample_measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) -> np.ndarray:
+    """Bring one measured column onto a grid: a cubic spline through the samples, on a fine grid through a filter without delay.
 
     Below 0.8 of half the new rate 0.999 … 1.001 passes, above half the new rate 0.001 at most. No sample is made up where there was
     none for 1.9 steps of the samples and, where they are filtered, a step of the grid.
@@ -122,12 +122,12 @@ def measured(clock: Clock, values: np.ndarray, grid: np.ndarray, rate: float) ->
             before = int(np.floor((grid[first] - time[0]) * rate * steps + CLOSE))
             behind = int(np.floor((time[-1] - grid[last - 1]) * rate * steps + CLOSE))
             fine = grid[first] + np.arange(-before, (last - first - 1) * steps + behind + 1) / (rate * steps)
-            found[rows] = _filtered(_curve(time, part, fine), steps, before)[: last - first]
+            found[rows] = _decimate(_curve(time, part, fine), steps, before)[: last - first]
     return found
 
 
-def _filtered(fine: np.ndarray, steps: int, first: int) -> np.ndarray:
-    """Every so many steps of a fine grid through the filter, from the row `first` on; the ends go on mirrored through their last values."""
+def _decimate(fine: np.ndarray, steps: int, first: int) -> np.ndarray:
+    """Filter a fine grid and take every so many steps, from the row `first` on; ends go on mirrored through their last values."""
     beyond = steps * -(-(len(taps(steps)) // 2) // steps)
     beyond += -(first + beyond) % steps
     whole = np.pad(fine, beyond, mode="reflect", reflect_type="odd")
@@ -147,8 +147,8 @@ def _curve(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.interp(at, time, values) if len(time) < 4 else CubicSpline(time, values)(at)
 
 
-def commanded(clock: Clock, values: np.ndarray, grid: np.ndarray, hold: bool) -> np.ndarray:
-    """One column that is put in on a grid, never filtered.
+def resample_commanded(clock: Clock, values: np.ndarray, grid: np.ndarray, hold: bool) -> np.ndarray:
+    """Bring one column that is put in onto a grid, never filtered.
 
     Args:
         clock: times of the samples.

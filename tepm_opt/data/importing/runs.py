@@ -13,7 +13,7 @@ from tepm_opt.data.channels import TIME
 from tepm_opt.data.importing.clocks import time_map
 from tepm_opt.data.importing.maps import ImportMap, Wanted, fits, time_with
 from tepm_opt.data.importing.refusals import refusal, toml
-from tepm_opt.data.importing.resample import commanded, grid_of, measured, reduction
+from tepm_opt.data.importing.resample import grid_of, reduction, resample_commanded, resample_measured
 from tepm_opt.data.importing.samples import Samples
 from tepm_opt.data.importing.sources import Sheet
 from tepm_opt.data.run import Role
@@ -69,7 +69,7 @@ class Part:
 
 
 def parts_of(given: ImportMap, sheets: Sequence[Sheet], wanted: Sequence[Wanted]) -> list[Part]:
-    """Which files make a run: each its own, or those that have the same text in place of the patterns' `*`; which rows of them, by `split`.
+    """Group files into runs: each its own, or those with the same text in place of the patterns' `*`; `split` divides their rows.
 
     Raises:
         InputError: a file that fits no pattern, or several runs of one name.
@@ -173,10 +173,10 @@ def rate_of(given: ImportMap, found: Sequence[Samples], where: str) -> float:
     return asked or clock.own_rate
 
 
-def imported(
+def import_run(
     given: ImportMap, part: Part, wanted: Sequence[Wanted], role: Role, rate: float | None, found: Sequence[Samples]
 ) -> ImportedRun:
-    """A run on its grid, from the time at which all columns have begun to that at which the first ends.
+    """Bring a run onto its grid, from the time at which all columns have begun to that at which the first ends.
 
     Args:
         given: the map.
@@ -191,7 +191,7 @@ def imported(
     """
     files = tuple(dict.fromkeys(sheet.path.name for sheet in part.sheets))
     if rate is None:
-        return ImportedRun(part.name, role, files, _together(found), tuple(found))
+        return ImportedRun(part.name, role, files, _merge_equilibria(found), tuple(found))
     starts, ends = _spans(found)
     start, end = max(starts.values()), min(ends.values())
     most = max(len(each.values) for each in found)
@@ -202,7 +202,7 @@ def imported(
         )
     grid = grid_of(start, end, rate) if end > start else np.empty(0)
     if len(grid) < 2:
-        raise _apart(given, part, starts, ends)
+        raise _explain_disjoint_times(given, part, starts, ends)
     columns = {TIME: np.arange(len(grid)) / rate}
     for each in found:
         if each.clock is None:
@@ -211,9 +211,9 @@ def imported(
             place = np.searchsorted(each.clock.time, grid + 1e-9, side="right") - 1
             columns[each.target] = each.values[np.maximum(place, 0)]
         elif each.wanted.driven:
-            columns[each.target] = commanded(each.clock, each.values, grid, each.wanted.source.between == "hold")
+            columns[each.target] = resample_commanded(each.clock, each.values, grid, each.wanted.source.between == "hold")
         else:
-            columns[each.target] = measured(each.clock, each.values, grid, rate)
+            columns[each.target] = resample_measured(each.clock, each.values, grid, rate)
     left = (start - min(starts.values()), max(end for end in ends.values() if np.isfinite(end)) - end)
     return ImportedRun(part.name, role, files, columns, tuple(found), start, left)
 
@@ -230,7 +230,7 @@ def _spans(found: Sequence[Samples]) -> tuple[dict[str, float], dict[str, float]
     return starts, ends
 
 
-def _apart(given: ImportMap, part: Part, starts: Mapping[str, float], ends: Mapping[str, float]) -> InputError:
+def _explain_disjoint_times(given: ImportMap, part: Part, starts: Mapping[str, float], ends: Mapping[str, float]) -> InputError:
     late, early = max(starts, key=starts.__getitem__), min(ends, key=ends.__getitem__)
     alike = {name: [other for other in starts if (starts[other], ends[other]) == (starts[name], ends[name])] for name in (early, late)}
     what = "; ".join(f"{', '.join(alike[name])} from {starts[name]:.6g} to {ends[name]:.6g} s" for name in (early, late))
@@ -241,8 +241,8 @@ def _apart(given: ImportMap, part: Part, starts: Mapping[str, float], ends: Mapp
     return refusal(where, f"columns have no time in common: {what}. Where each file counts from its own start", entry)
 
 
-def _together(found: Sequence[Samples]) -> dict[str, np.ndarray]:
-    """Columns of equilibria, row by row."""
+def _merge_equilibria(found: Sequence[Samples]) -> dict[str, np.ndarray]:
+    """Merge columns of equilibria, row by row."""
     lengths = {len(each.values) for each in found if each.column is not None}
     if len(lengths) > 1:
         texts = ", ".join(f"{each.column!r} {len(each.values)}" for each in found if each.column is not None)
@@ -253,7 +253,7 @@ def _together(found: Sequence[Samples]) -> dict[str, np.ndarray]:
     return {each.target: each.values if each.column is not None else np.full(rows, each.values[0]) for each in found}
 
 
-def filtered(samples: Samples, rate: float | None) -> int:
-    """How many steps of the filter's fine grid make one of the data set's; 1 where nothing is filtered."""
+def count_filter_steps(samples: Samples, rate: float | None) -> int:
+    """Count the steps of the filter's fine grid that make one of the data set's; 1 where nothing is filtered."""
     unfiltered = samples.clock is None or samples.wanted.driven or samples.values.dtype.kind == "U" or rate is None
     return 1 if unfiltered or samples.clock is None or rate is None else reduction(samples.clock, rate)

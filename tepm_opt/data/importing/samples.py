@@ -12,7 +12,7 @@ from tepm_opt.data.importing.clocks import COMMA, Rows, clock_of, instants_in_s,
 from tepm_opt.data.importing.held import new_rows
 from tepm_opt.data.importing.lost_codes import as_written, far_codes, lost_points, words_of
 from tepm_opt.data.importing.maps import ImportMap, Name, Wanted, fits
-from tepm_opt.data.importing.refusals import lines_of, named, refusal, toml
+from tepm_opt.data.importing.refusals import lines_of, quote_columns, refusal, toml
 from tepm_opt.data.importing.resample import Clock
 from tepm_opt.data.importing.sources import Sheet
 from tepm_opt.errors import InputError
@@ -56,7 +56,7 @@ def samples_of(given: ImportMap, wanted: Sequence[Wanted], sheets: Sequence[Shee
     Raises:
         InputError: names all columns concerned and the entry that mends it.
     """
-    placed = _placed(wanted, sheets)
+    placed = _locate_columns(wanted, sheets)
     found: list[Samples] = []
     for each in wanted:
         if not each.columns:
@@ -84,8 +84,8 @@ def samples_of(given: ImportMap, wanted: Sequence[Wanted], sheets: Sequence[Shee
     return found
 
 
-def _placed(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tuple[Sheet, tuple[str, ...]]]:
-    """The file of each entry and its columns there."""
+def _locate_columns(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tuple[Sheet, tuple[str, ...]]]:
+    """Locate the file of each entry and its columns there."""
     found, missing, entries = {}, [], []
     for each in wanted:
         if not each.columns:
@@ -101,7 +101,7 @@ def _placed(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tupl
             names = ", ".join(sheet.path.name for sheet in full)
             raise refusal(
                 full[0].path,
-                f"{each.place}: {named(each.columns)} in several files of the run: {names}",
+                f"{each.place}: {quote_columns(each.columns)} in several files of the run: {names}",
                 f"{each.place}.file = {toml(full[0].path.name)}",
             )
         if full:
@@ -114,7 +114,7 @@ def _placed(wanted: Sequence[Wanted], sheets: Sequence[Sheet]) -> dict[str, tupl
         entries.append(f"csv.groups = {sheet.groups}" if sheet.groups else _nearest(each, sheet))
     if missing:
         where = ", ".join(dict.fromkeys(str(sheet.path) for _, sheet, _ in missing))
-        text = "; ".join(f"{each.place}: no {named(columns)}" for each, _, columns in missing)
+        text = "; ".join(f"{each.place}: no {quote_columns(columns)}" for each, _, columns in missing)
         there = [name for name in missing[0][1].order if name not in missing[0][1].twice]
         raise refusal(where, f"{text}; found: {', '.join(there)}", *dict.fromkeys(entries))
     return found
@@ -142,7 +142,9 @@ def _refuse_twice(each: Wanted, sheet: Sheet) -> None:
             numbers.append(sheet.order.index(column) + 1 if isinstance(column, str) else column)
     stand = ", ".join(f"{column!r} as {' and '.join(map(str, sheet.twice[str(column)]))}" for column in twice)
     raise refusal(
-        sheet.path, f"{each.place}: {named(twice)} stand more than once ({stand}): numbers tell them apart", _columns_entry(each, numbers)
+        sheet.path,
+        f"{each.place}: {quote_columns(twice)} stand more than once ({stand}): numbers tell them apart",
+        _columns_entry(each, numbers),
     )
 
 
@@ -180,7 +182,7 @@ def _numbers(each: Wanted, sheet: Sheet, names: Sequence[str], raw: Sequence[np.
             found.append(instants_in_s(values))
             continue
         texts = np.array([str(value) for value in values], dtype=np.str_)
-        parsed = np.array([_parsed(text, lost_texts) for text in texts])
+        parsed = np.array([_parse_field(text, lost_texts) for text in texts])
         wrong = np.flatnonzero(np.isinf(parsed))
         if wrong.size and each.place.startswith("extra"):
             found.append(texts)
@@ -198,8 +200,8 @@ def _numbers(each: Wanted, sheet: Sheet, names: Sequence[str], raw: Sequence[np.
     return [np.where(gone, np.nan, values) for gone, values in zip(lost, found, strict=True)]
 
 
-def _parsed(text: str, lost: Sequence[str]) -> float:
-    """A field as a number: NaN where it is empty or stands for a lost sample, infinite where it is neither."""
+def _parse_field(text: str, lost: Sequence[str]) -> float:
+    """Read a field as a number: NaN where it is empty or stands for a lost sample, infinite where it is neither."""
     if not text or text in lost:
         return np.nan
     try:
@@ -211,7 +213,9 @@ def _parsed(text: str, lost: Sequence[str]) -> float:
 def _refuse_text(each: Wanted, sheet: Sheet, bad: dict[str, tuple[np.ndarray, list[str]]], rows: Rows) -> None:
     texts = list(dict.fromkeys(text for _, found in bad.values() for text in found))
     where = [line_of(sheet, row, rows) for row in sorted({int(row) for wrong, _ in bad.values() for row in wrong})]
-    what = f"{each.place}: {named(bad)}: text where numbers belong, {', '.join(map(repr, texts[:3]))}{' …' if len(texts) > 3 else ''}"
+    what = (
+        f"{each.place}: {quote_columns(bad)}: text where numbers belong, {', '.join(map(repr, texts[:3]))}{' …' if len(texts) > 3 else ''}"
+    )
     commas = all(COMMA.fullmatch(text) for text in texts)
     entry = 'csv.decimal = ","' if commas else f"{each.place}.missing = {toml([*each.source.missing, *texts])}" if len(texts) <= 5 else ""
     raise refusal(f"{sheet.path}: {lines_of(where)}", what + (" (decimal commas)" if commas else ""), entry)
@@ -227,7 +231,7 @@ def _refuse_zeros(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Seq
     if some.any():
         concerned = [name for k in np.flatnonzero(some).tolist() for name in names[3 * k : 3 * k + 3]]
         where = [line_of(sheet, int(row), rows) for row in np.flatnonzero(zero[some].any(axis=0))]
-        what = f"position: {named(concerned)}: all 0 at times, a code for a lost sample?"
+        what = f"position: {quote_columns(concerned)}: all 0 at times, a code for a lost sample?"
         raise refusal(f"{sheet.path}: {lines_of(where)}", what, f"position.missing = {toml([*each.source.missing, 0])}")
 
 
@@ -257,7 +261,7 @@ def _refuse_codes(each: Wanted, sheet: Sheet, names: Sequence[str], numbers: Seq
         where = np.unique(np.concatenate([np.flatnonzero(np.isin(values, codes)) for values in chosen])) if chosen else np.empty(0)
         same = "the same number"
     if concerned:
-        what = f"{each.place}: {named(concerned)}: {same}, {words_of(codes)}, in {len(where)} rows: a code for lost samples?"
+        what = f"{each.place}: {quote_columns(concerned)}: {same}, {words_of(codes)}, in {len(where)} rows: a code for lost samples?"
         place = lines_of([line_of(sheet, int(row), rows) for row in where])
         raise refusal(f"{sheet.path}: {place}", what, f"{each.place}.missing = {toml([*each.source.missing, *map(as_written, codes)])}")
 
@@ -287,7 +291,9 @@ def _refuse_empty(found: Iterable[Samples], rows: Rows) -> None:
         s for s in found if s.wanted.needed and s.column is not None and s.values.dtype.kind == "f" and not np.isfinite(s.values).all()
     ]
     if of_hold := [s for s in empty if s.wanted.source.between == "hold" and not np.isfinite(s.values).any()]:
-        raise InputError(f"{of_hold[0].sheet.path if of_hold[0].sheet else ''}: {named(s.column for s in of_hold)}: empty in all rows")
+        raise InputError(
+            f"{of_hold[0].sheet.path if of_hold[0].sheet else ''}: {quote_columns(s.column for s in of_hold)}: empty in all rows"
+        )
     empty = [s for s in empty if s.wanted.source.between != "hold"]
     if empty:
         sheet = empty[0].sheet
@@ -296,5 +302,7 @@ def _refuse_empty(found: Iterable[Samples], rows: Rows) -> None:
             line_of(sheet, int(row), rows) for row in sorted({int(row) for s in empty for row in np.flatnonzero(~np.isfinite(s.values))})
         ]
         entries = [f'{place}.between = "hold"' for place in dict.fromkeys(s.wanted.place for s in empty)]
-        what = f"{named(s.column for s in empty)}: empty; what was put in must be known. Where an empty field means the value before"
+        what = (
+            f"{quote_columns(s.column for s in empty)}: empty; what was put in must be known. Where an empty field means the value before"
+        )
         raise refusal(f"{sheet.path}: {lines_of(where)}", what, *entries)

@@ -15,7 +15,7 @@ import numpy as np
 from tepm_opt.data.importing.header_rows import Shape, fields_of, is_number, join_names, stated_rate
 from tepm_opt.data.importing.kinds import kinds_columns, refuse_kinds
 from tepm_opt.data.importing.maps import Format
-from tepm_opt.data.importing.refusals import named, refusal, toml
+from tepm_opt.data.importing.refusals import quote_columns, refusal, toml
 from tepm_opt.data.importing.short_rows import without_short_rows
 from tepm_opt.errors import InputError
 
@@ -161,7 +161,9 @@ def _header(path: Path, lines: list[str], form: Format, separator: str) -> tuple
     shape.refuse_separator(form.header, line)
     names = fields_of(line, separator)
     if all(is_number(name) for name in names):
-        what = f"line {form.header}: {named(names[:6])}{' …' if len(names) > 6 else ''}: numbers where the names of the columns belong"
+        what = (
+            f"line {form.header}: {quote_columns(names[:6])}{' …' if len(names) > 6 else ''}: numbers where the names of the columns belong"
+        )
         raise refusal(path, what, f"csv.header = {shape.header()}")
     shape.refuse_group_row(names)
     above = [] if form.groups is None else [form.groups] if isinstance(form.groups, int) else form.groups

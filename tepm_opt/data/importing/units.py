@@ -45,7 +45,7 @@ def likely(largest: float, limit: float, dimension: str) -> str | None:
 
 
 def factor(unit: str, dimension: str | None) -> float:
-    """What one of a unit is in SI.
+    """Size of a unit in SI.
 
     Args:
         unit: "kPa"; empty means SI.

@@ -1,6 +1,6 @@
 """A machine that a function simulates: another simulator, a transfer function, a table; with the effects that may be missing in it.
 
-m = Simulator("a motor", Signals.of(["voltage"], ["speed"], "rad/s"))
+m = Simulator("a motor", Signals.from_names(["voltage"], ["speed"], "rad/s"))
 m.parameter("gain", 2.0, "rad/s/V")
 m.effects([Law("dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),))], "voltage", "V", signal=5.0)
 

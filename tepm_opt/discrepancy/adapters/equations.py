@@ -188,7 +188,7 @@ class Equations(MachineDescription):
         )
         units = {unit for _, unit in self._outputs.values()}
         unit, limits = units.pop() if len(units) == 1 else "", tuple(limit for *_, limit in self._inputs.values())
-        signals = Signals.of(tuple(self._inputs), tuple(self._outputs), unit, limits)
+        signals = Signals.from_names(tuple(self._inputs), tuple(self._outputs), unit, limits)
         guess = {name: value for name, (_, value) in self._states.items()}
         described = signals, self._free, tuple(self._known), tuple(self._candidates), self._grouped
         return CasadiPlant(self.name, *described, motion, guess, substeps, between)

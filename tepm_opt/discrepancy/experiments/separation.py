@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from tepm_opt.data.run import Run, spaced
+from tepm_opt.data.run import Run, thin_out
 from tepm_opt.discrepancy.problem.plant import without_run_restriction
 from tepm_opt.solvers.identify import ParameterEstimate
 from tepm_opt.solvers.plant import Plant, PredictionError
@@ -71,7 +71,7 @@ def separation(estimates: Sequence[ParameterEstimate], run: Run, noise: float) -
         noise: of a coordinate, 1 sigma in m.
     """
     apart = max(estimate.problem.derivatives_apart for estimate in estimates)
-    seen = spaced(run, apart) if apart and run.rows > 1 else run
+    seen = thin_out(run, apart) if apart and run.rows > 1 else run
     try:
         said = [predict_with_uncertainty(estimate, seen, noise) for estimate in estimates]
     except PredictionError:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tepm_opt.data.run import Run, spaced
+from tepm_opt.data.run import Run, thin_out
 from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters, free_candidate_parameters
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.shape_suggestions import apply_suggested_shapes
@@ -230,7 +230,7 @@ def thin_samples(estimate: ParameterEstimate, columns: int, most_bytes: int) -> 
     size = 8.0 * columns * sum(run.points.size for run in problem.runs)
     if size > most_bytes and not problem.plant.static and all(run.start == "equilibrium" for run in problem.runs):
         apart = max(float(np.median(np.diff(run.time))) for run in problem.runs if run.rows > 1) * size / most_bytes
-        problem = replace(problem, runs=tuple(spaced(run, apart) for run in problem.runs))
+        problem = replace(problem, runs=tuple(thin_out(run, apart) for run in problem.runs))
     if problem is whole:
         return estimate
     rows = [np.searchsorted(run.time, at.time) for run, at in zip(whole.runs, problem.runs, strict=True)]

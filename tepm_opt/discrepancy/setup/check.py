@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tepm_opt.data.run import Run, spaced
+from tepm_opt.data.run import Run, thin_out
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.setup.comparison import Comparison, Misfit, take_rows
 from tepm_opt.discrepancy.setup.errors import SetupError
@@ -82,7 +82,7 @@ def _choose_rows(plant: SearchablePlant, runs: Sequence[Run], settings: SetupSet
     if plant.without_candidates.static:
         return [take_rows(run, np.unique(np.linspace(0, run.rows - 1, min(run.rows, settings.rows)).round().astype(int))) for run in runs]
     if plant.equilibria is not None:
-        return [spaced(run, settings.sample_spacing) for run in runs]
+        return [thin_out(run, settings.sample_spacing) for run in runs]
     return [first(run, settings.first_rows) for run in runs if run.role == "fit"]
 
 

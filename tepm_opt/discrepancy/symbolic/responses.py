@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.data.run import Run, spaced
+from tepm_opt.data.run import Run, thin_out
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.problem.plant import Network
 from tepm_opt.discrepancy.symbolic.places import ALL, Course, Place
@@ -55,7 +55,7 @@ def simulate_courses(plant: Network, runs: Sequence[Run], settings: SymbolicSett
         if plant.static:
             held = _equilibria(model, run)
             return Course(model, run, np.stack([h.points for h in held]), np.stack([h.lengths.ravel() for h in held]), static=True)
-        sparse = spaced(run, step)
+        sparse = thin_out(run, step)
         found = _simulate_run(model, sparse, step)
         return Course(model, sparse, found.points, found.lengths)
 

@@ -33,8 +33,8 @@ class Calibration:
     steps_mm: np.ndarray
 
     @staticmethod
-    def of(robot: Robot) -> Calibration:
-        """Calibration that a robot file has.
+    def from_robot(robot: Robot) -> Calibration:
+        """Read the calibration of a robot file.
 
         Raises:
             InputError: it has no `[hardware]`, more actuators than a board drives, or lists of another length.
@@ -69,7 +69,7 @@ class Calibration:
         Raises:
             InputError: the board's compiled limit is lower.
         """
-        return self._whole(self.codes_zero + self.codes * pressures, most, "pressure", pressures / 1e6, "MPa")
+        return self._round_to_board(self.codes_zero + self.codes * pressures, most, "pressure", pressures / 1e6, "MPa")
 
     def to_counts(self, tensions: np.ndarray, most: int) -> list[int]:
         """Counts of the dynamometers at tensions in N, for all channels of a board whose largest number of them is `most`.
@@ -77,7 +77,7 @@ class Calibration:
         Raises:
             InputError: the board's compiled limit is lower.
         """
-        return self._whole(self.counts_zero + self.counts * tensions, most, "tension", tensions, "N")
+        return self._round_to_board(self.counts_zero + self.counts * tensions, most, "tension", tensions, "N")
 
     def to_steps(self, tensions: np.ndarray, most: int) -> list[int]:
         """Steps of the motors from where the tendons are slack, for all channels of a board whose largest number of them is `most`.
@@ -85,7 +85,7 @@ class Calibration:
         Raises:
             InputError: the board's compiled limit is lower.
         """
-        return self._whole(self.steps * tensions, most, "tension", tensions, "N")
+        return self._round_to_board(self.steps * tensions, most, "tension", tensions, "N")
 
     def pressures(self, monitors: tuple[int, ...]) -> np.ndarray:
         """Pressures in Pa from the monitors' counts, (actuators of all modules,)."""
@@ -95,7 +95,7 @@ class Calibration:
         """Tensions in N from the dynamometers' counts, (actuators of all modules,)."""
         return (np.array(dynamometers[: len(self.codes)]) - self.counts_zero) / self.counts
 
-    def _whole(self, values: np.ndarray, most: int, kind: str, wanted: np.ndarray, unit: str) -> list[int]:
+    def _round_to_board(self, values: np.ndarray, most: int, kind: str, wanted: np.ndarray, unit: str) -> list[int]:
         whole = np.round(values)
         if (whole > most + 1).any():  # the limit itself may be rounded down
             first = int(np.argmax(whole > most + 1))

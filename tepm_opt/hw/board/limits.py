@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,7 @@ LIVE_ZERO = 1638
 LOUD = 0.8
 """The threshold of a broken wire is at most this part of any sensor's zero."""
 TITLE = "// Limits and calibration of robot "
-"""How the header begins."""
+"""Beginning of the header."""
 RANGES = {
     "code_zero": (-0x2000, 4094, "the DAC ends there"),
     "codes_per_MPa": (1, 0xFFFF, "the DAC's codes a MPa"),
@@ -44,7 +44,7 @@ RANGES = {
     "position_max": (1, 29999, "a motor that winds further is stopped"),
     "steps_per_1000_counts": (1, 900, "the gain of the board's tension loop"),
 }
-"""What the firmware can hold or compiles, and why; as in its `config.h`."""
+"""Ranges that the firmware can hold or compiles, and why; as in its `config.h`."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,15 @@ class Limits:
     steps_per_1000_counts: int
 
     @staticmethod
-    def of(robot: Robot) -> Limits:
-        """Limits that a robot file asks for.
+    def from_robot(robot: Robot) -> Limits:
+        """Work out the limits that a robot file asks for.
 
         Raises:
-            InputError: as for `Calibration.of`; a number that the board cannot hold; or actuators that differ too much for one of them.
+            InputError: as for `Calibration.from_robot`; a number that the board cannot hold; or actuators that differ too much for one.
         """
         from tepm_opt.hw.board.calibration import Calibration
 
-        lines, pressure, tension = Calibration.of(robot), robot.actuation.pressure_max_Pa, robot.actuation.tension_max_N
+        lines, pressure, tension = Calibration.from_robot(robot), robot.actuation.pressure_max_Pa, robot.actuation.tension_max_N
         values = {
             "code_zero": round(_middle(lines.codes_zero)),
             "codes_per_MPa": int(1e6 * np.min(lines.codes)),
@@ -144,26 +144,21 @@ class Limits:
         return "\n".join([*lines, ""])
 
 
-def told(values: dict[str, Any]) -> Limits:
-    """Limits that a board told in a LIMITS message."""
-    return Limits(**values)
-
-
 def differences(robot: Robot, firmware: Limits) -> list[str]:
-    """Where firmware has other numbers than a robot file asks for, one by one, also in the units of the robot file's calibration.
+    """List numbers of firmware that differ from those that a robot file asks for, also in the units of the robot file's calibration.
 
     Raises:
-        InputError: as for `Limits.of`.
+        InputError: as for `Limits.from_robot`.
     """
     from tepm_opt.hw.board.calibration import Calibration
 
-    units, mine, other = _units(Calibration.of(robot)), asdict(Limits.of(robot)), asdict(firmware)
+    units, mine, other = _units(Calibration.from_robot(robot)), asdict(Limits.from_robot(robot)), asdict(firmware)
 
-    def shown(name: str, value: int) -> str:
+    def format_value(name: str, value: int) -> str:
         return f"{value} ({units[name](value)})" if name in units else str(value)
 
     return [
-        f"{name} is {shown(name, other[name])} in the firmware, {shown(name, value)} by the robot file"
+        f"{name} is {format_value(name, other[name])} in the firmware, {format_value(name, value)} by the robot file"
         for name, value in mine.items()
         if value != other[name]
     ]
@@ -211,7 +206,7 @@ def _common_band(robot: Robot, lines: Calibration, limits: Limits) -> int:
 
 
 def _units(lines: Calibration) -> dict[str, Callable[[int], str]]:
-    """How numbers read in the units of a robot file; of the actuator that limits them."""
+    """Formatters of numbers in the units of a robot file, by name; each for the actuator that limits the number."""
 
     def kilopascal(value: float) -> str:
         return f"{1e-3 * value:.4g} kPa"

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import protocol
 from tepm_opt.hw.board.errors import FLASH, LinkError, NoBoardError, RefusedError
-from tepm_opt.hw.board.limits import Limits, told
+from tepm_opt.hw.board.limits import Limits
 from tepm_opt.hw.board.linklog import RECEIVED, SENT, LinkLog
 from tepm_opt.hw.board.ports import Clock, Port
 from tepm_opt.hw.board.protocol import ACK, ARM, ASK, CLEAR, CONFIG, HELLO, LIMITS, SET, STATUS, Fault, Message, Result, State
@@ -21,7 +21,7 @@ from tepm_opt.hw.board.status import REASONS, BoardStatus, Hello, LinkStatistics
 from tepm_opt.hw.board.strangers import Overheard
 
 TRIES, PATIENCE = 5, 0.05
-"""How often a request is sent, and seconds until it is sent again."""
+"""Number of times that a request is sent, and seconds until it is sent again."""
 SILENT = 0.2
 """Seconds without STATUS, or without one that acknowledges set points, after which none is sent any more."""
 VENTING, AGAIN = 2.0, 0.1
@@ -75,7 +75,7 @@ class Link:
             self._thread.start()
 
     def hello(self, timeout: float = 5.0) -> Hello:
-        """What the board says about itself; it may be starting.
+        """Ask the board about itself; it may be starting.
 
         Raises:
             NoBoardError: nothing answers in time, or something else does.
@@ -100,7 +100,7 @@ class Link:
         return self._hello is None or self._hello.monitors > 0
 
     def limits(self, timeout: float = 1.0) -> Limits:
-        """What the board was compiled with.
+        """Ask for the limits that the board was compiled with.
 
         Raises:
             LinkError: it does not say so in time, or not what its CRC in HELLO is of.
@@ -139,7 +139,7 @@ class Link:
             del self._answers[key]
         if answer is None:
             raise LinkError(f"the board does not answer {kind.name}; it stops by itself when nothing comes")
-        state = _known(State, answer["state"])
+        state = _decode_member(State, answer["state"])
         if answer["result"] != Result.DONE:
             reason = REASONS.get(answer["result"], "it says why in a way that this program does not know")
             why = reason.format(actuator=answer["channel"] + 1)
@@ -161,7 +161,7 @@ class Link:
             raise LinkError("the board has not told its state yet")
         answer = self.request(ARM, session=self._session, limits=limits)
         if answer["state"] != State.ARMED:
-            raise LinkError(f"the board was armed and left that at once: it is {_known(State, answer['state']).name}")
+            raise LinkError(f"the board was armed and left that at once: it is {_decode_member(State, answer['state']).name}")
         with self._news:
             self._sequence = 0
             self._unconfirmed.clear()
@@ -257,7 +257,7 @@ class Link:
             try:
                 self._port.write(data)
             except OSError as error:
-                raise _gone(error) from error
+                raise _convert_to_link_error(error) from error
             self.statistics.sent += 1
 
     def wait(self, until: Callable[[], bool], timeout: float) -> bool:
@@ -293,7 +293,7 @@ class Link:
         try:
             self._take(self._port.read(timeout))
         except OSError as error:
-            raise _gone(error) from error
+            raise _convert_to_link_error(error) from error
         except LinkError as error:
             self._failure = error
             raise
@@ -321,7 +321,7 @@ class Link:
                     self._news.notify_all()
             except Exception as error:  # whatever ends this thread: those who wait, or want to send set points, have to hear of it
                 with self._news:
-                    self._failure = error if isinstance(error, LinkError) else _gone(error)
+                    self._failure = error if isinstance(error, LinkError) else _convert_to_link_error(error)
                     self._news.notify_all()
                 return
 
@@ -334,13 +334,13 @@ class Link:
         for kind, values in self._decoder.feed(data):
             self.statistics.received += 1
             if kind is LIMITS:
-                self._limits = told(values)
+                self._limits = Limits(**values)
                 continue
             self._session = values["session"]
             if kind is STATUS:
                 self._take_status(now, values)
             elif kind is HELLO:
-                self._hello = Hello(**{**values, "state": _known(State, values["state"])})
+                self._hello = Hello(**{**values, "state": _decode_member(State, values["state"])})
             elif kind is ACK and (key := (values["id"], values["request"])) in self._answers:
                 self._answers[key] = values
         self.statistics.bad = self._decoder.bad
@@ -350,7 +350,7 @@ class Link:
         if last is not None and last.start == values["session"] >> 16:
             up = last.uptime_ms + (up - last.time_ms) % 2**32
             self.statistics.lost += (values["count"] - last.count - 1) % 256
-        known = {"state": _known(State, values["state"]), "fault": _known(Fault, values["fault"])}
+        known = {"state": _decode_member(State, values["state"]), "fault": _decode_member(Fault, values["fault"])}
         self.status = BoardStatus(now, up, **{**values, **known})
         if self._arming is not None and self.status.session == self._arming.session:
             self._acknowledge(now, self.status.sequence)
@@ -366,8 +366,8 @@ class Link:
 Known = TypeVar("Known", bound=IntEnum)
 
 
-def _known(kind: type[Known], value: int) -> Known:
-    """A value that a board told.
+def _decode_member(kind: type[Known], value: int) -> Known:
+    """Decode a value that a board told.
 
     Raises:
         LinkError: this program does not know it.
@@ -378,7 +378,7 @@ def _known(kind: type[Known], value: int) -> Known:
         raise LinkError(f"the board tells {kind.__name__.lower()} {value}, which this program does not know; {FLASH}") from error
 
 
-def _gone(error: Exception) -> LinkError:
+def _convert_to_link_error(error: Exception) -> LinkError:
     if isinstance(error, OSError | TypeError | AttributeError | EOFError):  # the second and third come from a port that was closed
         return LinkError(f"the line to the board is gone: {error}")
     return LinkError(f"what came from the board cannot be understood: {error!r}")

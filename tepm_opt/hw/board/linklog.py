@@ -79,7 +79,7 @@ class LinkLog:
     def _turn_over(self) -> None:
         """Go on in a new file."""
         self._file.close()
-        self.path.replace(before := _before(self.path))
+        self.path.replace(before := _get_earlier_path(self.path))
         self._dropped, self._before = self._dropped + self._before, self._size
         self._file = self.path.open("w", encoding="ascii", newline="\n")
         self._size = self._file.write(f"{_REMARK} goes on from {before.name}; {self._dropped} bytes of lines before that were not kept\n")
@@ -105,12 +105,12 @@ def new_log(folder: Path, clock: Clock) -> LinkLog:
     return LinkLog(folder / f"link-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.log", clock)
 
 
-def _before(path: Path) -> Path:
+def _get_earlier_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}{_BEFORE}")
 
 
 def _session(path: Path) -> tuple[str, bool]:
-    """What sorts logs by age: the date in the name, and of one session's parts the older one first."""
+    """Key that sorts logs by age: the date in the name, and of one session's parts the older one first."""
     return path.name.removesuffix(_BEFORE).removesuffix(".log"), not path.name.endswith(_BEFORE)
 
 
@@ -123,7 +123,7 @@ def read_log(path: str | Path) -> Iterator[tuple[float, str, bytes]]:
         InputError: unreadable, or not such a file; names the line.
     """
     path = Path(path)
-    if not path.name.endswith(_BEFORE) and (before := _before(path)).is_file() and next(_lines(path), "").startswith(_REMARK):
+    if not path.name.endswith(_BEFORE) and (before := _get_earlier_path(path)).is_file() and next(_lines(path), "").startswith(_REMARK):
         yield from _entries(before)
     yield from _entries(path)
 
@@ -157,7 +157,7 @@ def _lines(path: Path) -> Iterator[str]:
 
 
 class PlaybackPort:
-    """What came over a line, once more at the same times; what is sent is ignored. Its clock is virtual.
+    """Port that plays back what came over a line at the same times; what is sent is ignored. Its clock is virtual.
 
     Attributes:
         time: since the log began in s; at first, that of the first line.

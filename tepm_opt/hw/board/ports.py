@@ -25,7 +25,7 @@ class Port(Protocol):
     """A line to a board. All methods raise `OSError` once the line is gone."""
 
     def read(self, timeout: float) -> bytes:
-        """What has come; if nothing has, wait for at most `timeout` s until something does. A simulation lets its time pass meanwhile."""
+        """Read bytes that came; if none did, wait for them at most `timeout` s. A simulation lets its time pass meanwhile."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -58,7 +58,7 @@ class SerialPort:
             text = str(error)
             if "exclusively lock" in text or "busy" in text.lower() or (sys.platform == "win32" and "Permission" in text):
                 raise PortBusyError(f"serial port {device!r} cannot be opened: another program has it open") from error
-            raise InputError(f"serial port {device!r} cannot be opened: {_reason(text)}; {_found()}") from error
+            raise InputError(f"serial port {device!r} cannot be opened: {_reason(text)}; {_describe_ports()}") from error
 
     def read(self, timeout: float) -> bytes:
         """Read as `Port.read` does."""
@@ -114,7 +114,7 @@ def find_ports() -> list[FoundPort]:
     return sorted(found, key=lambda port: (not port.arduino, port.device))
 
 
-def _found() -> str:
+def _describe_ports() -> str:
     names = [port.device for port in find_ports()]
     return f"serial ports here: {', '.join(names)}" if names else "there is no serial port here"
 

@@ -1,4 +1,4 @@
-"""What host and board say to each other: the one description of the protocol. `firmware/protocol.h` is written from it.
+"""Messages between host and board: the one description of the protocol. `firmware/protocol.h` is written from it.
 
 A frame on the line is COBS(payload + CRC) and a zero byte (Cheshire and Baker 1999). The CRC is CRC-16/GENIBUS of the payload, high byte
 first: it begins with ones and is sent inverted, so that zeros before or after a frame damage it. A payload is a code and the fields of
@@ -34,7 +34,7 @@ Values = dict[str, Any]
 
 
 class State(IntEnum):
-    """What the board is doing. Only ARMED moves anything."""
+    """State of the board. Only ARMED moves anything."""
 
     IDLE = 0
     ARMED = 1
@@ -44,7 +44,7 @@ class State(IntEnum):
 
 
 class Fault(IntEnum):
-    """What was found wrong; a graver one has a greater number. All that were found are kept as bits, and the gravest decides.
+    """Fault that the board found; a graver one has a greater number. All that were found are kept as bits, and the gravest decides.
 
     From MONITOR on pressure cannot be trusted to follow: the board switches its outputs off, which vents everything.
     """
@@ -209,7 +209,7 @@ LIMITS = Message(
         ("steps_per_1000_counts", "H"),
     ),
 )
-"""What the firmware was compiled with, in its own units; `limits.py` says what they mean. Its CRC stands in HELLO and ARM."""
+"""Limits that the firmware was compiled with, in its own units; `limits.py` says what they mean. Its CRC stands in HELLO and ARM."""
 TO_BOARD = (SET, ARM, CLEAR, ESTOP, CONFIG, ASK, DISARM)
 TO_HOST = (STATUS, ACK, HELLO, LIMITS)
 REQUESTS = (ARM, CLEAR, ESTOP, CONFIG, ASK, DISARM)
@@ -243,7 +243,7 @@ class Decoder:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[tuple[Message, Values]]:
-        """What became complete with these bytes, in order."""
+        """Take bytes; return the messages that they complete, in order."""
         *whole, self._rest = (self._rest + data).split(b"\0")
         self._rest = self._rest[-self.longest - 1 :]
         found = [self._message(encoded) for encoded in whole if encoded]

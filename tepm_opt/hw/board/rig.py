@@ -111,11 +111,11 @@ class SerialRig:
         start: float = 5.0,
     ) -> None:
         self.robot, self.layout = robot, Layout.from_robot(robot)
-        self._calibration = Calibration.of(robot)
+        self._calibration = Calibration.from_robot(robot)
         self._count = self.layout.inputs // 2
         self._tracker, self._clock, self._tendons = tracker, clock, tendons
         self._armed: bool | None = None  # None: not yet, False: not again
-        self._asked = Limits.of(robot)
+        self._asked = Limits.from_robot(robot)
         self.link = Link(port, clock, log, threaded)
         try:
             self.hello: Hello = self.link.hello(start)
@@ -149,7 +149,7 @@ class SerialRig:
 
     @property
     def board(self) -> BoardStatus:
-        """What the board told last.
+        """The last status that the board told.
 
         Raises:
             LinkError: it has told nothing yet.

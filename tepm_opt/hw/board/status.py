@@ -1,4 +1,4 @@
-"""What a board says about itself, and how that reads."""
+"""Status of a board, and its decoding."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ REASONS = {
 
 @dataclass(frozen=True)
 class Hello:
-    """What a board says about itself.
+    """Description that a board gives of itself.
 
     Attributes:
         version: of the protocol that it speaks.
@@ -76,7 +76,7 @@ class Hello:
 
 @dataclass(frozen=True)
 class BoardStatus:
-    """What a board told with one STATUS.
+    """Content of one STATUS of a board.
 
     Attributes:
         time: on the host's clock, when it came, in s.
@@ -138,7 +138,7 @@ class BoardStatus:
 
 @dataclass
 class LinkStatistics:
-    """What went over the line so far.
+    """Counts of frames that went over the line so far.
 
     Attributes:
         sent, received: frames.

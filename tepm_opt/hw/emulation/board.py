@@ -52,11 +52,11 @@ class EmulatedBoard:
         state: as STATUS tells it.
 
     Raises:
-        InputError: as for `Limits.of`.
+        InputError: as for `Limits.from_robot`.
     """
 
     def __init__(self, robot: Robot, now: float = 0.0) -> None:
-        self._limits, self._calibration, self._starts = Limits.of(robot), Calibration.of(robot), 0
+        self._limits, self._calibration, self._starts = Limits.from_robot(robot), Calibration.from_robot(robot), 0
         self._robot, self._count = robot, robot.modules * robot.actuators
         self._gauges = np.zeros(self._count), np.zeros(self._count)
         self.reset(now)

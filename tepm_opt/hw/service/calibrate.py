@@ -78,8 +78,8 @@ def fit_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -
     return CalibrationFit(float(solution[0]), float(solution[1]), float(zero_std), float(slope_std), residuals)
 
 
-def increasing(text: str, name: str, least: float, most: float, unit: str) -> list[float]:
-    """Numbers of an option, at least two, each larger than the one before.
+def parse_increasing(text: str, name: str, least: float, most: float, unit: str) -> list[float]:
+    """Parse the numbers of an option, at least two, each larger than the one before.
 
     Args:
         text: numbers by commas.
@@ -102,7 +102,7 @@ def increasing(text: str, name: str, least: float, most: float, unit: str) -> li
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """What a board told over some time.
+    """Raw counts that a board told over some time.
 
     Attributes:
         dynamometers, monitors: counts, (samples, 6).
@@ -204,12 +204,12 @@ def pressure_part(robot: Robot, monitors: dict[int, CalibrationFit], commands: d
 
 def mount_part(found: Registration) -> dict[str, list[float]]:
     """Keys of `[mount]`."""
-    return {"base_position_m": _rounded(found.position_m), "base_rotation_deg": _rounded(found.rotation_deg)}
+    return {"base_position_m": _round_values(found.position_m), "base_rotation_deg": _round_values(found.rotation_deg)}
 
 
 def holders_part(found: Registration) -> dict[str, list[list[float]]]:
     """Keys of `[hardware.tracker]`."""
-    return {"holders_m": [_rounded(holder) for holder in found.holders_m]}
+    return {"holders_m": [_round_values(holder) for holder in found.holders_m]}
 
 
 def snippet(parts: dict[str, dict[str, list]], notes: Sequence[str]) -> str:
@@ -244,5 +244,5 @@ def _check(model: type[TensionLines] | type[PressureLines], part: dict[str, list
         raise InputError(f"calibration: {explain(model, failure)[0]}; {question}") from failure
 
 
-def _rounded(values: np.ndarray) -> list[float]:
+def _round_values(values: np.ndarray) -> list[float]:
     return [round(float(value), 6) + 0.0 for value in values]

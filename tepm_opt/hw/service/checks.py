@@ -28,13 +28,13 @@ TOOLS = {"make": "make", "avr-gcc": "gcc-avr avr-libc arduino-core-avr", "avrdud
 ALIVE = (0.25, 4.75)
 """Volts of a dynamometer that is neither open nor shorted, as in the firmware's `config.h`."""
 SLACK_N, NO_PRESSURE_PA = 0.2, 20e3
-"""What a dynamometer without tension and a monitor without pressure show at the most."""
+"""Largest readings of a dynamometer without tension and of a monitor without pressure."""
 LISTEN_S, FEWEST_HZ, WORST_SHARE = 2.0, 50.0, 0.01
-"""How long the line is listened to; STATUS a second, and share of them lost or damaged, from which on it is good."""
+"""Seconds for which the line is listened to; least STATUS a second, and largest share of them lost or damaged, of a good one."""
 
 
 class Mark(Enum):
-    """How a check ended: right, wrong, or not (yet) to be said."""
+    """Result of a check: right, wrong, or not (yet) to be said."""
 
     RIGHT = "✓"
     WRONG = "✗"
@@ -73,8 +73,8 @@ def not_yet(name: str, says: str, next: str = "") -> Check:
     return Check(name, Mark.OPEN, says, next)
 
 
-def judged(name: str, good: bool, says: str, next: str) -> Check:
-    """A check that ended well or badly.
+def judge(name: str, good: bool, says: str, next: str) -> Check:
+    """Make a check that ended well or badly.
 
     Args:
         name: what was looked at.
@@ -100,18 +100,18 @@ def device_of(port: str) -> str:
 
 
 def flash(port: str | None) -> str:
-    """How to put the firmware on a board."""
-    return f"flash the firmware: {flashing(port)} (BOARD=uno for an Uno)"
+    """Say in words how to put the firmware on a board."""
+    return f"flash the firmware: {flash_command(port)} (BOARD=uno for an Uno)"
 
 
-def flashing(port: str | None) -> str:
-    """The command that puts the firmware on a board."""
+def flash_command(port: str | None) -> str:
+    """Give the command that puts the firmware on a board."""
     return f"make -C {FIRMWARE} flash PORT={device_of(port or 'PORT')}"
 
 
 def flash_limits(port: str | None, robot: str) -> str:
     """The commands that put firmware with the limits and calibration of a robot file on a board."""
-    return f"tepm hw limits --robot {robot} --out limits.h && {flashing(port)} LIMITS=$PWD/limits.h"
+    return f"tepm hw limits --robot {robot} --out limits.h && {flash_command(port)} LIMITS=$PWD/limits.h"
 
 
 def packages() -> Check:
@@ -122,7 +122,7 @@ def packages() -> Check:
             found.append(f"{package} {version(package)}")
         except PackageNotFoundError:
             missing.append(package)
-    return judged(
+    return judge(
         name, not missing, f"missing: {', '.join(missing)}." if missing else f"{', '.join(found)}.", f"pip install {' '.join(missing)}"
     )
 
@@ -137,7 +137,7 @@ def tools() -> Check:
 
 
 def last_reset(hello: Hello) -> Check:
-    """Why the board started last."""
+    """Check why the board started last."""
     name, cause = "last reset", hello.reset_cause
     if cause & ResetCause.WATCHDOG:
         return wrong(name, "the watchdog: the firmware hung.", "run this again; if it stays so, flash anew and tell the authors")
@@ -183,11 +183,11 @@ def monitors(names: tuple[str, ...], counts: tuple[int, ...], calibration: Calib
     ]
     hint = "is the air off and let out, is the regulator fed, is its monitor wired? If so: tepm hw calibrate pressure"
     says = f"all {len(names)} are within {np.abs(pressures).max() / 1e3:.1f} kPa of zero (with the air off)."
-    return judged(name, not off, f"not at zero: {', '.join(off)}." if off else says, hint)
+    return judge(name, not off, f"not at zero: {', '.join(off)}." if off else says, hint)
 
 
 def line_quality(link: Link) -> Check:
-    """How good the line is, from listening for a while."""
+    """Check how good the line is by listening for a while."""
     begin, first = link.statistics.received, last(link)
     lost, bad = link.statistics.lost, link.statistics.bad
     link.wait(lambda: last(link).time - first.time >= LISTEN_S, LISTEN_S + 1.0)
@@ -197,11 +197,11 @@ def line_quality(link: Link) -> Check:
     rate = received / seconds if seconds > 0 else 0.0
     good = rate >= FEWEST_HZ and lost + bad <= WORST_SHARE * received
     says = f"{rate:.0f} STATUS a second over {max(seconds, LISTEN_S):.0f} s, {lost} lost, {bad} damaged."
-    return judged("line", good, says, "shorter USB cable, no hub, away from the motors' cables; is this computer very busy?")
+    return judge("line", good, says, "shorter USB cable, no hub, away from the motors' cables; is this computer very busy?")
 
 
 def sensors(tracker: Tracker, names: tuple[str, ...]) -> Check:
-    """Which sensors are seen, and how old their poses are."""
+    """Check which sensors are seen, and how old their poses are."""
     name, frames = "tracker's sensors", []
     while len(frames) < 40 and (frame := tracker.read(0.5)) is not None:
         frames.append(frame)
@@ -213,7 +213,7 @@ def sensors(tracker: Tracker, names: tuple[str, ...]) -> Check:
     age = median(frame.age for frame in frames)
     lost = [f"{at} ({share:.0%} of the time)" for at, share in zip(names, seen, strict=True) if share < 0.9]
     says = f"hardly seen: {', '.join(lost)}." if lost else f"{', '.join(names)} are seen, poses are {1e3 * age:.0f} ms old."
-    return judged(name, not lost, says, "is the sensor plugged in and near the transmitter?")
+    return judge(name, not lost, says, "is the sensor plugged in and near the transmitter?")
 
 
 def last(link: Link) -> BoardStatus:

@@ -24,7 +24,7 @@ from tepm_opt.hw.service.checks import (
     device_of,
     flash,
     flash_limits,
-    judged,
+    judge,
     last,
     not_yet,
     right,
@@ -36,17 +36,17 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
 
 BUTTON_S = 30.0
-"""How long the emergency stop button is waited for."""
+"""Seconds for which the emergency stop button is waited for."""
 MENDS: dict[int, str] = {
     Result.ESTOP_PRESSED: "release the emergency stop button; is its wire (closed contact to ground) whole?",
     Result.MONITOR: "is the regulator fed, is its monitor wired, has the air gone? `tepm hw monitor` shows what it measures",
     Result.BUS: "see to the DACs' supply and wires",
 }
-"""What to do where CLEAR is refused, by the reason."""
+"""Advice where CLEAR is refused, by the reason."""
 
 
 def by_hand(port: str, robot: str, actuator: str) -> list[str]:
-    """What hands have to do after the checks, in order, with the commands for this port, robot and actuator."""
+    """List what hands have to do after the checks, in order, with the commands for this port, robot and actuator."""
     at = f"{port} --robot {robot}" if robot != "kang2017" else port
     jog = f"tepm hw jog {at} {actuator}"
     return [
@@ -111,7 +111,7 @@ class Commissioning:
         name = "robot file"
         try:
             robot = load_robot(self.robot)
-            Limits.of(robot)
+            Limits.from_robot(robot)
         except InputError as error:
             return wrong(name, str(error), "compare with `tepm robot show kang2017`; `tepm robot new FILE` writes a file with all parts")
         self._found = robot
@@ -125,7 +125,7 @@ class Commissioning:
             known = device in [port.device for port in found] or "://" in device or Path(device).exists()
             others = f"; there is {', '.join(port.device for port in found)}" if found else "; there is no serial port at all"
             self._usable = known
-            return judged(name, known, f"{device} is there." if known else f"{device} does not exist{others}.", NO_PORT)
+            return judge(name, known, f"{device} is there." if known else f"{device} does not exist{others}.", NO_PORT)
         likely = [port for port in found if port.arduino]
         if len(likely) == 1:
             self.port, self._usable = likely[0].device, True
@@ -142,7 +142,7 @@ class Commissioning:
         if device is None or not device.exists():
             return not_yet(name, "needs a port.")
         good = self._usable = os.access(device, os.R_OK | os.W_OK)
-        return judged(name, good, f"{device} may {'' if good else 'not '}be read and written.", DIALOUT)
+        return judge(name, good, f"{device} may {'' if good else 'not '}be read and written.", DIALOUT)
 
     def _open(self) -> tuple[Link | None, Check]:
         """The link, if the board answers; what is said if it does not."""
@@ -170,7 +170,7 @@ class Commissioning:
         return link, right(name, f"{self._hello.describe().partition(', last reset')[0]}.")
 
     def _board(self, link: Link) -> Iterator[Check]:
-        """What a board that answers says."""
+        """Check a board that answers."""
         yield checks.last_reset(self._hello)
         try:
             link.wait(lambda: link.status is not None, 1.0)
@@ -198,7 +198,7 @@ class Commissioning:
         different = differences(self._found, link.limits())
         hint = f"{flash_limits(self.port, self.robot)}; or use the robot file that the firmware was made for"
         most = f"{actuation.pressure_max_Pa / 1e3:g} kPa, {actuation.tension_max_N:g} N and the calibration are those of the firmware."
-        return judged(name, not different, f"{'; '.join(different)}." if different else most, hint)
+        return judge(name, not different, f"{'; '.join(different)}." if different else most, hint)
 
     def _state(self, link: Link) -> Check:
         name, status = "state", last(link)
@@ -246,11 +246,11 @@ class Commissioning:
             yield not_yet("dynamometers", "needs a robot file with [hardware].")
             yield not_yet("pressure monitors", "needs a robot file with [hardware].")
         else:
-            names, calibration = Layout.from_robot(self._found).actuator_names, Calibration.of(self._found)
+            names, calibration = Layout.from_robot(self._found).actuator_names, Calibration.from_robot(self._found)
             yield checks.dynamometers(names, status.dynamometers, calibration)
             yield checks.monitors(names, status.monitors, calibration, self._hello)
         on = [str(k + 1) for k in range(CHANNELS) if status.enabled & ~POSITION_MODE & 1 << k]
-        yield judged("motors", not on, f"on: {', '.join(on)} of the board." if on else "all are off.", "stop the program that moves them")
+        yield judge("motors", not on, f"on: {', '.join(on)} of the board." if on else "all are off.", "stop the program that moves them")
 
     def _tracker(self) -> Iterator[Check]:
         name = "tracker"

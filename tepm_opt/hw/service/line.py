@@ -78,7 +78,7 @@ def open_tracker(robot: Robot) -> LiveTracker | None:
 
 
 def tracker_link(robot: Robot) -> TrackerLink | None:
-    """What a robot file says of its tracker."""
+    """Get the tracker of a robot file; None where it has none."""
     return None if robot.hardware is None else robot.hardware.tracker
 
 

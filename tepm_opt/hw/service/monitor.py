@@ -22,7 +22,7 @@ SILENT, BOOTING = 0.5, 3.0
 
 @dataclass(frozen=True, eq=False)
 class MonitorReading:
-    """What is known at one time.
+    """Readings of board and tracker at one time.
 
     Attributes:
         time: since the start in s.
@@ -94,7 +94,7 @@ class Monitor:
                 except LinkError as error:
                     self.close()
                     self._gone = str(error)
-            yield self._reading()
+            yield self._read_all()
 
     def close(self) -> None:
         """Give the line free."""
@@ -123,7 +123,7 @@ class Monitor:
         self._torn = None
         return False
 
-    def _reading(self) -> MonitorReading:
+    def _read_all(self) -> MonitorReading:
         status = None if self._link is None else self._link.status
         while self._tracker is not None and (frame := self._tracker.read(0.0)) is not None:
             self._frame = frame

@@ -61,8 +61,8 @@ class Single:
         nothing, off = np.zeros(count), np.zeros(count, dtype=bool)
         return Command(nothing, alone, alone > 0) if self.tension else Command(alone, nothing, off)
 
-    def measured(self, sample: Sample) -> float:
-        """What a sample says of it in Pa or N; NaN where nothing was measured."""
+    def read_measured(self, sample: Sample) -> float:
+        """Read its measured value from a sample in Pa or N; NaN where nothing was measured."""
         values = sample.tensions if self.tension else sample.pressures
         return float("nan") if values is None else float(values[self.actuator])
 
@@ -72,7 +72,7 @@ class Single:
         Raises:
             InputError: naming the limit.
         """
-        calibration, command = Calibration.of(self.robot), self.command(value)
+        calibration, command = Calibration.from_robot(self.robot), self.command(value)
         calibration.to_codes(command.pressures, rig.limits.pressure_max)
         calibration.to_counts(command.tensions, rig.limits.tension_max)
 
@@ -121,7 +121,7 @@ def jog(rig: SerialRig, single: Single, value: float, seconds: float) -> Iterato
     rig.apply(single.command(0.0))
 
 
-def held(now: float, seconds: float) -> bool:
+def is_held(now: float, seconds: float) -> bool:
     """Whether a jog of `seconds` s is held at a time in s since its begin."""
     return RISE <= now / seconds <= RISE + HELD
 
@@ -152,7 +152,7 @@ def settle(rig: SerialRig, single: Single, value: float, least: float = 1.0, mos
     begin, taken = rig.time, []
     while (now := rig.time - begin) < most:
         rig.apply(single.command(value))
-        taken.append((now, single.measured(rig.read())))
+        taken.append((now, single.read_measured(rig.read())))
         times, values = np.array(taken).T
         new, old = values[times > now - WINDOW], values[(times > now - 2 * WINDOW) & (times <= now - WINDOW)]
         if now >= max(least, 2 * WINDOW) and len(old) and abs(np.nanmean(new) - np.nanmean(old)) < STEADY_PA:
@@ -178,7 +178,7 @@ def monitors(rig: SerialRig, single: Single, value: float, seconds: float) -> np
 
 
 @contextmanager
-def holding(rig: SerialRig, command: Command, threaded: bool = True) -> Iterator[None]:
+def keep_sending(rig: SerialRig, command: Command, threaded: bool = True) -> Iterator[None]:
     """Send a command again and again while a person is waited for; a thread does that, so not where time is virtual.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Where the base stands in the tracker's frame, and how the sensors sit on the arm, from a calibration recording.
+"""Pose of the base in the tracker's frame and places of the sensors on the arm, from a calibration recording.
 
 A sensor's pose (R, t) puts its reference point at R h + t; the model puts it at R_z b + t_z, with the base pose (R_z, t_z) sought. This is
 hand–eye calibration (robot–world form) in positions. The start is Umeyama's rigid fit (IEEE TPAMI 13(4), 1991) of b to t with the holders
@@ -23,7 +23,7 @@ OUTLIER = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """What a calibration recording says.
+    """Base pose and holders that were found from a calibration recording.
 
     Attributes:
         rotation_deg: rotation vector from the base frame to the tracker frame G, (3,) in degrees: `mount.base_rotation_deg`.
@@ -75,7 +75,7 @@ def register_base(poses: np.ndarray, base_points: np.ndarray, holders: np.ndarra
     if np.linalg.norm(problem.shifts, axis=1).max() > 20:
         raise InputError("poses: a sensor more than 20 m from the tracker; valid: metres")
     parameters = problem.solve(problem.start(), np.eye(problem.size), "linear", 1.0)
-    basis, notes = problem.told(parameters)
+    basis, notes = problem.find_identifiable_directions(parameters)
     parameters = problem.solve(basis @ (basis.T @ parameters), basis, "linear", 1.0)
     scale = 0.0
     for _ in range(2):  # the second time with the noise of what the first one recognised as good
@@ -111,7 +111,7 @@ class _RegistrationProblem:
 
     def start(self) -> np.ndarray:
         """Parameters of the rigid fit of the points (Umeyama), with the holders given or none."""
-        seen = self.shifts + self._held(np.zeros(self.size))
+        seen = self.shifts + self._rotate_holders(np.zeros(self.size))
         left, _, right = np.linalg.svd((seen - seen.mean(axis=0)).T @ self.arms)
         proper = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
         self.turned = Rotation.from_matrix(left @ proper @ right)
@@ -120,7 +120,7 @@ class _RegistrationProblem:
     def residuals(self, parameters: np.ndarray) -> np.ndarray:
         """Residuals of all poses, (3 · poses,) in m."""
         placed = self._rotation(parameters).apply(self.arms) + parameters[3:6]
-        return (self.shifts + self._held(parameters) - placed).ravel()
+        return (self.shifts + self._rotate_holders(parameters) - placed).ravel()
 
     def jacobian(self, parameters: np.ndarray) -> np.ndarray:
         """Derivatives of the residuals, (3 · poses, parameters)."""
@@ -129,7 +129,7 @@ class _RegistrationProblem:
         rows[:, 0, 1], rows[:, 0, 2] = -z, y
         rows[:, 1, 0], rows[:, 1, 2] = z, -x
         rows[:, 2, 0], rows[:, 2, 1] = -y, x
-        rows[:, :, :3] = rows[:, :, :3] @ _left(parameters[:3] / self.reach)
+        rows[:, :, :3] = rows[:, :, :3] @ _compute_left_jacobian(parameters[:3] / self.reach)
         rows[:, :, 3:6] = -np.eye(3)
         if self.known is None:
             each = rows[:, :, 6:].reshape(len(rows), 3, self.count, 3)
@@ -150,8 +150,8 @@ class _RegistrationProblem:
         self.turned = self._rotation(parameters)
         return np.concatenate([np.zeros(3), parameters[3:]])
 
-    def told(self, parameters: np.ndarray) -> tuple[np.ndarray, list[str]]:
-        """Directions of the parameters that the recording tells, (parameters, directions), and words about the others.
+    def find_identifiable_directions(self, parameters: np.ndarray) -> tuple[np.ndarray, list[str]]:
+        """Find the directions of the parameters that the recording determines, (parameters, directions), and words about the others.
 
         Raises:
             InputError: one of the others has to do with the base pose.
@@ -162,7 +162,7 @@ class _RegistrationProblem:
         weak = directions[strength < WEAK]
         _, shares, of_pose = np.linalg.svd(weak[:, :6])
         if len(weak) and shares[0] > 0.1:
-            raise InputError(f"poses: the base pose cannot be found: {self._missing(of_pose[0])}")
+            raise InputError(f"poses: the base pose cannot be found: {self._explain_open_pose(of_pose[0])}")
         words = []
         for sensor in range(self.count if self.known is None else 0):
             free = weak[:, 6 + 3 * sensor : 9 + 3 * sensor]
@@ -197,7 +197,7 @@ class _RegistrationProblem:
             notes=notes,
         )
 
-    def _missing(self, direction: np.ndarray) -> str:
+    def _explain_open_pose(self, direction: np.ndarray) -> str:
         turn, shift = self.turned.inv().apply(direction[:3]), self.turned.inv().apply(direction[3:6])
         kind, axis = ("rotation about", turn) if np.linalg.norm(turn) > np.linalg.norm(shift) else ("position along", shift)
         named = np.round(axis / np.linalg.norm(axis), 2) + 0.0
@@ -208,12 +208,12 @@ class _RegistrationProblem:
     def _rotation(self, parameters: np.ndarray) -> Rotation:
         return Rotation.from_rotvec(parameters[:3] / self.reach) * self.turned
 
-    def _held(self, parameters: np.ndarray) -> np.ndarray:
+    def _rotate_holders(self, parameters: np.ndarray) -> np.ndarray:
         holders = self.known if self.known is not None else parameters[6:].reshape(-1, 3)
         return np.einsum("nij,nj->ni", self.rotations, holders[self.point])
 
 
-def _left(turn: np.ndarray) -> np.ndarray:
+def _compute_left_jacobian(turn: np.ndarray) -> np.ndarray:
     """Derivative of a turn, as a rotation vector about fixed axes, by its rotation vector (3,) in rad: (3, 3)."""
     angle, cross = float(np.linalg.norm(turn)), np.cross(np.eye(3), turn)
     if angle < 1e-4:

@@ -67,13 +67,13 @@ class ActuationDynamics:
         """
         count = len(self.tension)
         pressure, tension, enabled = command[:, :count], command[:, count : 2 * count], command[0, 2 * count :]
-        pressure = self._quantised(pressure, self.grids[0])
+        pressure = self._quantise(pressure, self.grids[0])
         for stage in self.regulators:
             pressure = stage.step(pressure, duration)
         self.pressure = pressure[1]
         for stage in self.muscles:
             pressure = stage.step(pressure, duration)
-        tension = self._wind(self._quantised(tension, self.grids[1]), enabled, duration)
+        tension = self._wind(self._quantise(tension, self.grids[1]), enabled, duration)
         for stage in self.tendons:
             tension = stage.step(tension, lengths, rates, duration)
         return self.area * pressure - tension
@@ -90,8 +90,8 @@ class ActuationDynamics:
         return out
 
     @staticmethod
-    def _quantised(values: np.ndarray, grid: float) -> np.ndarray:
-        """Set points on their grid, held for a tick, (2, actuators); unchanged where the grid is 0."""
+    def _quantise(values: np.ndarray, grid: float) -> np.ndarray:
+        """Put set points on their grid, held for a tick, (2, actuators); unchanged where the grid is 0."""
         if grid == 0:
             return values
         held = on_grid((values[0] + values[1]) / 2, grid)

@@ -47,7 +47,7 @@ class BenchRig:
         self.robot = one_actuator(self.file.nominal)
         self.time = 0.0
         true = one_actuator(self.file.true_robot)
-        body = Body.of(true, self.file.seed)
+        body = Body.from_robot(true, self.file.seed)
         imperfections = self.file.imperfections.active
         self.actuation = ActuationDynamics(self.file, true)
         self._edges = [stage for item in imperfections.values() if (stage := item.edge_stage(body)) is not None]
@@ -167,7 +167,7 @@ class BenchRig:
 
     def _settle(self) -> None:
         """Rest under the first command; what depends on the length settles with it."""
-        self.actuation.settle(self._commands.between(0, 0)[0])
+        self.actuation.settle(self._commands.evaluate_between(0, 0)[0])
         for _ in range(60):
             axial = self.actuation.force_at_rest(self.true_lengths)
             lengths = self._line.lengths[:, None]
@@ -179,7 +179,7 @@ class BenchRig:
         lengths, rates = line.lengths[:, None], line.rates[:, None]
         if self._edges:
             edges = reduce(np.add, (stage.step(lengths, rates, self._tick) for stage in self._edges))[:, :, 0]
-        command = self._commands.between(self._now, self._now + 1)
+        command = self._commands.evaluate_between(self._now, self._now + 1)
         axial = self.actuation.step(command, lengths.sum(axis=0), rates.sum(axis=0), self._tick)
         push = np.repeat(axial, len(lengths), axis=1)
         line.advance(push if edges is None else push + edges)

@@ -64,12 +64,12 @@ class CompiledMachine(Machine):
         done, arrays = self.network.record(np.array(at, dtype=np.int64), commands, forces)
         self.now = self.network.rig.now
         if done == 0:
-            raise self.diverged(at[0])
+            raise self.make_divergence_error(at[0])
         return Frames(*arrays) if done == len(at) else Frames(*(each[:done] for each in arrays))
 
 
 def _numbers(stage: Stage, kinds: tuple[str, ...]) -> Numbers:
-    """What a stage hands over.
+    """Get the numbers that a stage hands over to the compiled engine.
 
     Raises:
         Unknown: it has nothing to hand over, C does not know it in its place, or it inherits its numbers but not its steps.

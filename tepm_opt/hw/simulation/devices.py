@@ -8,7 +8,7 @@ from zlib import crc32
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between
+from tepm_opt.data.documents import Section, require_range
 from tepm_opt.models.robot import Robot
 
 _ROOT_3 = np.sqrt(3)
@@ -39,7 +39,7 @@ class Stepper(Section):
     """Tendon motors: tension on a grid, changing at most at a rate (0: at once); a disabled one lets its tendon follow without tension."""
 
     quantised: Switch = False
-    rate_limit_N_per_s: Annotated[float, between(0, 1e5, "N/s")] = 0.0
+    rate_limit_N_per_s: Annotated[float, require_range(0, 1e5, "N/s")] = 0.0
 
     def step_of(self, robot: Robot) -> float:
         """Grid of the set points in N, 0 where continuous."""
@@ -50,16 +50,16 @@ class PressureMonitor(Section):
     """The regulators' monitor output: pressure in the muscle behind the lag."""
 
     fitted: Switch = False
-    noise_rms_Pa: Annotated[float, between(0, 1e5, "Pa")] = 0.0
-    offset_Pa: Annotated[float, between(-1e5, 1e5, "Pa")] = 0.0
+    noise_rms_Pa: Annotated[float, require_range(0, 1e5, "Pa")] = 0.0
+    offset_Pa: Annotated[float, require_range(-1e5, 1e5, "Pa")] = 0.0
 
 
 class Dynamometer(Section):
     """Tension at the motor, before slack and friction."""
 
     fitted: Switch = False
-    noise_rms_N: Annotated[float, between(0, 10, "N")] = 0.0
-    offset_N: Annotated[float, between(-10, 10, "N")] = 0.0
+    noise_rms_N: Annotated[float, require_range(0, 10, "N")] = 0.0
+    offset_N: Annotated[float, require_range(-10, 10, "N")] = 0.0
 
 
 class TrackerDevice(Section):
@@ -69,10 +69,10 @@ class TrackerDevice(Section):
     stays lost for `dropout_frames`.
     """
 
-    rate_hz: Annotated[float, between(0.1, 4000, "Hz")] = 100.0
-    latency_s: Annotated[float, between(0, 1, "s")] = 0.0
-    noise_rms_m: Annotated[float, between(0, 0.1, "m")] = 0.0
-    dropout_probability: Annotated[float, between(0, 1, "a point and frame")] = 0.0
+    rate_hz: Annotated[float, require_range(0.1, 4000, "Hz")] = 100.0
+    latency_s: Annotated[float, require_range(0, 1, "s")] = 0.0
+    noise_rms_m: Annotated[float, require_range(0, 0.1, "m")] = 0.0
+    dropout_probability: Annotated[float, require_range(0, 1, "a point and frame")] = 0.0
     dropout_frames: Annotated[int, Field(strict=True, ge=1, le=10000, description="1 … 10000")] = 1
 
 

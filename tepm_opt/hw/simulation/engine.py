@@ -104,10 +104,10 @@ class CompiledNetwork(Network):
         rest[:, 0, LANES + n :] += 1e3 + np.arange(row - LANES - n)  # what fills up is far away
         rest[:, :, LANES - 1 : LANES + n] = self.rest.transpose(1, 2, 0)
         mechanics = {
-            "stiffness": self._filled(body.stiffness),
-            "damping": self._filled(body.damping),
-            "preload": self._filled(body.stiffness * body.rest),
-            "inverse_mass": self._filled(1 / body.mass),
+            "stiffness": self._fill_up(body.stiffness),
+            "damping": self._fill_up(body.damping),
+            "preload": self._fill_up(body.stiffness * body.rest),
+            "inverse_mass": self._fill_up(1 / body.mass),
             "fall": np.array(body.gravity, dtype=float),
             "rest": rest,
             "x": rest.copy(),
@@ -144,8 +144,8 @@ class CompiledNetwork(Network):
         self._kept[name] = np.ascontiguousarray(array)
         return self._kept[name].ctypes.data
 
-    def _filled(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
-        """Values (…, n, channels) by channel, levels side by side and filled up to whole vectors, (…, channels, width)."""
+    def _fill_up(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
+        """Sort values (…, n, channels) by channel, levels side by side and filled up to whole vectors, (…, channels, width)."""
         turned = np.swapaxes(values, -1, -2)
         full = np.full((*turned.shape[:-1], self._width), fill)
         full[..., : self.layout.levels] = turned
@@ -163,7 +163,7 @@ class CompiledNetwork(Network):
             made = (_Stage * len(group))()
             for k, (stage, each) in enumerate(zip(made, group, strict=True)):
                 stage.kind, stage.count = KINDS.index(each.kind), each.count
-                parts = [self._filled(part, 1.0) for part in each.channels] if name == "along" else each.channels
+                parts = [self._fill_up(part, 1.0) for part in each.channels] if name == "along" else each.channels
                 stage.numbers = self._keep(
                     f"{name} {k}", np.concatenate([np.array(each.scalars, dtype=float), *(p.ravel() for p in parts)])
                 )
@@ -230,6 +230,6 @@ class CompiledNetwork(Network):
 
     def forces_at_rest(self, positions: np.ndarray, push: np.ndarray) -> np.ndarray:
         """See `Network`."""
-        forces, place, motors = np.empty_like(positions), np.ascontiguousarray(positions), self._filled(push)
+        forces, place, motors = np.empty_like(positions), np.ascontiguousarray(positions), self._fill_up(push)
         self._library.force_at_rest(self._at, len(place), place.ctypes.data, motors.ctypes.data, forces.ctypes.data)
         return forces

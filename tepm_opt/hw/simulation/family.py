@@ -16,7 +16,7 @@ from tepm_opt.hw.simulation.imperfections.edges import StructuralFriction
 from tepm_opt.hw.simulation.imperfections.pressure import ActuatorGain, PressureHysteresis, RegulatorLag
 from tepm_opt.hw.simulation.imperfections.tendon import TendonFriction
 from tepm_opt.hw.simulation.rigfile import DEFAULT, RigFile, load_rig_file
-from tepm_opt.hw.simulation.scaling import MOST_CLAMPED, fitted
+from tepm_opt.hw.simulation.scaling import MOST_CLAMPED, scale_rig
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot, load_robot
 
@@ -86,8 +86,8 @@ def random_machine(robot: str, seed: int, number: int) -> RigFile:
             "imperfections": _imperfections(base.nominal, drawn),
         }
     )
-    found = fitted(machine, known)
-    scattered = found.imperfections.replaced(ActuatorGain(loss=dict(zip(names, map(float, losses), strict=True))))
+    found = scale_rig(machine, known)
+    scattered = found.imperfections.replace_kinds(ActuatorGain(loss=dict(zip(names, map(float, losses), strict=True))))
     return found.model_copy(update={"name": f"machine {number} of seed {seed}", "robot": robot, "imperfections": scattered})
 
 
@@ -95,7 +95,7 @@ def _imperfections(robot: Robot, drawn: dict[str, float]) -> Imperfections:
     """The imperfections of a machine but for its muscles' losses, for values drawn by the names of `VARIED`."""
     known = robot.actuation
     height = robot.parameters.L_0 / robot.geometry.segments_per_module
-    return Imperfections().replaced(
+    return Imperfections().replace_kinds(
         TimeDelay(delay_s=drawn["delay"]),
         RegulatorLag(fill_s=drawn["filling"] * known.filling_time_s, exhaust_s=drawn["exhausting"] * known.exhausting_time_s),
         StructuralFriction(share=drawn["body_share"]),

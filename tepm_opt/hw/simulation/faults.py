@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from tepm_opt.data.documents import Section, between
+from tepm_opt.data.documents import Section, require_range
 from tepm_opt.errors import unknown_name
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.devices import generator
@@ -32,11 +32,11 @@ class Fault(Section):
 
     kind: Literal["freeze", "repeat", "drop", "delay", "swap", "invalid"]
     of: Annotated[str, Field(min_length=1, description="tracker, a point (s4) or a gauge (pressure_13, tension_21)")] = TRACKER
-    from_s: Annotated[float, between(0, 1e6, "s")] = 0.0
-    until_s: Annotated[float, between(0, 1e6, "s")] | None = None
+    from_s: Annotated[float, require_range(0, 1e6, "s")] = 0.0
+    until_s: Annotated[float, require_range(0, 1e6, "s")] | None = None
     every: Annotated[int, Field(strict=True, ge=2, le=1000, description="2 … 1000: every n-th reading repeats")] | None = None
-    probability: Annotated[float, between(0, 1, "a reading")] | None = None
-    seconds: Annotated[float, between(1e-4, 10, "s")] | None = None
+    probability: Annotated[float, require_range(0, 1, "a reading")] | None = None
+    seconds: Annotated[float, require_range(1e-4, 10, "s")] | None = None
     partner: str | None = Field(default=None, alias="with", min_length=1, description="another point or gauge")
 
     @model_validator(mode="after")

@@ -29,7 +29,7 @@ class Diverged(RuntimeError):  # noqa: N818  it says what happened
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What is there at some steps, one after the other.
+    """Places, pressures and tensions at some steps, one after the other.
 
     Attributes:
         nodes: all nodes in the base frame, (frames, n + 1, actuators, 3) in m.
@@ -73,7 +73,7 @@ class Machine(ABC):
     def __init__(self, file: RigFile) -> None:
         self.robot = file.true_robot
         self.imperfections = file.imperfections.active
-        self.body = Body.of(self.robot, file.seed)
+        self.body = Body.from_robot(self.robot, file.seed)
         for imperfection in self.imperfections.values():
             imperfection.change_body(self.body)
         self.limit = self._limit()
@@ -137,12 +137,12 @@ class Machine(ABC):
         push = np.broadcast_to(self.network.push(axial, edges), lengths.shape)
         forces = self.network.forces_at_rest(positions, push)
         if self.around:
-            tip = self.network.tip(self.network.placed(positions))
-            forces = forces + self.network.at_tip(self._met(tip, np.zeros_like(tip)))
+            tip = self.network.tip(self.network.place_nodes(positions))
+            forces = forces + self.network.at_tip(self._sum_surrounding_forces(tip, np.zeros_like(tip)))
         return forces
 
-    def _met(self, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Force in G that the tip meets where it is, (…, 3) in N."""
+    def _sum_surrounding_forces(self, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Sum the forces in G that the tip meets where it is, (…, 3) in N."""
         return reduce(np.add, (stage.force(place, velocity) for stage in self.around))
 
     @abstractmethod
@@ -158,8 +158,8 @@ class Machine(ABC):
             Diverged: the positions left all bounds before the first of the steps.
         """
 
-    def diverged(self, at: int) -> Diverged:
-        """The error that says that the positions left all bounds before a step, and what can be done."""
+    def make_divergence_error(self, at: int) -> Diverged:
+        """Make the error that says that the positions left all bounds before a step, and what can be done."""
         told = f"the simulation diverged before {at * self.step:.3f} s in steps of {self.step:.3g} s (at rest it bears {self.limit:.3g} s)"
         shorter = f"simulation.step_s is too long (try {self.step / 2:.2g} in a rig file)"
         return Diverged(f"{told}: inputs or loads are more than the robot bears, or {shorter}")

@@ -1,4 +1,4 @@
-"""Which engine moves a rig: the compiled one where it can, MuJoCo where it is asked for or has to."""
+"""Choice of the engine that moves a rig: the compiled one where it can, MuJoCo where it is asked for or has to."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from functools import reduce
 
 import numpy as np
 
-from tepm_opt.hw.simulation.imperfections.session import felt
+from tepm_opt.hw.simulation.imperfections.session import evaluate_shaking
 from tepm_opt.hw.simulation.machine import Frames, Machine
 from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 from tepm_opt.hw.simulation.timeline import Timeline
@@ -31,7 +31,7 @@ class MujocoMachine(Machine):
             nodes = self.network.nodes
             found.append((nodes, self.network.points(nodes), self.actuation.pressure.copy(), self.actuation.tension.copy()))
         if not found:
-            raise self.diverged(at[0])
+            raise self.make_divergence_error(at[0])
         return Frames(*(np.array(each) for each in zip(*found, strict=True)))
 
     def _advance(self, until: int, commands: Timeline, forces: Timeline) -> None:
@@ -46,15 +46,15 @@ class MujocoMachine(Machine):
             edges = reduce(np.add, (stage.step(lengths, rates, duration) for stage in self.edges)) if self.edges else None
             if self.actuation.uses_lengths:
                 lengths, rates = network.of_actuators(lengths), network.of_actuators(rates)
-            axial = self.actuation.step(commands.between(self.now, end), lengths, rates, duration)
+            axial = self.actuation.step(commands.evaluate_between(self.now, end), lengths, rates, duration)
             network.drive(network.push(axial, edges), duration)
-            force = np.mean(forces.between(self.now, end), axis=0)
+            force = np.mean(forces.evaluate_between(self.now, end), axis=0)
             if self.around:
                 motion = network.tip(network.velocities) - network.base
-                force[-1] += self._met(network.tip(network.nodes), motion)
+                force[-1] += self._sum_surrounding_forces(network.tip(network.nodes), motion)
             network.load(force)
             if len(self.shaking):
                 passed = (self.now + end) / 2 * self.step
-                network.fall(self.body.gravity - felt(self.shaking, self.began + passed, passed))
+                network.fall(self.body.gravity - evaluate_shaking(self.shaking, self.began + passed, passed))
             network.advance(end - self.now)
             self.now = end

@@ -1,4 +1,4 @@
-"""What both engines' networks are: nodes in the base frame, and what is seen of them."""
+"""Base of both engines' networks: nodes in the base frame, and what is seen of them."""
 
 from __future__ import annotations
 
@@ -74,10 +74,10 @@ class Network(ABC):
 
     def lengths(self, positions: np.ndarray) -> np.ndarray:
         """Lengths of the vertical edges, (…, n, actuators) in m, at displacements (…, 3 n actuators) in m from the rest geometry."""
-        return np.linalg.norm(np.diff(self.placed(positions), axis=-3), axis=-1)
+        return np.linalg.norm(np.diff(self.place_nodes(positions), axis=-3), axis=-1)
 
-    def placed(self, positions: np.ndarray) -> np.ndarray:
-        """All nodes, (…, n + 1, actuators, 3) in m, at displacements (…, 3 n actuators) in m from the rest geometry."""
+    def place_nodes(self, positions: np.ndarray) -> np.ndarray:
+        """Place all nodes, (…, n + 1, actuators, 3) in m, at displacements (…, 3 n actuators) in m from the rest geometry."""
         nodes = np.broadcast_to(self.rest, (*positions.shape[:-1], *self.rest.shape)).copy()
         nodes[..., 1:, :, :] += positions.reshape(*positions.shape[:-1], self.layout.levels, -1, 3)
         return nodes

@@ -164,13 +164,13 @@ class SimulatedRig:
 
     @property
     def true_points(self) -> np.ndarray:
-        """Where the reference points were in truth at the last sample's time, in the assumed frame G, (points, 3) in m."""
+        """True reference points at the last sample's time, in the assumed frame G, (points, 3) in m."""
         self._start()
         return self._present[1].copy()
 
     @property
     def true_nodes(self) -> np.ndarray:
-        """Where all nodes were in truth at the last sample's time, in G, (n + 1, actuators, 3) in m."""
+        """True places of all nodes at the last sample's time, in G, (n + 1, actuators, 3) in m."""
         self._start()
         return self.machine.network.in_tracker_frame(self._present[0])
 
@@ -191,7 +191,7 @@ class SimulatedRig:
     def _start(self) -> None:
         """Settle, once, before time starts."""
         if not self._settled:
-            self.machine.settle(self._commands.between(0, 0)[0], self._forces.between(0, 0)[0])
+            self.machine.settle(self._commands.evaluate_between(0, 0)[0], self._forces.evaluate_between(0, 0)[0])
             frames = self.machine.record([0], self._commands, self._forces)
             self._present = (frames.nodes[0], frames.points[0])
             self._settled = True
@@ -209,31 +209,31 @@ class SimulatedRig:
         """
         step, tracker, first = self.machine.step, self.file.tracker, self._frame
         told = [round(frame / tracker.rate_hz / step) for frame in range(first, first + count)]
-        at = self._exposed(told)
+        at = self._find_exposures(told)
         frames = self.machine.record(at, self._commands, self._forces)
         self._present, done = (frames.nodes[-1], frames.points[-1]), len(frames.points)
         self._frame += done
         half = 2 * self.machine.network.count
-        commands = [self._commands.between(step, step)[0] for step in at[:done]]
+        commands = [self._commands.evaluate_between(step, step)[0] for step in at[:done]]
         self._commands.forget(at[done - 1])
         self._forces.forget(at[done - 1])
         before, self.time = self.time, told[done - 1] * step + tracker.latency_s
         self._wait(self.time - before)
-        pressures, tensions = self._monitored(frames.pressures), self._weighed(frames.tensions)
+        pressures, tensions = self._measure_pressures(frames.pressures), self._measure_tensions(frames.tensions)
         samples = []
         for k in range(done):
-            points = self._lens.look(self._seen(frames, k, at[k] * step))
+            points = self._lens.look(self._distort_points(frames, k, at[k] * step))
             pressure, tension = (None if of is None else of[k] for of in (pressures, tensions))
             sample = self._faults.apply(Sample(told[k] * step, points, pressure, tension))
             if np.isnan(sample.points).any():
-                sample = replace(sample, status=f"tracker lost {', '.join(self._lost(sample.points))}")
+                sample = replace(sample, status=f"tracker lost {', '.join(self._name_lost_points(sample.points))}")
             pulled = commands[k][half // 2 : half] * commands[k][half:]
             command = np.concatenate([commands[k][: half // 2], pulled])
             samples.append(self._freshness.look(sample, command) if self._watched else sample)
         return samples
 
-    def _exposed(self, told: list[int]) -> list[int]:
-        """Steps at which frames are exposed that say that it was at these: a clock that runs apart, jitter. None is before the last."""
+    def _find_exposures(self, told: list[int]) -> list[int]:
+        """Find the steps at which frames are exposed that tell these steps: a clock that runs apart, jitter. None is before the last."""
         imperfections, step = self.file.imperfections, self.machine.step
         skew, jitter = imperfections.clock_skew, imperfections.sample_jitter
         if not (skew.active or jitter.active):
@@ -243,8 +243,8 @@ class SimulatedRig:
         steps = np.maximum(np.round((time - late) / step).astype(int), self.machine.now)
         return np.maximum.accumulate(steps).tolist()
 
-    def _seen(self, frames: Frames, k: int, time: float) -> np.ndarray:
-        """Reference points of a frame, of a time since the start in s, as the tracker sees them but for its noise, (points, 3) in m."""
+    def _distort_points(self, frames: Frames, k: int, time: float) -> np.ndarray:
+        """Distort a frame's reference points as the tracker sees them but for its noise, a time in s since the start, (points, 3) in m."""
         network, points = self.machine.network, frames.points[k]
         if self._distortions:
             nodes = network.in_tracker_frame(frames.nodes[k])
@@ -258,15 +258,15 @@ class SimulatedRig:
         gauges = file.pressure_monitor.noise_rms_Pa, file.dynamometer.noise_rms_N
         return DeclaredNoise(file.tracker.noise_rms_m / np.sqrt(3), *gauges, point_grid=0.0)
 
-    def _lost(self, points: np.ndarray) -> list[str]:
+    def _name_lost_points(self, points: np.ndarray) -> list[str]:
         return [name for name, point in zip(self.layout.point_names, points, strict=True) if np.isnan(point).any()]
 
-    def _monitored(self, pressures: np.ndarray) -> np.ndarray | None:
+    def _measure_pressures(self, pressures: np.ndarray) -> np.ndarray | None:
         monitor = self.file.pressure_monitor
         noise = monitor.noise_rms_Pa * self._random["pressure_monitor"].normal(size=pressures.shape)
         return pressures + monitor.offset_Pa + noise if monitor.fitted else None
 
-    def _weighed(self, tensions: np.ndarray) -> np.ndarray | None:
+    def _measure_tensions(self, tensions: np.ndarray) -> np.ndarray | None:
         meter = self.file.dynamometer
         noise = meter.noise_rms_N * self._random["dynamometer"].normal(size=tensions.shape)
         return tensions + meter.offset_N + noise if meter.fitted else None

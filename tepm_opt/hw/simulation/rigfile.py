@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, InstanceOf, model_validator
 
-from tepm_opt.data.documents import Section, between, read_toml, validated
+from tepm_opt.data.documents import Section, read_toml, require_range, validate
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.hw.simulation.devices import Dynamometer, PressureMonitor, Regulator, Stepper, TrackerDevice
 from tepm_opt.hw.simulation.faults import Fault
@@ -23,15 +23,15 @@ Engine = Literal["auto", "compiled", "mujoco"]
 
 
 class SimulationSteps(Section):
-    """How the machine is simulated.
+    """Engine and steps of the simulation.
 
     `step_s` is the largest step of RK4 (robots that are too stiff or too light for it get smaller ones), `tick_s` that of the actuators'
     and frictions' states. `engine` is the compiled one where there is a C compiler and MuJoCo elsewhere ("auto"), or always one of them.
     """
 
     engine: Engine = "auto"
-    step_s: Annotated[float, between(1e-6, 1e-3, "s")] = STEP
-    tick_s: Annotated[float, between(1e-6, 2e-3, "s")] = 1e-3
+    step_s: Annotated[float, require_range(1e-6, 1e-3, "s")] = STEP
+    tick_s: Annotated[float, require_range(1e-6, 2e-3, "s")] = 1e-3
 
 
 class RigFile(Section):
@@ -45,7 +45,7 @@ class RigFile(Section):
     robot: Annotated[str, Field(min_length=1, description="a built-in robot or the path of a robot file")] | InstanceOf[Robot]
     seed: Annotated[int, Field(strict=True, ge=0, le=2**32 - 1, description="0 … 2^32 − 1")] = 0
     simulation: SimulationSteps = Field(default_factory=SimulationSteps)
-    parameter_factors: dict[str, Annotated[float, between(0.2, 5, "of the robot's value")]] = Field(default_factory=dict)
+    parameter_factors: dict[str, Annotated[float, require_range(0.2, 5, "of the robot's value")]] = Field(default_factory=dict)
     regulator: Regulator = Field(default_factory=Regulator)
     stepper: Stepper = Field(default_factory=Stepper)
     pressure_monitor: PressureMonitor = Field(default_factory=PressureMonitor)
@@ -110,7 +110,7 @@ def load_rig_file(rig: str | Path = DEFAULT) -> RigFile:
 
 
 def _read(path: Path) -> RigFile:
-    file = validated(RigFile, read_toml(path), str(path))
+    file = validate(RigFile, read_toml(path), str(path))
     if isinstance(file.robot, str) and file.robot not in builtin_robots():
         file = file.model_copy(update={"robot": str(path.parent / file.robot)})
     file.true_robot  # noqa: B018  unreadable robots are refused here, not when the rig starts

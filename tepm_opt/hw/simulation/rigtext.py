@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic.fields import FieldInfo
 
-from tepm_opt.data.documents import Section, described, toml_string
+from tepm_opt.data.documents import Section, find_description, toml_string
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.hw.simulation.rigfile import RigFile
 
@@ -55,7 +55,7 @@ def rig_text(file: RigFile, robot: str, use: str = "--rig sim:FILE") -> str:
             for title, item in (*(pair for pair in items if pair[1].active), *(pair for pair in items if not pair[1].active)):
                 lines += ["", *_section(title, item, item.active)]
         elif name == FACTORS:
-            lines += ["", *_titled(name, REMARKS[name], True), *(f"{key} = {value!r}" for key, value in section.items())]
+            lines += ["", *_write_title(name, REMARKS[name], True), *(f"{key} = {value!r}" for key, value in section.items())]
         elif isinstance(section, Section) and name != "robot":
             lines += ["", *_section(name, section, True)]
     lines += ["", *(f"# {line}" for line in FAULTS)]
@@ -64,22 +64,22 @@ def rig_text(file: RigFile, robot: str, use: str = "--rig sim:FILE") -> str:
     return "\n".join(lines) + "\n"
 
 
-def _titled(title: str, remark: str, on: bool) -> list[str]:
+def _write_title(title: str, remark: str, on: bool) -> list[str]:
     return [f"# {remark}", f"[{title}]" if on else f"# [{title}]"]
 
 
 def _section(title: str, section: Section, on: bool) -> Iterator[str]:
     """A section with its keys; one that is off as a comment."""
-    yield from _titled(title, REMARKS.get(title) or (inspect.getdoc(type(section)) or "").splitlines()[0], on)
+    yield from _write_title(title, REMARKS.get(title) or (inspect.getdoc(type(section)) or "").splitlines()[0], on)
     for name, field in type(section).model_fields.items():
         value = getattr(section, name)
         yield f"{'' if on else '# '}{f'{name} = {_value(value)}':<{KEY}}# {_valid(field, value)}"
 
 
 def _valid(field: FieldInfo, value: Any) -> str:
-    """What a key may be, for its remark."""
+    """Describe the valid values of a key, for its remark."""
     choices = ("true", "false") if isinstance(value, bool) else get_args(field.annotation)
-    valid = field.description or described(field.annotation) or " or ".join(map(str, choices))
+    valid = field.description or find_description(field.annotation) or " or ".join(map(str, choices))
     return f"by actuator or point, {valid}" if isinstance(value, Mapping) else valid
 
 

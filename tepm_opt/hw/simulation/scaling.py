@@ -26,8 +26,8 @@ Ratios = Mapping[str, float]
 """Another robot's magnitudes over the rig's, by the end of a key's name."""
 
 
-def fitted(file: RigFile, robot: Robot) -> RigFile:
-    """A rig as it is, its robot replaced by another one and everything scaled to it; the same rig where the robot is its own.
+def scale_rig(file: RigFile, robot: Robot) -> RigFile:
+    """Replace a rig's robot by another one and scale everything to it; the same rig where the robot is its own.
 
     Args:
         file: of a rig of any robot.
@@ -43,15 +43,15 @@ def fitted(file: RigFile, robot: Robot) -> RigFile:
             "name": f"{file.name} of {robot.name}",
             "robot": robot,
             "stepper": _times(
-                file.stepper, rate_limit_N_per_s=_over(robot.actuation.tension_rate_N_per_s, own.actuation.tension_rate_N_per_s)
+                file.stepper, rate_limit_N_per_s=_divide_or_one(robot.actuation.tension_rate_N_per_s, own.actuation.tension_rate_N_per_s)
             ),
-            "pressure_monitor": _scaled(file.pressure_monitor, ratios),
-            "dynamometer": _scaled(file.dynamometer, ratios),
+            "pressure_monitor": _scale_section(file.pressure_monitor, ratios),
+            "dynamometer": _scale_section(file.dynamometer, ratios),
             "tracker": _times(
                 file.tracker,
-                rate_hz=_over(meant.rate_Hz, told.rate_Hz),
-                latency_s=_over(meant.latency_s, told.latency_s),
-                noise_rms_m=_over(meant.noise_rms_m, told.noise_rms_m),
+                rate_hz=_divide_or_one(meant.rate_Hz, told.rate_Hz),
+                latency_s=_divide_or_one(meant.latency_s, told.latency_s),
+                noise_rms_m=_divide_or_one(meant.noise_rms_m, told.noise_rms_m),
             ),
             "imperfections": _imperfections(file.imperfections, own, robot, ratios),
         }
@@ -67,40 +67,43 @@ def _imperfections(imperfections: Imperfections, own: Robot, robot: Robot, ratio
         if isinstance(item, StructuralFriction):  # bristles sit in edges, which are the stiffer the more of them make a muscle
             finer = robot.geometry.segments_per_module / own.geometry.segments_per_module
             mine = {**ratios, "_N_per_m": finer * ratios["_N_per_m"], "_N_s_per_m": finer * ratios["_N_s_per_m"]}
-        found = _dealt(_scaled(item, mine), *names)
+        found = _dealt(_scale_section(item, mine), *names)
         if isinstance(item, TimeDelay):
-            found = _times(item, delay_s=_over(robot.actuation.command_delay_s, own.actuation.command_delay_s))
+            found = _times(item, delay_s=_divide_or_one(robot.actuation.command_delay_s, own.actuation.command_delay_s))
         if isinstance(item, RegulatorLag):
-            lags = (_over(getattr(robot.actuation, name), getattr(own.actuation, name)) for name in ("filling_time_s", "exhausting_time_s"))
+            lags = (
+                _divide_or_one(getattr(robot.actuation, name), getattr(own.actuation, name))
+                for name in ("filling_time_s", "exhausting_time_s")
+            )
             found = _times(item, **dict(zip(("fill_s", "exhaust_s"), lags, strict=True)))
         if isinstance(found, RigidPlates):
             most = MOST_CLAMPED * robot.parameters.L_0 / robot.geometry.segments_per_module
             found = found.model_copy(update={"clamped_length_m": min(found.clamped_length_m, most)})
         changed.append(found)
-    return imperfections.replaced(*changed)
+    return imperfections.replace_kinds(*changed)
 
 
 def _ratios(own: Robot, robot: Robot) -> dict[str, float]:
     """Magnitudes of another robot over those of the rig's; 1 where there are none, such as the stiffness of a muscle beside a spring."""
     was, now = own.parameters, robot.parameters
     found = {
-        "_Pa": _over(robot.actuation.pressure_max_Pa, own.actuation.pressure_max_Pa),
-        "_N": _over(robot.actuation.tension_max_N, own.actuation.tension_max_N),
-        "_m": _over(now.L_0, was.L_0),
-        "_kg": _over(now.m_d, was.m_d),
-        "_N_per_m": _over(now.K_a, was.K_a),
-        "_N_s_per_m": _over(now.c_a, was.c_a),
+        "_Pa": _divide_or_one(robot.actuation.pressure_max_Pa, own.actuation.pressure_max_Pa),
+        "_N": _divide_or_one(robot.actuation.tension_max_N, own.actuation.tension_max_N),
+        "_m": _divide_or_one(now.L_0, was.L_0),
+        "_kg": _divide_or_one(now.m_d, was.m_d),
+        "_N_per_m": _divide_or_one(now.K_a, was.K_a),
+        "_N_s_per_m": _divide_or_one(now.c_a, was.c_a),
     }
     return {end: ratio or 1.0 for end, ratio in found.items()}
 
 
-def _over(value: float, own: float) -> float:
-    """Ratio of two magnitudes; 1 where there is none to compare with."""
+def _divide_or_one(value: float, own: float) -> float:
+    """Divide two magnitudes; 1 where there is none to compare with."""
     return value / own if own else 1.0
 
 
-def _scaled(section: Any, ratios: Ratios) -> Any:
-    """A section whose numbers are scaled by the ratio of what the end of their name says is their unit."""
+def _scale_section(section: Any, ratios: Ratios) -> Any:
+    """Scale the numbers of a section by the ratio of their unit, which the end of their name tells."""
     ends = sorted(ratios, key=len, reverse=True)
     rules = {name: next((ratios[end] for end in ends if name.endswith(end)), 1.0) for name in type(section).model_fields}
     return _times(section, **rules)

@@ -69,8 +69,8 @@ class Timeline:
         """The knot at a step or the last one before it."""
         return bisect_right(self._steps, at, self.first, self.end) - 1
 
-    def between(self, start: int, end: int) -> np.ndarray:
-        """Values at two steps with no knot between them, (2, …): from the right at the first, from the left at the second."""
+    def evaluate_between(self, start: int, end: int) -> np.ndarray:
+        """Evaluate at two steps with no knot between them, (2, …): from the right at the first, from the left at the second."""
         k = self._knot(start)
         at, value = self._steps[k], self.values[k]
         if not self.moves[k]:

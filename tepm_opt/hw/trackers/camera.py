@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Number, Section, Vector, between, read_json, read_toml, validated
+from tepm_opt.data.documents import Number, Section, Vector, read_json, read_toml, require_range, validate
 from tepm_opt.hw.trackers.receiver import CONNECT_S, require_package
 
 Pixels = Annotated[int, Field(strict=True, ge=16, le=20000, description="16 … 20000 px")]
@@ -30,7 +30,7 @@ class CameraCalibration(Section):
     height_px: Pixels
     matrix_px: Annotated[tuple[Vector, Vector, Vector], Field(description="three rows of three numbers")]
     distortion: Annotated[tuple[Number, ...], Field(max_length=14, description="up to 14 numbers")] = ()
-    reprojection_px: Annotated[float, between(0, 100, "px")] = 0.0
+    reprojection_px: Annotated[float, require_range(0, 100, "px")] = 0.0
 
     @property
     def matrix(self) -> np.ndarray:
@@ -45,7 +45,7 @@ def read_calibration(path: str | Path) -> CameraCalibration:
         InputError: it cannot be read, or is none.
     """
     is_json = Path(path).suffix.lower() == ".json"
-    return validated(CameraCalibration, read_json(Path(path), "tepm hw calibrate camera") if is_json else read_toml(path), str(path))
+    return validate(CameraCalibration, read_json(Path(path), "tepm hw calibrate camera") if is_json else read_toml(path), str(path))
 
 
 def calibration_text(calibration: CameraCalibration, notes: Sequence[str]) -> str:

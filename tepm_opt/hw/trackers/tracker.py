@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
 
-from tepm_opt.data.documents import Section, validated
+from tepm_opt.data.documents import Section, validate
 from tepm_opt.errors import InputError
 from tepm_opt.hw.trackers.frames import STALE_PERIODS, Frame, FrameAssembler, TrackerStatistics
 from tepm_opt.hw.trackers.receiver import Inbox, Receiver
@@ -72,7 +72,7 @@ class TrackerKind:
         Raises:
             InputError: an option that there is not, or a wrong value.
         """
-        return validated(self.options, link.options, f"hardware.tracker.options of {self.name}")
+        return validate(self.options, link.options, f"hardware.tracker.options of {self.name}")
 
 
 class LiveTracker:

@@ -19,7 +19,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.devices import Devices
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.allocation import allocate
 from tepm_opt.solvers.choices import ActuationMode, Objective
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
@@ -193,7 +193,7 @@ def _plan(
 
     configurations = []
     each = each_configuration(model, targets, ActuationMode.HYBRID, None, mid)
-    for found in counted(each, progress, "inverse kinematics", len(targets)):
+    for found in track(each, progress, "inverse kinematics", len(targets)):
         if not found.solved:
             return none(Ending.OUT_OF_REACH, f"({', '.join(f'{v:g}' for v in found.target)}): {found.outcome.message}")
         configurations.append(found)

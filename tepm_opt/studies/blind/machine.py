@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.data.documents import validated
+from tepm_opt.data.documents import validate
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.simulation.imperfections.base import Body
@@ -78,7 +78,7 @@ def rig_file(robot: Robot, deviation: Deviation, noise: float, seed: int = 0, ra
     Raises:
         InputError: a value that no rig has.
     """
-    return validated(
+    return validate(
         RigFile,
         {
             "name": "hidden",
@@ -125,5 +125,5 @@ def _seen(file: RigFile, acting: SetPoints, noise: int, began: float) -> np.ndar
     rig.schedule(acting)
     points = np.array([sample.points for sample in rig.read_many(len(acting.time))])
     if len(points) < len(acting.time):
-        raise rig.machine.diverged(rig.machine.now)
+        raise rig.machine.make_divergence_error(rig.machine.now)
     return points

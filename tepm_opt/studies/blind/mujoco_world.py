@@ -59,7 +59,7 @@ class MujocoWorld:
         mujoco.set_mju_user_warning(lambda text: None)
         values = robot.parameters.model_dump()
         changed = {name: values[name] * factor for name, factor in machine.factors.items()}
-        self.body = Body.of(robot.model_copy(update={"parameters": robot.parameters.model_copy(update=changed)}))
+        self.body = Body.from_robot(robot.model_copy(update={"parameters": robot.parameters.model_copy(update=changed)}))
         spec = mujoco.MjSpec.from_string(network_xml(self.body, STEP))
         self._equip(spec)
         if machine.build is not None:

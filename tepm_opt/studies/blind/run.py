@@ -22,7 +22,7 @@ from tepm_opt.jobs.discrepancy import VERDICT, run_discrepancy
 from tepm_opt.jobs.executors import processes
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.progress import Progress, counted, silent
+from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.parallel import cores, on_cores
 from tepm_opt.studies.blind.analysis import Analysis, analysed
 from tepm_opt.studies.blind.table import markdown
@@ -167,7 +167,7 @@ def write_trials(folder: str | Path, trials: int, seed: int = 0, family: str | N
         InputError: no such family; the folder cannot be written to.
     """
     folder = output_folder(folder)
-    for trial in counted([Trial.numbered(seed, number, family) for number in range(trials)], progress, "data sets", trials):
+    for trial in track([Trial.numbered(seed, number, family) for number in range(trials)], progress, "data sets", trials):
         make(trial).write(folder, f"{trial.family}_{trial.number:03d}")
 
 

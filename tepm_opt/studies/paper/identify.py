@@ -65,7 +65,7 @@ def rig_with(base: RigFile, values: np.ndarray) -> RigFile:
     content["parameter_factors"] |= {name: of[name] for name in FACTORS}
     parts, side = base.imperfections, (of["mass_side_x"], of["mass_side_y"])
     toward = {"fraction": float(np.hypot(*side)), "toward_deg": float(np.rad2deg(np.arctan2(side[1], side[0])))}
-    changed = parts.replaced(
+    changed = parts.replace_kinds(
         parts.rigid_plates.model_copy(update={"clamped_length_m": of["clamped_length_m"]}),
         parts.mass_distribution.model_copy(update={"fraction": of["mass_fraction"]}),
         parts.uneven_mass.model_copy(update=toward),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tepm_opt.data.importing.maps import Format, ImportMap, Quantity, TimeMap, wanted
+from tepm_opt.data.importing.maps import Format, ImportMap, Quantity, TimeMap, resolve_entries
 from tepm_opt.data.importing.units import UNITS
 from tests.data.made import CHANNELS, NAMES
 
@@ -20,7 +20,7 @@ MAPS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 def test_maps(text: str) -> None:
     assert len(text.splitlines()) <= 15
     given = ImportMap.model_validate(tomllib.loads(text))
-    filled = [target for each in wanted(given, CHANNELS if given.robot else None, "map.toml") for target in each.targets]
+    filled = [target for each in resolve_entries(given, CHANNELS if given.robot else None, "map.toml") for target in each.targets]
     assert set(filled) <= {*NAMES.columns, "force", "encoder"}
     assert len(filled) > 1
 

@@ -106,7 +106,7 @@ def test_a_drive(tmp_path: Path) -> None:
     files = [source(f"{DRIVE}/{name}.mat") for name in ("DATA_EMPS", "DATA_EMPS_PULSES")]
     run = made(files, EMPS, tmp_path)
     assert "DATA_EMPS_PULSES.csv is for validation, being the last" in "\n".join(run.notes)
-    trials = read_trials(tmp_path / "out", Signals.of(["force"], ["encoder"], "m"))
+    trials = read_trials(tmp_path / "out", Signals.from_names(["force"], ["encoder"], "m"))
     from scipy.io import loadmat
 
     raw = loadmat(files[0])
@@ -130,7 +130,7 @@ noise.p4 = 1e-3
 """
     path = source(f"{TENTACLE}/m1_u015.csv")
     made([path], text, tmp_path)
-    trials = read_trials(tmp_path / "out", Signals.of(["tension_1", "tension_2"], ["p4"], "m", axes=("x", "y", "z")))
+    trials = read_trials(tmp_path / "out", Signals.from_names(["tension_1", "tension_2"], ["p4"], "m", axes=("x", "y", "z")))
     raw = np.loadtxt(path, delimiter=",")
     assert trials.runs[0].points[:, 0].mean(axis=0) == pytest.approx(raw[:, 2:5].mean(axis=0), abs=1e-4)
     assert np.unique(trials.runs[0].inputs).tolist() == [0.0, 4.6154]
@@ -147,7 +147,7 @@ noise.y = 1e-3
     path = source("benchmarks/silverbox/SNLS80mV.csv")
     made([path], text, tmp_path)
     raw = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 1))
-    (run,) = read_trials(tmp_path / "out", Signals.of(["v"], ["y"], "V")).runs
+    (run,) = read_trials(tmp_path / "out", Signals.from_names(["v"], ["y"], "V")).runs
     assert run.inputs[:, 0] == pytest.approx(raw[:, 0], abs=1e-12)
     assert run.points[:, 0, 0] == pytest.approx(raw[:, 1], abs=1e-9)
 
@@ -158,6 +158,6 @@ def test_two_tanks(tmp_path: Path) -> None:
     path = source("benchmarks/cascaded_tanks/dataBenchmark.csv")
     made([path], text, tmp_path)
     raw = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 2))
-    (run,) = read_trials(tmp_path / "out", Signals.of(["pump"], ["level"], "V")).runs
+    (run,) = read_trials(tmp_path / "out", Signals.from_names(["pump"], ["level"], "V")).runs
     assert run.points[:, 0, 0] == pytest.approx(raw[:, 1], abs=1e-9)
     assert run.time[1] == 4.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tepm_opt.data.importing.resample import ATTENUATION, PASS, Clock, commanded, grid_of, measured, taps
+from tepm_opt.data.importing.resample import ATTENUATION, PASS, Clock, grid_of, resample_commanded, resample_measured, taps
 from tests.data.importing.layouts import even, jittering
 
 RATE = 50.0
@@ -17,7 +17,7 @@ MIDDLE = slice(50, 250)  # of six seconds: the filter is as long as 36 rows
 
 def on_grid(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     grid = grid_of(0.0, 6.0, RATE)
-    return grid, measured(Clock(time), values, grid, RATE)
+    return grid, resample_measured(Clock(time), values, grid, RATE)
 
 
 @pytest.mark.parametrize("source", [100.0, 240.0, 1000.0])
@@ -87,14 +87,14 @@ def test_what_is_put_in_is_never_filtered() -> None:
     grid = grid_of(0.0, 6.0, RATE)
     step = np.where(time < 3.003, 0.0, 1e5)
     for hold in (False, True):
-        found = commanded(Clock(time), step, grid, hold)
+        found = resample_commanded(Clock(time), step, grid, hold)
         assert np.unique(found).tolist() == [0.0, 1e5]
         assert found[grid < 3].max() == 0
         assert found[grid > 3.0043].min() == 1e5
 
 
 def test_a_held_command_has_no_value_before_its_first() -> None:
-    found = commanded(Clock(np.array([1.0, 2.0, 3.0])), np.array([np.nan, 5.0, np.nan]), np.array([1.5, 2.0, 2.5, 9.0]), hold=True)
+    found = resample_commanded(Clock(np.array([1.0, 2.0, 3.0])), np.array([np.nan, 5.0, np.nan]), np.array([1.5, 2.0, 2.5, 9.0]), hold=True)
     assert found.tolist()[1:] == [5.0, 5.0, 5.0]
     assert np.isnan(found[0])
 
@@ -104,5 +104,5 @@ def test_a_straight_line_stays(source: float, size: int, seed: int) -> None:
     """At any rate and size, up to the ends."""
     time = jittering(source, seed, by=0.5)
     grid = grid_of(time[0], time[-1], 20.0)
-    found = measured(Clock(time), size * (time - 2), grid, 20.0)
+    found = resample_measured(Clock(time), size * (time - 2), grid, 20.0)
     assert found == pytest.approx(size * (grid - 2), abs=1e-4 * size)

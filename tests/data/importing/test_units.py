@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tepm_opt.data.importing.maps import ImportMap, wanted
+from tepm_opt.data.importing.maps import ImportMap, resolve_entries
 from tepm_opt.data.importing.units import UNITS, factor, nearest
 from tepm_opt.errors import InputError
 
@@ -50,6 +50,6 @@ def test_there_and_back(pair: tuple[str, str], scale: float, offset: float, valu
     """An entry's unit, scale and offset undo what a laboratory did to a value in SI."""
     entry: dict[str, Any] = {"column": "v", "unit": pair[1], "scale": scale, "offset": offset}
     given_map = ImportMap.model_validate({"outputs": {"y": entry}, "noise": {"y": 1.0}})
-    (only,) = wanted(given_map, None, "map.toml")
+    (only,) = resolve_entries(given_map, None, "map.toml")
     written = (value / factor(pair[1], pair[0]) - offset) / scale
     assert only.si * (only.source.scale * written + only.source.offset) == pytest.approx(value, rel=1e-9, abs=1e-6)

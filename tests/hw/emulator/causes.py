@@ -11,7 +11,7 @@ from tepm_opt.hw.board.protocol import Fault
 from tepm_opt.models.robot import load_robot
 from tests.hw.emulator import CHANNELS, HZ
 
-LIMITS = Limits.of(load_robot("kang2017"))
+LIMITS = Limits.from_robot(load_robot("kang2017"))
 DYNAMOMETER_HIGH = 31130
 JUMP = 2500
 """Counts between two samples that may be taken for a loose contact."""

@@ -14,7 +14,7 @@ from tests.hw.emulator import Board
 ALL = 0x3F
 ZERO = 3277
 """Counts of a dynamometer without tension."""
-LIMITS_CHECK = Limits.of(load_robot("kang2017")).check
+LIMITS_CHECK = Limits.from_robot(load_robot("kang2017")).check
 
 
 class Host:

@@ -36,7 +36,7 @@ class World:
         self._unwound = np.zeros(6, dtype=int)  # where each motor stood when its tendon last ran free
         if rig is not None:
             board.follow(False)
-            self._calibration = Calibration.of(rig.robot)
+            self._calibration = Calibration.from_robot(rig.robot)
             rig.true_points  # noqa: B018  settles
             self._couple()
 
@@ -67,14 +67,16 @@ class World:
         frames = machine.record([now], rig._commands, rig._forces)
         rig._present = (frames.nodes[0], frames.points[0])
         rig._commands.forget(now)
-        measured = [values[0] for values in (rig._monitored(frames.pressures), rig._weighed(frames.tensions)) if values is not None]
+        measured = [
+            values[0] for values in (rig._measure_pressures(frames.pressures), rig._measure_tensions(frames.tensions)) if values is not None
+        ]
         for k, (pressure, tension) in enumerate(zip(*measured, strict=True)):
             board.monitor(k, (calibration.monitor_zero + calibration.monitor * pressure)[k] * 5 / 32768)
             board.dynamometer(k, round((calibration.counts_zero + calibration.counts * tension)[k]))
         tracker = rig.file.tracker
         if self.time >= self._due / tracker.rate_hz - 1e-9:
             self._due += 1
-            points = rig._lens.look(rig._seen(frames, 0, self.time))
+            points = rig._lens.look(rig._distort_points(frames, 0, self.time))
             lost = [f"s{k + 1}" for k in range(len(points)) if np.isnan(points[k]).any()]
             status = f"tracker lost {', '.join(lost)}" if lost else "ok"
             self.frames.append((self.time + tracker.latency_s, Frame(self.time, points, np.full((4, 4, 4), np.nan), status)))

@@ -266,7 +266,7 @@ HOST_SLIPS = (
     Slip(
         "a line that is gone looks silent",
         f"{BOARD}/link.py",
-        "        except OSError as error:\n            raise _gone(error) from error\n        except LinkError",
+        "        except OSError as error:\n            raise _convert_to_link_error(error) from error\n        except LinkError",
         "        except OSError:\n            pass\n        except LinkError",
     ),
 )

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between
+from tepm_opt.data.documents import Section, require_range
 from tepm_opt.hw.simulation.imperfections.around import TetheredTip, TipDrag, TipWall
 from tepm_opt.hw.simulation.imperfections.base import Imperfection
 from tepm_opt.hw.simulation.imperfections.body import (
@@ -40,7 +40,7 @@ class TimeDelay(Imperfection):
 
     of_one_actuator: ClassVar[bool] = True
     of_devices: ClassVar[bool] = True
-    delay_s: Annotated[float, between(0, 10, "s")] = 0.0
+    delay_s: Annotated[float, require_range(0, 10, "s")] = 0.0
 
 
 class Imperfections(Section):
@@ -87,8 +87,8 @@ class Imperfections(Section):
         """Imperfections of which only those act that `kept` is true for."""
         return self.model_copy(update={name: type(item)() for name, item in self if not kept(item)})
 
-    def replaced(self, *others: Imperfection) -> Imperfections:
-        """Imperfections with each of the given ones in the place of the one of its kind."""
+    def replace_kinds(self, *others: Imperfection) -> Imperfections:
+        """Put each of the given imperfections in the place of the one of its kind."""
         by_kind = {type(other): other for other in others}
         return self.model_copy(update={name: by_kind.get(type(item), item) for name, item in self})
 

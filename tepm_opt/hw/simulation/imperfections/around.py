@@ -1,4 +1,4 @@
-"""What the tip meets around it (foreign to SPEC section 5): a wall, a hose tied to it, drag. Places and forces are in the frame G."""
+"""Surroundings that the tip meets (foreign to SPEC section 5): a wall, a hose tied to it, drag. Places and forces are in the frame G."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Number, between
+from tepm_opt.data.documents import Number, require_range
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.imperfections.base import Imperfection, Numbers, TipStage
 from tepm_opt.hw.simulation.imperfections.body import Vector
@@ -41,8 +41,8 @@ class Wall:
 class TipWall(Imperfection):
     """The tip cannot go far beyond a plane through `place_m`; `normal` points to the free side."""
 
-    stiffness_N_per_m: Annotated[float, between(0, 2000, "N/m")] = 0.0
-    damping_N_s_per_m: Annotated[float, between(0, 10, "N s/m")] = 1.0
+    stiffness_N_per_m: Annotated[float, require_range(0, 2000, "N/m")] = 0.0
+    damping_N_s_per_m: Annotated[float, require_range(0, 10, "N s/m")] = 1.0
     place_m: Place = (0.1, 0.0, 0.3)
     normal: Vector = (-1.0, 0.0, 0.0)
 
@@ -70,7 +70,7 @@ class Tether:
 class TetheredTip(Imperfection):
     """A hose that pulls the tip to where it is tied, like a spring."""
 
-    stiffness_N_per_m: Annotated[float, between(0, 200, "N/m")] = 0.0
+    stiffness_N_per_m: Annotated[float, require_range(0, 200, "N/m")] = 0.0
     place_m: Place = (0.0, 0.0, 0.35)
 
     def tip_stage(self, robot: Robot) -> TipStage:
@@ -93,7 +93,7 @@ class Drag:
 class TipDrag(Imperfection):
     """A tool at the tip that is dragged through air or water."""
 
-    size_N_s2_per_m2: Annotated[float, between(0, 20, "N s²/m²")] = 0.0
+    size_N_s2_per_m2: Annotated[float, require_range(0, 20, "N s²/m²")] = 0.0
 
     def tip_stage(self, robot: Robot) -> TipStage:
         return Drag(self.size_N_s2_per_m2)

@@ -1,4 +1,4 @@
-"""What an imperfection of a rig is: sizes in a rig file, zero where it vanishes, and only the hooks that it needs.
+"""Imperfections of a rig: sizes in a rig file, zero where they vanish, and only the hooks that they need.
 
 None of these forms is taken from the model's own effects: each is written in another functional form, so that a test of the
 model on the rig proves something.
@@ -56,8 +56,8 @@ class Body:
     seed: int = 0
 
     @staticmethod
-    def of(robot: Robot, seed: int = 0) -> Body:
-        """The nominal network of a robot."""
+    def from_robot(robot: Robot, seed: int = 0) -> Body:
+        """Make the nominal network of a robot."""
         layout, value = Layout.from_robot(robot), robot.parameters
         nodes = layout.rest_positions(value.r, value.L_0)
         factors = {VERTICAL: (1.0, 1.0), HORIZONTAL: (value.alpha_1, value.beta_1)}
@@ -78,7 +78,7 @@ class Body:
 
     @property
     def upright(self) -> np.ndarray:
-        """Which edges are not horizontal (the ones that lie along a segment), (edges,)."""
+        """Whether each edge is not horizontal (it lies along a segment), (edges,)."""
         return np.array([edge.kind != HORIZONTAL for edge in self.layout.edges])
 
     @property
@@ -107,10 +107,10 @@ class Numbers:
 
 
 class Stage(Protocol):
-    """What every stage has besides the Protocols below. One without `numbers`, of a package of your own, runs on MuJoCo's engine only."""
+    """A stage of the machine; the Protocols below add to it. One without `numbers`, of your own package, runs on MuJoCo's engine only."""
 
     def numbers(self) -> Numbers:
-        """What the compiled engine begins with, once the stage has settled."""
+        """Numbers with which the compiled engine begins, once the stage has settled."""
         ...
 
 
@@ -167,7 +167,7 @@ class TipStage(Stage, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What a sensor's imperfection may know.
+    """Knowledge of a sensor's imperfection about the robot that it measures.
 
     Attributes:
         points: reference points as measured so far, in G, (points, 3) in m.
@@ -263,7 +263,7 @@ class Imperfection(Section):
         return None
 
     def shaking(self, body: Body) -> np.ndarray | None:
-        """How the base moves, if it does: angular frequency, phase and acceleration in the base frame of sines, (sines, 5), SI."""
+        """Motion of the base, if it moves: angular frequency, phase and acceleration in the base frame of sines, (sines, 5), SI."""
         return None
 
     def measure(self, measured: Sighting) -> np.ndarray:

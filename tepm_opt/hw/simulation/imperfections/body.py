@@ -8,13 +8,13 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.data.documents import Number, between
+from tepm_opt.data.documents import Number, require_range
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.imperfections.base import Body, Imperfection
 from tepm_opt.models.layout import DIAGONAL, Edge, Layout
 
 Vector = Annotated[tuple[Number, Number, Number], Field(description="three numbers")]
-Offset = Annotated[float, between(-1, 1, "m")]
+Offset = Annotated[float, require_range(-1, 1, "m")]
 
 
 class Payload(Imperfection):
@@ -23,7 +23,7 @@ class Payload(Imperfection):
     The tip nodes share it so that its centre of mass is right: with weights 1/m + (the smallest ones that give the moment).
     """
 
-    mass_kg: Annotated[float, between(0, 10, "kg")] = 0.0
+    mass_kg: Annotated[float, require_range(0, 10, "kg")] = 0.0
     eccentricity_m: tuple[Offset, Offset] = (0.0, 0.0)
 
     def change_body(self, body: Body) -> None:
@@ -41,8 +41,8 @@ class MassDistribution(Imperfection):
     With one segment a module the base carries half of the first module's holders.
     """
 
-    fraction: Annotated[float, between(0, 0.95, "of the module's mass")] = 0.0
-    holder_share: Annotated[float, between(0, 1, "of the fraction")] = 0.0
+    fraction: Annotated[float, require_range(0, 0.95, "of the module's mass")] = 0.0
+    holder_share: Annotated[float, require_range(0, 1, "of the fraction")] = 0.0
 
     def change_body(self, body: Body) -> None:
         layout = body.layout
@@ -56,9 +56,9 @@ class MassDistribution(Imperfection):
 class UnevenMass(Imperfection):
     """Nodes of unequal mass: heavier towards one side and, besides, scattered at random; the total mass stays."""
 
-    fraction: Annotated[float, between(-0.9, 0.9, "of a node's mass")] = 0.0
-    toward_deg: Annotated[float, between(-360, 360, "deg about z")] = 0.0
-    scatter: Annotated[float, between(0, 0.3, "of a node's mass, 1 sigma")] = 0.0
+    fraction: Annotated[float, require_range(-0.9, 0.9, "of a node's mass")] = 0.0
+    toward_deg: Annotated[float, require_range(-360, 360, "deg about z")] = 0.0
+    scatter: Annotated[float, require_range(0, 0.3, "of a node's mass, 1 sigma")] = 0.0
 
     def change_body(self, body: Body) -> None:
         side = self.fraction * np.cos(body.robot.angles - np.deg2rad(self.toward_deg))
@@ -75,7 +75,7 @@ class RigidPlates(Imperfection):
     A segment of height h with the clamped length d has h / (h − d) of its stiffness, in its vertical and diagonal edges.
     """
 
-    clamped_length_m: Annotated[float, between(0, 1, "m")] = 0.0
+    clamped_length_m: Annotated[float, require_range(0, 1, "m")] = 0.0
 
     def change_body(self, body: Body) -> None:
         layout, height = body.layout, body.robot.parameters.L_0 / body.layout.segments
@@ -94,7 +94,7 @@ class SoftPart(Imperfection):
     Segments count from 1 at the base; those from `first` to `last` lose a part of their stiffness.
     """
 
-    loss: Annotated[float, between(-1, 0.9, "of the stiffness")] = 0.0
+    loss: Annotated[float, require_range(-1, 0.9, "of the stiffness")] = 0.0
     first: Annotated[int, Field(strict=True, ge=1, description="1 … number of segments")] = 1
     last: Annotated[int, Field(strict=True, ge=1, description="1 … number of segments")] = 1
 
@@ -107,7 +107,7 @@ class SoftPart(Imperfection):
 class TwistedBody(Imperfection):
     """Muscles and braces wound round the body: diagonals of one hand are longer by a part of their length, those of the other shorter."""
 
-    strain: Annotated[float, between(-0.2, 0.2, "of the diagonals' length")] = 0.0
+    strain: Annotated[float, require_range(-0.2, 0.2, "of the diagonals' length")] = 0.0
 
     def change_body(self, body: Body) -> None:
         hand = [_hand(edge, body.layout) for edge in body.layout.edges]

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from tepm_opt.data.documents import between
+from tepm_opt.data.documents import require_range
 from tepm_opt.hw.simulation.imperfections.base import Body, EdgeStage, Imperfection, Numbers
 from tepm_opt.hw.simulation.imperfections.lugre import LuGre
 
@@ -45,12 +45,12 @@ class StructuralFriction(Imperfection):
     """
 
     of_one_actuator: ClassVar[bool] = True
-    sliding_N: Annotated[float, between(0, 100, "N")] = 0.0
-    share: Annotated[float, between(0, 0.9, "of the elastic force")] = 0.0
-    breakaway_ratio: Annotated[float, between(1, 5, "of the sliding friction")] = 1.0
-    stribeck_m_per_s: Annotated[float, between(1e-6, 1, "m/s")] = 1e-3
-    bristle_stiffness_N_per_m: Annotated[float, between(10, 1e5, "N/m")] = 5000.0
-    bristle_damping_N_s_per_m: Annotated[float, between(0, 10, "N s/m")] = 2.0
+    sliding_N: Annotated[float, require_range(0, 100, "N")] = 0.0
+    share: Annotated[float, require_range(0, 0.9, "of the elastic force")] = 0.0
+    breakaway_ratio: Annotated[float, require_range(1, 5, "of the sliding friction")] = 1.0
+    stribeck_m_per_s: Annotated[float, require_range(1e-6, 1, "m/s")] = 1e-3
+    bristle_stiffness_N_per_m: Annotated[float, require_range(10, 1e5, "N/m")] = 5000.0
+    bristle_damping_N_s_per_m: Annotated[float, require_range(0, 10, "N s/m")] = 2.0
 
     def longest_tick(self, body: Body) -> float:
         return body.damping[:, body.verticals].min() / self.bristle_stiffness_N_per_m
@@ -93,9 +93,9 @@ class Creep(Imperfection):
     """
 
     of_one_actuator: ClassVar[bool] = True
-    fraction: Annotated[float, between(0, 5, "of the stiffness")] = 0.0
+    fraction: Annotated[float, require_range(0, 5, "of the stiffness")] = 0.0
     time_constants_s: Annotated[
-        tuple[Annotated[float, between(1e-3, 1e4, "s")], ...], Field(min_length=1, max_length=8, description="1 … 8 time constants")
+        tuple[Annotated[float, require_range(1e-3, 1e4, "s")], ...], Field(min_length=1, max_length=8, description="1 … 8 time constants")
     ] = (0.4, 2.5, 15.0)
 
     def longest_tick(self, body: Body) -> float:
@@ -108,7 +108,7 @@ class Creep(Imperfection):
 
 
 class Exponential:
-    """What an exponential law adds to a linear spring when stretched: k ℓ_0 ((exp(b ε) − 1) / b − ε)."""
+    """Force that an exponential law adds to a linear spring when stretched: k ℓ_0 ((exp(b ε) − 1) / b − ε)."""
 
     def __init__(self, stiffness: np.ndarray, rest: np.ndarray, growth: float) -> None:
         self.stiffness, self.rest, self.growth = stiffness, rest, growth
@@ -128,7 +128,7 @@ class StiffnessHardening(Imperfection):
     """Stiffness that grows as exp(growth · strain) with the stretch (Fung's law), not with compression."""
 
     of_one_actuator: ClassVar[bool] = True
-    growth: Annotated[float, between(0, 20, "a unit of strain")] = 0.0
+    growth: Annotated[float, require_range(0, 20, "a unit of strain")] = 0.0
 
     @model_validator(mode="after")
     def _not_tiny(self) -> StiffnessHardening:

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import between
+from tepm_opt.data.documents import require_range
 from tepm_opt.hw.simulation.imperfections.base import Imperfection, Numbers, PressureStage, StaticMap, of_actuators
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
@@ -41,8 +41,8 @@ class RegulatorLag(Imperfection):
     of_one_actuator: ClassVar[bool] = True
     of_devices: ClassVar[bool] = True
     of_regulators: ClassVar[bool] = True
-    fill_s: Annotated[float, between(0, 30, "s")] = 0.0
-    exhaust_s: Annotated[float, between(0, 30, "s")] = 0.0
+    fill_s: Annotated[float, require_range(0, 30, "s")] = 0.0
+    exhaust_s: Annotated[float, require_range(0, 30, "s")] = 0.0
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
         return UnequalLag(self.fill_s, self.exhaust_s)
@@ -52,8 +52,8 @@ class PressureDeadZone(Imperfection):
     """Softplus: p_eff = s ln(1 + exp((p − p_0) / s)), shifted to be zero at zero pressure; the bladder has to be pressed on."""
 
     of_one_actuator: ClassVar[bool] = True
-    threshold_Pa: Annotated[float, between(0, 1e6, "Pa")] = 0.0
-    softness_Pa: Annotated[float, between(1, 1e6, "Pa")] = 3e3
+    threshold_Pa: Annotated[float, require_range(0, 1e6, "Pa")] = 0.0
+    softness_Pa: Annotated[float, require_range(1, 1e6, "Pa")] = 3e3
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
         def soft(pressure: np.ndarray | float) -> np.ndarray:
@@ -96,8 +96,8 @@ class PressureHysteresis(Imperfection):
     """
 
     of_one_actuator: ClassVar[bool] = True
-    width_Pa: Annotated[float, between(0, 1e6, "Pa")] = 0.0
-    asymmetry: Annotated[float, between(-1, 1, "")] = 0.0
+    width_Pa: Annotated[float, require_range(0, 1e6, "Pa")] = 0.0
+    asymmetry: Annotated[float, require_range(-1, 1, "")] = 0.0
     operators: Annotated[int, Field(strict=True, ge=1, le=20, description="1 … 20")] = 4
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
@@ -112,8 +112,8 @@ class PressureCrosstalk(Imperfection):
     p_i gains share · p_max · Σ (p_j / p_max) ** exponent over the neighbours j in the ring of its module.
     """
 
-    share: Annotated[float, between(-0.5, 0.5, "of the neighbour's pressure")] = 0.0
-    exponent: Annotated[float, between(0.5, 3, "")] = 1.2
+    share: Annotated[float, require_range(-0.5, 0.5, "of the neighbour's pressure")] = 0.0
+    exponent: Annotated[float, require_range(0.5, 3, "")] = 1.2
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
         largest, order = robot.actuation.pressure_max_Pa, np.argsort(np.mod(robot.angles, 2 * np.pi))
@@ -122,16 +122,16 @@ class PressureCrosstalk(Imperfection):
             ring[here, beside] = ring[beside, here] = 1.0
         mixing = np.kron(np.eye(robot.modules), ring)
 
-        def squeezed(pressure: np.ndarray) -> np.ndarray:
+        def squeeze(pressure: np.ndarray) -> np.ndarray:
             return pressure + self.share * largest * (np.maximum(pressure, 0) / largest) ** self.exponent @ mixing
 
-        return StaticMap(squeezed, Numbers("squeeze", (self.share, largest, self.exponent), (mixing,)))
+        return StaticMap(squeeze, Numbers("squeeze", (self.share, largest, self.exponent), (mixing,)))
 
 
 class ActuatorGain(Imperfection):
     """Muscles of smaller (loss above zero) or larger area than the others, by actuator name: `loss = { 13 = 0.06 }`."""
 
-    loss: dict[str, Annotated[float, between(-1, 1, "of the pressure's force")]] = Field(default_factory=dict)
+    loss: dict[str, Annotated[float, require_range(-1, 1, "of the pressure's force")]] = Field(default_factory=dict)
 
     def pressure_stage(self, robot: Robot) -> PressureStage:
         factor = 1 - of_actuators(self.loss, Layout.from_robot(robot), "actuator_gain: loss")

@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.data.documents import between
+from tepm_opt.data.documents import require_range
 from tepm_opt.errors import unknown_name
 from tepm_opt.hw.simulation.imperfections.base import Imperfection, Sighting
 from tepm_opt.hw.simulation.imperfections.body import Vector
 
-Position = Annotated[float, between(-100, 100, "m")]
+Position = Annotated[float, require_range(-100, 100, "m")]
 
 
 class SensorOffset(Imperfection):
@@ -46,9 +46,9 @@ class FieldDistortion(Imperfection):
     Further away the distortion falls with the cube of the distance, as a dipole's field.
     """
 
-    size_m: Annotated[float, between(-0.1, 0.1, "m")] = 0.0
+    size_m: Annotated[float, require_range(-0.1, 0.1, "m")] = 0.0
     metal_m: tuple[Position, Position, Position] = (0.25, 0.15, 0.10)
-    reach_m: Annotated[float, between(1e-3, 10, "m")] = 0.25
+    reach_m: Annotated[float, require_range(1e-3, 10, "m")] = 0.25
 
     def measure(self, measured: Sighting) -> np.ndarray:
         away = np.array(self.metal_m) - measured.points

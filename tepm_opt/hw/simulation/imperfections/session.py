@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.data.documents import between
+from tepm_opt.data.documents import require_range
 from tepm_opt.hw.simulation.imperfections.base import Body, EdgeStage, Imperfection, Numbers, Sighting, TensionStage, of_actuators
 from tepm_opt.hw.simulation.imperfections.body import Vector
 from tepm_opt.models.layout import Layout
@@ -17,8 +17,8 @@ from tepm_opt.models.robot import Robot
 SLIDES = 0.05  # s that a slip takes
 FADE = 1.0  # s over which a robot at rest begins to feel that its base moves
 
-Instant = Annotated[float, between(0, 1e7, "s of the session")]
-Amplitude = Annotated[float, between(-0.05, 0.05, "m")]
+Instant = Annotated[float, require_range(0, 1e7, "s of the session")]
+Amplitude = Annotated[float, require_range(-0.05, 0.05, "m")]
 
 
 class Warming:
@@ -55,8 +55,8 @@ class WarmUp(Imperfection):
     """Muscles that become softer or stiffer by a share in proportion to the session's time, until they are warm."""
 
     of_one_actuator: ClassVar[bool] = True
-    change: Annotated[float, between(-0.5, 1, "of the stiffness")] = 0.0
-    full_s: Annotated[float, between(1, 1e5, "s of the session")] = 120.0
+    change: Annotated[float, require_range(-0.5, 1, "of the stiffness")] = 0.0
+    full_s: Annotated[float, require_range(1, 1e5, "s of the session")] = 120.0
 
     def longest_tick(self, body: Body) -> float:
         stiffest = abs(self.change) * body.stiffness[:, body.verticals].max()
@@ -80,16 +80,16 @@ class Slip:
     def __init__(self, share: np.ndarray, instant: float) -> None:
         self.share, self.instant, self.clock = share, instant, 0.0
 
-    def _kept(self) -> np.ndarray:
+    def _compute_kept_share(self) -> np.ndarray:
         return 1 - self.share * min(max((self.clock - self.instant) / SLIDES, 0.0), 1.0)
 
     def settle(self, tension: np.ndarray, length: np.ndarray) -> np.ndarray:
-        return tension * self._kept()
+        return tension * self._compute_kept_share()
 
     def step(self, tension: np.ndarray, length: np.ndarray, rate: np.ndarray, duration: float) -> np.ndarray:
-        start = tension[0] * self._kept()
+        start = tension[0] * self._compute_kept_share()
         self.clock += duration
-        return np.array([start, tension[1] * self._kept()])
+        return np.array([start, tension[1] * self._compute_kept_share()])
 
     def numbers(self) -> Numbers:
         return Numbers("slip", (self.clock, self.instant, SLIDES), (self.share,))
@@ -99,7 +99,7 @@ class TendonSlip(Imperfection):
     """Tendons that slide in their clamps at an instant, within 50 ms, and keep what is left: `share = { 12 = 0.3 }`."""
 
     of_one_actuator: ClassVar[bool] = False
-    share: dict[str, Annotated[float, between(-1, 1, "of the tension")]] = Field(default_factory=dict)
+    share: dict[str, Annotated[float, require_range(-1, 1, "of the tension")]] = Field(default_factory=dict)
     instant_s: Instant = 0.0
 
     def tension_stage(self, robot: Robot) -> TensionStage:
@@ -111,7 +111,7 @@ class TrackerDrift(Imperfection):
 
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     shift_m: Vector = (0.0, 0.0, 0.0)
-    period_s: Annotated[float, between(10, 1e6, "s")] = 1000.0
+    period_s: Annotated[float, require_range(10, 1e6, "s")] = 1000.0
 
     def measure(self, measured: Sighting) -> np.ndarray:
         part = np.sin(2 * np.pi * measured.time / self.period_s)
@@ -126,9 +126,9 @@ class BaseVibration(Imperfection):
     """
 
     amplitude_m: tuple[Amplitude, Amplitude, Amplitude] = (0.0, 0.0, 0.0)
-    frequency_Hz: Annotated[float, between(0.1, 50, "Hz")] = 4.0
-    phase_deg: Annotated[float, between(-360, 360, "degrees")] = 0.0
-    harmonic: Annotated[float, between(0, 1, "of the first")] = 0.1
+    frequency_Hz: Annotated[float, require_range(0.1, 50, "Hz")] = 4.0
+    phase_deg: Annotated[float, require_range(-360, 360, "degrees")] = 0.0
+    harmonic: Annotated[float, require_range(0, 1, "of the first")] = 0.1
     felt: bool = True
 
     @property
@@ -156,19 +156,19 @@ class ClockSkew(Imperfection):
     """
 
     of_devices: ClassVar[bool] = True
-    rate: Annotated[float, between(-0.05, 0.05, "1")] = 0.0
-    bend_per_s: Annotated[float, between(-1e-3, 1e-3, "1/s")] = 0.0
+    rate: Annotated[float, require_range(-0.05, 0.05, "1")] = 0.0
+    bend_per_s: Annotated[float, require_range(-1e-3, 1e-3, "1/s")] = 0.0
 
 
 class SampleJitter(Imperfection):
     """Frames that are older than they say by times drawn evenly up to this, each anew."""
 
     of_devices: ClassVar[bool] = True
-    up_to_s: Annotated[float, between(0, 0.1, "s")] = 0.0
+    up_to_s: Annotated[float, require_range(0, 0.1, "s")] = 0.0
 
 
-def felt(shaking: np.ndarray, time: float, passed: float) -> np.ndarray:
-    """Acceleration (3,) in m/s² of a base that moves by `Imperfection.shaking`, as far as a robot feels it, in the base frame.
+def evaluate_shaking(shaking: np.ndarray, time: float, passed: float) -> np.ndarray:
+    """Evaluate the acceleration (3,) in m/s² of a base that moves by `Imperfection.shaking`, as far as a robot feels it, in the base frame.
 
     Args:
         shaking: harmonics.

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from tepm_opt.data.documents import between
+from tepm_opt.data.documents import require_range
 from tepm_opt.hw.simulation.imperfections.base import Body, Imperfection, Numbers, TensionStage
 from tepm_opt.hw.simulation.imperfections.lugre import LuGre
 from tepm_opt.models.robot import Robot
@@ -36,8 +36,8 @@ class TendonSlack(Imperfection):
     """
 
     of_one_actuator: ClassVar[bool] = True
-    length_m: Annotated[float, between(0, 0.5, "m")] = 0.0
-    winding_stiffness_N_per_m: Annotated[float, between(1, 1e5, "N/m")] = 250.0
+    length_m: Annotated[float, require_range(0, 0.5, "m")] = 0.0
+    winding_stiffness_N_per_m: Annotated[float, require_range(1, 1e5, "N/m")] = 250.0
 
     def longest_tick(self, body: Body) -> float:
         return body.robot.parameters.c_a / self.winding_stiffness_N_per_m
@@ -76,9 +76,9 @@ class TendonFriction(Imperfection):
     """Gasket (constant) and guides (in proportion to the tension) between motor and end; a tendon cannot push."""
 
     of_one_actuator: ClassVar[bool] = True
-    constant_N: Annotated[float, between(0, 100, "N")] = 0.0
-    share: Annotated[float, between(0, 0.9, "of the tension")] = 0.0
-    bristle_stiffness_N_per_m: Annotated[float, between(10, 1e5, "N/m")] = 1500.0
+    constant_N: Annotated[float, require_range(0, 100, "N")] = 0.0
+    share: Annotated[float, require_range(0, 0.9, "of the tension")] = 0.0
+    bristle_stiffness_N_per_m: Annotated[float, require_range(10, 1e5, "N/m")] = 1500.0
 
     def longest_tick(self, body: Body) -> float:
         return body.robot.parameters.c_a / self.bristle_stiffness_N_per_m

@@ -7,13 +7,13 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import between
+from tepm_opt.data.documents import require_range
 from tepm_opt.hw.simulation.imperfections.base import Body, Imperfection, Numbers, PressureStage, StaticMap, TensionStage, of_actuators
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
 
 
-def lengthened(body: Body, lengths: np.ndarray) -> None:
+def lengthen(body: Body, lengths: np.ndarray) -> None:
     """Add lengths (modules · actuators,) in m to the rest lengths of the muscles, in place."""
     layout = body.layout
     each = lengths.reshape(layout.modules, layout.actuators) / layout.segments
@@ -24,39 +24,39 @@ class ActuatorOffset(Imperfection):
     """Muscles whose rest length or whose regulator's zero is off, by actuator name: `length_m = { 13 = 0.003 }`."""
 
     of_regulators: ClassVar[bool] = True
-    length_m: dict[str, Annotated[float, between(-0.05, 0.05, "m")]] = Field(default_factory=dict)
-    zero_Pa: dict[str, Annotated[float, between(-1e5, 1e5, "Pa")]] = Field(default_factory=dict)
+    length_m: dict[str, Annotated[float, require_range(-0.05, 0.05, "m")]] = Field(default_factory=dict)
+    zero_Pa: dict[str, Annotated[float, require_range(-1e5, 1e5, "Pa")]] = Field(default_factory=dict)
 
     def change_body(self, body: Body) -> None:
-        lengthened(body, of_actuators(self.length_m, body.layout, "actuator_offset: length_m"))
+        lengthen(body, of_actuators(self.length_m, body.layout, "actuator_offset: length_m"))
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
-        return shifted(of_actuators(self.zero_Pa, Layout.from_robot(robot), "actuator_offset: zero_Pa")) if self.zero_Pa else None
+        return shift_zeros(of_actuators(self.zero_Pa, Layout.from_robot(robot), "actuator_offset: zero_Pa")) if self.zero_Pa else None
 
 
-def shifted(zero: np.ndarray) -> StaticMap:
-    """Pressures with zeros (modules · actuators,) in Pa added."""
+def shift_zeros(zero: np.ndarray) -> StaticMap:
+    """Make a map that adds zeros (modules · actuators,) in Pa to pressures."""
     return StaticMap(lambda pressure: pressure + zero, Numbers("shift", channels=(zero,)))
 
 
 class ActuatorScatter(Imperfection):
     """Muscles of areas and rest lengths drawn at random, normal with these spreads; `draw` says which ones."""
 
-    area_spread: Annotated[float, between(0, 0.5, "of the area")] = 0.0
-    length_spread_m: Annotated[float, between(0, 0.05, "m")] = 0.0
+    area_spread: Annotated[float, require_range(0, 0.5, "of the area")] = 0.0
+    length_spread_m: Annotated[float, require_range(0, 0.05, "m")] = 0.0
     draw: Annotated[int, Field(strict=True, ge=0)] = 0
 
-    def drawn(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-        """Areas over the nominal one and lengths in m more, (modules · actuators,) each."""
+    def draw_scatter(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+        """Draw areas over the nominal one and lengths in m more, (modules · actuators,) each."""
         random = np.random.default_rng([self.draw, 2])
         area, length = random.standard_normal((2, layout.modules * layout.actuators))
         return 1 + self.area_spread * area, self.length_spread_m * length
 
     def change_body(self, body: Body) -> None:
-        lengthened(body, self.drawn(body.layout)[1])
+        lengthen(body, self.draw_scatter(body.layout)[1])
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
-        area, _ = self.drawn(Layout.from_robot(robot))
+        area, _ = self.draw_scatter(Layout.from_robot(robot))
         return StaticMap(lambda pressure: pressure * area, Numbers("gain", channels=(area,))) if self.area_spread else None
 
 
@@ -87,9 +87,9 @@ class LoadCell:
 class TensionGain(Imperfection):
     """Dynamometers of single tendons that show too much (loss above zero) or too little, by actuator name, on a scale that bends."""
 
-    loss: dict[str, Annotated[float, between(-1, 1, "of the tension")]] = Field(default_factory=dict)
-    zero_N: dict[str, Annotated[float, between(-5, 5, "N")]] = Field(default_factory=dict)
-    bend: Annotated[float, between(-0.2, 0.2, "of the tension")] = 0.0
+    loss: dict[str, Annotated[float, require_range(-1, 1, "of the tension")]] = Field(default_factory=dict)
+    zero_N: dict[str, Annotated[float, require_range(-5, 5, "N")]] = Field(default_factory=dict)
+    bend: Annotated[float, require_range(-0.2, 0.2, "of the tension")] = 0.0
 
     def tension_stage(self, robot: Robot) -> TensionStage:
         layout, largest = Layout.from_robot(robot), float(robot.actuation.tension_max_N)

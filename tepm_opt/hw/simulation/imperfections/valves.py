@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import between
+from tepm_opt.data.documents import require_range
 from tepm_opt.hw.simulation.imperfections.base import Imperfection, Numbers, PressureStage, of_actuators
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
@@ -61,10 +61,10 @@ class ChokedFilling(Imperfection):
     of_one_actuator: ClassVar[bool] = True
     of_devices: ClassVar[bool] = True
     of_regulators: ClassVar[bool] = True
-    rate_per_s: Annotated[float, between(0, 100, "1/s")] = 0.0
-    supply_Pa: Annotated[float, between(1e5, 2e6, "Pa, gauge")] = 0.7e6
-    band_Pa: Annotated[float, between(100, 1e6, "Pa of error that open the valve")] = 2e4
-    critical_ratio: Annotated[float, between(0, 0.6, "")] = 0.3
+    rate_per_s: Annotated[float, require_range(0, 100, "1/s")] = 0.0
+    supply_Pa: Annotated[float, require_range(1e5, 2e6, "Pa, gauge")] = 0.7e6
+    band_Pa: Annotated[float, require_range(100, 1e6, "Pa of error that open the valve")] = 2e4
+    critical_ratio: Annotated[float, require_range(0, 0.6, "")] = 0.3
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
         return Orifices(self.rate_per_s, self.supply_Pa, self.band_Pa, self.critical_ratio) if self.rate_per_s else None
@@ -81,7 +81,7 @@ class Leak:
         self.state = np.zeros(0)
 
     def loss(self, pressure: np.ndarray) -> np.ndarray:
-        """What the leak takes, in Pa of error of the regulator."""
+        """Pressure that the leak takes, in Pa of error of the regulator."""
         return self.share * flow(np.maximum(pressure, 0.0) + ATMOSPHERE, np.array(ATMOSPHERE), self.critical_ratio)
 
     def settle(self, pressure: np.ndarray) -> np.ndarray:
@@ -108,9 +108,9 @@ class RegulatorLeak(Imperfection):
     """Valves or muscles that leak, by actuator name: `share = { 12 = 0.05 }` of the absolute pressure is lost where the leak is choked."""
 
     of_regulators: ClassVar[bool] = True
-    share: dict[str, Annotated[float, between(0, 0.5, "of the absolute pressure")]] = Field(default_factory=dict)
-    time_s: Annotated[float, between(1e-3, 10, "s")] = 2e-3
-    critical_ratio: Annotated[float, between(0, 0.6, "")] = 0.3
+    share: dict[str, Annotated[float, require_range(0, 0.5, "of the absolute pressure")]] = Field(default_factory=dict)
+    time_s: Annotated[float, require_range(1e-3, 10, "s")] = 2e-3
+    critical_ratio: Annotated[float, require_range(0, 0.6, "")] = 0.3
 
     def pressure_stage(self, robot: Robot) -> PressureStage | None:
         share = of_actuators(self.share, Layout.from_robot(robot), "regulator_leak: share")

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from tepm_opt.data.documents import Section, between
+from tepm_opt.data.documents import Section, require_range
 from tepm_opt.hw.trackers.camera import CameraCalibration, load_opencv, open_camera, read_calibration
 from tepm_opt.hw.trackers.receiver import CONNECT_S, Inbox, Pose, StreamReceiver
 from tepm_opt.hw.trackers.tags import UPRIGHT, TagFinder
@@ -31,7 +31,7 @@ class WebcamOptions(Section):
     """
 
     calibration: Annotated[str, Field(min_length=1, description="file that tepm hw calibrate camera wrote")]
-    tag_m: Annotated[float, between(1e-3, 1, "m")]
+    tag_m: Annotated[float, require_range(1e-3, 1, "m")]
     camera: Annotated[int | str, Field(description="number of a camera, or address of a video")] = 0
     dictionary: str = "APRILTAG_36h11"
     axes: Literal["optical", "upright"] = "optical"
