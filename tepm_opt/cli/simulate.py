@@ -13,7 +13,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report, show_compiling, stderr, warn
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def sensitivities(names: str | None, model: CompiledModel, method: str) -> Direc
 
 
 def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[str]:
-    """What a simulation says to people, line by line.
+    """Summarize a simulation in lines for the terminal.
 
     Args:
         run: the simulation.
@@ -78,7 +78,7 @@ def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[s
 
 
 def _smaller(film: Path) -> str:
-    """How a large film could be had small."""
+    """Suggest a way to a smaller film; empty where there is none."""
     from tepm_opt.plots.film import INSTALL, find_ffmpeg
 
     if film.suffix != ".gif":
@@ -133,7 +133,7 @@ def simulate(
         _ = compiled.stepper  # here, so that it does not count as simulating
     kept = "nothing was finished"
     try:
-        with folder_for(out) as folder, shown(as_json) as progress:
+        with folder_for(out) as folder, show_progress(as_json) as progress:
             began = time.perf_counter()
             lengths = [None if value is None else 1e-3 * value for value in (step, error)]
             run = tepm.run_simulation(compiled, task, chosen, lengths[0], hold, directions, progress, lengths[1])

@@ -11,7 +11,7 @@ from rich.markup import escape
 from tepm_opt import studies
 from tepm_opt.cli.common import JsonOption, report
 from tepm_opt.cli.groups import WorkerOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 
 PAGE = "index.html"
 
@@ -37,7 +37,7 @@ def blind(
     """
     from tepm_opt.studies.blind.run import RESULTS, TABLE, write_trials
 
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         if data is not None:
             write_trials(data, trials, seed, family, progress)
             return report({"trials": trials, "data": str(data)}, [f"{trials} data sets in {escape(str(data))}"], as_json, ok=True)

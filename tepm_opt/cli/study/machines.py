@@ -12,7 +12,7 @@ from tepm_opt import studies
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report
 from tepm_opt.cli.driving import DriveOptions
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions, WorkerOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.cli.rigs import SeedOption, stopped_by_signals
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def machines(
         compiled = load(robot, model)
         targets, course = which.trajectory(path, compiled), drive.course(setup)
         family = studies.Family(count, noises, seed)
-        with stopped_by_signals(), workers.opened() as executor, shown(as_json) as bars:
+        with stopped_by_signals(), workers.opened() as executor, show_progress(as_json) as bars:
             run = studies.run_machines(compiled.model, targets, course, setup, family, bound / 1e3, kinematics.settings(), executor, bars)
         run.save(folder)
         studies.draw_machines(run, folder)

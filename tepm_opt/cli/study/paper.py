@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from tepm_opt import studies
 from tepm_opt.cli.common import JsonOption, report
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def paper(
 
     names = chosen(figure or [])
     folder = output_folder(out)
-    with shown(as_json) as bars:
+    with show_progress(as_json) as bars:
         study = studies.run_study(rig, names, quick, bars, lambda found: save(found, folder))
     save(study, folder)
     summary = study.summary()
