@@ -1,4 +1,4 @@
-"""Modules by their names of version 0.2, which go with version 0.4."""
+"""Modules and methods by their names of earlier versions, which go with version 0.4."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 
 class _RenamedModules(MetaPathFinder, Loader):
@@ -45,3 +46,18 @@ def rename_modules(package: str, names: Mapping[str, str]) -> None:
         names: new names by the old ones, both within the package; a new one that ends in `.*` is a package with all its modules.
     """
     sys.meta_path.append(_RenamedModules(package, names))
+
+
+class RenamedMethod:
+    """Class attribute that gives a method by its old name, with a DeprecationWarning that tells the new one."""
+
+    def __init__(self, new: str) -> None:
+        self._new, self._old = new, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._old = name
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        here = owner.__name__
+        warnings.warn(f"{here}.{self._old} is now {here}.{self._new}; the old name goes with version 0.4", DeprecationWarning, stacklevel=2)
+        return getattr(owner if instance is None else instance, self._new)

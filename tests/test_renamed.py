@@ -1,10 +1,13 @@
-"""Modules by their old names."""
+"""Modules and methods by their old names."""
 
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 
 import pytest
+
+from tepm_opt import LoopSetup
 
 MOVED = {
     "tepm_opt.control.estimator": "tepm_opt.control.estimation.kalman_filter",
@@ -28,3 +31,12 @@ def test_an_unknown_module_is_unknown() -> None:
     for name in ("tepm_opt.control.nothing", "tepm_opt.control.controllers.nothing"):
         with pytest.raises(ModuleNotFoundError):
             import_module(name)
+
+
+def test_a_method_is_found_by_its_old_name() -> None:
+    """The warning stands where the old name does."""
+    old = "LoopSetup.of is now LoopSetup.from_options; the old name goes with version 0.4"
+    with pytest.warns(DeprecationWarning, match=old) as told:
+        found = LoopSetup.of("mode1", "bench", 3, {})
+    assert found == LoopSetup.from_options("mode1", "bench", 3, {}) != LoopSetup()
+    assert Path(told[0].filename) == Path(__file__)

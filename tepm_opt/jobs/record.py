@@ -32,7 +32,7 @@ Ask = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RecordResult:
-    """What `record` left.
+    """Files of a recording.
 
     Attributes:
         folder: of the data set.

@@ -34,7 +34,7 @@ PERCENT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class SimulationTask:
-    """What a file asks for.
+    """Set points to simulate, with the points measured then where there are any.
 
     Attributes:
         setpoints: inputs and tip force, (rows, …).
@@ -73,12 +73,12 @@ def densified(setpoints: SetPoints, hold: bool) -> tuple[SetPoints, np.ndarray]:
     weight = (np.arange(places[-1]) - places[start]) / parts[start]
     last = len(time) - 1
 
-    def between(values: np.ndarray, held: bool) -> np.ndarray:
+    def interpolate(values: np.ndarray, held: bool) -> np.ndarray:
         w = weight.reshape(-1, *(1,) * (values.ndim - 1))
         filled = values[start] if held else values[start] + w * (values[start + 1] - values[start])
         return np.concatenate([filled, values[last:]])
 
-    return SetPoints(between(time, False), between(setpoints.inputs, hold), between(setpoints.tip_force, hold)), places
+    return SetPoints(interpolate(time, False), interpolate(setpoints.inputs, hold), interpolate(setpoints.tip_force, hold)), places
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class SimulateRun(Tabular):
 
     @property
     def failure(self) -> str:
-        """Why the motion ended early by itself; empty where it did not."""
+        """Reason why the motion ended early by itself; empty where it did not."""
         return self.simulation.outcome.message if self.simulation.outcome.ending is Ending.FAILED else ""
 
     @property
@@ -116,7 +116,7 @@ class SimulateRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended: solved where the motion came to the end of the file."""
+        """Outcome: solved where the motion came to the end of the file."""
         return self.simulation.outcome
 
     @property
