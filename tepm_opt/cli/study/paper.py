@@ -25,9 +25,9 @@ def paper(
     as_json: JsonOption = False,
 ) -> int:
     """The paper's Table I and Figs. 6 to 12 on the simulated rig and the model: figures, tables and one HTML page."""
-    from tepm_opt.studies.paper.run import chosen
+    from tepm_opt.studies.paper.run import select_experiments
 
-    names = chosen(figure or [])
+    names = select_experiments(figure or [])
     folder = output_folder(out)
     with show_progress(as_json) as bars:
         study = studies.run_study(rig, names, quick, bars, lambda found: save(found, folder))

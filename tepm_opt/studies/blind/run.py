@@ -66,7 +66,7 @@ class BlindRun:
 
     @cached_property
     def analysis(self) -> Analysis:
-        """What the trials say together."""
+        """Summary of all trials."""
         return analysed(self.results)
 
     def summary(self) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def examined(trial: Trial) -> dict[str, Any]:
 
     What goes wrong is a result, too.
     """
-    result = {**_named(trial), "label": None, "verdict": None, "error": None}
+    result = {**_describe_trial(trial), "label": None, "verdict": None, "error": None}
     began, used = time.monotonic(), time.process_time()
     making, folder = 0.0, Path()
     try:
@@ -132,7 +132,7 @@ def run_blind(
     wanted = [Trial.numbered(seed, number, family) for number in range(trials)]
     path = output_folder(out) / RESULTS
     done = {_key(result): result for result in read_results(path)}
-    left = [trial for trial in wanted if _of(trial) not in done]
+    left = [trial for trial in wanted if _identify_trial(trial) not in done]
     progress("trials", trials - len(left), trials)
     interrupted = False
     with path.open("a", encoding="utf-8") as file:
@@ -141,7 +141,7 @@ def run_blind(
             file.write(json.dumps(result) + "\n")
             file.flush()
             done[_key(result)] = result
-            progress("trials", sum(_of(trial) in done for trial in wanted), trials)
+            progress("trials", sum(_identify_trial(trial) in done for trial in wanted), trials)
 
         try:
             if executor is None:
@@ -150,7 +150,9 @@ def run_blind(
                 raise InputError("the executor does not work any more; finished trials are kept, the same command goes on")
         except KeyboardInterrupt:
             interrupted = True
-    return BlindRun(seed, family, trials, tuple(done[_of(trial)] for trial in wanted if _of(trial) in done), interrupted)
+    return BlindRun(
+        seed, family, trials, tuple(done[_identify_trial(trial)] for trial in wanted if _identify_trial(trial) in done), interrupted
+    )
 
 
 def write_trials(folder: str | Path, trials: int, seed: int = 0, family: str | None = None, progress: Progress = silent) -> None:
@@ -194,11 +196,11 @@ def read_results(path: str | Path) -> list[dict[str, Any]]:
     return found
 
 
-def _named(trial: Trial) -> dict[str, Any]:
+def _describe_trial(trial: Trial) -> dict[str, Any]:
     return {"family": trial.family, "seed": trial.seed, "number": trial.number}
 
 
-def _of(trial: Trial) -> tuple[str, int, int]:
+def _identify_trial(trial: Trial) -> tuple[str, int, int]:
     return trial.family, trial.seed, trial.number
 
 
@@ -207,7 +209,7 @@ def _key(result: dict[str, Any]) -> tuple[str, int, int]:
 
 
 def _died(trial: Trial) -> dict[str, Any]:
-    return {**_named(trial), "label": None, "verdict": None, "error": DIED, "seconds": {}}
+    return {**_describe_trial(trial), "label": None, "verdict": None, "error": DIED, "seconds": {}}
 
 
 def _spread(executor: Executor, trials: Sequence[Trial], at_once: int, keep: Keep, examine: Examine) -> list[Trial]:

@@ -54,7 +54,7 @@ class Family:
 
 @dataclass(frozen=True)
 class Drive:
-    """What one machine did with one noise.
+    """Result of one machine with one noise.
 
     Attributes:
         machine: its number, and `noise`, that of the run.
@@ -175,8 +175,8 @@ class MachineTask:
     number: int
 
 
-def driven(task: MachineTask) -> list[Drive]:
-    """A machine driven with all its noises."""
+def drive_machine(task: MachineTask) -> list[Drive]:
+    """Drive a machine once with each of its noises."""
     from tepm_opt.hw.simulation.family import random_machine
     from tepm_opt.hw.simulation.rig import SimulatedRig
 
@@ -220,7 +220,7 @@ def run_machines(
     if model.source not in builtin_robots() and not Path(model.source).is_file():
         raise InputError(f"machines: robot {model.source!r} has no file to draw machines around; valid: a built-in robot or a robot file")
     tasks = [MachineTask(model, trajectory, course, setup, kinematics, family, number) for number in range(family.machines)]
-    drives, interrupted = sweep(driven, tasks, executor, stage="machines", progress=progress)
+    drives, interrupted = sweep(drive_machine, tasks, executor, stage="machines", progress=progress)
     return MachinesRun(setup, family, bound, tuple(drive for each in drives for drive in each), interrupted)
 
 

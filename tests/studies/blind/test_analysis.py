@@ -77,7 +77,7 @@ class TestOneTrial:
         both = [*GAIN, ("payload", None, 3.0)]
         less = judged("closed", both, "named", [("actuator_gain", "12", 0.97)])
         assert (less.right, less.abstained) == (False, True)
-        assert [less.found(cause) for cause in less.causes] == [True, False]
+        assert [less.lists_cause(cause) for cause in less.causes] == [True, False]
         assert judged("closed", GAIN, "named", [("actuator_gain", "12", 0.97), ("payload", None, 0.4)]).right
 
     def test_rivals_that_are_listed_count_with_their_probability(self) -> None:
@@ -90,7 +90,7 @@ class TestOneTrial:
         alike = {"tendon_slip": ["tension_gain"]}
         assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).right
         assert judged("closed", slipped, "named", [("tendon_slip", "12", 0.97)], alike=alike).right
-        assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).found({"names": ["tendon_slip"]})
+        assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).lists_cause({"names": ["tendon_slip"]})
         assert not judged("closed", slipped, "named", [("tension_gain", "13", 0.97)], alike=alike).right
         assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)]).false_above(0.9)
 
