@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -124,7 +125,7 @@ def simulate(
     chosen: Method = "rk4" if method == "rk4" else "implicit"
     compiled = load(robot, model)
     directions = sensitivities(by, compiled, chosen)
-    task = tepm.read_task(inputs, compiled)
+    task = replace(tepm.read_task(inputs, compiled), hold=hold, directions=directions)
     if hold and task.measured is not None:
         raise InputError(f"--hold: {inputs} has measured points, and inputs of recorded runs change linearly between samples")
     if inputs.resolve() in {(out / name).resolve() for name in (TRAJECTORY, LENGTHS)}:
@@ -135,8 +136,8 @@ def simulate(
     try:
         with folder_for(out) as folder, show_progress(as_json) as progress:
             began = time.perf_counter()
-            lengths = [None if value is None else 1e-3 * value for value in (step, error)]
-            run = tepm.run_simulation(compiled, task, chosen, lengths[0], hold, directions, progress, lengths[1])
+            longest, aim = (None if value is None else 1e-3 * value for value in (step, error))
+            run = tepm.run_simulation(compiled, task, chosen, longest, aim, progress)
             took = time.perf_counter() - began
             run.save(folder)
             kept = f"the tables are in {out}"

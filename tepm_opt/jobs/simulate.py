@@ -39,10 +39,14 @@ class SimulationTask:
     Attributes:
         setpoints: inputs and tip force, (rows, …).
         measured: points of a recorded run in G, (rows, points, 3) in m, NaN where missing; None where the file has none.
+        hold: whether a row holds until the next one, instead of changing linearly.
+        directions: parameters and inputs by which the motion is differentiated; None for none.
     """
 
     setpoints: SetPoints
     measured: np.ndarray | None = None
+    hold: bool = False
+    directions: Directions | None = None
 
 
 def read_task(path: str | Path, model: CompiledModel) -> SimulationTask:
@@ -221,10 +225,10 @@ class SimulateRun(Tabular):
 
 
 def run_simulation(
-    model: CompiledModel, task: SimulationTask, method: Method = "implicit", step: float | None = None, hold: bool = False,
-    directions: Directions | None = None, progress: Progress = silent, error: float | None = None,
+    model: CompiledModel, task: SimulationTask, method: Method = "implicit", step: float | None = None, error: float | None = None,
+    progress: Progress = silent,
 ) -> SimulateRun:  # fmt: skip
-    """Simulate what a file asks for, from rest under its first row.
+    """Simulate a task from rest under its first row.
 
     An interruption (Ctrl-C) and a motion that leaves all bounds end it early; the run says so and holds what was done.
 
@@ -233,17 +237,15 @@ def run_simulation(
         task: inputs and, where there are any, measured points.
         method: implicit, or the paper's.
         step: longest in s; adaptive (implicit) or the method's own where absent.
-        hold: whether a row holds until the next one, instead of changing linearly.
-        directions: parameters and inputs by which the motion is differentiated.
-        progress: told how much of it is done, in s.
         error: of the nodes in m at which adaptive steps aim.
+        progress: told how much of it is done, in s.
 
     Raises:
         InputError: as for `simulate`.
     """
-    dense, places = densified(task.setpoints, hold)
-    found = simulate(model, dense, method, step, hold, None, directions, progress=progress, error=error)
+    dense, places = densified(task.setpoints, task.hold)
+    found = simulate(model, dense, method, step, task.hold, None, task.directions, progress=progress, error=error)
     done = places[places < len(found.setpoints.time)]
     measured = None if task.measured is None else task.measured[: len(done)]
     duration = float(task.setpoints.time[-1] - task.setpoints.time[0])
-    return SimulateRun(found, done, len(places), duration, hold, measured)
+    return SimulateRun(found, done, len(places), duration, task.hold, measured)
