@@ -37,15 +37,16 @@ def blind(
     """
     from tepm_opt.studies.blind.run import RESULTS, TABLE, write_trials
 
+    series = studies.TrialSeries(trials, seed, family)
     with show_progress(as_json) as progress:
         if data is not None:
-            write_trials(data, trials, seed, family, progress)
+            write_trials(data, series, progress)
             return report({"trials": trials, "data": str(data)}, [f"{trials} data sets in {escape(str(data))}"], as_json, ok=True)
         if workers.scheduler is not None:
             with workers.opened() as executor:
-                run = studies.run_blind(out, trials, seed, family, executor, progress=progress)
+                run = studies.run_blind(out, series, executor, progress=progress)
         else:  # processes are made anew where a trial kills one
-            run = studies.run_blind(out, trials, seed, family, jobs=workers.jobs, progress=progress)
+            run = studies.run_blind(out, series, jobs=workers.jobs, progress=progress)
     run.save(out)
     studies.write_blind_page(out / PAGE, run, studies.draw_blind_trials(run, out))
     lines = [] if run.ok else [f"[yellow]{escape(run.outcome.message)}; the same command goes on from there[/]"]

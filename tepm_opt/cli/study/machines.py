@@ -59,8 +59,9 @@ def machines(
         compiled = load(robot, model)
         targets, course = which.trajectory(path, compiled), drive.course(setup)
         family = studies.Family(count, noises, seed)
+        task = studies.DriveTask(compiled.model, targets, course, setup, family, kinematics.settings())
         with stopped_by_signals(), workers.opened() as executor, show_progress(as_json) as bars:
-            run = studies.run_machines(compiled.model, targets, course, setup, family, bound / 1e3, kinematics.settings(), executor, bars)
+            run = studies.run_machines(task, bound / 1e3, executor, bars)
         run.save(folder)
         studies.draw_machines(run, folder)
     return report(run.summary(), format_lines(run, out), as_json, run.ok)

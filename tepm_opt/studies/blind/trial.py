@@ -78,6 +78,30 @@ class Trial:
         return np.random.default_rng([self.seed, self.number, zlib.crc32(self.family.encode())])
 
 
+@dataclass(frozen=True)
+class TrialSeries:
+    """Trials by their numbers; each depends on the seed, its number and its family alone.
+
+    Attributes:
+        count: how many.
+        seed: of all.
+        family: that all are of; None for all families in turn.
+    """
+
+    count: int
+    seed: int = 0
+    family: str | None = None
+
+    @property
+    def trials(self) -> list[Trial]:
+        """All trials, by number.
+
+        Raises:
+            InputError: no such family.
+        """
+        return [Trial.numbered(self.seed, number, self.family) for number in range(self.count)]
+
+
 @dataclass(frozen=True, eq=False)
 class Made:
     """A trial's data set, and what is hidden in it (plain data)."""

@@ -22,6 +22,7 @@ from tepm_opt.studies.blind.foreign import FOREIGN
 from tepm_opt.studies.blind.judged import Judged
 from tepm_opt.studies.blind.run import BlindRun
 from tepm_opt.studies.blind.table import markdown
+from tepm_opt.studies.blind.trial import TrialSeries
 
 SECONDS = {"wall": 12.0, "cpu": 11.0, "making": 2.0}
 Hidden = tuple[str, str | None, float]
@@ -222,7 +223,7 @@ def test_figures(tmp_path: Path) -> None:
     null = [result("null", [], "no_discrepancy", [])]
     names = {"rates", "detection", "reliability", "confusion"}
     for results, missing in (([*many, *null], set()), (null, {"detection", "reliability"}), ([], names)):
-        run = BlindRun(0, None, len(results), tuple(results))
+        run = BlindRun(TrialSeries(len(results)), tuple(results))
         run.save(tmp_path)
         assert set(studies.draw_blind_trials(run, tmp_path)) == names - missing
         assert {path.stem for path in tmp_path.glob("*.png")} == names - missing
