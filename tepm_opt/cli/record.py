@@ -42,7 +42,7 @@ def record(
     planned = _plan_for(str(plan), robot_there(robot, None, rig) or DEFAULT) if str(plan) in MADE else tepm.read_plan(plan)
     try:
         with stopped_by_signals(), show_progress(as_json) as bars:
-            done = tepm.record(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
+            done = tepm.record(planned, out, tepm.RigSource(rig, opener(rig, planned.robot, seed)), seed, bars, bars.ask)
     except KeyboardInterrupt:
         warn(f"interrupted: {describe_kept_runs(planned, out)}")
         return INTERRUPTED

@@ -58,7 +58,8 @@ def update_model(
         opened(seed)  # a rig that is not there is told before anything is computed
         try:
             with stopped_by_signals(), show_progress(as_json) as bars:
-                done = tepm.run_model_update(known.model, targets, opened, rig, folder, planned, seed, further, bars, bars.ask)
+                task = tepm.UpdateTask(known.model, targets, planned, seed, further)
+                done = tepm.run_model_update(task, tepm.RigSource(rig, opened), folder, bars, bars.ask)
         except KeyboardInterrupt:
             warn(f"interrupted: what is finished is in {out}; the same command goes on")
             return INTERRUPTED
